@@ -1,0 +1,29 @@
+/* Shared by every kernel family.
+ *
+ * Cells are trinary: -1 unknown, 0 free, 1 occupied; grids are row-major, row grows with +y.
+ * A lattice position is in half cells, so the centre of cell (row, col) is (2 col + 1, 2 row + 1)
+ * and stays an integer. A fixed pose is four longs in Q30: cos, sin, tx, ty with tx and ty in half
+ * cells; it maps a lattice position exactly, so that a kernel and its NumPy twin read the same cell.
+ */
+#ifndef SLAMFUSION_COMMON_H
+#define SLAMFUSION_COMMON_H
+
+#define UNKNOWN (-1)
+#define FREE 0
+#define OCCUPIED 1
+
+/* Largest squared distance kept in a distance field, in cells squared. */
+#define DISTANCE2_MAX 4096
+#define DISTANCE_MAX 64
+
+/* Q30 half cells to whole cells: drop 30 fraction bits and the half. */
+#define FIXED_TO_CELL_SHIFT 31
+
+/* Cell (x = col, y = row) under a lattice position after a fixed pose. */
+inline int2 fixed_cell(const long4 pose, const int x2, const int y2) {
+  const long x = pose.x * x2 - pose.y * y2 + pose.z;
+  const long y = pose.y * x2 + pose.x * y2 + pose.w;
+  return (int2)((int)(x >> FIXED_TO_CELL_SHIFT), (int)(y >> FIXED_TO_CELL_SHIFT));
+}
+
+#endif

@@ -1,0 +1,2 @@
+/* placeholder so that the family builds; replaced below */
+#include "common.h"

@@ -1,0 +1,137 @@
+/* From trinary cells to what alignment looks at: surface walls, coarse grids, distance and score
+ * fields.
+ *
+ * Twins: reference.surface_walls, reference.shrink, reference.distance_columns,
+ * reference.distance_rows, reference.score_field. All integer, so kernel and twin agree exactly.
+ * Work sizes: any local size; every kernel guards its global size.
+ */
+#include "common.h"
+
+/* 1 where a wall cell touches free space (8 neighbours), else 0.
+ * cells (height, width) char trinary; out (height, width) uchar. Global: (width, height). */
+__kernel void surface_walls(__global const char *cells, const int height, const int width,
+                            __global uchar *out) {
+  const int col = get_global_id(0), row = get_global_id(1);
+  if (col >= width || row >= height) return;
+  const int index = row * width + col;
+  uchar found = 0;
+  if (cells[index] == OCCUPIED) {
+    for (int r = max(row - 1, 0); r <= min(row + 1, height - 1); r++)
+      for (int c = max(col - 1, 0); c <= min(col + 1, width - 1); c++)
+        found |= cells[r * width + c] == FREE;
+  }
+  out[index] = found;
+}
+
+/* Blocks of step x step cells: a coarse wall where any fine wall is, and the free share 0..255.
+ * walls (height, width) uchar; cells (height, width) char; out_* (out_height, out_width) uchar.
+ * Blocks that reach over the edge count the missing cells as unknown. Global: (out_width,
+ * out_height). */
+__kernel void shrink(__global const uchar *walls, __global const char *cells, const int height,
+                     const int width, const int step, const int out_height, const int out_width,
+                     __global uchar *out_wall, __global uchar *out_free) {
+  const int col = get_global_id(0), row = get_global_id(1);
+  if (col >= out_width || row >= out_height) return;
+  uchar wall = 0;
+  int free_cells = 0;
+  for (int r = row * step; r < min((row + 1) * step, height); r++)
+    for (int c = col * step; c < min((col + 1) * step, width); c++) {
+      wall |= walls[r * width + c];
+      free_cells += cells[r * width + c] == FREE;
+    }
+  out_wall[row * out_width + col] = wall;
+  out_free[row * out_width + col] = (uchar)((free_cells * 255) / (step * step));
+}
+
+/* First pass of the exact Euclidean distance (Meijster, Roerdink and Hesselink 2000): distance along
+ * the column to the nearest wall, capped at DISTANCE_MAX.
+ * walls (height, width) uchar, width a multiple of 16; out (height, width) ushort.
+ * Global: (width / 16). */
+__kernel void distance_columns(__global const uchar *walls, const int height, const int width,
+                               __global ushort *out) {
+  const int col = get_global_id(0) * 16;
+  if (col >= width) return;
+  ushort16 last = DISTANCE_MAX;
+  for (int row = 0; row < height; row++) {
+    const ushort16 wall = convert_ushort16(vload16(0, walls + row * width + col));
+    last = min(last + (ushort16)1, (ushort16)DISTANCE_MAX) * ((ushort16)1 - wall);
+    vstore16(last, 0, out + row * width + col);
+  }
+  last = DISTANCE_MAX;
+  for (int row = height - 1; row >= 0; row--) {
+    const ushort16 above = vload16(0, out + row * width + col);
+    last = min(min(last + (ushort16)1, (ushort16)DISTANCE_MAX), above);
+    vstore16(last, 0, out + row * width + col);
+  }
+}
+
+/* Second pass: squared distance, the minimum over the row of column distance squared plus offset
+ * squared, capped at DISTANCE2_MAX.
+ * columns, out (height, width) ushort, width a multiple of 16.
+ * Global: (width / 16, height). */
+__kernel void distance_rows(__global const ushort *columns, const int height, const int width,
+                            __global ushort *out) {
+  const int col = get_global_id(0) * 16, row = get_global_id(1);
+  if (col >= width || row >= height) return;
+  __global const ushort *line = columns + row * width;
+  ushort16 best = vload16(0, line + col);
+  best *= best;
+  ushort worst = DISTANCE2_MAX;
+  for (int k = 1; k < DISTANCE_MAX; k++) {
+    const ushort k2 = (ushort)(k * k);
+    /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
+    if ((k & 7) == 1) {
+      const ushort8 m8 = max(best.lo, best.hi);
+      const ushort4 m4 = max(m8.lo, m8.hi);
+      const ushort2 m2 = max(m4.lo, m4.hi);
+      worst = max(m2.x, m2.y);
+      if (k2 >= worst) break;
+    }
+    ushort16 left, right;
+    if (col - k >= 0 && col + k + 16 <= width) {
+      left = vload16(0, line + col - k);
+      right = vload16(0, line + col + k);
+    } else {
+      ushort l[16], r[16];
+      for (int i = 0; i < 16; i++) {
+        l[i] = col + i - k >= 0 ? line[col + i - k] : (ushort)DISTANCE_MAX;
+        r[i] = col + i + k < width ? line[col + i + k] : (ushort)DISTANCE_MAX;
+      }
+      left = vload16(0, l);
+      right = vload16(0, r);
+    }
+    const ushort16 near = min(left, right);
+    best = min(best, near * near + (ushort16)k2);
+  }
+  vstore16(min(best, (ushort16)DISTANCE2_MAX), 0, out + row * width + col);
+}
+
+/* What a wall point of the other map is worth in each cell:
+ * base + hit[d2] - free * miss[d2] / 255, rounded down, within 0..255.
+ * distance2 (cells) ushort; free_share (cells) uchar 0..255; hit, miss (DISTANCE2_MAX + 1) ushort;
+ * out (cells) uchar. Global: (cells). */
+__kernel void score_field(__global const ushort *distance2, __global const uchar *free_share,
+                          __global const ushort *hit, __global const ushort *miss, const int base,
+                          const int cells, __global uchar *out) {
+  const int index = get_global_id(0);
+  if (index >= cells) return;
+  const int d2 = distance2[index];
+  const int value = base + hit[d2] - (free_share[index] * miss[d2]) / 255;
+  out[index] = (uchar)clamp(value, 0, 255);
+}
+
+/* Largest value among the `window` cells that start at each cell, along the row or along the column;
+ * cells outside count as fill. Two calls give a square window.
+ * field (height, width) uchar; out (height, width) uchar. Global: (width, height). */
+__kernel void max_window(__global const uchar *field, const int height, const int width,
+                         const int window, const int along_rows, const uchar fill,
+                         __global uchar *out) {
+  const int col = get_global_id(0), row = get_global_id(1);
+  if (col >= width || row >= height) return;
+  const int limit = along_rows ? width - col : height - row;
+  const int stride = along_rows ? 1 : width;
+  __global const uchar *start = field + row * width + col;
+  uchar best = window > limit ? fill : (uchar)0;
+  for (int k = 0; k < min(window, limit); k++) best = max(best, start[k * stride]);
+  out[row * width + col] = best;
+}

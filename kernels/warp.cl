@@ -1,0 +1,31 @@
+/* Resample grids under rigid motions, and count how two trinary grids agree.
+ *
+ * Twins: reference.warp, reference.confusion. Integer arithmetic throughout: exact equality.
+ */
+#include "common.h"
+
+/* Nearest-cell resampling: out[k, row, col] = in at the fixed pose k of the centre of the output
+ * cell, fill outside. poses (count, 4) long Q30, output lattice to input lattice.
+ * in (height, width) char; out (count, out_height, out_width) char.
+ * Global: (out_width, out_height, count). */
+__kernel void warp(__global const char *in, const int height, const int width,
+                   __global const long *poses, const int count, const int out_height,
+                   const int out_width, const char fill, __global char *out) {
+  const int col = get_global_id(0), row = get_global_id(1), k = get_global_id(2);
+  if (col >= out_width || row >= out_height || k >= count) return;
+  const int2 cell = fixed_cell(vload4(k, poses), 2 * col + 1, 2 * row + 1);
+  const bool inside = cell.x >= 0 && cell.y >= 0 && cell.x < width && cell.y < height;
+  out[((size_t)k * out_height + row) * out_width + col] =
+      inside ? in[(size_t)cell.y * width + cell.x] : fill;
+}
+
+/* Joint counts of two trinary grids: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk`
+ * cells; the host adds the chunks. a, b (cells) char; partial (chunks, 9) int. Global: (chunks). */
+__kernel void confusion(__global const char *a, __global const char *b, const int cells,
+                        const int chunk, __global int *partial) {
+  const int start = get_global_id(0) * chunk;
+  if (start >= cells) return;
+  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+  for (int i = start; i < min(start + chunk, cells); i++) counts[3 * a[i] + b[i] + 4]++;
+  for (int i = 0; i < 9; i++) partial[get_global_id(0) * 9 + i] = counts[i];
+}

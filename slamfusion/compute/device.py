@@ -1,0 +1,123 @@
+"""Choose an OpenCL device and say which and why."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
+
+from slamfusion.errors import DeviceError
+
+__all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices"]
+
+SIMULATOR = "oclgrind"
+NO_DEVICE = (
+    "no OpenCL device found; install one (x86-64 CPU: `pip install pocl-binary-distribution`, "
+    "any CPU on Debian or Ubuntu: `apt install pocl-opencl-icd`) or run with `--device numpy`"
+)
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """One OpenCL device, in words."""
+
+    index: int
+    name: str
+    platform: str
+    type: str
+    version: str
+    compute_units: int
+    memory_mb: int
+    usable: bool
+    note: str
+
+
+def find_devices() -> list[Any]:
+    """Return every OpenCL device in the platforms' order; an empty list without any platform."""
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:
+        return []
+    devices = []
+    for platform in platforms:
+        try:
+            devices.extend(platform.get_devices())
+        except cl.Error:
+            continue
+    return devices
+
+
+def is_simulator(device: Any) -> bool:
+    """Whether the device is the Oclgrind simulator, which is for tests only."""
+    return SIMULATOR in f"{device.platform.name} {device.name}".lower()
+
+
+def list_devices() -> list[DeviceInfo]:
+    """Describe every OpenCL device; the index is what ``--device`` takes."""
+    infos = []
+    for index, device in enumerate(find_devices()):
+        simulator = is_simulator(device)
+        infos.append(
+            DeviceInfo(
+                index=index,
+                name=device.name.strip(),
+                platform=device.platform.name.strip(),
+                type=cl.device_type.to_string(device.type).lower(),
+                version=device.version.strip(),
+                compute_units=int(device.max_compute_units),
+                memory_mb=int(device.global_mem_size // 2**20),
+                usable=bool(device.available and device.compiler_available),
+                note="simulator, only when asked for by name" if simulator else "",
+            )
+        )
+    return infos
+
+
+def choose_device(wanted: str = "auto") -> tuple[Any, str]:
+    """Return a device and why it was chosen.
+
+    Order: the option, then ``PYOPENCL_CTX``, then the first GPU, then the first CPU; the simulator
+    only when asked for by name.
+
+    Args:
+        wanted: ``auto``, an index of ``slamfusion devices``, or part of a device's or platform's
+            name, any case.
+
+    Raises:
+        DeviceError: no device, or none that fits; the message lists what there is.
+    """
+    devices = find_devices()
+    if not devices:
+        raise DeviceError(NO_DEVICE)
+    if wanted != "auto":
+        return _named(devices, wanted), f"asked for {wanted!r}"
+    if os.environ.get("PYOPENCL_CTX"):
+        context = cl.create_some_context(interactive=False)
+        return context.devices[0], "PYOPENCL_CTX"
+    real = [device for device in devices if not is_simulator(device) and device.available]
+    for kind, words in (
+        (cl.device_type.GPU, "the first GPU"),
+        (cl.device_type.CPU, "the first CPU device, no GPU found"),
+    ):
+        for device in real:
+            if device.type & kind:
+                return device, words
+    if real:
+        return real[0], "the only device"
+    raise DeviceError(NO_DEVICE)
+
+
+def _named(devices: list[Any], wanted: str) -> Any:
+    """Return the device of that index or name."""
+    if wanted.isdecimal():
+        if int(wanted) < len(devices):
+            return devices[int(wanted)]
+    else:
+        for device in devices:
+            if wanted.lower() in f"{device.platform.name} {device.name}".lower():
+                return device
+    names = "; ".join(f"{i}: {device.name.strip()}" for i, device in enumerate(devices))
+    message = f"no OpenCL device fits {wanted!r}; there are: {names}; or use `--device numpy`"
+    raise DeviceError(message)

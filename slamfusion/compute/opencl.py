@@ -1,0 +1,339 @@
+"""The OpenCL backend: each operation is one kernel launch, or two, on one in-order queue."""
+
+from __future__ import annotations
+
+import math
+import platform
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
+
+from slamfusion.compute.device import choose_device
+from slamfusion.compute.program import KernelProgram
+from slamfusion.compute.reference import DISTANCE2_MAX
+from slamfusion.errors import DeviceError
+
+__all__ = ["DeviceArray", "OpenCLBackend"]
+
+# PoCL compiles a kernel again for every new work-group size and picks badly when left to choose:
+# one fixed size for each number of dimensions.
+LOCAL_SIZES = {1: (16,), 2: (16, 4), 3: (1, 4, 1)}
+LANES = 16
+SHIFT_LANES = 64
+CHUNK_POINTS = 64
+CHUNK_CELLS = 4096
+
+
+@dataclass(frozen=True)
+class DeviceArray:
+    """An array on the device: its buffer, shape and dtype; rows are dense."""
+
+    buffer: Any
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        """Elements."""
+        return math.prod(self.shape)
+
+
+class OpenCLBackend:
+    """The operations of ``Backend`` on one OpenCL device.
+
+    Raises:
+        DeviceError: no such device, or the kernels do not build on it.
+    """
+
+    is_opencl = True
+
+    def __init__(self, wanted: str = "auto") -> None:
+        """Choose the device, build the kernels."""
+        self.device, self.reason = choose_device(wanted)
+        self.name = f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
+        self.context = cl.Context([self.device])
+        self.queue = cl.CommandQueue(self.context)
+        options = []
+        is_cpu = bool(self.device.type & cl.device_type.CPU)
+        is_x86 = platform.machine().lower() in {"x86_64", "amd64"}
+        is_pocl = "portable computing" in self.device.platform.name.lower()
+        if is_cpu and is_x86 and is_pocl:
+            options.append("-DUNALIGNED_WORDS")
+        self.program = KernelProgram(self.context, self.device, tuple(options))
+        self._tables: dict[bytes, DeviceArray] = {}
+
+    # -- moving data ---------------------------------------------------------------------------
+
+    def upload(self, array: npt.NDArray[Any]) -> DeviceArray:
+        """Bring an array to the device."""
+        dense = np.ascontiguousarray(array)
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        try:
+            buffer = cl.Buffer(self.context, flags, hostbuf=dense)
+        except cl.Error as error:
+            raise self._failed("upload", error) from error
+        return DeviceArray(buffer, dense.shape, dense.dtype)
+
+    def download(self, handle: DeviceArray) -> npt.NDArray[Any]:
+        """Bring an array back."""
+        out = np.empty(handle.shape, dtype=handle.dtype)
+        cl.enqueue_copy(self.queue, out, handle.buffer)
+        return out
+
+    def empty(self, shape: tuple[int, ...], dtype: Any) -> DeviceArray:
+        """Reserve an array on the device; its content is undefined."""
+        kind = np.dtype(dtype)
+        size = max(1, math.prod(shape) * kind.itemsize)
+        try:
+            buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+        except cl.Error as error:
+            raise self._failed(f"reserving {size / 2**20:.0f} MiB", error) from error
+        return DeviceArray(buffer, shape, kind)
+
+    def _launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
+        """Start a kernel; its global size is rounded up to the fixed local size."""
+        local = LOCAL_SIZES[len(size)]
+        rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
+        plain = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
+        try:
+            self.program[name](self.queue, rounded, local, *plain)
+        except cl.Error as error:
+            raise self._failed(f"kernel {name}", error) from error
+
+    def _failed(self, what: str, error: Exception) -> DeviceError:
+        """Return the one-line error of a failed device call."""
+        words = " ".join(str(error).split())[:200]
+        return DeviceError(f"{self.name}: {what} failed ({words}); try `--device numpy`")
+
+    def _table(self, array: npt.NDArray[Any]) -> DeviceArray:
+        """Upload a small constant table once."""
+        key = array.tobytes()
+        if key not in self._tables:
+            self._tables[key] = self.upload(array)
+        return self._tables[key]
+
+    # -- walls and fields ----------------------------------------------------------------------
+
+    def surface_walls(self, cells: DeviceArray) -> DeviceArray:
+        """See ``reference.surface_walls``."""
+        height, width = cells.shape
+        out = self.empty(cells.shape, np.uint8)
+        size = (width, height)
+        self._launch("surface_walls", size, cells, np.int32(height), np.int32(width), out)
+        return out
+
+    def shrink(
+        self, walls: DeviceArray, cells: DeviceArray, step: int
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """See ``reference.shrink``."""
+        height, width = cells.shape
+        shape = (-(-height // step), -(-width // step))
+        wall, free = self.empty(shape, np.uint8), self.empty(shape, np.uint8)
+        sizes = [np.int32(v) for v in (height, width, step, *shape)]
+        self._launch("shrink", shape[::-1], walls, cells, *sizes, wall, free)
+        return wall, free
+
+    def distance_squared(self, walls: DeviceArray) -> DeviceArray:
+        """See ``reference.distance_squared``."""
+        height, width = walls.shape
+        padded = -(-width // LANES) * LANES
+        source = walls if padded == width else self._repitch(walls, padded)
+        columns = self.empty((height, padded), np.uint16)
+        squared = self.empty((height, padded), np.uint16)
+        sizes = (np.int32(height), np.int32(padded))
+        self._launch("distance_columns", (padded // LANES,), source, *sizes, columns)
+        self._launch("distance_rows", (padded // LANES, height), columns, *sizes, squared)
+        return squared if padded == width else self._repitch(squared, width)
+
+    def _repitch(self, array: DeviceArray, width: int) -> DeviceArray:
+        """Return the array with rows of another width: cut, or filled with zeros."""
+        height, old = array.shape
+        item = array.dtype.itemsize
+        out = self.empty((height, width), array.dtype)
+        if width > old:
+            cl.enqueue_fill_buffer(self.queue, out.buffer, np.uint8(0), 0, height * width * item)
+        cl.enqueue_copy(
+            self.queue,
+            out.buffer,
+            array.buffer,
+            src_origin=(0, 0, 0),
+            dst_origin=(0, 0, 0),
+            region=(min(old, width) * item, height, 1),
+            src_pitches=(old * item,),
+            dst_pitches=(width * item,),
+        )
+        return out
+
+    def score_field(
+        self,
+        distance2: DeviceArray,
+        free_share: DeviceArray,
+        hit: npt.NDArray[np.uint16],
+        miss: npt.NDArray[np.uint16],
+        base: int,
+    ) -> DeviceArray:
+        """See ``reference.score_field``."""
+        if hit.shape != (DISTANCE2_MAX + 1,) or miss.shape != hit.shape:
+            message = f"score tables must have {DISTANCE2_MAX + 1} entries, found {hit.shape}"
+            raise DeviceError(message)
+        out = self.empty(distance2.shape, np.uint8)
+        cells = distance2.size
+        tables = (self._table(hit), self._table(miss))
+        scalars = (np.int32(base), np.int32(cells))
+        self._launch("score_field", (cells,), distance2, free_share, *tables, *scalars, out)
+        return out
+
+    def max_window(
+        self, field: DeviceArray, window: int, *, along_rows: bool, fill: int
+    ) -> DeviceArray:
+        """See ``reference.max_window``."""
+        height, width = field.shape
+        out = self.empty(field.shape, np.uint8)
+        sizes = [np.int32(v) for v in (height, width, window, along_rows)]
+        self._launch("max_window", (width, height), field, *sizes, np.uint8(fill), out)
+        return out
+
+    # -- warping and counting ------------------------------------------------------------------
+
+    def warp(
+        self,
+        cells: DeviceArray,
+        poses: npt.NDArray[np.int64],
+        shape: tuple[int, int],
+        fill: int,
+    ) -> DeviceArray:
+        """See ``reference.warp``."""
+        out = self.empty((len(poses), *shape), cells.dtype)
+        sizes = [np.int32(v) for v in (len(poses), *shape)]
+        own = [np.int32(v) for v in cells.shape]
+        size = (shape[1], shape[0], len(poses))
+        fixed = self.upload(poses)
+        self._launch("warp", size, cells, *own, fixed, *sizes, np.int8(fill), out)
+        return out
+
+    def confusion(self, a: DeviceArray, b: DeviceArray) -> npt.NDArray[np.int64]:
+        """See ``reference.confusion``."""
+        chunks = -(-a.size // CHUNK_CELLS)
+        partial = self.empty((chunks, 9), np.int32)
+        sizes = (np.int32(a.size), np.int32(CHUNK_CELLS))
+        self._launch("confusion", (chunks,), a, b, *sizes, partial)
+        return self.download(partial).sum(axis=0, dtype=np.int64).reshape(3, 3)
+
+    # -- scoring motions -----------------------------------------------------------------------
+
+    def correlate(
+        self,
+        fields: DeviceArray,
+        offsets: npt.NDArray[np.int32],
+        shift_shape: tuple[int, int],
+    ) -> DeviceArray:
+        """See ``reference.correlate``."""
+        planes, field_height, field_width = fields.shape
+        count = max(planes, len(offsets))
+        height, width = shift_shape
+        if width % SHIFT_LANES:
+            message = f"shifts along a row must come in multiples of {SHIFT_LANES}, found {width}"
+            raise DeviceError(message)
+        scores = self.empty((count, height, width), np.int32)
+        points = offsets.shape[1]
+        field_stride = np.int32(field_height * field_width if planes > 1 else 0)
+        offset_stride = np.int32(points if len(offsets) > 1 else 0)
+        self._launch(
+            "correlate",
+            (width // SHIFT_LANES, height, count),
+            fields,
+            field_stride,
+            np.int32(field_width),
+            self.upload(offsets),
+            offset_stride,
+            np.int32(points),
+            np.int32(height),
+            np.int32(width),
+            np.int32(count),
+            scores,
+        )
+        return scores
+
+    def tile_peaks(
+        self, forward: DeviceArray, backward: DeviceArray, width: int, tile: int
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """See ``reference.tile_peaks``."""
+        count, height, stride = forward.shape
+        tiles_y, tiles_x = -(-height // tile), -(-width // tile)
+        values = self.empty((count, tiles_y, tiles_x), np.int32)
+        places = self.empty((count, tiles_y, tiles_x), np.int32)
+        sizes = [np.int32(v) for v in (height, width, stride, count, tile, tiles_y, tiles_x)]
+        size = (tiles_x, tiles_y, count)
+        self._launch("tile_peaks", size, forward, backward, *sizes, values, places)
+        return self.download(values), self.download(places)
+
+    def pose_counts(
+        self,
+        points: npt.NDArray[np.int32],
+        poses: npt.NDArray[np.int64],
+        field: DeviceArray,
+        distance2: DeviceArray,
+        free_cell: DeviceArray,
+        *,
+        base: int,
+        near2: int,
+        far2: int,
+    ) -> npt.NDArray[np.int64]:
+        """See ``reference.pose_counts``."""
+        count, n = len(points), len(poses)
+        chunks = -(-count // CHUNK_POINTS)
+        partial = self.empty((n, chunks, 4), np.int32)
+        height, width = field.shape
+        sizes = [np.int32(v) for v in (height, width, base, near2, far2, CHUNK_POINTS, chunks)]
+        self._launch(
+            "pose_counts",
+            (chunks, n),
+            self.upload(points),
+            np.int32(count),
+            self.upload(poses),
+            np.int32(n),
+            field,
+            distance2,
+            free_cell,
+            *sizes,
+            partial,
+        )
+        return self.download(partial).sum(axis=1, dtype=np.int64)
+
+    def refine_terms(
+        self,
+        points: npt.NDArray[np.float32],
+        poses: npt.NDArray[np.float32],
+        distance2: DeviceArray,
+        *,
+        scale: float,
+        centre: tuple[float, float],
+        backward: bool,
+    ) -> npt.NDArray[np.float64]:
+        """See ``reference.refine_terms``."""
+        count, n = len(points), len(poses)
+        chunks = -(-count // CHUNK_POINTS)
+        partial = self.empty((n, chunks, 10), np.float32)
+        height, width = distance2.shape
+        self._launch(
+            "refine_terms",
+            (chunks, n),
+            self.upload(points),
+            np.int32(count),
+            self.upload(poses),
+            np.int32(n),
+            distance2,
+            np.int32(height),
+            np.int32(width),
+            np.float32(scale),
+            np.float32(centre[0]),
+            np.float32(centre[1]),
+            np.int32(backward),
+            np.int32(CHUNK_POINTS),
+            np.int32(chunks),
+            partial,
+        )
+        return self.download(partial).sum(axis=1, dtype=np.float64)

@@ -1,0 +1,316 @@
+"""The NumPy twins: each function here defines what the kernel of the same name computes.
+
+Written for clarity. Integer results equal the kernels' exactly; ``refine_terms`` is float32 on the
+device and float64 here, and agrees to a stated tolerance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+__all__ = [
+    "DISTANCE2_MAX",
+    "DISTANCE_MAX",
+    "confusion",
+    "correlate",
+    "distance_squared",
+    "fixed_cells",
+    "fixed_poses",
+    "max_window",
+    "pose_counts",
+    "refine_terms",
+    "score_field",
+    "shrink",
+    "surface_walls",
+    "tile_peaks",
+    "warp",
+]
+
+U8 = npt.NDArray[np.uint8]
+U16 = npt.NDArray[np.uint16]
+I8 = npt.NDArray[np.int8]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+DISTANCE_MAX = 64
+DISTANCE2_MAX = DISTANCE_MAX**2
+FIXED_ONE = 1 << 30
+
+
+def fixed_poses(poses: npt.ArrayLike) -> I64:
+    """Return poses as the kernels' fixed-point motions.
+
+    Args:
+        poses: (N, 3) float, x and y in cells, yaw in rad; maps cells of one lattice to another.
+
+    Returns:
+        (N, 4) int64: cos and sin in Q30, x and y in Q30 half cells.
+    """
+    array = np.atleast_2d(np.asarray(poses, dtype=np.float64))
+    columns = (np.cos(array[:, 2]), np.sin(array[:, 2]), 2.0 * array[:, 0], 2.0 * array[:, 1])
+    return np.rint(np.stack(columns, axis=1) * FIXED_ONE).astype(np.int64)
+
+
+def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
+    """Return (row, col) of lattice positions (half cells) after one fixed pose; exact."""
+    x = pose[0] * x2 - pose[1] * y2 + pose[2]
+    y = pose[1] * x2 + pose[0] * y2 + pose[3]
+    return y >> 31, x >> 31
+
+
+def surface_walls(cells: I8) -> U8:
+    """Return (H, W) uint8, 1 where an occupied cell has a free one among its 8 neighbours.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+    """
+    near_free = ndimage.binary_dilation(cells == 0, structure=np.ones((3, 3), dtype=bool))
+    return ((cells == 1) & near_free).astype(np.uint8)
+
+
+def shrink(walls: U8, cells: I8, step: int) -> tuple[U8, U8]:
+    """Return walls and free share on a grid of ``step`` x ``step`` blocks.
+
+    Args:
+        walls: (H, W) uint8, 0 or 1.
+        cells: (H, W) int8 in {-1, 0, 1}.
+        step: cells per block side; blocks over the edge count missing cells as unknown.
+
+    Returns:
+        wall: (h, w) uint8, 1 where any wall of the block is; free: (h, w) uint8, share 0..255.
+    """
+    height, width = cells.shape
+    rows, cols = -(-height // step), -(-width // step)
+    pad = ((0, rows * step - height), (0, cols * step - width))
+    wall = np.pad(walls, pad).reshape(rows, step, cols, step).max(axis=(1, 3))
+    free = np.pad(cells == 0, pad).reshape(rows, step, cols, step).sum(axis=(1, 3))
+    return wall.astype(np.uint8), (free * 255 // (step * step)).astype(np.uint8)
+
+
+def distance_squared(walls: U8) -> U16:
+    """Return (H, W) uint16, squared distance in cells to the nearest wall, at most 4096.
+
+    The true distance wherever a wall lies within 64 cells along the column and along the row.
+
+    Args:
+        walls: (H, W) uint8, 0 or 1.
+    """
+    if not walls.any():
+        return np.full(walls.shape, DISTANCE2_MAX, dtype=np.uint16)
+    _, (rows, cols) = ndimage.distance_transform_edt(walls == 0, return_indices=True)
+    own_rows, own_cols = np.indices(walls.shape)
+    squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
+    return np.minimum(squared, DISTANCE2_MAX).astype(np.uint16)
+
+
+def score_field(distance2: U16, free_share: U8, hit: U16, miss: U16, base: int) -> U8:
+    """Return what a wall point of the other map is worth in each cell, 0..255.
+
+    Args:
+        distance2: (H, W) uint16 from ``distance_squared``.
+        free_share: (H, W) uint8, 0..255.
+        hit, miss: (4097,) uint16, by squared distance.
+        base: worth of a cell that says nothing.
+    """
+    value = base + hit[distance2].astype(np.int32)
+    value -= free_share.astype(np.int32) * miss[distance2] // 255
+    return np.clip(value, 0, 255).astype(np.uint8)
+
+
+def max_window(field: U8, window: int, *, along_rows: bool, fill: int) -> U8:
+    """Return the largest of the ``window`` cells that start at each cell; outside counts as fill.
+
+    Args:
+        field: (H, W) uint8.
+        window: cells, at least 1.
+        along_rows: over columns of one row; otherwise over rows of one column.
+        fill: value outside the field, 0..255.
+    """
+    axis = 1 if along_rows else 0
+    pad = [(0, 0), (0, 0)]
+    pad[axis] = (0, window - 1)
+    padded = np.pad(field, pad, constant_values=fill)
+    views = np.lib.stride_tricks.sliding_window_view(padded, window, axis=axis)
+    best: U8 = views.max(axis=-1)
+    return best
+
+
+def warp(cells: I8, poses: I64, shape: tuple[int, int], fill: int) -> I8:
+    """Return the grid resampled by nearest cell under each pose.
+
+    Args:
+        cells: (H, W) int8 (or uint8).
+        poses: (K, 4) int64 fixed poses, output lattice to input lattice.
+        shape: (h, w) of the output.
+        fill: value outside the input.
+
+    Returns:
+        (K, h, w), dtype of ``cells``.
+    """
+    height, width = cells.shape
+    y2, x2 = np.meshgrid(
+        2 * np.arange(shape[0], dtype=np.int64) + 1,
+        2 * np.arange(shape[1], dtype=np.int64) + 1,
+        indexing="ij",
+    )
+    out = np.full((len(poses), *shape), fill, dtype=cells.dtype)
+    for k, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        out[k][inside] = cells[row[inside], col[inside]]
+    return out
+
+
+def confusion(a: I8, b: I8) -> I64:
+    """Return (3, 3) int64 joint counts of two trinary grids of one shape; index is value + 1."""
+    index = 3 * (a.astype(np.int64) + 1) + (b + 1)
+    return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
+
+
+def correlate(fields: U8, offsets: I32, shift_shape: tuple[int, int]) -> I32:
+    """Return the sum over points of the field at point plus shift, for every whole-cell shift.
+
+    Args:
+        fields: (K or 1, FH, FW) uint8, values 0..15.
+        offsets: (K or 1, N) int32, ``row * FW + col`` of each point; every shift stays inside.
+        shift_shape: (SH, SW).
+
+    Returns:
+        (K, SH, SW) int32.
+    """
+    count = max(len(fields), len(offsets))
+    height, width = shift_shape
+    scores = np.zeros((count, height, width), dtype=np.int32)
+    field_width = fields.shape[2]
+    for k in range(count):
+        field = fields[k if len(fields) > 1 else 0]
+        for offset in offsets[k if len(offsets) > 1 else 0]:
+            row, col = divmod(int(offset), field_width)
+            scores[k] += field[row : row + height, col : col + width]
+    return scores
+
+
+def tile_peaks(forward: I32, backward: I32, width: int, tile: int) -> tuple[I32, I32]:
+    """Return the best of each tile of shifts of ``forward`` plus reversed ``backward``.
+
+    Args:
+        forward: (K, SH, SW) int32; only the first ``width`` columns count.
+        backward: same shape, read at (SH - 1 - i, width - 1 - j).
+        width: shifts along a row.
+        tile: shifts per tile side.
+
+    Returns:
+        values: (K, TY, TX) int32, and places: same shape, ``i * width + j``; first of equals wins.
+    """
+    total = forward[:, :, :width] + backward[:, ::-1, width - 1 :: -1]
+    count, height, _ = total.shape
+    tiles_y, tiles_x = -(-height // tile), -(-width // tile)
+    values = np.empty((count, tiles_y, tiles_x), dtype=np.int32)
+    places = np.empty_like(values)
+    for ty in range(tiles_y):
+        for tx in range(tiles_x):
+            part = total[:, ty * tile : (ty + 1) * tile, tx * tile : (tx + 1) * tile]
+            flat = part.reshape(count, -1)
+            best = flat.argmax(axis=1)
+            row, col = np.divmod(best, part.shape[2])
+            values[:, ty, tx] = flat[np.arange(count), best]
+            places[:, ty, tx] = (ty * tile + row) * width + tx * tile + col
+    return values, places
+
+
+def pose_counts(
+    points: I32,
+    poses: I64,
+    field: U8,
+    distance2: U16,
+    free_cell: U8,
+    *,
+    base: int,
+    near2: int,
+    far2: int,
+) -> I64:
+    """Return what the points meet under each pose.
+
+    Args:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        poses: (P, 4) int64 fixed poses, points to field.
+        field: (H, W) uint8 score field; points off it score ``base``.
+        distance2: (H, W) uint16. free_cell: (H, W) uint8, 1 where free.
+        base: score of a point off the field.
+        near2: a point within this squared distance of a wall is a hit.
+        far2: a point in free space beyond this squared distance is a clash.
+
+    Returns:
+        (P, 4) int64: score, hits, clashes, points on the field.
+    """
+    height, width = field.shape
+    out = np.zeros((len(poses), 4), dtype=np.int64)
+    x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
+    for p, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        row, col = row[inside], col[inside]
+        d2 = distance2[row, col]
+        out[p, 0] = field[row, col].sum(dtype=np.int64) + base * (len(points) - len(row))
+        out[p, 1] = np.count_nonzero(d2 <= near2)
+        out[p, 2] = np.count_nonzero((free_cell[row, col] != 0) & (d2 > far2))
+        out[p, 3] = len(row)
+    return out
+
+
+def refine_terms(
+    points: F32,
+    poses: F32,
+    distance2: U16,
+    *,
+    scale: float,
+    centre: tuple[float, float],
+    backward: bool,
+) -> F64:
+    """Return the normal equations of a robust point-to-wall fit, one row per pose.
+
+    The unknown is a small motion (dx, dy, dyaw) of the reference frame about ``centre``, applied
+    after the pose. The residual is the bilinear distance to the nearest wall, its weight Welsch's
+    exp(-(d / scale)^2).
+
+    Args:
+        points: (N, 2) float32, cells.
+        poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
+        distance2: (H, W) uint16.
+        scale: cells.
+        centre: x and y in cells of the reference.
+        backward: points belong to the reference and the field to the moving grid.
+
+    Returns:
+        (P, 10) float64: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
+    """
+    height, width = distance2.shape
+    distance = np.sqrt(distance2.astype(np.float64))
+    out = np.zeros((len(poses), 10))
+    for p, (cosine, sine, tx, ty) in enumerate(poses.astype(np.float64)):
+        px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+        qx, qy = cosine * px - sine * py + tx, sine * px + cosine * py + ty
+        col = np.floor(qx - 0.5).astype(np.int64)
+        row = np.floor(qy - 0.5).astype(np.int64)
+        inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
+        px, py, qx, qy = px[inside], py[inside], qx[inside], qy[inside]
+        col, row = col[inside], row[inside]
+        u, v = qx - 0.5 - col, qy - 0.5 - row
+        d00, d01 = distance[row, col], distance[row, col + 1]
+        d10, d11 = distance[row + 1, col], distance[row + 1, col + 1]
+        d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
+        gx = (1 - v) * (d01 - d00) + v * (d11 - d10)
+        gy = (1 - u) * (d10 - d00) + u * (d11 - d01)
+        weight = np.exp(-(d * d) / (scale * scale))
+        ax, ay = qx - centre[0], qy - centre[1]
+        if backward:
+            gx, gy = -(cosine * gx + sine * gy), -(cosine * gy - sine * gx)
+            ax, ay = px - centre[0], py - centre[1]
+        gt = gy * ax - gx * ay
+        terms = (gx * gx, gx * gy, gx * gt, gy * gy, gy * gt, gt * gt, gx * d, gy * d, gt * d)
+        out[p] = [*(float(np.sum(weight * term)) for term in terms), float(np.sum(weight))]
+    return out

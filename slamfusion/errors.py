@@ -1,0 +1,45 @@
+"""The errors that SLAMfusion raises on purpose; anything else is a bug and keeps its traceback.
+
+A message says what was wanted, what was found, where, and what to do next. ``OSError`` passes
+through unchanged where the operating system's own words are clear enough.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AlignmentError",
+    "ConfigError",
+    "DeviceError",
+    "GridError",
+    "MapFileError",
+    "MemoryBudgetError",
+    "SlamFusionError",
+]
+
+
+class SlamFusionError(Exception):
+    """Root of every expected failure; the command line prints it as one line and exits with 1."""
+
+
+class GridError(SlamFusionError, ValueError):
+    """A grid's cells, resolution or origin cannot be an occupancy grid, or two grids do not fit."""
+
+
+class MapFileError(SlamFusionError):
+    """A map file (YAML or image) is missing, damaged, or outside what a map server reads."""
+
+
+class ConfigError(SlamFusionError, ValueError):
+    """A configuration value is unknown, of the wrong type, or out of its range."""
+
+
+class DeviceError(SlamFusionError):
+    """No usable OpenCL device, or a kernel failed to build or run on it."""
+
+
+class AlignmentError(SlamFusionError):
+    """The grids could not be brought into one frame, so nothing may be fused."""
+
+
+class MemoryBudgetError(SlamFusionError):
+    """The work needs more memory than the machine has free; nothing was allocated."""

@@ -1,0 +1,173 @@
+"""What alignment and fusion answer: plain records, shared by the tables, JSON and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+
+__all__ = ["Alignment", "FusionResult", "InputRecord", "RunnerUp", "VoteResult"]
+
+
+@dataclass(frozen=True)
+class RunnerUp:
+    """The best distinct peak of the search beside the answer.
+
+    Attributes:
+        transform: pose of the moving map frame in the reference map frame, metres.
+        score: on the scale of ``Alignment.score``.
+        ratio: score over the answer's score; near 1 means the place looks alike under both.
+    """
+
+    transform: Pose2
+    score: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """One moving grid against one reference grid.
+
+    Attributes:
+        reference, moving: names of the grids.
+        transform: maps a point of the moving grid's map frame into the reference's, metres.
+        accepted: whether it may be believed; ``reason`` says why (not).
+        score: symmetric wall score, 1 for identical maps; larger is better.
+        overlap: cells known in both over known cells of the smaller map, 0..1.
+        error: [F16] map error, sqrt of the sum of squared differences of -1 / 0 / 1 over the
+            reference's known box.
+        runner_up: best distinct peak, None when there is none.
+        bound_gap: 0 when proven the best of the search set, positive when the deadline came
+            first (in score units), None when not asked for.
+        time_s: wall time of this alignment.
+        statistics: the numbers that the decision used, by name.
+        yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the best coarse score there.
+    """
+
+    reference: str
+    moving: str
+    transform: Pose2
+    accepted: bool
+    reason: str
+    score: float
+    overlap: float
+    error: float
+    runner_up: RunnerUp | None
+    bound_gap: float | None
+    time_s: float
+    statistics: dict[str, float] = field(default_factory=dict)
+    yaw_profile: npt.NDArray[np.float64] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the keys that other programs rely on."""
+        runner_up = None
+        if self.runner_up is not None:
+            runner_up = {
+                "dx_m": self.runner_up.transform.x,
+                "dy_m": self.runner_up.transform.y,
+                "yaw_rad": self.runner_up.transform.yaw_rad,
+                "score": self.runner_up.score,
+                "ratio": self.runner_up.ratio,
+            }
+        return {
+            "name": self.moving,
+            "reference": self.reference,
+            "accepted": self.accepted,
+            "reason": self.reason,
+            "dx_m": self.transform.x,
+            "dy_m": self.transform.y,
+            "yaw_rad": self.transform.yaw_rad,
+            "score": self.score,
+            "overlap": self.overlap,
+            "error": self.error,
+            "runner_up": runner_up,
+            "bound_gap": self.bound_gap,
+            "time_s": self.time_s,
+            "statistics": self.statistics,
+        }
+
+
+@dataclass(frozen=True)
+class InputRecord:
+    """One input of a fusion: its grid, what became of it, and its cells on the fused lattice.
+
+    Attributes:
+        grid: as given.
+        alignment: against the reference; the reference's own is the identity. None when the
+            grid could not be searched at all (e.g. all unknown); then ``reason`` says why.
+        accepted: whether it voted.
+        reason: why (not); one line.
+        aligned: (H, W) int8 in {-1, 0, 1} on the fused lattice; None when rejected.
+        dissent: (H, W) bool, where this input voted and was outvoted; None when rejected.
+    """
+
+    grid: OccupancyGrid
+    alignment: Alignment | None
+    accepted: bool
+    reason: str
+    aligned: npt.NDArray[np.int8] | None = None
+    dissent: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def name(self) -> str:
+        """The input's name."""
+        return self.grid.name
+
+
+@dataclass(frozen=True)
+class VoteResult:
+    """What a vote over a stack of aligned grids gives.
+
+    Attributes:
+        fused: (H, W) int8 in {-1, 0, 1}.
+        agreement: (H, W) int8, share of votes for the winner in percent 0..100, -1 without votes.
+        dissent: (H, W) uint32, bit n set where input n voted otherwise than the winner.
+        phantom_cells: cells occupied in the fused grid and in no input.
+    """
+
+    fused: npt.NDArray[np.int8]
+    agreement: npt.NDArray[np.int8]
+    dissent: npt.NDArray[np.uint32]
+    phantom_cells: int
+
+
+@dataclass(frozen=True)
+class FusionResult:
+    """A fused map and everything needed to judge it.
+
+    Attributes:
+        reference: name of the reference input.
+        inputs: one record per input, in the order given.
+        fused: cells in {-1, 0, 100}; frame and lattice of the reference.
+        agreement: cells 0..100 or -1 on the same lattice.
+        pairs: every pair that was aligned, also between rejected inputs.
+        phantom_cells: occupied in the fused grid, occupied in no input.
+        weights: vote weight of each accepted input, by name.
+        device: the device that computed it, in words.
+        time_s: wall time of the whole fusion.
+    """
+
+    reference: str
+    inputs: tuple[InputRecord, ...]
+    fused: OccupancyGrid
+    agreement: OccupancyGrid
+    pairs: tuple[Alignment, ...]
+    phantom_cells: int
+    weights: dict[str, float]
+    device: str
+    time_s: float
+
+    @property
+    def accepted(self) -> tuple[InputRecord, ...]:
+        """The inputs that voted."""
+        return tuple(record for record in self.inputs if record.accepted)
+
+    @property
+    def rejected(self) -> tuple[InputRecord, ...]:
+        """The inputs that did not vote."""
+        return tuple(record for record in self.inputs if not record.accepted)

@@ -1,0 +1,80 @@
+"""Planar rigid motions: ``Pose2`` (SE(2)) and angle wrapping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Pose2", "wrap_angle"]
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """Wrap an angle to [-pi, pi)."""
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@dataclass(frozen=True)
+class Pose2:
+    """A pose in the plane, or the rigid motion that carries its frame there.
+
+    ``pose_a_b`` is the pose of frame b in frame a; it maps points of b into a, and
+    ``pose_a_b.compose(pose_b_c)`` is ``pose_a_c``.
+
+    Attributes:
+        x: metres (or any length unit, kept throughout).
+        y: same unit as ``x``.
+        yaw_rad: counter-clockwise, radians; kept as given, not wrapped.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse NaN and infinity: a pose that is no place must never reach a map."""
+        if not (math.isfinite(self.x) and math.isfinite(self.y) and math.isfinite(self.yaw_rad)):
+            message = f"pose ({self.x}, {self.y}, {self.yaw_rad}) must be finite"
+            raise ValueError(message)
+
+    def compose(self, other: Pose2) -> Pose2:
+        """Return the motion that applies ``other`` first and then this one."""
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return Pose2(
+            self.x + cos * other.x - sin * other.y,
+            self.y + sin * other.x + cos * other.y,
+            wrap_angle(self.yaw_rad + other.yaw_rad),
+        )
+
+    def inverse(self) -> Pose2:
+        """Return the motion that undoes this one."""
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return Pose2(
+            -cos * self.x - sin * self.y,
+            sin * self.x - cos * self.y,
+            wrap_angle(-self.yaw_rad),
+        )
+
+    def transform(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Map points of this frame into the parent frame.
+
+        Args:
+            points: (..., 2) x and y, same unit as the pose.
+        Returns:
+            (..., 2) float64.
+        """
+        xy = np.asarray(points, dtype=np.float64)
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return np.stack(
+            (
+                self.x + cos * xy[..., 0] - sin * xy[..., 1],
+                self.y + sin * xy[..., 0] + cos * xy[..., 1],
+            ),
+            axis=-1,
+        )
+
+    def scaled(self, factor: float) -> Pose2:
+        """Return the same motion with lengths in another unit (metres to cells: 1 / resolution)."""
+        return Pose2(self.x * factor, self.y * factor, self.yaw_rad)

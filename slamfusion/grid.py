@@ -1,0 +1,164 @@
+"""``OccupancyGrid``: the one value that flows through SLAMfusion.
+
+Cells follow ``nav_msgs/OccupancyGrid``: -1 unknown, 0 free to 100 occupied, ``cells[row, col]``
+with ``row`` growing along +y of the grid's own axes. The origin is the pose of the lower-left
+corner of cell [0, 0] in the map frame, yaw included.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import GridError
+from slamfusion.geometry import Pose2
+
+__all__ = ["FREE", "OCCUPIED", "UNKNOWN", "CellBox", "OccupancyGrid", "known_box"]
+
+FREE = 0
+OCCUPIED = 100
+UNKNOWN = -1
+
+
+@dataclass(frozen=True)
+class CellBox:
+    """A half-open box of cells: rows [row0, row1), columns [col0, col1)."""
+
+    row0: int
+    col0: int
+    row1: int
+    col1: int
+
+    @property
+    def height(self) -> int:
+        """Rows in the box."""
+        return self.row1 - self.row0
+
+    @property
+    def width(self) -> int:
+        """Columns in the box."""
+        return self.col1 - self.col0
+
+    @property
+    def area(self) -> int:
+        """Cells in the box."""
+        return self.height * self.width
+
+
+def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
+    """Return the smallest box that holds every known cell, or None when all are unknown.
+
+    Args:
+        cells: (H, W) int8, -1 unknown.
+    """
+    known = cells != UNKNOWN
+    rows = np.flatnonzero(known.any(axis=1))
+    if rows.size == 0:
+        return None
+    cols = np.flatnonzero(known.any(axis=0))
+    return CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid:
+    """An occupancy grid in its map frame; immutable.
+
+    Attributes:
+        cells: (H, W) int8, -1 unknown, 0..100 occupancy in percent; made read-only.
+        resolution: metres per cell, positive and finite.
+        origin: pose of the lower-left corner of cell [0, 0] in the map frame; metres, radians.
+        name: what tables and messages call it; often the file's stem or the topic.
+
+    Raises:
+        GridError: wrong shape, dtype, value range, resolution or origin.
+    """
+
+    cells: npt.NDArray[np.int8]
+    resolution: float
+    origin: Pose2 = Pose2()
+    name: str = "map"
+
+    def __post_init__(self) -> None:
+        """Check once, then freeze the cells."""
+        cells = self.cells
+        if not isinstance(cells, np.ndarray) or cells.dtype != np.int8 or cells.ndim != 2:
+            found = f"{getattr(cells, 'dtype', type(cells).__name__)} {getattr(cells, 'shape', '')}"
+            message = f"{self.name}: cells must be an (H, W) int8 array, found {found}"
+            raise GridError(message)
+        if cells.size == 0:
+            message = f"{self.name}: an occupancy grid needs at least one cell, found {cells.shape}"
+            raise GridError(message)
+        if not (math.isfinite(self.resolution) and self.resolution > 0):
+            message = (
+                f"{self.name}: resolution must be a positive number of metres per cell, "
+                f"found {self.resolution}"
+            )
+            raise GridError(message)
+        low, high = int(cells.min()), int(cells.max())
+        if low < UNKNOWN or high > OCCUPIED:
+            message = f"{self.name}: cells must lie in -1..100, found {low}..{high}"
+            raise GridError(message)
+        if cells.flags.writeable or not cells.flags.c_contiguous:
+            cells = np.ascontiguousarray(cells)
+            if cells is self.cells:
+                cells = cells.copy()
+            cells.flags.writeable = False
+            object.__setattr__(self, "cells", cells)
+
+    @property
+    def height(self) -> int:
+        """Rows of cells."""
+        return int(self.cells.shape[0])
+
+    @property
+    def width(self) -> int:
+        """Columns of cells."""
+        return int(self.cells.shape[1])
+
+    def with_name(self, name: str) -> OccupancyGrid:
+        """Return the same grid under another name."""
+        return replace(self, name=name)
+
+    def known_box(self) -> CellBox | None:
+        """Return the smallest box of cells that holds every known cell, or None."""
+        return known_box(self.cells)
+
+    def crop(self, box: CellBox) -> OccupancyGrid:
+        """Return the cells of ``box``, unmoved in the map frame; parts outside are unknown.
+
+        Args:
+            box: half-open; may reach beyond the grid, also to negative rows and columns.
+        """
+        cells = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        row0, col0 = max(box.row0, 0), max(box.col0, 0)
+        row1, col1 = min(box.row1, self.height), min(box.col1, self.width)
+        if row1 > row0 and col1 > col0:
+            cells[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = (
+                self.cells[row0:row1, col0:col1]
+            )
+        corner = self.origin.transform((box.col0 * self.resolution, box.row0 * self.resolution))
+        origin = Pose2(float(corner[0]), float(corner[1]), self.origin.yaw_rad)
+        if box.row0 == 0 and box.col0 == 0:
+            origin = self.origin
+        return OccupancyGrid(cells, self.resolution, origin, self.name)
+
+    def cell_centres(
+        self, rows: npt.NDArray[np.int64], cols: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.float64]:
+        """Return the map-frame positions (N, 2), metres, of the centres of cells."""
+        own = np.stack(((cols + 0.5) * self.resolution, (rows + 0.5) * self.resolution), axis=-1)
+        return self.origin.transform(own)
+
+    def cell_indices(
+        self, points: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return rows and columns of the cells under map-frame points (N, 2), metres.
+
+        Indices may lie outside the grid; the caller decides what that means.
+        """
+        own = self.origin.inverse().transform(points) / self.resolution
+        index = np.floor(own).astype(np.int64)
+        return index[..., 1], index[..., 0]
