@@ -1,0 +1,156 @@
+"""What alignment looks at in one grid: wall points, distance and score fields, coarser levels.
+
+Computed once a grid and device, then shared by every pair the grid takes part in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import Backend
+from slamfusion.compute.backend import Handle
+from slamfusion.compute.reference import DISTANCE2_MAX
+from slamfusion.fusion.normalize import NormalizedGrid
+
+__all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"]
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTable:
+    """The worth of a wall point by its squared distance to the other map's nearest wall.
+
+    Attributes:
+        hit, miss: (4097,) uint16; ``base + hit - miss * free share`` is a field's cell.
+        base: worth of a point in unknown space.
+        span: largest gain over the base, so that (value - base) / span is 1 on a wall.
+    """
+
+    hit: npt.NDArray[np.uint16]
+    miss: npt.NDArray[np.uint16]
+    base: int
+    span: int
+
+
+def score_table(sigma: float, base: int, span: int) -> ScoreTable:
+    """Return the table of ``exp(-d^2 / 2)`` less ``min(1, d / 4)`` in free space beyond 1.5.
+
+    Args:
+        sigma: the width of a wall in cells; d above is in units of it.
+        base: lowest reward that is left for walls in free space.
+        span: reward of a point on a wall.
+    """
+    d = np.sqrt(np.arange(DISTANCE2_MAX + 1)) / sigma
+    hit = np.rint(span * np.exp(-0.5 * d * d)).astype(np.uint16)
+    miss = np.rint(base * np.where(d > 1.5, np.minimum(1.0, d / 4.0), 0.0)).astype(np.uint16)
+    return ScoreTable(hit, miss, base, span)
+
+
+# Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
+COARSE_TABLE = score_table(1.0, base=4, span=11)
+FINE_SIGMA = 3.0
+FINE_TABLE = score_table(FINE_SIGMA, base=64, span=191)
+
+
+def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.int32]:
+    """Return at most ``most`` of the points, evenly strided through their raster order."""
+    if len(points) <= most:
+        return points
+    index = (np.arange(most, dtype=np.int64) * len(points)) // most
+    return np.ascontiguousarray(points[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One grid at one cell size.
+
+    Attributes:
+        step: fine cells per cell of this level.
+        shape: rows and columns.
+        wall: (H, W) uint8 on the device, 1 at a surface wall.
+        free: (H, W) uint8 on the device, free share 0..255.
+        distance2: (H, W) uint16 on the device.
+        points: (N, 2) int32, surface walls as lattice positions x, y in half cells.
+    """
+
+    step: int
+    shape: tuple[int, int]
+    wall: Handle
+    free: Handle
+    distance2: Handle
+    points: npt.NDArray[np.int32]
+
+    @property
+    def wall_share(self) -> float:
+        """Share of walls among the cells of the level that are wall or mostly known."""
+        return len(self.points) / max(1, self.shape[0] * self.shape[1])
+
+
+class GridFeatures:
+    """The levels and fields of one normalised grid on one device."""
+
+    def __init__(self, grid: NormalizedGrid, backend: Backend) -> None:
+        """Upload the cells; everything else is computed when first asked for."""
+        self.grid = grid
+        self.backend = backend
+        self.cells = backend.upload(grid.cells)
+        self._levels: dict[int, Level] = {}
+        self._fields: dict[tuple[int, int], Handle] = {}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.grid.shape
+
+    @cached_property
+    def centre(self) -> tuple[float, float]:
+        """Centre of the known box, x and y in cells: the point whose displacement counts."""
+        return self.shape[1] / 2.0, self.shape[0] / 2.0
+
+    @cached_property
+    def known_cells(self) -> int:
+        """Known cells."""
+        return int(np.count_nonzero(self.grid.cells >= 0))
+
+    @cached_property
+    def wall_points(self) -> npt.NDArray[np.int32]:
+        """All wall cells, surface or not, as lattice positions (N, 2) int32 in half cells."""
+        return _lattice_points(self.grid.cells == 1)
+
+    @cached_property
+    def _surface(self) -> Handle:
+        """Surface walls; all walls where no wall touches free space."""
+        surface = self.backend.surface_walls(self.cells)
+        if not self.backend.download(surface).any():
+            surface = self.backend.upload((self.grid.cells == 1).astype(np.uint8))
+        return surface
+
+    def level(self, step: int) -> Level:
+        """Return the grid at ``step`` fine cells a cell."""
+        if step not in self._levels:
+            wall, free = self.backend.shrink(self._surface, self.cells, step)
+            distance2 = self.backend.distance_squared(wall)
+            mask = self.backend.download(wall)
+            self._levels[step] = Level(
+                step, mask.shape, wall, free, distance2, _lattice_points(mask != 0)
+            )
+        return self._levels[step]
+
+    def field(self, step: int, table: ScoreTable) -> Handle:
+        """Return the score field of a level, uint8 on the device."""
+        key = (step, id(table))
+        if key not in self._fields:
+            level = self.level(step)
+            self._fields[key] = self.backend.score_field(
+                level.distance2, level.free, table.hit, table.miss, table.base
+            )
+        return self._fields[key]
+
+
+def _lattice_points(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Return the centres of the set cells, x and y in half cells, in raster order."""
+    rows, cols = np.nonzero(mask)
+    return np.stack((2 * cols + 1, 2 * rows + 1), axis=1).astype(np.int32)

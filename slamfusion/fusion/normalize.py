@@ -1,0 +1,151 @@
+"""Bring inputs to one resolution, cropped to what they know, as unknown / free / occupied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import Backend
+from slamfusion.compute.reference import FIXED_ONE
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import GridError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
+
+__all__ = ["NormalizedGrid", "common_resolution", "normalize_grid", "trinary_cells"]
+
+# Resolutions this close are one resolution: 0.05 and 0.050000001 need no resampling.
+SAME_RESOLUTION = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class NormalizedGrid:
+    """A grid ready to be aligned and to vote.
+
+    Attributes:
+        grid: occupancy in percent, at the common resolution, cropped to known cells; its origin
+            keeps the lattice (yaw and sub-cell offset) of the input.
+        cells: (H, W) int8 in {-1, 0, 1}, the same lattice.
+    """
+
+    grid: OccupancyGrid
+    cells: npt.NDArray[np.int8]
+
+    @property
+    def name(self) -> str:
+        """The input's name."""
+        return self.grid.name
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.grid.height, self.grid.width
+
+
+def trinary_cells(cells: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
+    """Return -1 unknown, 0 free, 1 occupied; between the thresholds is unknown.
+
+    Args:
+        cells: (H, W) int8, -1 or percent.
+        config: thresholds in percent, both inclusive.
+
+    Source: [F16], the normalisation step (100 becomes 1).
+    """
+    out = np.full(cells.shape, -1, dtype=np.int8)
+    out[(cells >= 0) & (cells <= config.free_percent)] = 0
+    out[cells >= config.occupied_percent] = 1
+    return out
+
+
+def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:
+    """Return the resolution to bring every grid to: the given one, else the finest."""
+    if config.resolution is not None:
+        return config.resolution
+    return min(grid.resolution for grid in grids)
+
+
+def normalize_grid(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, backend: Backend
+) -> NormalizedGrid:
+    """Resample to ``resolution``, threshold, and crop to the known cells.
+
+    Args:
+        grid: any occupancy grid.
+        resolution: metres per cell of the result.
+        config: thresholds.
+        backend: does the resampling.
+
+    Raises:
+        GridError: no cell of the grid is known under these thresholds.
+    """
+    resampled = _resample(grid, resolution, config, backend)
+    cells = trinary_cells(resampled.cells, config)
+    box = known_box(cells)
+    if box is None:
+        message = (
+            f"{grid.name}: all {grid.height} x {grid.width} cells are unknown at "
+            f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
+            "give a map with known cells or other thresholds"
+        )
+        raise GridError(message)
+    kept = np.ascontiguousarray(cells[box.row0 : box.row1, box.col0 : box.col1])
+    kept.flags.writeable = False
+    return NormalizedGrid(resampled.crop(box), kept)
+
+
+def _resample(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, backend: Backend
+) -> OccupancyGrid:
+    """Return the grid on its own axes and corner, with cells of another size.
+
+    To finer cells: the nearest cell. To coarser cells: the source is read at a whole number of
+    points a cell; a wall at any of them stays a wall, so that thin walls survive.
+    """
+    ratio = resolution / grid.resolution
+    if abs(ratio - 1.0) < SAME_RESOLUTION:
+        if grid.resolution == resolution:
+            return grid
+        return OccupancyGrid(grid.cells, resolution, grid.origin, grid.name)
+    height = max(1, int(np.ceil(grid.height / ratio - 1e-9)))
+    width = max(1, int(np.ceil(grid.width / ratio - 1e-9)))
+    parts = max(1, int(np.ceil(ratio - 1e-9)))
+    scale = round(ratio / parts * FIXED_ONE)
+    poses = np.array([[scale, 0, 0, 0]], dtype=np.int64)
+    fine = backend.download(
+        backend.warp(backend.upload(grid.cells), poses, (height * parts, width * parts), UNKNOWN)
+    )[0]
+    if parts > 1:
+        fine = _pool(fine.reshape(height, parts, width, parts), config)
+    return OccupancyGrid(np.ascontiguousarray(fine), resolution, grid.origin, grid.name)
+
+
+def _pool(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
+    """Return one cell a block (H, n, W, n): any wall wins, else the mean if half is known."""
+    highest = blocks.max(axis=(1, 3))
+    known = blocks >= 0
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0).sum(axis=(1, 3), dtype=np.int32)
+    mean = (total / np.maximum(count, 1)).round().astype(np.int8)
+    per_block = blocks.shape[1] * blocks.shape[3]
+    out = np.where(2 * count >= per_block, mean, np.int8(UNKNOWN))
+    return np.where(highest >= config.occupied_percent, highest, out).astype(np.int8)
+
+
+def lattice_box(inner: NormalizedGrid, transform: Pose2, outer: NormalizedGrid) -> CellBox:
+    """Return the box of cells of ``outer``'s lattice that holds all of ``inner``.
+
+    Args:
+        inner: the grid whose corners are mapped.
+        transform: maps ``inner``'s map frame into ``outer``'s, metres.
+        outer: gives the lattice; the box may reach beyond its cells.
+    """
+    height, width = inner.shape
+    size = inner.grid.resolution
+    corners = np.array([(0, 0), (width, 0), (0, height), (width, height)], dtype=np.float64) * size
+    mapped = transform.transform(inner.grid.origin.transform(corners))
+    own = outer.grid.origin.inverse().transform(mapped) / outer.grid.resolution
+    low = np.floor(own.min(axis=0) + 1e-6).astype(int)
+    high = np.ceil(own.max(axis=0) - 1e-6).astype(int)
+    return CellBox(int(low[1]), int(low[0]), int(high[1]), int(high[0]))

@@ -1,0 +1,661 @@
+"""Claims about loading and saving maps in the map server's format."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import os
+import tempfile
+from pathlib import Path
+
+import cv2
+import hypothesis.extra.numpy as arrays
+import numpy as np
+import numpy.typing as npt
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import load_map, memory, save_map
+from tests.io.pictures import bmp24, chunk, pgm, png, write_map
+from tests.support.datasets import load_entry, map_entries
+
+ROWS = [[254, 0, 205], [0, 254, 254]]  # top row first
+CELLS = [[100, 0, 0], [0, 100, -1]]  # bottom row first
+TINY = pgm(ROWS)
+
+
+def values_of(path: Path, **arguments: float) -> list[list[int]]:
+    return load_map(path, **arguments).cells.tolist()  # type: ignore[no-any-return, arg-type]
+
+
+def shade_of(value: int, maxval: int = 255) -> float:
+    """Occupancy of a grey as a map server reckons it."""
+    return 1.0 - value / maxval
+
+
+# --- loading -------------------------------------------------------------------------------------
+
+
+def test_row_zero_of_the_picture_is_the_top_of_the_map(tmp_path: Path) -> None:
+    grid = load_map(write_map(tmp_path, TINY))
+    assert grid.cells.tolist() == CELLS
+    assert grid.name == "map"
+    # The lower-left corner of the lower-left pixel stands at the origin (1, 2).
+    assert grid.cell_centres(np.array([0]), np.array([0])) == pytest.approx(
+        np.array([[1.025, 2.025]])
+    )
+    # The only unknown pixel is the top right one: row 1, column 2.
+    row, col = np.argwhere(grid.cells == -1)[0]
+    assert grid.cell_centres(np.array([row]), np.array([col])) == pytest.approx(
+        np.array([[1.125, 2.075]])
+    )
+
+
+def test_origin_yaw_turns_the_map_about_its_corner(tmp_path: Path) -> None:
+    grid = load_map(write_map(tmp_path, TINY, origin="[1, 2, 1.5707963267948966]"))
+    assert grid.origin == Pose2(1.0, 2.0, math.pi / 2)
+    assert grid.cell_centres(np.array([0]), np.array([2])) == pytest.approx(
+        np.array([[1.0 - 0.025, 2.0 + 0.125]])
+    )
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("map.pgm", TINY),
+        ("map.pgm", pgm(ROWS, plain=True)),
+        ("map.pgm", pgm([[v * 257 for v in row] for row in ROWS], 65535)),
+        ("map.pgm", pgm([[v * 257 for v in row] for row in ROWS], 65535, plain=True)),
+        ("map.png", png([bytes(row) for row in ROWS], 3)),
+        ("map.png", png([bytes(v for w in row for v in (w, w, w)) for row in ROWS], 3, colour=2)),
+        ("map.bmp", bmp24(ROWS)),
+    ],
+)
+def test_every_format_gives_the_same_cells(
+    tmp_path: Path, name: str, data: bytes, packed: bool
+) -> None:
+    path = write_map(tmp_path, data, name)
+    if packed:
+        (tmp_path / name).unlink()
+        (tmp_path / f"{name}.gz").write_bytes(gzip.compress(data))
+    assert values_of(path) == CELLS
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_bare_picture_stands_at_the_map_origin(tmp_path: Path, packed: bool) -> None:
+    path = tmp_path / ("room.pgm.gz" if packed else "room.pgm")
+    path.write_bytes(gzip.compress(TINY) if packed else TINY)
+    grid = load_map(path, resolution=0.1)
+    assert grid.cells.tolist() == CELLS
+    assert (grid.resolution, grid.origin, grid.name) == (0.1, Pose2(), "room")
+    assert load_map(tmp_path / "room.pgm", resolution=0.1).name == "room"
+
+
+def test_a_picture_is_known_by_its_content_as_well(tmp_path: Path) -> None:
+    (tmp_path / "noending").write_bytes(TINY)
+    assert values_of(tmp_path / "noending", resolution=0.1) == CELLS
+
+
+def test_an_absolute_image_path_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "x.pgm").write_bytes(TINY)
+    path = write_map(tmp_path, TINY, image=str(tmp_path / "pictures" / "x.pgm"))
+    (tmp_path / "map.pgm").unlink()
+    assert values_of(path) == CELLS
+
+
+def test_the_name_may_be_given(tmp_path: Path) -> None:
+    assert load_map(write_map(tmp_path, TINY), name="kitchen").name == "kitchen"
+
+
+def test_thresholds_and_negate_have_defaults(tmp_path: Path) -> None:
+    path = write_map(tmp_path, TINY, negate="", occupied_thresh="", free_thresh="")
+    assert values_of(path) == CELLS
+
+
+@pytest.mark.parametrize("negate", ["1", "true", "True", "yes"])
+def test_negate_turns_white_into_walls(tmp_path: Path, negate: str) -> None:
+    picture = pgm([[255 - v for v in row] for row in ROWS])
+    assert values_of(write_map(tmp_path, picture, negate=negate)) == CELLS
+
+
+def test_trinary_comparisons_are_strict(tmp_path: Path) -> None:
+    # Occupancies of the greys 51 and 204 are exactly the thresholds below: both stay unknown.
+    occupied, free = repr(shade_of(51)), repr(shade_of(204))
+    path = write_map(
+        tmp_path, pgm([[50, 51, 52, 203, 204, 205]]), occupied_thresh=occupied, free_thresh=free
+    )
+    assert values_of(path) == [[100, -1, -1, -1, -1, 0]]
+
+
+def test_grey_205_is_unknown_at_0_196_and_free_at_0_25(tmp_path: Path) -> None:
+    assert values_of(write_map(tmp_path, pgm([[205]]))) == [[-1]]
+    assert values_of(write_map(tmp_path, pgm([[205]]), free_thresh="0.25")) == [[0]]
+
+
+def test_scale_is_linear_between_the_thresholds(tmp_path: Path) -> None:
+    greys = list(range(256))
+    path = write_map(tmp_path, pgm([greys]), mode="scale", free_thresh="0.2", occupied_thresh="0.7")
+    expected = [min(max(round((shade_of(v) - 0.2) / 0.5 * 100), 0), 100) for v in greys]
+    assert values_of(path) == [expected]
+
+
+def test_raw_is_the_value_up_to_100(tmp_path: Path) -> None:
+    picture = pgm([[0, 1, 99, 100, 101, 205, 255]])
+    for negate in ("0", "1"):
+        path = write_map(tmp_path, picture, mode="raw", negate=negate)
+        assert values_of(path) == [[0, 1, 99, 100, -1, -1, -1]]
+
+
+def test_the_mode_may_be_written_in_capitals(tmp_path: Path) -> None:
+    assert values_of(write_map(tmp_path, TINY, mode="Trinary")) == CELLS
+
+
+def test_another_maximum_is_scaled(tmp_path: Path) -> None:
+    assert values_of(write_map(tmp_path, pgm([[0, 1, 2]], 2))) == [[100, -1, 0]]
+    assert values_of(write_map(tmp_path, pgm([[0, 500, 1000]], 1000))) == [[100, -1, 0]]
+    assert values_of(write_map(tmp_path, pgm([[0, 7, 15]], 15, plain=True))) == [[100, -1, 0]]
+
+
+def test_sixteen_bits_are_compared_in_sixteen_bits(tmp_path: Path) -> None:
+    # 0.65 of white lies between these neighbours, which share their upper byte.
+    low, high = 22937, 22938
+    assert low >> 8 == high >> 8
+    assert values_of(write_map(tmp_path, pgm([[low, high]], 65535))) == [[100, -1]]
+
+
+def test_comments_may_stand_anywhere_in_the_header(tmp_path: Path) -> None:
+    picture = b"P5 # one\n#two 7 7\n3#three\n 2\r\n# four\n255\n" + bytes(ROWS[0] + ROWS[1])
+    assert values_of(write_map(tmp_path, picture)) == CELLS
+
+
+def test_colours_are_averaged(tmp_path: Path) -> None:
+    picture = png([bytes([0, 0, 255, 255, 255, 0, 255, 255, 255])], 3, colour=2)
+    # Mean 85 is occupied (2/3 > 0.65), mean 170 unknown, mean 255 free.
+    assert values_of(write_map(tmp_path, picture, "map.png")) == [[100, -1, 0]]
+
+
+def test_trinary_averages_alpha_like_a_colour(tmp_path: Path) -> None:
+    pixels = bytes([0, 0, 0, 255, 0, 0, 0, 0, 254, 254, 254, 0, 205, 205, 205, 255])
+    # Means 63.75, 0, 190.5 and 217.5: occupied, occupied, unknown, free.
+    path = write_map(tmp_path, png([pixels], 4, colour=6), "map.png")
+    assert values_of(path) == [[100, 100, -1, 0]]
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_scale_takes_the_transparent_for_unknown(tmp_path: Path, depth: int) -> None:
+    wide = depth // 8
+    pixels = b"".join(bytes([v]) * wide * 3 + bytes([a]) * wide for v, a in ((0, 255), (0, 254)))
+    path = write_map(tmp_path, png([pixels], 2, depth, 6), "map.png", mode="scale")
+    assert values_of(path) == [[100, -1]]
+
+
+def test_the_transparent_grey_of_a_png_counts_as_alpha(tmp_path: Path) -> None:
+    picture = png([bytes([0, 64, 255])], 3, extra=chunk(b"tRNS", b"\x00\x40"))
+    assert values_of(write_map(tmp_path, picture, "map.png", mode="scale")) == [[100, -1, 0]]
+    picture = png([b"\x1b"], 4, depth=2, extra=chunk(b"tRNS", b"\x00\x01"))
+    assert values_of(write_map(tmp_path, picture, "map.png", mode="scale")) == [[100, -1, 30, 0]]
+
+
+def test_palettes_and_shallow_greys_are_expanded(tmp_path: Path) -> None:
+    palette = chunk(b"PLTE", bytes([0, 0, 0, 205, 205, 205, 254, 254, 254]))
+    picture = png([bytes([0, 1, 2])], 3, colour=3, extra=palette)
+    assert values_of(write_map(tmp_path, picture, "map.png")) == [[100, -1, 0]]
+    assert values_of(write_map(tmp_path, png([b"\x1b"], 4, 2), "map.png")) == [[100, 100, -1, 0]]
+    assert values_of(write_map(tmp_path, png([b"\x40"], 2, 1), "map.png")) == [[100, 0]]
+
+
+def test_an_all_unknown_map_loads(tmp_path: Path) -> None:
+    assert values_of(write_map(tmp_path, pgm([[205, 205]]))) == [[-1, -1]]
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1e-3", 0.001), ("5.0e-2", 0.05), ("0.050000", 0.05), ("'0.05'", 0.05)]
+)
+def test_numbers_are_read_as_they_are_written(tmp_path: Path, text: str, number: float) -> None:
+    assert load_map(write_map(tmp_path, TINY, resolution=text)).resolution == number
+
+
+def test_loaded_cells_are_read_only(tmp_path: Path) -> None:
+    assert not load_map(write_map(tmp_path, TINY)).cells.flags.writeable
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+
+def assert_refused(path: Path, *words: str, resolution: float | None = None) -> str:
+    before = sorted(path.parent.rglob("*")) if path.parent.exists() else []
+    with pytest.raises(SlamFusionError) as caught:
+        load_map(path, resolution=resolution)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "; " in message, f"no mend in {message!r}"
+    for word in (path.stem.split(".")[0], *words):
+        assert word in message, f"{word!r} not in {message!r}"
+    if path.parent.exists():
+        assert sorted(path.parent.rglob("*")) == before
+    return message
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"image": ""}, ("'image'", "missing", "add it")),
+        ({"resolution": ""}, ("'resolution'", "missing")),
+        ({"origin": ""}, ("'origin'", "missing")),
+        ({"image": "''"}, ("'image'", "name the picture")),
+        ({"image": "[a, b]"}, ("'image'",)),
+        ({"image": "gone.pgm"}, ("gone.pgm", "no such file")),
+        ({"resolution": ".nan"}, ("'resolution'", "positive", ".nan")),
+        ({"resolution": "nan"}, ("'resolution'", "positive", "nan")),
+        ({"resolution": ".inf"}, ("'resolution'", "finite", ".inf")),
+        ({"resolution": "1e999"}, ("'resolution'", "inf")),
+        ({"resolution": "0"}, ("'resolution'", "found 0")),
+        ({"resolution": "-0.05"}, ("'resolution'", "-0.05")),
+        ({"resolution": "five"}, ("'resolution'", "five", "write for example 0.05")),
+        ({"resolution": "[0.05]"}, ("'resolution'",)),
+        ({"origin": "[0.0, 0.0]"}, ("'origin'", "three", "[0.0, 0.0]")),
+        ({"origin": "[0, 0, .nan]"}, ("'origin'", "finite", ".nan")),
+        ({"origin": "[0, 0, east]"}, ("'origin'", "east")),
+        ({"origin": "7"}, ("'origin'", "7")),
+        ({"origin": "{x: 1}"}, ("'origin'",)),
+        ({"free_thresh": "1.5"}, ("'free_thresh'", "[0, 1]", "1.5")),
+        ({"occupied_thresh": "65"}, ("'occupied_thresh'", "[0, 1]", "65")),
+        ({"occupied_thresh": ".nan"}, ("'occupied_thresh'", ".nan")),
+        ({"occupied_thresh": "most"}, ("'occupied_thresh'", "most")),
+        ({"free_thresh": "0.65"}, ("'free_thresh' (0.65)", "below")),
+        ({"mode": "binary"}, ("'mode'", "trinary, scale or raw", "binary")),
+        ({"negate": "2"}, ("'negate'", "0 or 1", "2")),
+        ({"negate": "maybe"}, ("'negate'", "maybe")),
+        ({"occupied_thresh": "", "occupied_tresh": "0.6"}, ("occupied_tresh", "'occupied_thresh'")),
+    ],
+)
+def test_a_bad_yaml_value_is_named_with_its_mend(
+    tmp_path: Path, changes: dict[str, str], words: tuple[str, ...]
+) -> None:
+    assert_refused(write_map(tmp_path, TINY, **changes), "map.yaml", *words)
+
+
+def test_swapped_thresholds_give_the_message_of_the_style_guide(tmp_path: Path) -> None:
+    path = write_map(tmp_path, TINY, free_thresh="0.7")
+    assert assert_refused(path) == (
+        f"{path}: 'free_thresh' (0.70) must be below 'occupied_thresh' (0.65); "
+        "swap them or omit both for defaults"
+    )
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"just words",
+        b"- a\n- list\n",
+        b"image: [unclosed\n",
+        b"a: b: c",
+        b"\x00\x01\x02\xff\xfe binary",
+        b"image: \xff\xfe\n",
+        b"a: &x [*x]\n*x : 1\n",
+        b"[" * 5000,
+        b"a: 1\n" * 300_000,
+        b"!!python/object:os.system {}",
+    ],
+)
+def test_what_is_no_map_yaml_is_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_bytes(data)
+    message = assert_refused(path, "map.yaml")
+    assert len(message) < 1000
+
+
+def test_a_long_value_does_not_flood_the_message(tmp_path: Path) -> None:
+    path = write_map(tmp_path, TINY, resolution="x" * 100_000)
+    assert len(assert_refused(path, "'resolution'")) < 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("map.pgm", b"", ("empty", "save the map again")),
+        ("map.pgm", b"hello, I am text\n", ("wanted a PGM, PNG or BMP", "hello")),
+        ("map.pgm", TINY[:-1], ("cut short", "6 bytes", "found 5")),
+        ("map.pgm", TINY[:8], ("header",)),
+        ("map.pgm", b"P5\n0 4\n255\n", ("0 x 4",)),
+        ("map.pgm", b"P5\n4 0\n255\n", ("4 x 0",)),
+        ("map.pgm", b"P5\n-3 2\n255\n123456", ("header",)),
+        ("map.pgm", b"P5\n3 2\n0\n123456", ("1..65535", "found 0")),
+        ("map.pgm", b"P5\n3 2\n99999\n123456", ("1..65535", "99999")),
+        ("map.pgm", pgm([[1, 2, 201]], 200), ("maximum is 200", "201")),
+        ("map.pgm", pgm(ROWS, plain=True)[:-6], ("cut short", "6 numbers")),
+        ("map.pgm", b"P2\n2 1\n255\n12 abc\n", ("damaged",)),
+        ("map.pgm", b"P2\n2 1\n255\n12 -1\n", ("damaged",)),
+        ("map.pgm", b"P6\n1 1\n255\nabc", ("colour PPM", "convert")),
+        ("map.pgm", b"P4\n8 1\nx", ("PBM",)),
+        ("map.jpg", b"\xff\xd8\xff\xe0 a photo", ("JPEG", "convert")),
+        ("map.tif", b"II*\x00 scan", ("TIFF",)),
+        ("map.gif", b"GIF89a", ("GIF",)),
+        ("map.png", png([b"\x01\x02"], 2)[:30], ("cut short", "PNG")),
+        ("map.png", png([b"\x01\x02"], 2)[:-12], ("cut short", "no end")),
+        ("map.png", png([b"\x01\x02"], 2)[:-20] + b"\x00" * 20, ("PNG",)),
+        ("map.png", png([b"\x01\x02"], 2)[:20], ("PNG header",)),
+        ("map.png", png([], 2), ("2 x 0",)),
+        ("map.png", png([b"\x01\x02"], 2, depth=5), ("PNG header",)),
+        ("map.bmp", bmp24(ROWS)[:-3], ("cut short", "BMP")),
+        ("map.bmp", bmp24(ROWS)[:20], ("BMP header",)),
+        ("map.bmp", bmp24(ROWS)[:30] + b"\x01" + bmp24(ROWS)[31:], ("uncompressed",)),
+    ],
+)
+def test_a_bad_picture_is_named_with_its_mend(
+    tmp_path: Path, name: str, data: bytes, words: tuple[str, ...]
+) -> None:
+    assert_refused(write_map(tmp_path, data, name), name, *words)
+    (tmp_path / name).unlink()
+    (tmp_path / f"{name}.gz").write_bytes(gzip.compress(data))
+    if data:
+        assert_refused(tmp_path / "map.yaml", name, *words)
+
+
+def test_damaged_gzip_is_refused(tmp_path: Path) -> None:
+    packed = gzip.compress(pgm([list(range(250))] * 50))
+    for data in (packed[:-10], packed[:25], packed[:40] + b"\x55" * 20 + packed[60:]):
+        path = tmp_path / "map.pgm.gz"
+        path.write_bytes(data)
+        assert_refused(path, "gzip", resolution=0.05)
+
+
+def test_a_gzip_bomb_is_refused_without_unpacking_it(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.pgm.gz"
+    with gzip.open(path, "wb", compresslevel=1) as file:
+        file.write(TINY)
+        for _ in range(64):
+            file.write(bytes(2**20))
+    assert_refused(path, "found more", resolution=0.05)
+
+
+def test_a_gzip_that_claims_gigabytes_is_refused_by_its_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "available_memory", lambda: 2**50)
+    path = tmp_path / "vast.pgm.gz"
+    path.write_bytes(gzip.compress(b"P5 60000 60000 255\n" + bytes(100)))
+    assert_refused(path, "3.4 GiB", "gunzip", resolution=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("vast.pgm", b"P5 4000000 4000000 255\n"),
+        ("vast.pgm", b"P2 4000000 4000000 255\n"),
+        ("vast.pgm.gz", gzip.compress(b"P5 4000000 4000000 255\n")),
+        ("vast.png", png([], 4)[:16] + b"\x00\x3d\x09\x00" * 2 + b"\x08\x00" + bytes(20)),
+        ("vast.bmp", bmp24(ROWS)[:18] + b"\x00\x09\x3d\x00" * 2 + bmp24(ROWS)[26:]),
+    ],
+)
+def test_a_picture_beyond_memory_is_refused_with_numbers(
+    tmp_path: Path, name: str, head: bytes
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(head)
+    with pytest.raises(MemoryBudgetError, match=r"4000000 x 4000000.*TiB of memory.*GiB|MiB"):
+        load_map(path, resolution=0.05)
+
+
+def test_a_large_map_loads_or_is_refused_by_the_memory_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "large.pgm"
+    with path.open("wb") as file:
+        file.write(b"P5 6000 5000 255\n")
+        file.truncate(17 + 30_000_000)  # sparse zeros: all occupied
+    assert load_map(path, resolution=0.05).cells.shape == (5000, 6000)
+    monkeypatch.setattr(memory, "available_memory", lambda: 100_000_000)
+    with pytest.raises(MemoryBudgetError, match=r"6000 x 5000 PGM needs 121.2 MiB.*only 95.4 MiB"):
+        load_map(path, resolution=0.05)
+
+
+def test_more_pixels_than_opencv_decodes_are_refused_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "5")
+    path = write_map(tmp_path, png([bytes(row) for row in ROWS], 3), "map.png")
+    assert_refused(path, "3 x 2 PNG", "convert it to PGM")
+
+
+def test_a_missing_file_a_folder_and_a_device_are_told_apart(tmp_path: Path) -> None:
+    assert_refused(tmp_path / "gone.yaml", "gone.yaml", "no such file")
+    assert_refused(tmp_path / "gone.pgm", "gone.pgm", "no such file", resolution=0.1)
+    for name in ("folder", "folder.yaml", "folder.pgm"):
+        (tmp_path / name).mkdir()
+        assert_refused(
+            tmp_path / name, name, "a folder", resolution=0.1 if "y" not in name else None
+        )
+    (tmp_path / "map.pgm").mkdir()
+    (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 1\norigin: [0, 0, 0]\n")
+    assert_refused(tmp_path / "map.yaml", "map.pgm", "a folder")
+    os.mkfifo(tmp_path / "pipe.yaml")
+    assert_refused(tmp_path / "pipe.yaml", "a device or pipe")
+    with pytest.raises(MapFileError, match="/dev/null: wanted a map file, found a device"):
+        load_map("/dev/null")
+
+
+@pytest.mark.parametrize("path", ["/proc/self/mem", "/proc/1/mem", "/etc/passwd/map.yaml"])
+def test_a_file_that_cannot_be_read_is_refused(path: str) -> None:
+    # Tests may run as root, whom permissions do not stop: the kernel's own files do.
+    with pytest.raises(MapFileError) as caught:
+        load_map(path)
+    assert path in str(caught.value)
+    assert "; " in str(caught.value)
+
+
+def test_a_file_without_read_permission_is_refused() -> None:
+    # Root may read everything, so the test becomes nobody for a moment.
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        path = write_map(Path(folder), TINY)
+        path.chmod(0)
+        was = os.geteuid()
+        if was == 0:
+            os.seteuid(65534)
+        try:
+            assert_refused(path, "map.yaml: cannot read: Permission denied")
+        finally:
+            os.seteuid(was)
+
+
+def test_names_the_system_cannot_hold_are_refused(tmp_path: Path) -> None:
+    for name in ("a\x00b.yaml", "x" * 300 + ".yaml", "x" * 300 + ".pgm"):
+        with pytest.raises(MapFileError, match="; "):
+            load_map(tmp_path / name)
+
+
+def test_an_image_alone_needs_a_resolution_and_a_yaml_none(tmp_path: Path) -> None:
+    path = write_map(tmp_path, TINY)
+    assert_refused(tmp_path / "map.pgm", "map.pgm", "--resolution", "YAML")
+    assert_refused(path, "map.yaml", "--resolution", resolution=0.05)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1.0, math.nan, math.inf])
+def test_the_given_resolution_is_checked(tmp_path: Path, resolution: float) -> None:
+    (tmp_path / "map.pgm").write_bytes(TINY)
+    assert_refused(tmp_path / "map.pgm", "'resolution'", resolution=resolution)
+
+
+# --- saving --------------------------------------------------------------------------------------
+
+
+def grid_of(cells: npt.ArrayLike, **arguments: object) -> OccupancyGrid:
+    values = {"resolution": 0.05, **arguments}
+    return OccupancyGrid(np.array(cells, dtype=np.int8), **values)  # type: ignore[arg-type]
+
+
+def test_saving_writes_254_0_and_205(tmp_path: Path) -> None:
+    yaml_path, image_path = save_map(grid_of(CELLS, origin=Pose2(1, 2)), tmp_path / "out")
+    assert (yaml_path, image_path) == (tmp_path / "out.yaml", tmp_path / "out.pgm")
+    assert image_path.read_bytes() == b"P5\n3 2\n255\n" + bytes(ROWS[0] + ROWS[1])
+    assert yaml_path.read_text() == (
+        "image: out.pgm\nmode: trinary\nresolution: 0.05\norigin: [1.0, 2.0, 0.0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.pgm", "out.yaml"]
+
+
+def test_trinary_sorts_probabilities_as_nav2_does(tmp_path: Path) -> None:
+    # nav2 rounds the thresholds to whole percent: free up to 20, occupied from 65.
+    grid = grid_of([[0, 19, 20, 21, 64, 65, 100, -1]])
+    save_map(grid, tmp_path / "out")
+    assert values_of(tmp_path / "out.yaml") == [[0, 0, 0, -1, -1, 100, 100, -1]]
+
+
+def test_scale_writes_the_greys_of_nav2(tmp_path: Path) -> None:
+    # Read from what GraphicsMagick 1.3.40 writes for nav2's saver.
+    save_map(grid_of([[0, 2, 4, 40, 50, 99, 100, -1]]), tmp_path / "out", mode="scale")
+    pixels = cv2.imread(str(tmp_path / "out.png"), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    assert pixels[0, :, 0].tolist() == [255, 249, 244, 153, 127, 2, 0, 127]
+    assert pixels[0, :, 3].tolist() == [255] * 7 + [0]
+
+
+def test_raw_writes_percent_and_255(tmp_path: Path) -> None:
+    save_map(grid_of([[0, 37, 100, -1]]), tmp_path / "out", mode="raw")
+    assert (tmp_path / "out.pgm").read_bytes().endswith(bytes([0, 37, 100, 255]))
+
+
+SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
+TRINARY = arrays.arrays(np.int8, SHAPES, elements=st.sampled_from([-1, 0, 100]))
+PERCENT = arrays.arrays(np.int8, SHAPES, elements=st.integers(-1, 100))
+KNOWN = arrays.arrays(np.int8, SHAPES, elements=st.integers(0, 100))
+COORDINATES = st.floats(-1e6, 1e6)
+RESOLUTIONS = st.one_of(st.sampled_from([0.05, 0.1, 1e-5]), st.floats(1e-6, 1e3))
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_save_then_load_is_identity(data: st.DataObject) -> None:
+    mode = data.draw(st.sampled_from(["trinary", "scale", "raw"]))
+    image_format = data.draw(st.sampled_from(["pgm", "png", "bmp"]))
+    cells = {"trinary": TRINARY, "raw": PERCENT, "scale": PERCENT}[mode]
+    if mode == "scale" and image_format != "png":
+        cells = KNOWN
+    thresholds = {"free_thresh": 0.0, "occupied_thresh": 1.0} if mode == "scale" else {}
+    origin = Pose2(*(data.draw(COORDINATES) for _ in range(3)))
+    grid = OccupancyGrid(data.draw(cells), data.draw(RESOLUTIONS), origin, "out")
+    with tempfile.TemporaryDirectory() as folder:
+        path, _ = save_map(
+            grid, Path(folder) / "out", mode=mode, image_format=image_format, **thresholds
+        )
+        again = load_map(path)
+        first = path.read_bytes()
+        save_map(again, Path(folder) / "out", mode=mode, image_format=image_format, **thresholds)
+        assert path.read_bytes() == first
+    assert np.array_equal(again.cells, grid.cells)
+    assert (again.resolution, again.origin, again.name) == (grid.resolution, origin, "out")
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    rows=arrays.arrays(np.uint8, SHAPES),
+    negate=st.booleans(),
+    occupied=st.floats(0.5, 1.0),
+    free=st.floats(0.0, 0.49),
+)
+def test_any_grey_is_classed_by_the_written_rule(
+    rows: npt.NDArray[np.uint8], negate: bool, occupied: float, free: float
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_map(
+            Path(folder),
+            pgm(rows.tolist()),
+            negate=str(int(negate)),
+            occupied_thresh=repr(occupied),
+            free_thresh=repr(free),
+        )
+        found = values_of(path)
+    shade = rows[::-1] / 255.0
+    occupancy = shade if negate else 1.0 - shade
+    expected = np.where(occupancy > occupied, 100, np.where(occupancy < free, 0, -1))
+    assert found == expected.tolist()
+
+
+def test_numbers_are_written_so_that_any_yaml_reader_finds_numbers(tmp_path: Path) -> None:
+    grid = grid_of([[0]], resolution=1e-5, origin=Pose2(-1e-5, 1e22, -0.1))
+    path, _ = save_map(grid, tmp_path / "out")
+    assert "-1.0e-05" in path.read_text()
+    values = yaml.safe_load(path.read_text())
+    assert values["resolution"] == 1e-5
+    assert values["origin"] == [-1e-5, 1e22, -0.1]
+
+
+@pytest.mark.parametrize("name", ["map_0.05", "a: b", "#x", "ünïcode", "sp ace", "yes", "it's"])
+def test_any_file_name_survives(tmp_path: Path, name: str) -> None:
+    path, _ = save_map(grid_of(CELLS), tmp_path / name)
+    assert path.name == f"{name}.yaml"
+    assert values_of(path) == CELLS
+    assert load_map(path).name == name
+
+
+def test_missing_folders_are_made(tmp_path: Path) -> None:
+    path, _ = save_map(grid_of(CELLS), tmp_path / "deep" / "er" / "out")
+    assert values_of(path) == CELLS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"mode": "binary"}, "trinary, scale or raw"),
+        ({"image_format": "jpg"}, "pgm, png or bmp"),
+        ({"free_thresh": 0.7}, "must be below"),
+        ({"occupied_thresh": 1.5}, r"\[0, 1\]"),
+        ({"free_thresh": 0.25}, "would not load as free"),
+        ({"occupied_thresh": 1.0}, "would not load as free"),
+        ({"mode": "scale", "image_format": "pgm"}, "use png"),
+        ({"mode": "scale", "image_format": "bmp"}, "use png"),
+    ],
+)
+def test_what_would_not_load_back_is_not_saved(
+    tmp_path: Path, arguments: dict[str, object], words: str
+) -> None:
+    with pytest.raises(MapFileError, match=words):
+        save_map(grid_of(CELLS), tmp_path / "out", **arguments)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("stem", ["/dev/full", "/dev/null", "/", "..", "."])
+def test_a_device_is_never_a_place_for_a_map(stem: str) -> None:
+    before = sorted(Path("/dev").iterdir())
+    with pytest.raises(MapFileError, match="cannot write"):
+        save_map(grid_of(CELLS), stem)
+    assert sorted(Path("/dev").iterdir()) == before
+    assert Path("/dev/full").is_char_device()
+
+
+def test_saving_beyond_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    with pytest.raises(MemoryBudgetError, match=r"out\.pgm: saving a 3 x 2 map needs"):
+        save_map(grid_of(CELLS), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_second_save_replaces_the_first(tmp_path: Path) -> None:
+    save_map(grid_of([[0]]), tmp_path / "out")
+    path, _ = save_map(grid_of(CELLS), tmp_path / "out")
+    assert values_of(path) == CELLS
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+# --- the recorded maps ---------------------------------------------------------------------------
+
+
+@pytest.mark.datasets
+def test_every_recorded_map_loads_and_survives_saving(tmp_path: Path) -> None:
+    loaded = 0
+    for entry in map_entries():
+        grid = load_entry(entry)
+        path, _ = save_map(grid, tmp_path / "again")
+        assert np.array_equal(load_map(path).cells, grid.cells), entry.file
+        loaded += 1
+    assert loaded == len(map_entries()) > 60

@@ -1,0 +1,113 @@
+"""Claims about the configuration tree."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from slamfusion.config import (
+    AlignConfig,
+    DeviceConfig,
+    EvaluateConfig,
+    FusionConfig,
+    NormalizeConfig,
+    RunConfig,
+    VoteConfig,
+    field_infos,
+    from_mapping,
+    load_config,
+    to_mapping,
+)
+from slamfusion.errors import ConfigError
+
+LEAVES = [
+    AlignConfig,
+    DeviceConfig,
+    EvaluateConfig,
+    FusionConfig,
+    NormalizeConfig,
+    RunConfig,
+    VoteConfig,
+]
+
+
+def test_the_defaults_survive_a_round_trip() -> None:
+    assert from_mapping(RunConfig, to_mapping(RunConfig())) == RunConfig()
+
+
+def test_changed_values_survive_a_yaml_file(tmp_path: Path) -> None:
+    values = {
+        "fusion": {"align": {"step": 4, "window_m": 2.5}, "vote": {"mode": "log-odds"}},
+        "seed": 7,
+    }
+    config = from_mapping(RunConfig, values)
+    path = tmp_path / "run.yaml"
+    path.write_text(yaml.safe_dump(to_mapping(config)))
+    assert load_config(path) == config
+    assert (config.fusion.align.step, config.fusion.vote.mode) == (4, "log-odds")
+
+
+def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_text("# nothing set\n")
+    assert load_config(path) == RunConfig()
+
+
+def test_a_whole_number_serves_as_a_real_one() -> None:
+    assert from_mapping(AlignConfig, {"deadline_s": 3}).deadline_s == 3.0
+
+
+@pytest.mark.parametrize("config_class", LEAVES)
+def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
+    for info in field_infos(config_class):
+        assert info.help, info.name
+        assert info.level in {"public", "expert"}
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"sead": 1}, "run.yaml: unknown key 'sead'; the nearest known one is 'seed'"),
+        (
+            {"fusion": {"align": {"windw_m": 1}}},
+            "run.yaml: fusion: align: unknown key 'windw_m'; the nearest known one is 'window_m'",
+        ),
+        ({"seed": -1}, "RunConfig.seed must lie in [0, inf], found -1"),
+        ({"seed": 1.5}, "run.yaml: seed: wanted int, found 1.5"),
+        ({"seed": True}, "run.yaml: seed: wanted int, found True"),
+        ({"fusion": {"align": {"step": "x"}}}, "wanted int or NoneType, found 'x'"),
+        ({"fusion": {"align": {"window_yaw_rad": 4.0}}}, "[0, 3.14159] rad, found 4.0"),
+        ({"fusion": {"align": {"deadline_s": float("nan")}}}, "found nan"),
+        ({"fusion": {"vote": {"mode": "coin"}}}, "majority, weighted, log-odds, found 'coin'"),
+        ({"fusion": [1]}, "run.yaml: fusion: wanted a mapping of settings, found list"),
+        ([1], "run.yaml: wanted a mapping of settings, found list"),
+        (
+            {"fusion": {"normalize": {"free_percent": 70}}},
+            "free_percent (70) must be below occupied_percent (65); swap them",
+        ),
+    ],
+)
+def test_a_bad_value_is_named_with_what_was_wanted(values: Any, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        from_mapping(RunConfig, values, "run.yaml")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_yaml_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_bytes(b"seed: [1\nfusion: }")
+    with pytest.raises(ConfigError, match=r"run\.yaml: not YAML") as caught:
+        load_config(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_values_are_checked_at_construction_and_then_frozen() -> None:
+    with pytest.raises(ConfigError, match=r"VoteConfig\.unknown must be one of"):
+        VoteConfig(unknown="maybe")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        RunConfig().seed = 3  # type: ignore[misc]

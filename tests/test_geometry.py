@@ -1,0 +1,71 @@
+"""Claims about poses and rigid motions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.geometry import Pose2, wrap_angle
+
+LENGTHS = st.floats(-1e3, 1e3)
+ANGLES = st.floats(-20.0, 20.0)
+POSES = st.builds(Pose2, LENGTHS, LENGTHS, ANGLES)
+
+
+def assert_same(left: Pose2, right: Pose2) -> None:
+    assert (left.x, left.y) == pytest.approx((right.x, right.y), abs=1e-8)
+    assert wrap_angle(left.yaw_rad - right.yaw_rad) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(ANGLES)
+def test_a_wrapped_angle_lies_in_the_half_open_turn(angle: float) -> None:
+    wrapped = wrap_angle(angle)
+    assert -math.pi <= wrapped < math.pi
+    assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
+    assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)
+
+
+def test_half_a_turn_wraps_to_minus_pi() -> None:
+    assert wrap_angle(math.pi) == -math.pi
+    assert wrap_angle(-math.pi) == -math.pi
+
+
+@given(POSES)
+def test_a_pose_composed_with_its_inverse_is_the_identity(pose: Pose2) -> None:
+    assert_same(pose.compose(pose.inverse()), Pose2())
+    assert_same(pose.inverse().compose(pose), Pose2())
+
+
+@given(POSES, POSES, POSES)
+def test_composition_is_associative(a: Pose2, b: Pose2, c: Pose2) -> None:
+    assert_same(a.compose(b).compose(c), a.compose(b.compose(c)))
+
+
+@given(POSES, POSES, LENGTHS, LENGTHS)
+def test_composing_is_transforming_twice(a: Pose2, b: Pose2, x: float, y: float) -> None:
+    once = a.compose(b).transform((x, y))
+    twice = a.transform(b.transform((x, y)))
+    assert once == pytest.approx(twice, abs=1e-8)
+
+
+def test_a_quarter_turn_is_counter_clockwise() -> None:
+    pose = Pose2(1.0, 2.0, math.pi / 2)
+    assert pose.transform((1.0, 0.0)) == pytest.approx(np.array([1.0, 3.0]))
+    assert pose.transform([[1.0, 0.0], [0.0, 1.0]]) == pytest.approx(
+        np.array([[1.0, 3.0], [0.0, 2.0]])
+    )
+
+
+def test_scaling_changes_lengths_only() -> None:
+    assert Pose2(1.0, -2.0, 0.5).scaled(20.0) == Pose2(20.0, -40.0, 0.5)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_pose_is_finite(bad: float) -> None:
+    for values in ((bad, 0.0, 0.0), (0.0, bad, 0.0), (0.0, 0.0, bad)):
+        with pytest.raises(ValueError, match="must be finite"):
+            Pose2(*values)
