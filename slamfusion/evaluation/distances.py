@@ -1,0 +1,279 @@
+"""Distances measured in the building against the same distances in the map, as in [B16].
+
+[B16] is Balasuriya et al., *Outdoor Robot Navigation Using Gmapping Based SLAM*, 2016, which judges
+a map by a tape measure where no true map exists.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial import KDTree
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import MapFileError
+from slamfusion.evaluation.cells import trinary, wall_centres
+from slamfusion.grid import OccupancyGrid
+
+__all__ = [
+    "DistanceComparison",
+    "DistanceRow",
+    "MeasuredDistance",
+    "compare_distances",
+    "load_distances",
+]
+
+_DEFAULT_NORMALIZE = NormalizeConfig()
+_COLUMNS = ("name", "x1", "y1", "x2", "y2", "distance_m")
+_NUMBERS = _COLUMNS[1:]
+
+
+@dataclass(frozen=True)
+class MeasuredDistance:
+    """One distance between two walls, measured in the building.
+
+    Attributes:
+        name: what it is, for the table.
+        point1, point2: x and y in the map's frame, metres, near the two walls.
+        distance_m: as measured, positive.
+    """
+
+    name: str
+    point1: tuple[float, float]
+    point2: tuple[float, float]
+    distance_m: float
+
+
+@dataclass(frozen=True)
+class DistanceRow:
+    """One measured distance and the map's.
+
+    Attributes:
+        measured: as given.
+        map_m: distance between the centres of the wall cells nearest to the two points, metres;
+            None when a point has no wall within the search radius.
+        reason: why there is no ``map_m``; empty otherwise.
+    """
+
+    measured: MeasuredDistance
+    map_m: float | None
+    reason: str = ""
+
+    @property
+    def error_m(self) -> float | None:
+        """The map's distance minus the measured one, metres; positive where the map is larger."""
+        return None if self.map_m is None else self.map_m - self.measured.distance_m
+
+    @property
+    def error_percent(self) -> float | None:
+        """``error_m`` in percent of the measured distance."""
+        return None if self.error_m is None else 100.0 * self.error_m / self.measured.distance_m
+
+    def to_json(self) -> dict[str, Any]:
+        """Return name, both distances and their difference as plain values."""
+        return {
+            "name": self.measured.name,
+            "distance_m": self.measured.distance_m,
+            "map_m": self.map_m,
+            "error_m": self.error_m,
+            "error_percent": self.error_percent,
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True)
+class DistanceComparison:
+    """All measured distances against one map.
+
+    Attributes:
+        name: the map's name.
+        rows: one per measured distance, in the order given.
+        search_radius_m: how far from its point a wall was looked for.
+    """
+
+    name: str
+    rows: tuple[DistanceRow, ...]
+    search_radius_m: float
+
+    @property
+    def mean_absolute_error_m(self) -> float | None:
+        """Mean of |error| over the rows that found their walls; None when none did."""
+        return _mean([abs(row.error_m) for row in self.rows if row.error_m is not None])
+
+    @property
+    def mean_absolute_error_percent(self) -> float | None:
+        """Mean of |error| in percent of the measured distance; None when no row found its walls."""
+        return _mean([abs(row.error_percent) for row in self.rows if row.error_percent is not None])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the rows and their means as plain values."""
+        return {
+            "name": self.name,
+            "search_radius_m": self.search_radius_m,
+            "rows": [row.to_json() for row in self.rows],
+            "rows_used": sum(row.map_m is not None for row in self.rows),
+            "rows_total": len(self.rows),
+            "mean_absolute_error_m": self.mean_absolute_error_m,
+            "mean_absolute_error_percent": self.mean_absolute_error_percent,
+        }
+
+
+def compare_distances(
+    grid: OccupancyGrid,
+    distances: str | Path | Sequence[MeasuredDistance],
+    *,
+    normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
+    search_radius_m: float = 0.5,
+) -> DistanceComparison:
+    """Compare measured distances with those between the walls of a map.
+
+    Args:
+        grid: the map; its frame is the one of the measured points.
+        distances: a file for ``load_distances``, or its rows.
+        normalize: which cells are walls.
+        search_radius_m: a wall farther than this from its point is not meant.
+
+    Raises:
+        MapFileError: the file cannot be read as distances.
+    """
+    rows = load_distances(distances) if isinstance(distances, (str, Path)) else tuple(distances)
+    walls = wall_centres(trinary(grid.cells, normalize), grid)
+    tree = KDTree(walls) if walls.shape[0] else None
+    compared = []
+    for row in rows:
+        ends = []
+        reason = ""
+        for index, point in enumerate((row.point1, row.point2), start=1):
+            distance, nearest = tree.query(point) if tree is not None else (math.inf, 0)
+            if float(distance) > search_radius_m:
+                reason = reason or f"no wall within {search_radius_m:g} m of point {index}"
+            else:
+                ends.append(walls[int(nearest)])
+        map_m = None if reason else float(np.hypot(*(ends[1] - ends[0])))
+        compared.append(DistanceRow(row, map_m, reason))
+    return DistanceComparison(grid.name, tuple(compared), search_radius_m)
+
+
+def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
+    """Read measured distances from a CSV or YAML file.
+
+    CSV (``.csv``): a header and rows of ``name, x1, y1, x2, y2, distance_m``. YAML (``.yaml``,
+    ``.yml``): a list of mappings with these keys, or a mapping with such a list under
+    ``distances``. Points in the map's frame, metres. ``name`` may be left out.
+
+    Raises:
+        MapFileError: not such a file; the message names the row and what was wanted.
+    """
+    path = Path(path)
+    readers = {".csv": _read_csv, ".yaml": _read_yaml, ".yml": _read_yaml}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        message = f"{path}: measured distances come as .csv, .yaml or .yml; rename the file"
+        raise MapFileError(message)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        message = f"{path}: not UTF-8 text; save the distances as UTF-8"
+        raise MapFileError(message) from None
+    except OSError as error:
+        message = f"{path}: cannot read the distances ({error.strerror}); check the path"
+        raise MapFileError(message) from None
+    rows = reader(text, path)
+    if not rows:
+        message = f"{path}: no distance in the file; add rows of {', '.join(_COLUMNS)}"
+        raise MapFileError(message)
+    return tuple(_distance(row, f"{path}: {where}", where) for where, row in rows)
+
+
+def _read_csv(text: str, path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return (where, values) of each row of a CSV file."""
+    try:
+        lines = list(csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True))
+    except csv.Error as error:
+        message = f"{path}: not a CSV file ({error}); wanted a header {','.join(_COLUMNS)}"
+        raise MapFileError(message) from None
+    numbered = [
+        (number, line) for number, line in enumerate(lines, start=1) if any(map(str.strip, line))
+    ]
+    if not numbered:
+        return []
+    header = [column.strip() for column in numbered[0][1]]
+    missing = [column for column in _NUMBERS if column not in header]
+    if missing:
+        message = (
+            f"{path}: the header lacks {', '.join(missing)}; the first line must be "
+            f"{','.join(_COLUMNS)}"
+        )
+        raise MapFileError(message)
+    rows = []
+    for number, line in numbered[1:]:
+        if len(line) != len(header):
+            message = f"{path}: row {number}: wanted {len(header)} values, found {len(line)}"
+            raise MapFileError(message)
+        rows.append((f"row {number}", dict(zip(header, line, strict=True))))
+    return rows
+
+
+def _read_yaml(text: str, path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return (where, values) of each entry of a YAML file."""
+    try:
+        values = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
+        raise MapFileError(message) from None
+    if isinstance(values, dict):
+        values = values.get("distances")
+    if values is None:
+        return []
+    if not isinstance(values, list):
+        message = f"{path}: wanted a list of distances, found {type(values).__name__}"
+        raise MapFileError(message)
+    rows = []
+    for number, entry in enumerate(values, start=1):
+        if not isinstance(entry, dict):
+            message = (
+                f"{path}: entry {number}: wanted a mapping with {', '.join(_COLUMNS)}, "
+                f"found {type(entry).__name__}"
+            )
+            raise MapFileError(message)
+        rows.append((f"entry {number}", entry))
+    return rows
+
+
+def _distance(values: dict[str, Any], where: str, default_name: str) -> MeasuredDistance:
+    """Check one row and return it."""
+    numbers = {}
+    for column in _NUMBERS:
+        raw = values.get(column)
+        try:
+            number = math.nan if raw is None or isinstance(raw, bool) else float(raw)
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+        if not math.isfinite(number):
+            found = "nothing" if raw is None else repr(raw)
+            message = f"{where}: {column} must be a number of metres, found {found}"
+            raise MapFileError(message)
+        numbers[column] = number
+    if numbers["distance_m"] <= 0:
+        message = f"{where}: distance_m must be above 0, found {numbers['distance_m']:g}"
+        raise MapFileError(message)
+    name = values.get("name")
+    return MeasuredDistance(
+        str(name).strip() if name not in (None, "") else default_name,
+        (numbers["x1"], numbers["y1"]),
+        (numbers["x2"], numbers["y2"]),
+        numbers["distance_m"],
+    )
+
+
+def _mean(values: list[float]) -> float | None:
+    """Return the mean, or None of nothing."""
+    return sum(values) / len(values) if values else None

@@ -1,0 +1,336 @@
+"""The error of a map against the truth: [F16]'s number first, then what it cannot tell.
+
+[F16] is Fernandes and Alexandre, *SLAMfusion: Fusing SLAM Methods for Improved Robustness*,
+ICARSC 2016.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import GridError
+from slamfusion.evaluation.cells import sample_on_lattice, trinary, wall_centres
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid, known_box
+
+__all__ = [
+    "AGREE_FREE",
+    "AGREE_UNKNOWN",
+    "AGREE_WALL",
+    "CLASS_NAMES",
+    "EXTRA_FREE",
+    "EXTRA_WALL",
+    "MISSING_FREE",
+    "MISSING_WALL",
+    "MapError",
+    "WallDistance",
+    "compare_to_truth",
+]
+
+# Codes of ``MapError.difference``.
+AGREE_UNKNOWN = 0
+AGREE_FREE = 1
+AGREE_WALL = 2
+MISSING_WALL = 3  # occupied in the truth, not in the map
+EXTRA_WALL = 4  # occupied in the map, not in the truth
+MISSING_FREE = 5  # free in the truth, unknown in the map
+EXTRA_FREE = 6  # free in the map, unknown in the truth
+
+CLASS_NAMES = ("unknown", "free", "occupied")
+
+# Rows: class of the truth, columns: class of the map, both unknown, free, occupied.
+_DIFFERENCE = np.array(
+    (
+        (AGREE_UNKNOWN, EXTRA_FREE, EXTRA_WALL),
+        (MISSING_FREE, AGREE_FREE, EXTRA_WALL),
+        (MISSING_WALL, MISSING_WALL, AGREE_WALL),
+    ),
+    dtype=np.int8,
+)
+
+_IDENTITY = Pose2()
+
+# A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
+_TOLERANCE_SLACK_M = 1e-6
+
+_SSIM_SIGMA_CELLS = 1.5
+_SSIM_WINDOW_CELLS = 11
+
+
+@dataclass(frozen=True)
+class WallDistance:
+    """Distances from each wall cell of one map to the nearest wall cell of the other, metres.
+
+    Attributes:
+        mean_m, p95_m, max_m: between cell centres; p95 is the 95th percentile.
+    """
+
+    mean_m: float
+    p95_m: float
+    max_m: float
+
+    def to_json(self) -> dict[str, float]:
+        """Return ``mean``, ``p95`` and ``max`` in metres."""
+        return {"mean": self.mean_m, "p95": self.p95_m, "max": self.max_m}
+
+
+@dataclass(frozen=True, eq=False)
+class MapError:
+    """How a map differs from the truth; larger errors are worse, None is undefined.
+
+    Attributes:
+        name, truth: names of the map and of the truth.
+        error: [F16], sqrt(sum((T - M)^2)) with T and M in {-1, 0, 1} over the truth's known box on
+            the truth's lattice; cells outside the map count as unknown.
+        confusion: (3, 3) int64 counts over the same box; rows are the truth's class, columns the
+            map's, both in the order unknown, free, occupied.
+        wall_precision: share of the map's walls with a true wall within ``tolerance_m``; every
+            wall of the map counts, also outside the box. None when the map has no wall.
+        wall_recall: share of the true walls with a wall of the map within ``tolerance_m``; None
+            when the truth has no wall.
+        wall_f1: harmonic mean of the two; None when one of them is.
+        iou_occupied, iou_free: cells of the class in both over cells of the class in either,
+            inside the box; None when neither has any.
+        map_to_truth: from each wall of the map to the nearest true wall; None when a side has none.
+        truth_to_map: from each true wall to the nearest wall of the map; None likewise.
+        ssim: mean structural similarity of the trinary images over the box, at most 1.
+        coverage: share of the truth's known cells that the map knows, 0..1.
+        tolerance_m: as given.
+        transform: as given; maps a point of the map's frame into the truth's, metres.
+        difference: (H, W) int8, read-only, one of the module's codes per cell of the box.
+        resolution: metres per cell of ``difference``.
+        origin: pose of the lower-left corner of ``difference`` in the truth's map frame.
+    """
+
+    name: str
+    truth: str
+    error: float
+    confusion: npt.NDArray[np.int64]
+    wall_precision: float | None
+    wall_recall: float | None
+    wall_f1: float | None
+    iou_occupied: float | None
+    iou_free: float | None
+    map_to_truth: WallDistance | None
+    truth_to_map: WallDistance | None
+    ssim: float
+    coverage: float
+    tolerance_m: float
+    transform: Pose2
+    difference: npt.NDArray[np.int8]
+    resolution: float
+    origin: Pose2
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values; ``name`` and ``error`` first, undefined values as None."""
+        return {
+            "name": self.name,
+            "error": self.error,
+            "truth": self.truth,
+            "cells": int(self.difference.size),
+            "coverage": self.coverage,
+            "tolerance_m": self.tolerance_m,
+            "wall_precision": self.wall_precision,
+            "wall_recall": self.wall_recall,
+            "wall_f1": self.wall_f1,
+            "iou_occupied": self.iou_occupied,
+            "iou_free": self.iou_free,
+            "map_to_truth_m": self.map_to_truth.to_json() if self.map_to_truth else None,
+            "truth_to_map_m": self.truth_to_map.to_json() if self.truth_to_map else None,
+            "ssim": self.ssim,
+            "confusion": {
+                truth_class: dict(zip(CLASS_NAMES, map(int, row), strict=True))
+                for truth_class, row in zip(CLASS_NAMES, self.confusion, strict=True)
+            },
+            "dx_m": self.transform.x,
+            "dy_m": self.transform.y,
+            "yaw_rad": self.transform.yaw_rad,
+        }
+
+
+def compare_to_truth(
+    grid: OccupancyGrid,
+    truth: OccupancyGrid,
+    transform: Pose2 = _IDENTITY,
+    *,
+    normalize: NormalizeConfig,
+    tolerance_m: float,
+) -> MapError:
+    """Measure a map against the truth, with every measure at once.
+
+    The map is read on the truth's lattice by nearest cell: each centre of the truth's known box
+    goes back through ``transform`` into the map, and the cell there counts. Distances between
+    walls do not depend on a lattice: they lie between the centres of each map's own cells.
+
+    Args:
+        grid: the map; any resolution and origin.
+        truth: decides lattice and box.
+        transform: maps a point of the map's frame into the truth's, metres; the identity takes
+            both frames for the same.
+        normalize: the thresholds, in percent, for both maps.
+        tolerance_m: how far a wall may lie from a true wall and still be right, at least 0.
+
+    Raises:
+        GridError: no cell of the truth is known, so there is nothing to compare with.
+        ValueError: the tolerance is negative or not finite.
+    """
+    if not (math.isfinite(tolerance_m) and tolerance_m >= 0):
+        message = f"tolerance_m must be a distance in metres, at least 0, found {tolerance_m}"
+        raise ValueError(message)
+    true_classes = trinary(truth.cells, normalize)
+    map_classes = trinary(grid.cells, normalize)
+    box = known_box(true_classes)
+    if box is None:
+        message = (
+            f"{truth.name}: the truth has no cell that is surely free or occupied; "
+            "give a map with known cells or other thresholds"
+        )
+        raise GridError(message)
+
+    # The cells, on the truth's lattice.
+    expected = true_classes[box.row0 : box.row1, box.col0 : box.col1]
+    found = sample_on_lattice(map_classes, grid, truth, box, transform)
+    confusion = _confusion(expected, found)
+    difference = _DIFFERENCE[expected + 1, found + 1]
+    difference.flags.writeable = False
+
+    # The walls, as points of the truth's map frame.
+    true_walls = wall_centres(true_classes, truth)
+    map_walls = wall_centres(map_classes, grid, transform)
+    map_to_truth = _nearest_distances(map_walls, true_walls)
+    truth_to_map = _nearest_distances(true_walls, map_walls)
+    precision = _share_within(map_to_truth, tolerance_m)
+    recall = _share_within(truth_to_map, tolerance_m)
+
+    known = int(confusion[1:].sum())
+    return MapError(
+        name=grid.name,
+        truth=truth.name,
+        error=_f16_error(confusion),
+        confusion=confusion,
+        wall_precision=precision,
+        wall_recall=recall,
+        wall_f1=_harmonic_mean(precision, recall),
+        iou_occupied=_intersection_over_union(confusion, 2),
+        iou_free=_intersection_over_union(confusion, 1),
+        map_to_truth=_summary(map_to_truth),
+        truth_to_map=_summary(truth_to_map),
+        ssim=_mean_ssim(expected, found),
+        coverage=int(confusion[1:, 1:].sum()) / known,
+        tolerance_m=tolerance_m,
+        transform=transform,
+        difference=difference,
+        resolution=truth.resolution,
+        origin=truth.crop(box).origin,
+    )
+
+
+def _confusion(
+    expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]
+) -> npt.NDArray[np.int64]:
+    """Count the (truth, map) pairs of classes -1, 0, 1 into a (3, 3) table, read-only."""
+    codes = (expected + 1) * 3 + (found + 1)
+    table = np.bincount(codes.ravel().view(np.uint8), minlength=9).reshape(3, 3).astype(np.int64)
+    table.flags.writeable = False
+    return table
+
+
+def _f16_error(confusion: npt.NDArray[np.int64]) -> float:
+    """Return sqrt(sum((T - M)^2)): the square depends on the pair of classes alone."""
+    classes = np.arange(3)
+    squares = (classes[:, None] - classes[None, :]) ** 2
+    return math.sqrt(int((confusion * squares).sum()))
+
+
+def _intersection_over_union(confusion: npt.NDArray[np.int64], index: int) -> float | None:
+    """Return the Jaccard index of one class, or None when neither map has it."""
+    both = int(confusion[index, index])
+    either = int(confusion[index].sum() + confusion[:, index].sum()) - both
+    return both / either if either else None
+
+
+def _nearest_distances(
+    walls: npt.NDArray[np.float64], others: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64] | None:
+    """Return (N,) metres to the nearest of ``others``, inf where there is none; None without walls.
+
+    Args:
+        walls: (N, 2) points, metres.
+        others: (M, 2) points, metres, same frame.
+    """
+    if walls.shape[0] == 0:
+        return None
+    if others.shape[0] == 0:
+        return np.full(walls.shape[0], np.inf)
+    distances, _ = KDTree(others).query(walls)
+    return np.asarray(distances, dtype=np.float64)
+
+
+def _share_within(distances: npt.NDArray[np.float64] | None, tolerance_m: float) -> float | None:
+    """Return the share of distances at most the tolerance, or None without walls."""
+    if distances is None:
+        return None
+    return float(np.mean(distances <= tolerance_m + _TOLERANCE_SLACK_M))
+
+
+def _harmonic_mean(precision: float | None, recall: float | None) -> float | None:
+    """Return F1, 0 when both are 0, None when one is undefined."""
+    if precision is None or recall is None:
+        return None
+    total = precision + recall
+    return 2.0 * precision * recall / total if total else 0.0
+
+
+def _summary(distances: npt.NDArray[np.float64] | None) -> WallDistance | None:
+    """Return mean, 95th percentile and maximum, or None when a side has no walls."""
+    if distances is None or not np.isfinite(distances[0]):
+        return None
+    return WallDistance(
+        float(distances.mean()), float(np.percentile(distances, 95)), float(distances.max())
+    )
+
+
+def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> float:
+    """Return the mean structural similarity of two trinary images mapped to 0, 0.5, 1.
+
+    The image is mirrored at its border, so that also a map smaller than the window has a value;
+    the authors' program leaves the border out.
+
+    Args:
+        expected: (H, W) int8 in {-1, 0, 1}.
+        found: same shape and values.
+
+    Returns:
+        -1..1, 1 for equal images.
+    Source: Wang, Bovik, Sheikh and Simoncelli, "Image quality assessment: from error visibility to
+        structural similarity", IEEE TIP 13(4), 2004, eq. 13 with K1 = 0.01, K2 = 0.03, L = 1 and
+        the Gaussian window of 11 x 11 cells, sigma 1.5. doi:10.1109/TIP.2003.819861
+    """
+    x = (expected.astype(np.float32) + 1.0) / 2.0
+    y = (found.astype(np.float32) + 1.0) / 2.0
+    mean_x, mean_y = _window_mean(x), _window_mean(y)
+    variance_x = _window_mean(x * x) - mean_x * mean_x
+    variance_y = _window_mean(y * y) - mean_y * mean_y
+    covariance = _window_mean(x * y) - mean_x * mean_y
+    c1, c2 = 0.01**2, 0.03**2
+    similarity = ((2.0 * mean_x * mean_y + c1) * (2.0 * covariance + c2)) / (
+        (mean_x * mean_x + mean_y * mean_y + c1) * (variance_x + variance_y + c2)
+    )
+    return float(similarity.mean(dtype=np.float64))
+
+
+def _window_mean(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return the Gaussian-weighted mean around each pixel, (H, W) float32."""
+    window = (_SSIM_WINDOW_CELLS, _SSIM_WINDOW_CELLS)
+    blurred = cv2.GaussianBlur(
+        image, window, sigmaX=_SSIM_SIGMA_CELLS, borderType=cv2.BORDER_REFLECT
+    )
+    return np.asarray(blurred, dtype=np.float32)

@@ -1,0 +1,25 @@
+"""Reports made to be looked at: one self-contained HTML file, and its pictures as PNG beside it.
+
+The only place that imports matplotlib, which is an extra; without it the import of this package
+says what to install.
+"""
+
+from __future__ import annotations
+
+from slamfusion.errors import SlamFusionError
+
+try:
+    import matplotlib as _matplotlib  # noqa: F401, ICN001, TID251
+except ImportError as _error:
+    _message = "the report needs matplotlib; pip install 'slamfusion[report]'"
+    raise SlamFusionError(_message) from _error
+
+from slamfusion.report.evaluation_report import write_difference_image, write_evaluation_report
+from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
+
+__all__ = [
+    "write_difference_image",
+    "write_evaluation_report",
+    "write_failure_report",
+    "write_fusion_report",
+]

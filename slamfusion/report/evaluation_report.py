@@ -1,0 +1,101 @@
+"""The report of maps against a truth, and the difference image alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import MapFileError
+from slamfusion.evaluation import MapError
+from slamfusion.fusion.records import Alignment
+from slamfusion.io.atomic import write_atomic
+from slamfusion.report import plots
+from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
+from slamfusion.report.page import Banner, Fact, Page, Section, circumstances, write_page
+
+__all__ = ["write_difference_image", "write_evaluation_report"]
+
+
+def write_evaluation_report(
+    evaluations: Sequence[MapError],
+    directory: str | Path,
+    *,
+    config: RunConfig,
+    alignments: Sequence[Alignment | None] = (),
+    device: str = "",
+) -> Path:
+    """Write how maps differ from a truth as one self-contained page with its pictures beside it.
+
+    Args:
+        evaluations: at least one map, all against one truth.
+        directory: for ``report.html`` and the PNG files; made when missing.
+        config: the effective configuration, written out in full.
+        alignments: the alignment with the truth that each evaluation rests on, in the same order,
+            None where the map was taken as it lies; a rejected one is said at the top.
+        device: the device that computed, in words.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: the directory cannot be written.
+        ValueError: there is no evaluation.
+    """
+    if not evaluations:
+        message = "an evaluation report needs at least one evaluated map"
+        raise ValueError(message)
+    sections = [error_section(evaluations, alignments)]
+    searched = [alignment for alignment in alignments if alignment is not None]
+    if searched:
+        tables = alignment_table("Alignment to the truth", searched)
+        sections.append(Section("Alignment", "alignment", "", yaw_pictures(searched), tables))
+    sections.append(circumstances(config, device))
+    page = Page(
+        "SLAMfusion evaluation", _banner(evaluations, searched), _facts(evaluations), sections
+    )
+    return write_page(page, directory)
+
+
+def write_difference_image(evaluation: MapError, path: str | Path) -> None:
+    """Write the difference to the truth as one PNG picture, in the colours of the report.
+
+    Raises:
+        MapFileError: the file is not called ``.png``, or cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        message = f"{path}: the difference image is a PNG; call it {path.with_suffix('.png').name}"
+        raise MapFileError(message)
+    write_atomic(
+        path,
+        plots.difference_picture(evaluation.difference, evaluation.resolution, evaluation.origin),
+    )
+
+
+def _banner(evaluations: Sequence[MapError], searched: Sequence[Alignment]) -> Banner:
+    """Say which map is nearest to the truth, and first which could not be aligned with it."""
+    lost = [
+        (f"{alignment.moving} could not be aligned:", alignment.reason)
+        for alignment in searched
+        if not alignment.accepted
+    ]
+    truth = evaluations[0].truth
+    best = min(evaluations, key=lambda item: item.error)
+    headline = f"{best.name} is nearest to {truth}"
+    if len(evaluations) == 1:
+        headline = f"{best.name} against {truth}"
+    return Banner("warn" if lost else "good", headline, lost)
+
+
+def _facts(evaluations: Sequence[MapError]) -> list[Fact]:
+    """Return the error of each map, the smallest marked."""
+    best = min(item.error for item in evaluations)
+    return [
+        Fact(
+            f"{item.error:.2f}",
+            f"error of {item.name} [F16]",
+            "good" if item.error == best and len(evaluations) > 1 else "plain",
+        )
+        for item in evaluations
+    ]

@@ -1,0 +1,352 @@
+"""The report of a fusion: which maps vote, how they lie, where they differ, and what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import MapError
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.report import plots
+from slamfusion.report.maps import (
+    alignment_table,
+    error_section,
+    input_picture,
+    layer_legend,
+    pair_overlay,
+    statistics_table,
+    yaw_pictures,
+)
+from slamfusion.report.page import (
+    Banner,
+    Cell,
+    Fact,
+    LegendEntry,
+    Page,
+    Picture,
+    Section,
+    Table,
+    circumstances,
+    number,
+    write_page,
+)
+
+__all__ = ["write_failure_report", "write_fusion_report"]
+
+# Overlays of failed pairs: with ten inputs there are 45.
+_MOST_OVERLAYS = 12
+
+
+def write_fusion_report(
+    result: FusionResult,
+    directory: str | Path,
+    *,
+    config: RunConfig,
+    evaluations: Sequence[MapError] = (),
+    failure: str | None = None,
+) -> Path:
+    """Write the report of a fusion as one self-contained page with its pictures beside it.
+
+    Args:
+        result: what was fused; rejected inputs are shown with their reasons.
+        directory: for ``report.html`` and the PNG files; made when missing.
+        config: the effective configuration, written out in full.
+        evaluations: errors against a truth, of the inputs, the fused map, or both.
+        failure: why the result must not be used all the same, e.g. ``--require-all``.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: the directory cannot be written.
+    """
+    box = _shown_box(result)
+    sections = [_fused_section(result, box), _inputs_section(result, config)]
+    if any(record.dissent is not None for record in result.accepted):
+        sections.append(_dissent_section(result, box))
+    if evaluations:
+        sections.append(error_section(evaluations))
+    sections.append(_alignment_section(result))
+    sections.append(_statistics_section(result, config))
+    sections.append(circumstances(config, result.device))
+    page = Page(
+        "SLAMfusion report", _fusion_banner(result, failure), _facts(result, evaluations), sections
+    )
+    return write_page(page, directory)
+
+
+def write_failure_report(
+    grids: Sequence[OccupancyGrid],
+    pairs: Sequence[Alignment],
+    reason: str,
+    directory: str | Path,
+    *,
+    config: RunConfig,
+    device: str = "",
+) -> Path:
+    """Write the report of maps that could not be fused: each map, each pair, and why.
+
+    Args:
+        grids: the inputs, as given.
+        pairs: every pair that was aligned; may be empty.
+        reason: why nothing was fused.
+        directory: for ``report.html`` and the PNG files; made when missing.
+        config: the effective configuration, written out in full.
+        device: the device that computed, in words.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: the directory cannot be written.
+    """
+    normalize = config.fusion.normalize
+    by_name = {grid.name: grid for grid in grids}
+    overlays = [
+        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize)
+        for pair in pairs[:_MOST_OVERLAYS]
+        if pair.reference in by_name and pair.moving in by_name
+    ]
+    sections = [
+        Section(
+            "Inputs",
+            "inputs",
+            "The maps as they were given.",
+            [input_picture(grid, normalize) for grid in grids],
+            [statistics_table(grids, normalize)] if grids else [],
+        )
+    ]
+    if pairs:
+        sections.append(
+            Section(
+                "Pairs",
+                "pairs",
+                "Each pair laid over each other under the best alignment that was found. Where "
+                "two maps agree their colours add up to white.",
+                [picture for picture in overlays if picture is not None],
+                alignment_table("All pairs", pairs),
+            )
+        )
+        curves = yaw_pictures(pairs)
+        if curves:
+            sections.append(Section("Score over yaw", "yaw", _YAW_TEXT, curves))
+    sections.append(circumstances(config, device))
+    banner = Banner("bad", "Nothing was fused", [("", reason)])
+    facts = [
+        Fact(f"0 of {len(grids)}", "maps fused", "bad"),
+        Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
+    ]
+    return write_page(Page("SLAMfusion report", banner, facts, sections), directory)
+
+
+_YAW_TEXT = (
+    "The best coarse score at each yaw of the moving map. One sharp peak means that the place "
+    "looks like itself in one way only; a rival of nearly the same height is a symmetry, and a "
+    "reason for doubt."
+)
+
+
+def _fusion_banner(result: FusionResult, failure: str | None) -> Banner:
+    """Say first which maps vote, and loudest which do not."""
+    accepted = ", ".join(record.name for record in result.accepted)
+    lines = [(f"{record.name} was rejected:", record.reason) for record in result.rejected]
+    lines.append(("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}."))
+    total, fused = len(result.inputs), len(result.accepted)
+    if failure is not None:
+        return Banner("bad", "Do not use this map", [("", failure), *lines])
+    if fused < 2:
+        return Banner("bad", f"Not a vote: only {fused} of {total} maps remains", lines)
+    if result.rejected:
+        return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
+    return Banner("good", f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
+
+
+def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
+    """Return the numbers at the top."""
+    total, fused = len(result.inputs), len(result.accepted)
+    cells = result.fused.cells
+    area = float(np.count_nonzero(cells != -1)) * result.fused.resolution**2
+    agreement = result.agreement.cells[result.agreement.cells >= 0]
+    facts = [
+        Fact(f"{fused} of {total}", "maps fused", "good" if fused == total else "bad"),
+        Fact(f"{area:.1f} m²", "known in the fused map"),
+        Fact(
+            str(result.phantom_cells),
+            "phantom cells: walls that no input has",
+            "bad" if result.phantom_cells else "plain",
+        ),
+    ]
+    if agreement.size:
+        unanimous = 100.0 * float(np.mean(agreement == 100))
+        facts.append(Fact(f"{unanimous:.1f} %", "of the voted cells are unanimous"))
+    facts += [
+        Fact(f"{evaluation.error:.2f}", "error of the fused map [F16]")
+        for evaluation in evaluations
+        if evaluation.name in {result.fused.name, "fused"}
+    ]
+    facts.append(Fact(f"{result.time_s:.2f} s", f"on {result.device}"))
+    return facts
+
+
+def _fused_section(result: FusionResult, box: CellBox) -> Section:
+    """Return the fused map, the inputs over each other, and where they agree."""
+    fused, agreement = result.fused, result.agreement
+    pictures = [
+        Picture(
+            "fused",
+            plots.map_picture(_classes(fused), fused.resolution, fused.origin, box),
+            "Fused map",
+            f"{fused.width} x {fused.height} cells of {fused.resolution:g} m, in the frame of "
+            f"{result.reference}.",
+            tone="good" if len(result.accepted) > 1 else "bad",
+        )
+    ]
+    aligned = [record for record in result.accepted if record.aligned is not None]
+    layers = [record.aligned for record in aligned if record.aligned is not None]
+    if layers:
+        pictures.append(
+            Picture(
+                "overlay",
+                plots.overlay_picture(layers, fused.resolution, fused.origin, box),
+                "The aligned inputs over each other",
+                "Walls in the colour of their map, added up: white where all have one. A coloured "
+                "double of a white wall is a slip.",
+                legend=layer_legend([record.name for record in aligned]),
+            )
+        )
+    pictures.append(
+        Picture(
+            "agreement",
+            plots.agreement_picture(agreement.cells, agreement.resolution, agreement.origin, box),
+            "Agreement",
+            "Share of votes for the winner of each cell. A block of cells shows its worst.",
+            legend=tuple(
+                LegendEntry(f"{percent} %", plots.agreement_colour(percent))
+                for percent in _agreement_steps(result)
+            ),
+        )
+    )
+    return Section("Fused map", "fused", "", pictures)
+
+
+def _shown_box(result: FusionResult) -> CellBox:
+    """Return what any voter knows: one crop for all pictures on the fused lattice."""
+    shown = (result.fused.cells != -1) | (result.agreement.cells != -1)
+    for record in result.accepted:
+        if record.aligned is not None:
+            shown = shown | (record.aligned != -1)
+    return plots.crop_box(shown)
+
+
+def _agreement_steps(result: FusionResult) -> list[int]:
+    """Return the shares of votes that occur, at most six of them."""
+    steps = [int(value) for value in np.unique(result.agreement.cells) if value >= 0]
+    if len(steps) <= 6:
+        return steps[::-1]
+    chosen = np.linspace(0, len(steps) - 1, 6).round().astype(int)
+    return [steps[index] for index in chosen][::-1]
+
+
+def _inputs_section(result: FusionResult, config: RunConfig) -> Section:
+    """Return every input, and for a rejected one also how it would have lain."""
+    normalize = config.fusion.normalize
+    grids = {record.name: record.grid for record in result.inputs}
+    pictures: list[Picture] = []
+    for record in result.inputs:
+        role = "Reference." if record.name == result.reference else ""
+        caption = role if record.accepted else f"Rejected: {record.reason}"
+        pictures.append(
+            input_picture(record.grid, normalize, caption=caption, accepted=record.accepted)
+        )
+        alignment = record.alignment
+        if not record.accepted and alignment is not None and alignment.reference in grids:
+            overlay = pair_overlay(grids[alignment.reference], record.grid, alignment, normalize)
+            if overlay is not None:
+                pictures.append(overlay)
+    return Section("Inputs", "inputs", "The maps as they were given, each in its frame.", pictures)
+
+
+def _dissent_section(result: FusionResult, box: CellBox) -> Section:
+    """Return where each input was outvoted."""
+    fused = result.fused
+    classes = _classes(fused)
+    pictures = []
+    for record in result.accepted:
+        if record.dissent is None:
+            continue
+        pictures.append(
+            Picture(
+                f"outvoted-{record.name}",
+                plots.dissent_picture(
+                    classes, record.dissent, fused.resolution, fused.origin, box=box
+                ),
+                record.name,
+                f"Outvoted in {_outvoted(record)}.",
+                legend=(LegendEntry("outvoted", plots.DISSENT_COLOUR),),
+            )
+        )
+    return Section(
+        "Where each input was outvoted",
+        "outvoted",
+        "Cells in which the others decided against this map. Scattered specks are noise; a whole "
+        "wall in colour is a place where this map, or all the others, are wrong.",
+        pictures,
+    )
+
+
+def _outvoted(record: InputRecord) -> str:
+    """Say in how many cells an input was outvoted."""
+    if record.dissent is None or record.aligned is None:
+        return "no cell"
+    cells = int(np.count_nonzero(record.dissent))
+    known = record.aligned != -1
+    inside = int(np.count_nonzero(known))
+    if not inside:
+        return f"{cells} cells"
+    share = 100.0 * int(np.count_nonzero(record.dissent & known)) / inside
+    return f"{cells} cells; {share:.1f} % of those it knows"
+
+
+def _alignment_section(result: FusionResult) -> Section:
+    """Return transforms, scores over yaw, and the table of all pairs."""
+    to_reference = [
+        record.alignment
+        for record in result.inputs
+        if record.alignment is not None and record.name != result.reference
+    ]
+    shown = {(item.moving, item.reference) for item in to_reference}
+    others = [pair for pair in result.pairs if (pair.moving, pair.reference) not in shown]
+    tables = [
+        *alignment_table(f"Alignment to {result.reference}", to_reference),
+        *alignment_table("All other pairs", others, folded=True),
+    ]
+    curves = yaw_pictures([*to_reference, *others])
+    return Section("Alignment", "alignment", _YAW_TEXT if curves else "", curves, tables)
+
+
+def _statistics_section(result: FusionResult, config: RunConfig) -> Section:
+    """Return who voted with which weight, and the maps in numbers."""
+    roles = {True: Cell("fused", "good"), False: Cell("rejected", "bad")}
+    rows = [
+        [
+            Cell(record.name),
+            roles[record.accepted],
+            number(result.weights.get(record.name)),
+            Cell(_outvoted(record) if record.accepted else "-"),
+            Cell(record.reason),
+        ]
+        for record in result.inputs
+    ]
+    votes = Table("Votes", ("map", "", "weight", "outvoted in", "reason"), rows)
+    grids = [record.grid for record in result.inputs]
+    table = statistics_table([*grids, result.fused.with_name("fused map")], config.fusion.normalize)
+    return Section("Votes and maps in numbers", "numbers", "", tables=[votes, table])
+
+
+def _classes(grid: OccupancyGrid) -> plots.Classes:
+    """Return the classes of a fused grid, whose cells are -1, 0 or 100."""
+    return np.sign(grid.cells).astype(np.int8)

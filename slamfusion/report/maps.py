@@ -1,0 +1,315 @@
+"""Parts that several reports share: pictures and tables of maps, alignments and errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation import MapError, doubled_wall_share
+from slamfusion.evaluation.cells import sample_on_lattice, trinary
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid, known_box
+from slamfusion.report import plots
+from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
+
+__all__ = [
+    "alignment_table",
+    "error_section",
+    "input_picture",
+    "layer_legend",
+    "pair_overlay",
+    "statistics_table",
+    "yaw_pictures",
+]
+
+# An overlay of a wrong alignment may spread over far more cells than either map.
+_OVERLAY_CELLS = 40_000_000
+
+
+def input_picture(
+    grid: OccupancyGrid, normalize: NormalizeConfig, *, caption: str = "", accepted: bool = True
+) -> Picture:
+    """Return one input as it was given, framed and marked when it was rejected."""
+    classes = trinary(grid.cells, normalize)
+    size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
+    return Picture(
+        f"input-{grid.name}",
+        plots.map_picture(classes, grid.resolution, grid.origin),
+        grid.name,
+        f"{size}. {caption}" if caption else size,
+        tone="plain" if accepted else "bad",
+        badge="" if accepted else "rejected",
+    )
+
+
+def layer_legend(names: Sequence[str]) -> tuple[LegendEntry, ...]:
+    """Return the colours of an overlay's layers with their names."""
+    colours = plots.layer_colours(len(names))
+    return tuple(LegendEntry(name, rgb) for name, rgb in zip(names, colours, strict=True))
+
+
+def pair_overlay(
+    reference: OccupancyGrid,
+    moving: OccupancyGrid,
+    alignment: Alignment,
+    normalize: NormalizeConfig,
+) -> Picture | None:
+    """Return two maps laid over each other as one alignment would have it, to see why it failed.
+
+    None when they would lie too far apart to be drawn, or one of them is all unknown.
+    """
+    fixed, moved = trinary(reference.cells, normalize), trinary(moving.cells, normalize)
+    box = _common_box(reference, fixed, moving, moved, alignment.transform)
+    if box is None or box.area > _OVERLAY_CELLS:
+        return None
+    layers = [
+        sample_on_lattice(fixed, reference, reference, box, Pose2()),
+        sample_on_lattice(moved, moving, reference, box, alignment.transform),
+    ]
+    corner = reference.origin.transform(
+        (box.col0 * reference.resolution, box.row0 * reference.resolution)
+    )
+    origin = Pose2(float(corner[0]), float(corner[1]), reference.origin.yaw_rad)
+    return Picture(
+        f"pair-{reference.name}-{moving.name}",
+        plots.overlay_picture(layers, reference.resolution, origin),
+        f"{moving.name} on {reference.name}",
+        f"The best alignment found. {alignment.reason}",
+        tone="plain" if alignment.accepted else "bad",
+        badge="" if alignment.accepted else "rejected",
+        legend=layer_legend((reference.name, moving.name)),
+    )
+
+
+def yaw_pictures(alignments: Sequence[Alignment]) -> list[Picture]:
+    """Return the score over yaw of every alignment that kept it."""
+    return [
+        Picture(
+            f"yaw-{alignment.moving}-{alignment.reference}",
+            plots.yaw_picture(alignment),
+            f"{alignment.moving} on {alignment.reference}",
+            alignment.reason,
+            tone="plain" if alignment.accepted else "bad",
+            badge="" if alignment.accepted else "rejected",
+        )
+        for alignment in alignments
+        if alignment.yaw_profile is not None and len(alignment.yaw_profile)
+    ]
+
+
+def alignment_table(
+    title: str, alignments: Sequence[Alignment], *, folded: bool = False
+) -> list[Table]:
+    """Return the transforms with their measures, and the decision's own numbers, folded."""
+    if not alignments:
+        return []
+    columns = (
+        "moving",
+        "reference",
+        "",
+        "dx m",
+        "dy m",
+        "yaw °",
+        "score",
+        "overlap",
+        "error [F16]",
+        "runner-up",
+        "bound gap",
+        "time s",
+        "reason",
+    )
+    rows = []
+    for alignment in alignments:
+        transform, rival = alignment.transform, alignment.runner_up
+        rows.append(
+            [
+                Cell(alignment.moving),
+                Cell(alignment.reference),
+                Cell("accepted", "good") if alignment.accepted else Cell("rejected", "bad"),
+                number(transform.x),
+                number(transform.y),
+                number(math.degrees(math.remainder(transform.yaw_rad, 2 * math.pi)), 2),
+                number(alignment.score),
+                number(alignment.overlap),
+                number(alignment.error, 1),
+                number(rival.ratio if rival else None, 2),
+                number(alignment.bound_gap),
+                number(alignment.time_s, 2),
+                Cell(alignment.reason),
+            ]
+        )
+    note = (
+        "A transform maps a point of the moving map's frame into the reference's. Runner-up: score "
+        "of the best distinct rival over the answer's; near 1, the place looks alike under both. "
+        "Bound gap: 0 is proven the best of the search set, - was not asked for."
+    )
+    tables = [Table(title, columns, rows, note, folded=folded)]
+    with_numbers = [item for item in alignments if item.statistics]
+    if with_numbers:
+        keys = sorted({key for item in with_numbers for key in item.statistics})
+        tables.append(
+            Table(
+                f"{title}: the numbers of the decision",
+                ("number", *(f"{item.moving} on {item.reference}" for item in with_numbers)),
+                [
+                    [Cell(key), *(_statistic(item.statistics.get(key)) for item in with_numbers)]
+                    for key in keys
+                ],
+                folded=True,
+            )
+        )
+    return tables
+
+
+def statistics_table(grids: Sequence[OccupancyGrid], normalize: NormalizeConfig) -> Table:
+    """Return size, known area and walls of maps, with their share of doubled walls."""
+    rows = []
+    for grid in grids:
+        classes = trinary(grid.cells, normalize)
+        known = int(np.count_nonzero(classes != -1))
+        rows.append(
+            [
+                Cell(grid.name),
+                Cell(f"{grid.width} x {grid.height}", is_number=True),
+                number(grid.resolution),
+                number(known * grid.resolution**2, 1),
+                Cell(f"{int(np.count_nonzero(classes == 1)):d}", is_number=True),
+                number(100 * doubled_wall_share(classes == 1), 1),
+            ]
+        )
+    return Table(
+        "The maps in numbers",
+        ("map", "cells", "cell m", "known m²", "wall cells", "doubled walls %"),
+        rows,
+        "Doubled walls: wall cells with a parallel wall 2 to 8 cells away, the trace of a map laid "
+        "over itself with a slip; thin furniture and double partitions count too, so compare maps "
+        "of one place.",
+    )
+
+
+def error_section(
+    evaluations: Sequence[MapError], alignments: Sequence[Alignment | None] = ()
+) -> Section:
+    """Return the errors against the truth, as a table and as pictures of the difference.
+
+    Args:
+        evaluations: one per map, all against one truth.
+        alignments: the alignment with the truth that each rests on, in the same order; None for
+            a map that was taken as it lies. May be empty.
+    """
+    placed = list(alignments) or [None] * len(evaluations)
+    legend = tuple(
+        LegendEntry(text, rgb)
+        for code, (text, rgb) in plots.DIFFERENCE_COLOURS.items()
+        if any((evaluation.difference == code).any() for evaluation in evaluations)
+    )
+    pictures = []
+    for evaluation, alignment in zip(evaluations, placed, strict=True):
+        is_placed = alignment is None or alignment.accepted
+        pictures.append(
+            Picture(
+                f"difference-{evaluation.name}",
+                plots.difference_picture(
+                    evaluation.difference, evaluation.resolution, evaluation.origin
+                ),
+                f"{evaluation.name} against {evaluation.truth}",
+                f"Error {evaluation.error:.2f}."
+                if is_placed or alignment is None
+                else f"Error {evaluation.error:.2f} at best: not aligned. {alignment.reason}",
+                tone="plain" if is_placed else "bad",
+                badge="" if is_placed else "not aligned",
+                legend=legend,
+            )
+        )
+    return Section(
+        "Error against the truth",
+        "errors",
+        "Each map on the lattice of the truth, over the truth's known box. The error is that of "
+        "Fernandes and Alexandre 2016: the root of the summed squared differences with unknown -1, "
+        "free 0 and wall 1.",
+        pictures=pictures,
+        tables=[_error_table(evaluations, placed)],
+    )
+
+
+def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment | None]) -> Table:
+    """Return all measures with the best of each column marked."""
+    # Per measure: heading, digits, whether larger is better, the values.
+    measures: list[tuple[str, int, bool, list[float | None]]] = [
+        ("error [F16]", 2, False, [item.error for item in evaluations]),
+        ("wall precision", 3, True, [item.wall_precision for item in evaluations]),
+        ("wall recall", 3, True, [item.wall_recall for item in evaluations]),
+        ("wall F1", 3, True, [item.wall_f1 for item in evaluations]),
+        ("IoU walls", 3, True, [item.iou_occupied for item in evaluations]),
+        ("IoU free", 3, True, [item.iou_free for item in evaluations]),
+        (
+            "map wall to true m",
+            3,
+            False,
+            [item.map_to_truth.mean_m if item.map_to_truth else None for item in evaluations],
+        ),
+        (
+            "true wall to map m",
+            3,
+            False,
+            [item.truth_to_map.mean_m if item.truth_to_map else None for item in evaluations],
+        ),
+        ("SSIM", 3, True, [item.ssim for item in evaluations]),
+        ("coverage", 3, True, [item.coverage for item in evaluations]),
+    ]
+    rows = [[Cell(item.name)] for item in evaluations]
+    for _, digits, larger_is_better, values in measures:
+        defined = [value for value in values if value is not None]
+        best = (max if larger_is_better else min)(defined) if len(defined) > 1 else None
+        for row, value in zip(rows, values, strict=True):
+            row.append(number(value, digits, "best" if value == best is not None else "plain"))
+    for row, alignment in zip(rows, alignments, strict=True):
+        if alignment is not None and not alignment.accepted:
+            row[0] = Cell(f"{row[0].text} (not aligned)", "bad")
+    tolerance = evaluations[0].tolerance_m if evaluations else 0.0
+    return Table(
+        "Errors",
+        ("map", *(heading for heading, *_ in measures)),
+        rows,
+        f"Walls count as right or found within {tolerance:g} m. Distances are means from each wall "
+        "cell to the nearest one of the other map. The best of each column is green.",
+    )
+
+
+def _common_box(
+    reference: OccupancyGrid,
+    fixed: npt.NDArray[np.int8],
+    moving: OccupancyGrid,
+    moved: npt.NDArray[np.int8],
+    transform: Pose2,
+) -> CellBox | None:
+    """Return the box of the reference's lattice that holds what both maps know."""
+    own, other = known_box(fixed), known_box(moved)
+    if own is None or other is None:
+        return None
+    corners = moving.resolution * np.array(
+        [
+            (other.col0, other.row0),
+            (other.col1, other.row0),
+            (other.col0, other.row1),
+            (other.col1, other.row1),
+        ],
+        dtype=np.float64,
+    )
+    rows, cols = reference.cell_indices(transform.transform(moving.origin.transform(corners)))
+    return CellBox(
+        min(own.row0, int(rows.min())),
+        min(own.col0, int(cols.min())),
+        max(own.row1, int(rows.max()) + 1),
+        max(own.col1, int(cols.max()) + 1),
+    )
+
+
+def _statistic(value: float | None) -> Cell:
+    """Return a number of unknown scale."""
+    return Cell("-" if value is None else f"{value:.4g}", is_number=True)

@@ -1,0 +1,248 @@
+"""A page of a report: what stands on it, and how it becomes one HTML file with its pictures."""
+
+from __future__ import annotations
+
+import base64
+import datetime as dt
+import importlib.metadata
+import importlib.resources
+import platform
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import jinja2
+import numpy as np
+import yaml
+from markupsafe import Markup
+
+import slamfusion
+from slamfusion.config import RunConfig, to_mapping
+from slamfusion.io.atomic import AtomicFiles
+from slamfusion.report.plots import Rgb
+
+__all__ = [
+    "Banner",
+    "Cell",
+    "Fact",
+    "LegendEntry",
+    "Page",
+    "Picture",
+    "Section",
+    "Table",
+    "circumstances",
+    "number",
+    "write_page",
+]
+
+_STEM_CHARACTERS = re.compile(r"[^A-Za-z0-9_-]+")
+_STEM_LENGTH = 40
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """One colour of a picture and its meaning."""
+
+    text: str
+    rgb: Rgb
+
+    @property
+    def css(self) -> str:
+        """The colour as CSS."""
+        return "rgb({}, {}, {})".format(*self.rgb)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture with its caption.
+
+    Attributes:
+        stem: start of the file name; anything that is not a plain character is replaced.
+        png: the file's bytes.
+        title: first line of the caption, also the text for who cannot see the picture.
+        caption: what to see in it.
+        tone: ``plain``, or framed as ``good`` or ``bad``.
+        badge: a word beside the title, e.g. ``rejected``.
+        legend: colours used.
+    """
+
+    stem: str
+    png: bytes
+    title: str
+    caption: str = ""
+    tone: str = "plain"
+    badge: str = ""
+    legend: tuple[LegendEntry, ...] = ()
+
+    @property
+    def data_uri(self) -> str:
+        """The picture embedded in the page."""
+        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, as the PNG header says."""
+        return int.from_bytes(self.png[16:20], "big"), int.from_bytes(self.png[20:24], "big")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table; ``tone`` is ``plain``, ``good``, ``bad`` or ``best``."""
+
+    text: str
+    tone: str = "plain"
+    is_number: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its heading; with ``folded`` it stays closed until it is asked for."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+    folded: bool = False
+
+    @property
+    def headings(self) -> list[Cell]:
+        """The columns, those of numbers marked."""
+        first = self.rows[0] if self.rows else [Cell("")] * len(self.columns)
+        return [
+            Cell(text, is_number=cell.is_number)
+            for text, cell in zip(self.columns, first, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One number of the headline."""
+
+    value: str
+    label: str
+    tone: str = "plain"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: text, pictures, tables and preformatted text, in this order."""
+
+    title: str
+    anchor: str
+    text: str = ""
+    pictures: Sequence[Picture] = ()
+    tables: Sequence[Table] = ()
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class Banner:
+    """The first thing to see: ``tone`` is ``good``, ``warn`` or ``bad``."""
+
+    tone: str
+    headline: str
+    lines: Sequence[tuple[str, str]] = field(default_factory=tuple)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    banner: Banner
+    facts: Sequence[Fact]
+    sections: Sequence[Section]
+
+
+def number(value: float | None, digits: int = 3, tone: str = "plain") -> Cell:
+    """Return a number as a cell, a dash where it is undefined."""
+    if value is None:
+        return Cell("-", tone, is_number=True)
+    return Cell(f"{value:.{digits}f}", tone, is_number=True)
+
+
+def circumstances(config: RunConfig, device: str) -> Section:
+    """Return the effective configuration and the versions that a result came from."""
+    versions = [
+        ("slamfusion", slamfusion.__version__),
+        ("Python", platform.python_version()),
+        ("NumPy", np.__version__),
+        ("SciPy", _version("scipy")),
+        ("OpenCV", cv2.__version__),
+        ("PyOpenCL", _version("pyopencl")),
+        ("matplotlib", _version("matplotlib")),
+        ("platform", f"{platform.system()} {platform.machine()}"),
+        ("device", device or "not named"),
+    ]
+    return Section(
+        "How it was made",
+        "circumstances",
+        "The effective configuration: with it and the same inputs, the same result comes out.",
+        tables=[
+            Table("Versions", ("what", "version"), [[Cell(name), Cell(v)] for name, v in versions])
+        ],
+        code=yaml.safe_dump(to_mapping(config), sort_keys=False, allow_unicode=True),
+    )
+
+
+def write_page(page: Page, directory: str | Path) -> Path:
+    """Write ``report.html`` and the pictures beside it, all or none.
+
+    Args:
+        page: its pictures go into the page and, numbered, beside it.
+        directory: made when it is missing; older files of the same names are replaced.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        SlamFusionError: the directory cannot be written; one line with the reason.
+    """
+    directory = Path(directory)
+    pictures = [picture for section in page.sections for picture in section.pictures]
+    numbers = {id(picture): index for index, picture in enumerate(pictures, start=1)}
+    names = {
+        id(picture): f"{numbers[id(picture)]:02d}-{_safe_stem(picture.stem)}.png"
+        for picture in pictures
+    }
+    html = _template().render(
+        page=page,
+        names=names,
+        numbers=numbers,
+        identity=id,
+        made_at=dt.datetime.now(dt.timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+        version=slamfusion.__version__,
+    )
+    path = directory / "report.html"
+    with AtomicFiles() as files:
+        for picture in pictures:
+            files.add(directory / names[id(picture)], picture.png)
+        files.add(path, html.encode("utf-8", errors="replace"))
+    return path
+
+
+def _template() -> jinja2.Template:
+    """Return the one template; every value in it is escaped."""
+    folder = importlib.resources.files("slamfusion.report") / "templates"
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    css = (folder / "report.css").read_text(encoding="utf-8")
+    # Our own file, not a value of the user's: the only text that is not escaped.
+    environment.globals["css"] = Markup(css)  # noqa: S704
+    return environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
+
+
+def _safe_stem(stem: str) -> str:
+    """Return a name that is a file name everywhere and no path anywhere."""
+    return _STEM_CHARACTERS.sub("-", stem).strip("-")[:_STEM_LENGTH] or "picture"
+
+
+def _version(distribution: str) -> str:
+    """Return the installed version, or say that there is none."""
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

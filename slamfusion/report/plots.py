@@ -1,0 +1,401 @@
+"""The pictures of a report, each as the bytes of a PNG file.
+
+No name of a map is ever drawn: names stand in the page, where they are escaped, and a ``$`` or a
+script of any alphabet in a name cannot upset a picture. Backgrounds are transparent and lettering
+is mid-grey, so that a picture sits on a light and on a dark page.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import io
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps  # noqa: TID251
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+from matplotlib.ticker import MaxNLocator  # noqa: TID251
+from matplotlib.transforms import Affine2D  # noqa: TID251
+
+from slamfusion.evaluation import (
+    AGREE_FREE,
+    AGREE_UNKNOWN,
+    AGREE_WALL,
+    EXTRA_FREE,
+    EXTRA_WALL,
+    MISSING_FREE,
+    MISSING_WALL,
+)
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox
+
+__all__ = [
+    "DIFFERENCE_COLOURS",
+    "DISSENT_COLOUR",
+    "agreement_colour",
+    "agreement_picture",
+    "crop_box",
+    "difference_picture",
+    "dissent_picture",
+    "layer_colours",
+    "map_picture",
+    "overlay_picture",
+    "yaw_picture",
+]
+
+Classes = npt.NDArray[np.int8]
+Rgb = tuple[int, int, int]
+
+_INK = "#7b828c"  # contrast of about 4 to 1 on white and on the dark page
+_ACCENT = "#e8590c"
+_RIVAL = "#1c7ed6"
+# Four inches of lettering in 920 pixels: readable where three pictures stand side by side.
+_DPI = 230
+_WIDTH_IN = 4.0
+# No more cells than pixels along the longest side, or walls one cell wide would fall between them;
+# a turned map needs a pixel in every cell whatever the angle.
+_LONGEST_SIDE_CELLS = 760
+_LONGEST_SIDE_TURNED = 450
+_MARGIN_CELLS = 4
+
+_UNKNOWN_RGB: Rgb = (205, 209, 214)
+_FREE_RGB: Rgb = (255, 255, 255)
+_WALL_RGB: Rgb = (18, 22, 28)
+DISSENT_COLOUR: Rgb = (232, 62, 12)
+
+# In the order of visibility when cells are pooled: the last wins.
+DIFFERENCE_COLOURS: dict[int, tuple[str, Rgb]] = {
+    AGREE_UNKNOWN: ("both unknown", (205, 209, 214)),
+    AGREE_FREE: ("both free", (255, 255, 255)),
+    EXTRA_FREE: ("free, unknown in the truth", (190, 222, 255)),
+    MISSING_FREE: ("unknown, free in the truth", (255, 226, 158)),
+    AGREE_WALL: ("true wall", (18, 22, 28)),
+    EXTRA_WALL: ("extra wall", (28, 110, 225)),
+    MISSING_WALL: ("missing wall", (226, 45, 45)),
+}
+
+# Share of votes for the winner: white for all, through yellow to red for hardly any.
+_AGREEMENT_MAP = "YlOrRd"
+
+
+def map_picture(
+    cells: Classes, resolution: float, origin: Pose2, box: CellBox | None = None
+) -> bytes:
+    """Draw one map: walls dark, free white, unknown grey; cropped to what is known.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0]; its yaw turns the picture.
+        box: cells to show; default: what is known, with a small margin.
+    """
+    box = box or crop_box(cells != -1)
+    pooled, factor = _pool(_cut(cells, box), origin)
+    palette = np.array((_UNKNOWN_RGB, _FREE_RGB, _WALL_RGB), dtype=np.uint8)
+    return _map_png(palette[pooled + 1], factor * resolution, _corner(origin, box, resolution))
+
+
+def overlay_picture(
+    layers: Sequence[Classes], resolution: float, origin: Pose2, box: CellBox | None = None
+) -> bytes:
+    """Lay the walls of several maps over each other by adding their colours on black.
+
+    Where all agree the colours add up to white; a wall in one colour is a wall of one map only.
+
+    Args:
+        layers: (H, W) int8 each, in {-1, 0, 1}, one lattice.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0].
+        box: cells to show; default: what is known, with a small margin.
+    """
+    stack = [np.asarray(layer) for layer in layers]
+    box = box or crop_box(np.any([layer != -1 for layer in stack], axis=0))
+    pooled = [_pool(_cut(layer, box), origin) for layer in stack]
+    factor = pooled[0][1]
+    colours = np.array(layer_colours(len(stack)), dtype=np.float64) / 255.0
+    shape = pooled[0][0].shape
+    light = np.zeros((*shape, 3))
+    known = np.zeros(shape)
+    for (classes, _), colour in zip(pooled, colours, strict=True):
+        light += (classes == 1)[..., None] * colour
+        known += classes != -1
+    # A single map keeps its full colour; more of them move towards white.
+    count = np.sum([classes == 1 for classes, _ in pooled], axis=0)
+    total = colours.sum(axis=0)
+    share = np.clip((count - 1) / max(len(stack) - 1, 1), 0.0, 1.0)[..., None]
+    mixed = np.clip(light, 0.0, 1.0) * (1 - share) + np.clip(light / total, 0.0, 1.0) * share
+    floor = 0.035 + 0.085 * (known / len(stack))
+    image = np.where((count > 0)[..., None], mixed, floor[..., None])
+    rgb = (255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
+    return _map_png(rgb, factor * resolution, _corner(origin, box, resolution))
+
+
+def agreement_picture(
+    agreement: Classes, resolution: float, origin: Pose2, box: CellBox | None = None
+) -> bytes:
+    """Draw the share of votes for the winner of each cell, light where all agree.
+
+    Args:
+        agreement: (H, W) int8, 0..100 percent, -1 without votes.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0].
+        box: cells to show; default: what is known, with a small margin.
+    """
+    box = box or crop_box(agreement != -1)
+    cut = _cut(agreement, box)
+    # Pooled by the worst cell: disagreement must not vanish in a small picture.
+    disagreement = np.where(cut < 0, -1, 100 - cut.astype(np.int16)).astype(np.int8)
+    pooled, factor = _pool(disagreement, origin)
+    colours = [_UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
+    palette = np.array(colours, dtype=np.uint8)
+    return _map_png(
+        palette[pooled.astype(np.int16) + 1], factor * resolution, _corner(origin, box, resolution)
+    )
+
+
+def dissent_picture(
+    fused: Classes,
+    dissent: npt.NDArray[np.bool_],
+    resolution: float,
+    origin: Pose2,
+    *,
+    box: CellBox | None = None,
+) -> bytes:
+    """Draw where one input was outvoted, over a faint fused map.
+
+    Args:
+        fused: (H, W) int8 in {-1, 0, 1}.
+        dissent: (H, W) bool.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0].
+        box: cells to show; default: what is known, with a small margin.
+    """
+    box = box or crop_box((fused != -1) | dissent)
+    codes = _cut(fused, box).copy()
+    codes[_cut(dissent.astype(np.int8), box, outside=0) == 1] = 2
+    pooled, factor = _pool(codes, origin)
+    faint_wall: Rgb = (140, 147, 156)
+    palette = np.array((_UNKNOWN_RGB, _FREE_RGB, faint_wall, DISSENT_COLOUR), dtype=np.uint8)
+    return _map_png(palette[pooled + 1], factor * resolution, _corner(origin, box, resolution))
+
+
+def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> bytes:
+    """Draw the difference to the truth in the colours of ``DIFFERENCE_COLOURS``.
+
+    Args:
+        difference: (H, W) int8 codes of ``slamfusion.evaluation``.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0].
+    """
+    order = list(DIFFERENCE_COLOURS)
+    rank = np.zeros(len(order), dtype=np.int8)
+    rank[order] = np.arange(len(order), dtype=np.int8)
+    pooled, factor = _pool(rank[difference], origin)
+    palette = np.array([DIFFERENCE_COLOURS[code][1] for code in order], dtype=np.uint8)
+    return _map_png(palette[pooled], factor * resolution, origin)
+
+
+def yaw_picture(alignment: Alignment) -> bytes:
+    """Draw the best coarse score over yaw, with the answer and its rival marked.
+
+    A single sharp peak is a place that looks like itself under one yaw only.
+    """
+    profile = alignment.yaw_profile
+    if profile is None or len(profile) == 0:
+        message = f"the alignment of {alignment.moving!r} has no scores over yaw to draw"
+        raise ValueError(message)
+    order = np.argsort(profile[:, 0])
+    yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
+
+    figure = Figure(figsize=(_WIDTH_IN, 2.1), dpi=_DPI)
+    axes = figure.add_axes((0.125, 0.21, 0.85, 0.65))
+    axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=_INK, alpha=0.16, lw=0)
+    axes.plot(yaw_deg, score, color=_INK, lw=1.1)
+    marks = [(alignment.transform, "answer", _ACCENT, "o")]
+    if alignment.runner_up is not None:
+        ratio = f"runner-up, {alignment.runner_up.ratio:.2f} of it"
+        marks.append((alignment.runner_up.transform, ratio, _RIVAL, "D"))
+    for pose, label, colour, marker in marks:
+        angle = math.degrees(math.remainder(pose.yaw_rad, 2 * math.pi))
+        height = float(np.interp(angle, yaw_deg, score))
+        axes.axvline(angle, color=colour, lw=1.0, ls=":")
+        axes.plot(
+            [angle],
+            [height],
+            marker=marker,
+            color=colour,
+            ms=5,
+            ls="none",
+            label=f"{label} ({angle:.1f}°)",
+        )
+    axes.set_xlabel("yaw in degrees", color=_INK, fontsize=7.5)
+    axes.set_ylabel("coarse score", color=_INK, fontsize=7.5)
+    axes.margins(x=0)
+    axes.set_ylim(top=float(score.max()) * 1.08 + 1e-9)
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=2,
+        frameon=False,
+        fontsize=7.5,
+        labelcolor=_INK,
+        borderaxespad=0.2,
+        handletextpad=0.3,
+    )
+    if yaw_deg[-1] - yaw_deg[0] > 300:
+        axes.set_xticks(range(-180, 181, 45))
+    _style(axes)
+    return _png(figure)
+
+
+def agreement_colour(percent: int) -> Rgb:
+    """Return the colour of a share of votes: white for all, then yellow to dark red."""
+    if percent >= 100:
+        return 255, 255, 255
+    r, g, b, _ = colormaps[_AGREEMENT_MAP](0.15 + 0.85 * (100 - percent) / 100.0)
+    return round(255 * r), round(255 * g), round(255 * b)
+
+
+def layer_colours(count: int) -> list[Rgb]:
+    """Return bright colours for ``count`` layers, evenly around the hues; their sum is white."""
+    fixed: dict[int, list[Rgb]] = {
+        1: [(255, 255, 255)],
+        2: [(255, 70, 150), (0, 215, 165)],
+        3: [(255, 82, 62), (40, 205, 80), (64, 132, 255)],
+    }
+    if count in fixed:
+        return fixed[count]
+    colours = []
+    for index in range(count):
+        r, g, b = colorsys.hls_to_rgb((index / count + 0.02) % 1.0, 0.6, 0.95)
+        colours.append((round(255 * r), round(255 * g), round(255 * b)))
+    return colours
+
+
+def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
+    """Return the box of the cells to show with a small margin; the whole map when none is."""
+    rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    if rows.size == 0:
+        return CellBox(0, 0, shown.shape[0], shown.shape[1])
+    margin = _MARGIN_CELLS
+    return CellBox(
+        int(rows[0]) - margin,
+        int(cols[0]) - margin,
+        int(rows[-1]) + 1 + margin,
+        int(cols[-1]) + 1 + margin,
+    )
+
+
+def _cut(cells: Classes, box: CellBox, outside: int = -1) -> Classes:
+    """Return the cells of a box that may reach beyond the array."""
+    cut = np.full((box.height, box.width), outside, dtype=np.int8)
+    row0, col0 = max(box.row0, 0), max(box.col0, 0)
+    row1, col1 = min(box.row1, cells.shape[0]), min(box.col1, cells.shape[1])
+    cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = cells[
+        row0:row1, col0:col1
+    ]
+    return cut
+
+
+def _corner(origin: Pose2, box: CellBox, resolution: float) -> Pose2:
+    """Return the pose of the lower-left corner of the box."""
+    x, y = origin.transform((box.col0 * resolution, box.row0 * resolution))
+    return Pose2(float(x), float(y), origin.yaw_rad)
+
+
+def _pool(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
+    """Shrink by a whole factor to what a picture can show; the largest code of each block wins.
+
+    Walls are one cell wide: any kind of averaging would lose them first.
+
+    Args:
+        codes: (H, W) int8.
+        origin: its yaw says whether the cells lie along the picture's pixels.
+
+    Returns:
+        (h, w) int8, and the factor; rows and columns that fill the last block repeat its edge.
+    """
+    longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
+    factor = max(1, math.ceil(max(codes.shape) / longest))
+    if factor == 1:
+        return codes, 1
+    height, width = (math.ceil(side / factor) for side in codes.shape)
+    padding = (
+        (0, height * factor - codes.shape[0]),
+        (0, width * factor - codes.shape[1]),
+    )
+    padded = np.pad(codes, padding, mode="edge")
+    blocks = padded.reshape(height, factor, width, factor)
+    return np.asarray(blocks.max(axis=(1, 3)), dtype=np.int8), factor
+
+
+def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> bytes:
+    """Draw an image of cells in map-frame metres, row 0 at the bottom.
+
+    Args:
+        rgb: (h, w, 3) uint8.
+        resolution: metres per pixel of ``rgb``.
+        corner: pose of the lower-left corner of pixel [0, 0] in the map frame.
+    """
+    height_m, width_m = rgb.shape[0] * resolution, rgb.shape[1] * resolution
+    corners = corner.transform([(0, 0), (width_m, 0), (0, height_m), (width_m, height_m)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    wide, tall = (float(side) for side in high - low)
+
+    # The axes take the shape of the map; margins are fixed in inches for the lettering.
+    left, right, bottom, top = 0.5, 0.08, 0.4, 0.08
+    plot_width = _WIDTH_IN - left - right
+    plot_height = plot_width * tall / wide
+    longest = 1.25 * _WIDTH_IN
+    if plot_height > longest:
+        plot_height = longest
+        plot_width = max(plot_height * wide / tall, 0.6)
+        plot_height = min(longest, plot_width * tall / wide)
+    plot_height = max(plot_height, 0.35)
+    size = (plot_width + left + right, plot_height + bottom + top)
+    figure = Figure(figsize=size, dpi=_DPI)
+    axes = figure.add_axes(
+        (left / size[0], bottom / size[1], plot_width / size[0], plot_height / size[1])
+    )
+    turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
+    axes.imshow(
+        rgb,
+        origin="lower",
+        interpolation="nearest",
+        extent=(0.0, width_m, 0.0, height_m),
+        transform=turned + axes.transData,
+        aspect="auto",
+    )
+    axes.set_xlim(float(low[0]), float(high[0]))
+    axes.set_ylim(float(low[1]), float(high[1]))
+    axes.set_aspect("equal", adjustable="box")
+    for axis, inches in ((axes.xaxis, plot_width), (axes.yaxis, plot_height)):
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
+    axes.set_xlabel("x in m", color=_INK, fontsize=7.5, labelpad=2)
+    axes.set_ylabel("y in m", color=_INK, fontsize=7.5, labelpad=2)
+    _style(axes)
+    return _png(figure)
+
+
+def _style(axes: Axes) -> None:
+    """Give axes their quiet lettering and frame."""
+    axes.set_facecolor("none")
+    axes.tick_params(colors=_INK, labelsize=7.5, width=0.7, length=3)
+    axes.ticklabel_format(useOffset=False, style="plain")
+    for spine in axes.spines.values():
+        spine.set_color(_INK)
+        spine.set_linewidth(0.6)
+
+
+def _png(figure: Figure) -> bytes:
+    """Return the figure as the bytes of a PNG with a transparent background."""
+    figure.patch.set_alpha(0.0)
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,310 @@
+"""The measures against the truth, on maps small enough to count by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import GridError
+from slamfusion.evaluation import (
+    AGREE_FREE,
+    AGREE_UNKNOWN,
+    AGREE_WALL,
+    EXTRA_FREE,
+    EXTRA_WALL,
+    MISSING_FREE,
+    MISSING_WALL,
+    MapError,
+    compare_to_truth,
+)
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+
+NORMALIZE = NormalizeConfig()
+CHARACTERS = {"?": -1, ".": 0, "#": 100, "~": 50}
+
+
+def draw(*rows: str, resolution: float = 1.0, origin: Pose2 = Pose2()) -> OccupancyGrid:  # noqa: B008
+    """Draw a grid; the first string is the top row, so the last is row 0."""
+    cells = np.array([[CHARACTERS[c] for c in row] for row in reversed(rows)], dtype=np.int8)
+    return OccupancyGrid(cells, resolution, origin)
+
+
+def compare(
+    grid: OccupancyGrid,
+    truth: OccupancyGrid,
+    transform: Pose2 = Pose2(),  # noqa: B008
+    tolerance_m: float = 1.0,
+) -> MapError:
+    return compare_to_truth(grid, truth, transform, normalize=NORMALIZE, tolerance_m=tolerance_m)
+
+
+def test_error_counts_each_pair_of_classes() -> None:
+    truth = draw("###", "...", "..#")
+    found = draw("##.", ".?.", "#.?")
+    # wall as free 1, free as unknown 1, free as wall 1, wall as unknown 4.
+    assert compare(found, truth).error == pytest.approx(math.sqrt(7))
+
+
+def test_error_of_a_map_with_itself_is_zero_and_every_measure_perfect() -> None:
+    grid = draw("###?", "#..?", "#..#")
+    result = compare(grid, grid, tolerance_m=0.0)
+    assert result.error == 0.0
+    assert result.wall_precision == result.wall_recall == result.wall_f1 == 1.0
+    assert result.iou_occupied == result.iou_free == result.coverage == 1.0
+    assert result.ssim == pytest.approx(1.0)
+    assert result.map_to_truth is not None
+    assert result.map_to_truth.max_m == 0.0
+
+
+def test_error_is_summed_over_the_known_box_of_the_truth_only() -> None:
+    truth = draw("?????", "?#.??", "?..??", "?????")
+    found = draw("#####", "##.##", "#..##", "#####")
+    result = compare(found, truth)
+    assert result.error == 0.0
+    assert result.difference.shape == (2, 2)
+
+
+def test_cells_outside_the_map_count_as_unknown() -> None:
+    truth = draw("##..", "##..")
+    found = draw("##", "##")
+    # Four free cells of the truth lie outside the map: (0 - (-1))^2 each.
+    assert compare(found, truth).error == pytest.approx(2.0)
+    assert compare(found, truth).coverage == 0.5
+
+
+def test_unknown_cells_inside_the_box_of_the_truth_count() -> None:
+    truth = draw("#?#")
+    found = draw("###")
+    assert compare(found, truth).error == pytest.approx(2.0)
+
+
+def test_thresholds_decide_the_classes_inclusively() -> None:
+    truth = OccupancyGrid(np.array([[100, 0, -1, 100]], dtype=np.int8), 1.0)
+    found = OccupancyGrid(np.array([[65, 25, 26, 64]], dtype=np.int8), 1.0)
+    # 65 is a wall, 25 is free, 26 and 64 are unknown.
+    assert compare(found, truth).error == pytest.approx(2.0)
+    strict = NormalizeConfig(occupied_percent=90.0, free_percent=10.0)
+    result = compare_to_truth(found, truth, normalize=strict, tolerance_m=0.0)
+    assert result.error == pytest.approx(math.sqrt(4 + 1 + 0 + 4))
+
+
+def test_a_shift_is_undone_by_the_transform() -> None:
+    truth = draw("###.", "....", "..#.", resolution=0.5)
+    moved = OccupancyGrid(truth.cells, 0.5, Pose2(500.0, -20.0))
+    assert compare(moved, truth).error > 0
+    assert compare(moved, truth, Pose2(-500.0, 20.0)).error == 0.0
+
+
+def test_a_turned_frame_is_undone_by_the_transform() -> None:
+    truth = draw("###.", "#...", "..#.", resolution=0.5)
+    pose = Pose2(3.0, -2.0, 1.1)
+    moved = OccupancyGrid(truth.cells, 0.5, pose.compose(truth.origin))
+    assert compare(moved, truth, pose.inverse()).error == 0.0
+
+
+def test_the_yaw_of_the_origin_turns_the_map() -> None:
+    truth = draw("#..", "...")
+    # From the upper left corner, with x down and y to the right, the wall is the first cell.
+    cells = draw("..", "..", "#.").cells
+    turned = OccupancyGrid(cells, 1.0, Pose2(0.0, 2.0, -math.pi / 2))
+    assert compare(turned, truth).error == 0.0
+    assert compare(OccupancyGrid(cells, 1.0), truth).error > 0
+
+
+def test_a_finer_map_is_read_at_the_centres_of_the_truth() -> None:
+    truth = draw("#.", "..", resolution=1.0)
+    finer = OccupancyGrid(np.kron(truth.cells, np.ones((3, 3), np.int8)), 1.0 / 3.0)
+    assert compare(finer, truth).error == 0.0
+    noisy = finer.cells.copy()
+    noisy[0, :] = 100  # not at the centres of the truth's cells
+    assert compare(OccupancyGrid(noisy, 1.0 / 3.0), truth).error == 0.0
+
+
+def test_a_coarser_map_fills_the_cells_of_the_truth() -> None:
+    truth = draw("##..", "##..", "....", "....", resolution=0.5)
+    coarse = draw("#.", "..", resolution=1.0)
+    assert compare(coarse, truth).error == 0.0
+
+
+def test_a_map_half_a_cell_off_is_read_without_flicker() -> None:
+    rng = np.random.default_rng(1)
+    cells = rng.choice(np.array([-1, 0, 100], np.int8), size=(50, 60))
+    cells[0, 0] = cells[-1, -1] = 0
+    truth = OccupancyGrid(cells, 0.05, Pose2(-3.1, 7.7))
+    half = OccupancyGrid(cells, 0.05, Pose2(-3.1 + 0.025, 7.7))
+    # Every centre of the truth falls on the border of two cells and belongs to the upper one: the
+    # centre of column 7 lies between columns 6 and 7 of the shifted map.
+    assert compare(half, truth).error == 0.0
+
+
+def test_confusion_has_the_truth_in_rows() -> None:
+    truth = draw("?.#", "#.#")
+    found = draw("#?.", "#.#")
+    assert compare(found, truth).confusion.tolist() == [[0, 0, 1], [1, 1, 0], [0, 1, 2]]
+
+
+def test_difference_names_each_kind_of_mismatch() -> None:
+    truth = draw("?.##", "?#.?", "?.##")
+    found = draw("?.#.", "##?.", "?.##")
+    assert compare(found, truth).difference.tolist() == [
+        [AGREE_FREE, AGREE_WALL, AGREE_WALL],
+        [AGREE_WALL, MISSING_FREE, EXTRA_FREE],
+        [AGREE_FREE, AGREE_WALL, MISSING_WALL],
+    ]
+    truth = draw(".?.")
+    found = draw("#?.")
+    assert compare(found, truth).difference.tolist() == [[EXTRA_WALL, AGREE_UNKNOWN, AGREE_FREE]]
+
+
+def test_walls_within_the_tolerance_are_right_and_found() -> None:
+    truth = draw("#........#")
+    found = draw(".#..#....#")
+    near = compare(found, truth, tolerance_m=1.0)
+    assert near.wall_precision == pytest.approx(2 / 3)
+    assert near.wall_recall == 1.0
+    assert near.wall_f1 == pytest.approx(0.8)
+    exact = compare(found, truth, tolerance_m=0.5)
+    assert exact.wall_precision == pytest.approx(1 / 3)
+    assert exact.wall_recall == 0.5
+    assert exact.iou_occupied == pytest.approx(1 / 4)
+
+
+def test_a_tolerance_of_whole_cells_includes_them_at_any_origin() -> None:
+    truth = draw("#....", resolution=0.05, origin=Pose2(523.17, -318.3))
+    found = draw("..#..", resolution=0.05, origin=Pose2(523.17, -318.3))
+    assert compare(found, truth, tolerance_m=0.1).wall_f1 == 1.0
+
+
+def test_wall_distances_are_between_centres_in_metres() -> None:
+    truth = draw("#....", ".....", ".....", resolution=0.5)
+    found = draw(".....", ".....", "....#", resolution=0.5)
+    result = compare(found, truth)
+    assert result.map_to_truth is not None
+    assert result.map_to_truth.mean_m == pytest.approx(math.hypot(2.0, 1.0))
+    assert result.truth_to_map == result.map_to_truth
+
+
+def test_walls_outside_the_box_of_the_truth_still_count_against_the_map() -> None:
+    truth = draw("#..", "...")
+    found = draw("#.......#", ".........")
+    result = compare(found, truth)
+    assert result.error == 0.0
+    assert result.wall_precision == 0.5
+    assert result.map_to_truth is not None
+    assert result.map_to_truth.max_m == 8.0
+
+
+def test_measures_without_walls_are_none_and_survive_json() -> None:
+    truth = draw("#.", "..")
+    empty = draw("..", "..")
+    result = compare(empty, truth)
+    assert result.wall_precision is None
+    assert result.wall_f1 is None
+    assert result.map_to_truth is None
+    assert result.truth_to_map is None
+    assert result.wall_recall == 0.0
+    values = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert list(values)[:2] == ["name", "error"]
+    reversed_result = compare(truth, empty)
+    assert reversed_result.wall_recall is None
+    assert reversed_result.wall_precision == 0.0
+
+
+def test_a_truth_without_known_cells_is_refused_by_name() -> None:
+    unknown = draw("?~", "~?").with_name("plan")
+    with pytest.raises(GridError, match="plan: the truth has no cell"):
+        compare(draw("#."), unknown)
+
+
+def test_a_negative_tolerance_is_refused() -> None:
+    with pytest.raises(ValueError, match="tolerance_m"):
+        compare(draw("#."), draw("#."), tolerance_m=-0.1)
+
+
+def test_an_unknown_map_is_all_missing() -> None:
+    result = compare(draw("???", "???"), draw("#..", "..."))
+    assert result.error == pytest.approx(math.sqrt(4 + 5))
+    assert result.coverage == 0.0
+
+
+def test_ssim_equals_the_formula_written_out_cell_by_cell() -> None:
+    rng = np.random.default_rng(0)
+    truth = OccupancyGrid(rng.choice(np.array([-1, 0, 100], np.int8), size=(11, 11)), 1.0)
+    found = OccupancyGrid(rng.choice(np.array([-1, 0, 100], np.int8), size=(11, 11)), 1.0)
+    result = compare(found, truth)
+    assert result.ssim == pytest.approx(brute_force_ssim(found, truth), abs=1e-4)
+
+
+def brute_force_ssim(found: OccupancyGrid, truth: OccupancyGrid) -> float:
+    """Wang 2004, eq. 13, cell by cell with a mirrored border."""
+    offsets = np.arange(-5, 6)
+    window = np.exp(-(offsets**2) / (2 * 1.5**2))
+    weights = np.outer(window, window) / window.sum() ** 2
+    x = np.pad(np.where(truth.cells < 0, 0.0, 0.5 + truth.cells / 200.0), 5, mode="symmetric")
+    y = np.pad(np.where(found.cells < 0, 0.0, 0.5 + found.cells / 200.0), 5, mode="symmetric")
+    values = []
+    for row in range(truth.height):
+        for col in range(truth.width):
+            a, b = x[row : row + 11, col : col + 11], y[row : row + 11, col : col + 11]
+            ma, mb = (weights * a).sum(), (weights * b).sum()
+            va, vb = (weights * (a - ma) ** 2).sum(), (weights * (b - mb) ** 2).sum()
+            cov = (weights * (a - ma) * (b - mb)).sum()
+            values.append(
+                (2 * ma * mb + 1e-4)
+                * (2 * cov + 9e-4)
+                / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4))
+            )
+    return float(np.mean(values))
+
+
+CLASSES = hnp.arrays(
+    np.int8,
+    hnp.array_shapes(min_dims=2, max_dims=2, max_side=8),
+    elements=st.sampled_from([-1, 0, 100]),
+)
+
+
+@given(CLASSES)
+@settings(deadline=None, max_examples=50)
+def test_any_map_agrees_with_itself(cells: npt.NDArray[np.int8]) -> None:
+    cells[0, 0] = 0
+    grid = OccupancyGrid(cells, 0.05, Pose2(1.0, 2.0, 0.3))
+    result = compare(grid, grid)
+    assert result.error == 0.0
+    assert np.array_equal(result.confusion, np.diag(np.diag(result.confusion)))
+    assert result.ssim == pytest.approx(1.0)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=50)
+def test_swapping_map_and_truth_transposes_the_confusion(data: st.DataObject) -> None:
+    cells = data.draw(CLASSES)
+    other = data.draw(hnp.arrays(np.int8, cells.shape, elements=st.sampled_from([-1, 0, 100])))
+    for values in (cells, other):  # the same known box on both sides
+        values[0, 0] = values[-1, -1] = 0
+    a, b = OccupancyGrid(cells, 0.1), OccupancyGrid(other, 0.1)
+    forward, backward = compare(a, b), compare(b, a)
+    assert forward.error == pytest.approx(backward.error)
+    assert np.array_equal(forward.confusion, backward.confusion.T)
+    assert forward.map_to_truth == backward.truth_to_map
+    assert forward.wall_precision == backward.wall_recall
+
+
+@given(CLASSES, st.floats(-600, 600), st.floats(-600, 600), st.floats(-3.1, 3.1))
+@settings(deadline=None, max_examples=50)
+def test_a_rigid_motion_of_the_map_and_its_inverse_change_nothing(
+    cells: npt.NDArray[np.int8], x: float, y: float, yaw_rad: float
+) -> None:
+    cells[0, 0] = 0
+    truth = OccupancyGrid(cells, 0.05)
+    moved = OccupancyGrid(cells, 0.05, Pose2(x, y, yaw_rad))
+    assert compare(moved, truth, Pose2(x, y, yaw_rad).inverse()).error == 0.0

@@ -1,0 +1,92 @@
+"""A small fusion to report on: a room seen by three maps, and a fourth that fits nowhere."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+
+NASTY = "<script>alert('$x_1$')</script>/../../é机"
+REASON = "its runner-up at 180° scores 0.97 & <b>more</b>"
+
+
+def room(name: str, seed: int, *, height: int = 40, width: int = 60) -> OccupancyGrid:
+    """A walled room with an unknown border and a few wrong cells."""
+    rng = np.random.default_rng(seed)
+    cells = np.full((height, width), -1, dtype=np.int8)
+    cells[4:-4, 4:-4] = 0
+    for edge in (4, -5):
+        cells[edge, 4:-4] = 100
+        cells[4:-4, edge] = 100
+    wrong = (rng.random(cells.shape) < 0.03) & (cells == 0)
+    cells[wrong] = 100
+    return OccupancyGrid(cells, 0.05, Pose2(-3.0, 500.0), name)
+
+
+def alignment(reference: str, moving: str, *, accepted: bool) -> Alignment:
+    """An alignment with a profile of two peaks."""
+    yaw_rad = np.linspace(-math.pi, math.pi, 181)
+    score = 0.2 + 0.6 * np.exp(-(yaw_rad**2) / 0.01)
+    return Alignment(
+        reference=reference,
+        moving=moving,
+        transform=Pose2(0.1, -0.2, 0.01),
+        accepted=accepted,
+        reason="walls lie on walls" if accepted else REASON,
+        score=0.81,
+        overlap=0.9,
+        error=12.5,
+        runner_up=RunnerUp(Pose2(1.0, 1.0, 3.0), 0.4, 0.5),
+        bound_gap=None,
+        time_s=0.2,
+        statistics={"walls": 123.0},
+        yaw_profile=np.column_stack((yaw_rad, score)),
+    )
+
+
+def trinary(grid: OccupancyGrid) -> npt.NDArray[np.int8]:
+    return np.sign(grid.cells).astype(np.int8)
+
+
+def fusion(*, rejected_name: str = NASTY, accepted: int = 3) -> FusionResult:
+    """Fuse ``accepted`` rooms by their median; one more input is rejected."""
+    grids = [room(f"room {index}", index) for index in range(accepted)]
+    stack = np.stack([trinary(grid) for grid in grids])
+    fused = np.median(stack, axis=0).astype(np.int8)
+    records = []
+    for index, grid in enumerate(grids):
+        found = None if index == 0 else alignment("room 0", grid.name, accepted=True)
+        aligned = trinary(grid)
+        records.append(InputRecord(grid, found, True, "fits", aligned, aligned != fused))
+    lost = room(rejected_name, 99, height=50)
+    found = alignment("room 0", rejected_name, accepted=False)
+    records.append(InputRecord(lost, found, False, REASON))
+    agreement = (100 * (stack == fused).mean(axis=0)).astype(np.int8)
+    agreement[fused == -1] = -1
+    origin = grids[0].origin
+    cells = np.where(fused == 1, 100, fused).astype(np.int8)
+    return FusionResult(
+        reference="room 0",
+        inputs=tuple(records),
+        fused=OccupancyGrid(cells, 0.05, origin, "fused"),
+        agreement=OccupancyGrid(agreement, 0.05, origin, "agreement"),
+        pairs=tuple(record.alignment for record in records if record.alignment is not None),
+        phantom_cells=0,
+        weights={grid.name: 1.0 for grid in grids},
+        device="numpy",
+        time_s=0.5,
+    )
+
+
+def colours_of(image: npt.NDArray[Any]) -> set[tuple[int, int, int]]:
+    """The (red, green, blue) colours of an image as OpenCV reads it."""
+    packed = image.astype(np.int64) @ np.array([1, 1 << 8, 1 << 16])
+    return {
+        (int(value) >> 16, (int(value) >> 8) & 255, int(value) & 255) for value in np.unique(packed)
+    }

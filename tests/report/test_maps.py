@@ -1,0 +1,51 @@
+"""The shared parts of reports: overlays of pairs, tables, marks of the best."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation import compare_to_truth
+from slamfusion.geometry import Pose2
+from slamfusion.report.maps import error_section, pair_overlay, statistics_table
+from tests.report.drawn import alignment, room
+
+NORMALIZE = NormalizeConfig()
+
+
+def test_maps_too_far_apart_to_be_drawn_have_no_overlay() -> None:
+    far = replace(alignment("a", "b", accepted=False), transform=Pose2(1e5, 1e5))
+    assert pair_overlay(room("a", 1), room("b", 2), far, NORMALIZE) is None
+
+
+def test_an_unknown_map_has_no_overlay() -> None:
+    unknown = replace(room("b", 2), cells=np.full((5, 5), -1, dtype=np.int8))
+    found = alignment("a", "b", accepted=False)
+    assert pair_overlay(room("a", 1), unknown, found, NORMALIZE) is None
+
+
+def test_the_overlay_of_a_rejected_pair_is_marked() -> None:
+    picture = pair_overlay(
+        room("a", 1), room("b", 2), alignment("a", "b", accepted=False), NORMALIZE
+    )
+    assert picture is not None
+    assert (picture.tone, picture.badge) == ("bad", "rejected")
+    assert [entry.text for entry in picture.legend] == ["a", "b"]
+
+
+def test_the_best_of_each_measure_is_marked() -> None:
+    truth = room("truth", 7)
+    errors = [
+        compare_to_truth(grid, truth, normalize=NORMALIZE, tolerance_m=0.1)
+        for grid in (room("worse", 0), room("equal", 7))
+    ]
+    worse, equal = error_section(errors).tables[0].rows
+    assert all(cell.tone == "best" for cell in equal[1:])
+    assert worse[1].tone == "plain"
+
+
+def test_the_statistics_state_the_known_area() -> None:
+    table = statistics_table([room("a", 1)], NORMALIZE)
+    assert table.rows[0][3].text == f"{32 * 52 * 0.05**2:.1f}"

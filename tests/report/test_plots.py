@@ -1,0 +1,114 @@
+"""The pictures themselves: up is up, colours add, turned maps are turned."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from slamfusion.geometry import Pose2
+from slamfusion.report import plots
+from tests.report.drawn import alignment
+
+WALL = (18, 22, 28)
+
+
+def pixels(png: bytes) -> npt.NDArray[np.uint8]:
+    """RGB of a picture, (H, W, 3), row 0 at the top."""
+    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image[..., ::-1], dtype=np.uint8)
+
+
+def centre_of(image: npt.NDArray[np.uint8], rgb: tuple[int, int, int]) -> tuple[float, float]:
+    """Mean column and row of a colour, as shares of the picture."""
+    rows, cols = np.nonzero((image == rgb).all(axis=2))
+    assert rows.size, f"no pixel of colour {rgb}"
+    return float(cols.mean()) / image.shape[1], float(rows.mean()) / image.shape[0]
+
+
+def test_rows_grow_upward() -> None:
+    cells = np.zeros((40, 40), dtype=np.int8)
+    cells[30:38, 2:8] = 1  # upper left
+    x, y = centre_of(pixels(plots.map_picture(cells, 0.1, Pose2())), WALL)
+    assert x < 0.4
+    assert y < 0.4
+
+
+def test_the_yaw_of_the_origin_turns_the_picture() -> None:
+    cells = np.zeros((40, 40), dtype=np.int8)
+    cells[2:8, 30:38] = 1  # to the lower right; a quarter turn brings it to the upper right
+    x, y = centre_of(pixels(plots.map_picture(cells, 0.1, Pose2(7, 8, math.pi / 2))), WALL)
+    assert x > 0.6
+    assert y < 0.4
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7])
+def test_agreeing_layers_are_white_and_single_ones_keep_their_colour(count: int) -> None:
+    layers = [np.zeros((20, 40), dtype=np.int8) for _ in range(count)]
+    for index, layer in enumerate(layers):
+        layer[:, :20] = 1
+        layer[:, 22 + 2 * index : 24 + 2 * index] = 1
+    image = pixels(plots.overlay_picture(layers, 0.1, Pose2()))
+    assert centre_of(image, (255, 255, 255))[0] < 0.5
+    if count > 1:
+        for colour in plots.layer_colours(count):
+            assert (np.abs(image.astype(int) - colour).max(axis=2) <= 1).any()
+
+
+def test_full_agreement_is_white_and_the_worst_cell_of_a_block_shows() -> None:
+    agreement = np.full((3000, 3000), 100, dtype=np.int8)
+    agreement[1500, 1500] = 33
+    image = pixels(plots.agreement_picture(agreement, 0.05, Pose2()))
+    assert (image == plots.agreement_colour(33)).all(axis=2).any()
+    assert plots.agreement_colour(100) == (255, 255, 255)
+
+
+def test_dissent_is_drawn_over_the_fused_map() -> None:
+    fused = np.zeros((30, 30), dtype=np.int8)
+    dissent = np.zeros((30, 30), dtype=np.bool_)
+    dissent[20:25, 20:25] = True
+    image = pixels(plots.dissent_picture(fused, dissent, 0.1, Pose2()))
+    x, y = centre_of(image, plots.DISSENT_COLOUR)
+    assert x > 0.5
+    assert y < 0.5
+
+
+@pytest.mark.parametrize("shape", [(700, 760), (760, 100), (1500, 1400), (4000, 500)])
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.6])
+def test_no_wall_of_one_cell_is_lost(shape: tuple[int, int], yaw_rad: float) -> None:
+    # Walls far enough apart to be counted after shrinking, all along the middle.
+    cells = np.zeros(shape, dtype=np.int8)
+    spacing = max(shape) // 20
+    image = plots.map_picture(cells, 0.05, Pose2(0, 0, yaw_rad))
+    blank = int(np.count_nonzero((pixels(image) == WALL).all(axis=2)))
+    assert blank == 0
+    for first in range(spacing // 2, shape[0], spacing):
+        cells[first] = 1
+    walls = (pixels(plots.map_picture(cells, 0.05, Pose2(0, 0, yaw_rad))) == WALL).all(axis=2)
+    count, _ = cv2.connectedComponents(walls.astype(np.uint8), connectivity=8)
+    assert count - 1 == len(range(spacing // 2, shape[0], spacing))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 400), (400, 1), (3, 2)])
+def test_odd_shapes_and_all_unknown_maps_can_be_drawn(shape: tuple[int, int]) -> None:
+    for value in (-1, 1):
+        cells = np.full(shape, value, dtype=np.int8)
+        image = pixels(plots.map_picture(cells, 0.05, Pose2(1e6, -1e6, 0.3)))
+        assert max(image.shape) < 2000
+
+
+def test_a_profile_without_scores_is_refused() -> None:
+    found = alignment("a", "b", accepted=True)
+    object.__setattr__(found, "yaw_profile", None)
+    with pytest.raises(ValueError, match="no scores"):
+        plots.yaw_picture(found)
+
+
+def test_a_profile_of_one_yaw_and_an_answer_outside_it_can_be_drawn() -> None:
+    found = alignment("a", "b", accepted=True)
+    object.__setattr__(found, "yaw_profile", np.array([[0.5, 0.0]]))
+    assert pixels(plots.yaw_picture(found)).size

@@ -1,0 +1,266 @@
+"""What stands in the reports, and that nothing in a name or a folder can break them."""
+
+from __future__ import annotations
+
+import base64
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.evaluation import MapError, compare_to_truth
+from slamfusion.report import (
+    write_difference_image,
+    write_evaluation_report,
+    write_failure_report,
+    write_fusion_report,
+)
+from tests.report.drawn import NASTY, REASON, alignment, colours_of, fusion, room
+
+CONFIG = RunConfig()
+
+
+class PageReader(HTMLParser):
+    """Collects the text, the tags and the addresses of a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.sources: list[str] = []
+        self.links: list[str] = []
+        self.targets: set[str] = set()
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        for key, value in attrs:
+            assert not key.startswith("on"), f"{tag} has a handler {key}"
+            if key in {"src", "srcset", "data", "action", "poster"}:
+                self.sources.append(value or "")
+            if key == "href":
+                self.links.append(value or "")
+            if key == "id":
+                self.targets.add(value or "")
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def read(path: Path) -> PageReader:
+    page = PageReader()
+    page.feed(path.read_text(encoding="utf-8"))
+    page.text = " ".join(page.text.split())
+    return page
+
+
+def evaluations() -> list[MapError]:
+    truth = room("truth", 7)
+    return [
+        compare_to_truth(grid, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+        for grid in (room("room 0", 0), room("fused", 7))
+    ]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One report with everything in it, to read only."""
+    folder = tmp_path_factory.mktemp("report")
+    return write_fusion_report(fusion(), folder, config=CONFIG, evaluations=evaluations())
+
+
+def test_the_headline_names_the_fused_and_the_rejected_with_the_reason(report: Path) -> None:
+    page = read(report)
+    assert "Only 3 of 4 maps were fused" in page.text
+    assert f"{NASTY} was rejected: {REASON}" in page.text
+    assert "Fused: room 0, room 1, room 2; in the frame of room 0." in page.text
+    assert page.text.index("Only 3 of 4") < page.text.index("Agreement")
+
+
+def test_a_fusion_without_rejects_says_that_all_were_fused(tmp_path: Path) -> None:
+    result = fusion()
+    page = read(
+        write_fusion_report(
+            replace(result, inputs=result.accepted, pairs=()), tmp_path, config=CONFIG
+        )
+    )
+    assert "All 3 maps were fused" in page.text
+    assert "rejected" not in page.text
+
+
+def test_one_remaining_map_is_not_called_a_vote(tmp_path: Path) -> None:
+    page = read(write_fusion_report(fusion(accepted=1), tmp_path, config=CONFIG))
+    assert "Not a vote: only 1 of 2 maps remains" in page.text
+
+
+def test_a_failure_stands_above_everything(tmp_path: Path) -> None:
+    path = write_fusion_report(fusion(), tmp_path, config=CONFIG, failure="it may not")
+    page = read(path)
+    assert page.text.index("Do not use this map") < page.text.index("it may not")
+    assert page.text.index("it may not") < page.text.index("Fused:")
+
+
+def test_every_part_of_the_fusion_is_shown(report: Path) -> None:
+    page = read(report)
+    for part in (
+        "Fused map",
+        "The aligned inputs over each other",
+        "Agreement",
+        "Where each input was outvoted",
+        "Error against the truth",
+        "Alignment to room 0",
+        "phantom cells",
+        "weight",
+        "doubled walls",
+        "occupied_percent: 65.0",
+        "PyOpenCL",
+        "numpy",
+    ):
+        assert part in page.text, part
+
+
+def test_names_are_escaped_and_run_nothing(report: Path) -> None:
+    page = read(report)
+    assert "script" not in page.tags
+    assert "more" not in page.tags
+    assert "<script" not in report.read_text(encoding="utf-8")
+    assert "default-src 'none'" in report.read_text(encoding="utf-8")
+
+
+def test_the_page_loads_nothing_from_anywhere(report: Path) -> None:
+    page = read(report)
+    assert page.sources
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert not {"link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
+    css = re.search(r"<style>(.*?)</style>", report.read_text(), re.DOTALL)
+    assert css is not None
+    assert "url(" not in css[1]
+    assert "@import" not in css[1]
+
+
+def test_every_link_leads_to_a_part_of_the_page_or_a_picture_beside_it(report: Path) -> None:
+    page = read(report)
+    for link in page.links:
+        if link.startswith("#"):
+            assert link[1:] in page.targets
+        else:
+            assert (report.parent / link).is_file()
+
+
+def test_pictures_beside_the_page_are_those_in_it_with_safe_names(report: Path) -> None:
+    page = read(report)
+    files = sorted(report.parent.glob("*.png"))
+    assert sorted(path.name for path in report.parent.iterdir()) == [
+        *(path.name for path in files),
+        "report.html",
+    ]
+    assert all(re.fullmatch(r"\d\d-[A-Za-z0-9_-]+\.png", path.name) for path in files)
+    embedded = [base64.b64decode(source.split(",", 1)[1]) for source in page.sources]
+    assert embedded == [path.read_bytes() for path in files]
+    for path in files:
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        assert image is not None
+        assert len(colours_of(image)) > 3
+
+
+def test_a_failed_fusion_shows_each_map_and_each_pair(tmp_path: Path) -> None:
+    grids = [room("left", 1), room(NASTY, 2)]
+    pairs = [alignment("left", NASTY, accepted=False)]
+    path = write_failure_report(grids, pairs, "left and right do not fit", tmp_path, config=CONFIG)
+    page = read(path)
+    assert "Nothing was fused left and right do not fit" in page.text
+    assert f"{NASTY} on left" in page.text
+    assert "script" not in page.tags
+    assert len(list(tmp_path.glob("*.png"))) == 4  # two maps, one pair, one curve
+
+
+def test_a_failed_fusion_may_have_no_pairs_and_unknown_maps(tmp_path: Path) -> None:
+    unknown = replace(room("a", 1), cells=np.full((3, 2), -1, dtype=np.int8))
+    page = read(write_failure_report([unknown], [], "all unknown", tmp_path, config=CONFIG))
+    assert "all unknown" in page.text
+
+
+def test_an_evaluation_report_names_the_nearest_map_and_the_lost_one(tmp_path: Path) -> None:
+    found = [alignment("truth", "room 0", accepted=False), None]
+    path = write_evaluation_report(evaluations(), tmp_path, config=CONFIG, alignments=found)
+    page = read(path)
+    assert "fused is nearest to truth" in page.text
+    assert "room 0 could not be aligned:" in page.text
+    assert "not aligned" in page.text
+    assert "missing wall" in page.text
+
+
+def test_an_evaluation_report_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        write_evaluation_report([], tmp_path, config=CONFIG)
+
+
+def test_undefined_measures_are_dashes(tmp_path: Path) -> None:
+    empty = replace(room("empty", 1), cells=np.zeros((40, 60), dtype=np.int8))
+    error = compare_to_truth(empty, room("truth", 7), normalize=NormalizeConfig(), tolerance_m=0.1)
+    page = read(write_evaluation_report([error], tmp_path, config=CONFIG))
+    assert not re.search(r"\b(nan|inf)\b", page.text)
+    assert "None" not in page.text
+
+
+def test_a_report_replaces_an_older_one(tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_text("old")
+    path = write_fusion_report(fusion(), tmp_path / ".", config=CONFIG)
+    assert "Only 3 of 4" in path.read_text(encoding="utf-8")
+
+
+def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(SlamFusionError) as caught:
+        write_fusion_report(fusion(), blocked / "report", config=CONFIG)
+    assert str(blocked) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == [blocked]
+
+
+def test_a_huge_map_stays_a_small_page_and_keeps_its_thin_walls(tmp_path: Path) -> None:
+    cells = np.zeros((4000, 4000), dtype=np.int8)
+    cells[::400] = 100
+    cells[:, ::400] = 100
+    huge = replace(room("huge", 1), cells=cells)
+    path = write_failure_report([huge], [], "a test of size", tmp_path, config=CONFIG)
+    assert path.stat().st_size < 1_000_000
+    image = cv2.imread(str(next(tmp_path.glob("*huge*.png"))), cv2.IMREAD_COLOR)
+    assert image is not None
+    across = image[image.shape[0] // 2, :, 0] < 60
+    assert 9 <= np.count_nonzero(np.diff(across.astype(np.int8)) == 1) <= 12
+
+
+def test_the_difference_image_is_a_png_with_all_its_colours(tmp_path: Path) -> None:
+    path = tmp_path / "out" / "difference.png"
+    write_difference_image(evaluations()[0], path)
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert {(28, 110, 225), (226, 45, 45), (18, 22, 28)} <= colours_of(image)
+    with pytest.raises(MapFileError, match=r"difference\.png"):
+        write_difference_image(evaluations()[0], tmp_path / "difference.jpg")
+
+
+def test_without_matplotlib_the_import_says_what_to_install() -> None:
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\n"
+        "from slamfusion.errors import SlamFusionError\n"
+        "try:\n    import slamfusion.report\n"
+        "except SlamFusionError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "the report needs matplotlib; pip install 'slamfusion[report]'"
+
+
+def test_the_report_leaves_pyplot_and_its_global_state_alone() -> None:
+    code = "import sys, slamfusion.report; print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
