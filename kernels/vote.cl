@@ -1,2 +1,256 @@
-/* placeholder so that the family builds; replaced below */
+/* Let aligned grids vote cell by cell.
+ *
+ * Method: majority of unknown, free and occupied per cell; any tie for first place is occupied
+ * ([F16]: two of three decide, three different values give 1). Twins: reference.vote_majority,
+ * reference.vote_weighted, reference.vote_log_odds. All integer, so kernel and twin agree exactly.
+ *
+ * Inputs are 1 to 32 grids of `cells` cells, each in its own buffer, so that none is copied to be
+ * stacked; arguments beyond `count` are never read. Every work item takes `chunk` cells in a row (a
+ * multiple of 32). Outputs: fused (cells) char -1 / 0 / 1; agreement (cells) char, share of the
+ * votes for the winner in percent, rounded half up, -1 without votes; dissent (planes, pitch)
+ * uchar, bit n % 8 of plane n / 8 set where input n voted otherwise than the winner, the pitch being
+ * `cells` rounded up to 32; phantom (chunks) int, cells of the chunk that are occupied in the fused
+ * grid and in no input.
+ * Global: (chunks).
+ */
 #include "common.h"
+
+#define MOST_INPUTS 32
+/* PoCL leaves min and max as calls. */
+#define LESS(a, b) ((a) < (b) ? (a) : (b))
+#define MORE(a, b) ((a) > (b) ? (a) : (b))
+#define GRID __global const uchar *
+#define DISSENT_PITCH(cells) (((size_t)(cells) + 31) / 32 * 32)
+#define GRIDS                                                                                     \
+  GRID g0, GRID g1, GRID g2, GRID g3, GRID g4, GRID g5, GRID g6, GRID g7, GRID g8, GRID g9,       \
+      GRID g10, GRID g11, GRID g12, GRID g13, GRID g14, GRID g15, GRID g16, GRID g17, GRID g18,   \
+      GRID g19, GRID g20, GRID g21, GRID g22, GRID g23, GRID g24, GRID g25, GRID g26, GRID g27,   \
+      GRID g28, GRID g29, GRID g30, GRID g31
+#define GRID_LIST                                                                                 \
+  {g0,  g1,  g2,  g3,  g4,  g5,  g6,  g7,  g8,  g9,  g10, g11, g12, g13, g14, g15,                \
+   g16, g17, g18, g19, g20, g21, g22, g23, g24, g25, g26, g27, g28, g29, g30, g31}
+
+/* -- the majority, 32 cells at once --------------------------------------------------------------
+ * A block is four words of eight cells, one byte lane a cell. Counts stay below 64, so lanes add,
+ * subtract and compare without a carry. A flag is 0 or 1 in each lane, a mask 0 or 255. */
+#define BLOCK 32
+#define EACH(value) ((ulong4)((ulong)(value) * 0x0101010101010101UL))
+#define LOW EACH(0x01)
+#define HIGH EACH(0x80)
+
+inline ulong4 flag_at_least(const ulong4 a, const ulong4 b) { return (((a | HIGH) - b) >> 7) & LOW; }
+inline ulong4 flag_zero(const ulong4 a) { return ((HIGH - a) >> 7) & LOW; }
+inline ulong4 mask_of(const ulong4 flag) { return (flag << 8) - flag; }
+inline bool any_lane(const ulong4 a) { return (a.x | a.y | a.z | a.w) != 0; }
+
+/* Cells are 0xff, 0x00 and 0x01: the high bit says unknown, the low bit known as occupied or
+ * unknown. */
+inline ulong4 unknown_flag(const ulong4 cell) { return (cell >> 7) & LOW; }
+inline ulong4 occupied_flag(const ulong4 cell) { return (cell & LOW) ^ unknown_flag(cell); }
+
+/* Load or store a block, or what of it lies before the end of the grid. Word by word: compilers
+ * make one vector access of it, while PoCL leaves vload4 and vstore4 as calls, at twice the time. */
+inline ulong4 load_block(GRID from, const int cells) {
+  ulong word[4] = {0, 0, 0, 0};
+  if (cells >= BLOCK) {
+    __global const ulong *words = (__global const ulong *)from;
+    return (ulong4)(words[0], words[1], words[2], words[3]);
+  }
+  for (int i = 0; i < cells; i++) ((uchar *)word)[i] = from[i];
+  return (ulong4)(word[0], word[1], word[2], word[3]);
+}
+
+inline void store_block(const ulong4 block, __global uchar *to, const int cells) {
+  const ulong word[4] = {block.x, block.y, block.z, block.w};
+  if (cells >= BLOCK) {
+    __global ulong *words = (__global ulong *)to;
+    words[0] = block.x;
+    words[1] = block.y;
+    words[2] = block.z;
+    words[3] = block.w;
+    return;
+  }
+  for (int i = 0; i < cells; i++) to[i] = ((const uchar *)word)[i];
+}
+
+/* Sum of the lanes of a flag. */
+inline int count_lanes(const ulong4 flag) {
+  const ulong word[4] = {flag.x, flag.y, flag.z, flag.w};
+  int sum = 0;
+  for (int i = 0; i < BLOCK; i++) sum += ((const uchar *)word)[i];
+  return sum;
+}
+
+/* One block of the vote; returns its phantom cells. Inlined, so that a constant count unrolls. */
+__attribute__((always_inline)) inline int vote_block(
+    GRID *grids, const int count, const int at, const int left, const size_t pitch,
+    const ulong4 abstains, __global const ulong *shares, const int share_count,
+    __global uchar *fused, __global uchar *agreement, __global uchar *dissent) {
+  /* Count. */
+  ulong4 occupied = 0, unknown = 0;
+  for (int n = 0; n < count; n++) {
+    const ulong4 cell = load_block(grids[n] + at, left);
+    unknown += unknown_flag(cell);
+    occupied += occupied_flag(cell);
+  }
+  const ulong4 free = EACH(count) - unknown - occupied;
+  const ulong4 votes = EACH(count) - (unknown & abstains);
+
+  /* Decide. */
+  const ulong4 rival = unknown & ~abstains;
+  const ulong4 silent = flag_zero(votes);
+  const ulong4 tie = flag_zero(free ^ rival) & ~abstains;
+  const ulong4 is_occupied =
+      (flag_at_least(occupied, free) & flag_at_least(occupied, rival) & ~silent) | tie;
+  const ulong4 is_unknown = (flag_at_least(rival, free) & ~is_occupied & ~abstains) | silent;
+  const ulong4 occupied_mask = mask_of(is_occupied), unknown_mask = mask_of(is_unknown);
+  const ulong4 winner = is_occupied | unknown_mask;
+  store_block(winner, fused + at, left);
+
+  /* Share of the winner. */
+  const ulong4 own = (occupied & occupied_mask) | (rival & unknown_mask) |
+                     (free & ~occupied_mask & ~unknown_mask);
+  const ulong4 others = votes - own;
+  ulong4 percent = EACH(100) | mask_of(silent);
+  if (any_lane(others))
+    for (int s = 0; s < share_count; s++) {
+      const ulong4 differs = (own ^ shares[3 * s]) | (others ^ shares[3 * s + 1]);
+      const ulong4 here = mask_of(flag_zero(differs));
+      percent = (percent & ~here) | (shares[3 * s + 2] & here);
+    }
+  store_block(percent, agreement + at, left);
+
+  /* Who was outvoted. */
+  for (int first = 0; first < count; first += 8) {
+    ulong4 bits = 0;
+    for (int n = first; n < LESS(first + 8, count); n++) {
+      const ulong4 cell = load_block(grids[n] + at, left);
+      const ulong4 differs = cell ^ winner;
+      const ulong4 voted = ~(unknown_flag(cell) & abstains);
+      bits |= ((differs | (differs >> 7)) & LOW & voted) << (ulong)(n - first);
+    }
+    store_block(bits, dissent + (first / 8) * pitch + at, left);
+  }
+
+  /* Walls of no input. */
+  const ulong4 invented = is_occupied & flag_zero(occupied);
+  return any_lane(invented) ? count_lanes(invented) : 0;
+}
+
+/* unknown_votes: 1 where unknown is a value like the others, 0 where it abstains.
+ * shares (share_count, 3) ulong: votes for the winner, votes for others (at least 1), percent, each
+ * in all eight lanes; every pair that can occur. */
+__kernel void vote_majority(GRIDS, const int count, const int cells, const int unknown_votes,
+                            __global const ulong *shares, const int share_count, const int chunk,
+                            __global uchar *fused, __global uchar *agreement,
+                            __global uchar *dissent, __global int *phantom) {
+  const int start = get_global_id(0) * chunk;
+  if (start >= cells) return;
+  const int stop = LESS(start + chunk, cells);
+  const size_t pitch = DISSENT_PITCH(cells);
+  GRID grids[MOST_INPUTS] = GRID_LIST;
+  const ulong4 abstains = unknown_votes ? (ulong4)0 : ~(ulong4)0;
+  int phantoms = 0, at = start;
+  /* Three inputs are the usual case: with a constant count the block unrolls. */
+  if (count == 3)
+    for (; at + BLOCK <= stop; at += BLOCK)
+      phantoms += vote_block(grids, 3, at, BLOCK, pitch, abstains, shares, share_count, fused,
+                             agreement, dissent);
+  for (; at < stop; at += BLOCK)
+    phantoms += vote_block(grids, count, at, stop - at, pitch, abstains, shares, share_count, fused,
+                           agreement, dissent);
+  phantom[get_global_id(0)] = phantoms;
+}
+
+/* -- votes of different weight, cell by cell ------------------------------------------------------ */
+
+/* Share of a part in the whole in percent, rounded half up; -1 of nothing. */
+inline char share_percent(const int part, const int whole) {
+  if (part == whole) return whole ? 100 : -1;
+  return (char)((200 * part + whole) / (2 * whole));
+}
+
+/* weights (count) int, 1 to 255; unknown_votes as above. */
+__kernel void vote_weighted(GRIDS, const int count, const int cells, __global const int *weights,
+                            const int unknown_votes, const int chunk, __global char *fused,
+                            __global char *agreement, __global uchar *dissent,
+                            __global int *phantom) {
+  const int start = get_global_id(0) * chunk;
+  if (start >= cells) return;
+  const int stop = LESS(start + chunk, cells);
+  const size_t pitch = DISSENT_PITCH(cells);
+  GRID grids[MOST_INPUTS] = GRID_LIST;
+  int phantoms = 0;
+  for (int i = start; i < stop; i++) {
+    int unknown = 0, free = 0, occupied = 0;
+    for (int n = 0; n < count; n++) {
+      const int cell = as_char(grids[n][i]), weight = weights[n];
+      unknown += cell == UNKNOWN ? weight : 0;
+      free += cell == FREE ? weight : 0;
+      occupied += cell == OCCUPIED ? weight : 0;
+    }
+    if (!unknown_votes) unknown = 0;
+    const int most = MORE(MORE(unknown, free), occupied);
+    const bool wall = most > 0 && (occupied == most || unknown == free);
+    const int winner = wall ? OCCUPIED : free == most && most > 0 ? FREE : UNKNOWN;
+    fused[i] = (char)winner;
+    const int own = wall ? occupied : winner == FREE ? free : unknown;
+    agreement[i] = share_percent(own, unknown + free + occupied);
+    for (int first = 0; first < count; first += 8) {
+      uchar bits = 0;
+      for (int n = first; n < LESS(first + 8, count); n++) {
+        const int cell = as_char(grids[n][i]);
+        bits |= (cell != winner && (unknown_votes || cell != UNKNOWN)) << (n - first);
+      }
+      dissent[(first / 8) * pitch + i] = bits;
+    }
+    phantoms += wall && occupied == 0;
+  }
+  phantom[get_global_id(0)] = phantoms;
+}
+
+/* Grids are occupancy in percent, -1 unknown. A vote weighs |odds|, for occupied where positive and
+ * for free where negative. The cell is occupied where the sum reaches that of occupied_percent, free
+ * where it is at most that of free_percent; between, occupied where an input alone says so, else
+ * unknown. odds (101) int, fixed-point log-odds by percent. */
+__kernel void vote_log_odds(GRIDS, const int count, const int cells, __global const int *odds,
+                            const int occupied_percent, const int free_percent, const int chunk,
+                            __global char *fused, __global char *agreement,
+                            __global uchar *dissent, __global int *phantom) {
+  const int start = get_global_id(0) * chunk;
+  if (start >= cells) return;
+  const int stop = LESS(start + chunk, cells);
+  const size_t pitch = DISSENT_PITCH(cells);
+  GRID grids[MOST_INPUTS] = GRID_LIST;
+  const int least = odds[occupied_percent], highest = odds[free_percent];
+  int phantoms = 0;
+  for (int i = start; i < stop; i++) {
+    int free = 0, occupied = 0;
+    bool known = false, wall = false;
+    for (int n = 0; n < count; n++) {
+      const int percent = as_char(grids[n][i]);
+      if (percent < 0) continue;
+      known = true;
+      wall |= percent >= occupied_percent;
+      free += MORE(-odds[percent], 0);
+      occupied += MORE(odds[percent], 0);
+    }
+    const int sum = occupied - free;
+    int winner = UNKNOWN;
+    if (known) winner = sum >= least ? OCCUPIED : sum <= highest ? FREE : wall ? OCCUPIED : UNKNOWN;
+    fused[i] = (char)winner;
+    const int own = winner == OCCUPIED ? occupied : winner == FREE ? free : 0;
+    agreement[i] = share_percent(own, free + occupied);
+    for (int first = 0; first < count; first += 8) {
+      uchar bits = 0;
+      for (int n = first; n < LESS(first + 8, count); n++) {
+        const int percent = as_char(grids[n][i]);
+        const int side = percent < 0 ? 0 : odds[percent];
+        bits |= (side > 0 ? winner != OCCUPIED : side < 0 && winner != FREE) << (n - first);
+      }
+      dissent[(first / 8) * pitch + i] = bits;
+    }
+    phantoms += winner == OCCUPIED && !wall;
+  }
+  phantom[get_global_id(0)] = phantoms;
+}

@@ -120,18 +120,17 @@ __kernel void score_field(__global const ushort *distance2, __global const uchar
   out[index] = (uchar)clamp(value, 0, 255);
 }
 
-/* Largest value among the `window` cells that start at each cell, along the row or along the column;
- * cells outside count as fill. Two calls give a square window.
- * field (height, width) uchar; out (height, width) uchar. Global: (width, height). */
-__kernel void max_window(__global const uchar *field, const int height, const int width,
-                         const int window, const int along_rows, const uchar fill,
-                         __global uchar *out) {
+/* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the
+ * row or the column; cells outside count as fill. A window of w starting at each cell takes about
+ * log2(w) calls an axis.
+ * field, out (height, width) uchar, not the same buffer. Global: (width, height). */
+__kernel void max_pair(__global const uchar *field, const int height, const int width,
+                       const int shift, const int along_rows, const uchar fill,
+                       __global uchar *out) {
   const int col = get_global_id(0), row = get_global_id(1);
   if (col >= width || row >= height) return;
-  const int limit = along_rows ? width - col : height - row;
-  const int stride = along_rows ? 1 : width;
-  __global const uchar *start = field + row * width + col;
-  uchar best = window > limit ? fill : (uchar)0;
-  for (int k = 0; k < min(window, limit); k++) best = max(best, start[k * stride]);
-  out[row * width + col] = best;
+  const int index = row * width + col;
+  const int inside = along_rows ? col + shift < width : row + shift < height;
+  const uchar other = inside ? field[index + (along_rows ? shift : shift * width)] : fill;
+  out[index] = max(field[index], other);
 }

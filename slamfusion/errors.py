@@ -6,6 +6,8 @@ through unchanged where the operating system's own words are clear enough.
 
 from __future__ import annotations
 
+from typing import Any
+
 __all__ = [
     "AlignmentError",
     "ConfigError",
@@ -38,7 +40,15 @@ class DeviceError(SlamFusionError):
 
 
 class AlignmentError(SlamFusionError):
-    """The grids could not be brought into one frame, so nothing may be fused."""
+    """The grids could not be brought into one frame, so nothing may be fused.
+
+    Attributes:
+        pairs: the alignments that were tried (``slamfusion.fusion.records.Alignment``).
+    """
+
+    def __init__(self, message: str, pairs: tuple[Any, ...] = ()) -> None:
+        super().__init__(message)
+        self.pairs = pairs
 
 
 class MemoryBudgetError(SlamFusionError):

@@ -9,12 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slamfusion.compute.backend import Backend, NumpyBackend
+from slamfusion.compute.self_test import self_test
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
     from slamfusion.compute.device import DeviceInfo
 
-__all__ = ["Backend", "NumpyBackend", "list_devices", "open_backend"]
+__all__ = ["Backend", "NumpyBackend", "list_devices", "open_backend", "self_test"]
 
 
 def open_backend(device: str = "auto") -> Backend:

@@ -6,6 +6,7 @@ handles from ``upload`` or from another operation; small results come back as Nu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -65,10 +66,30 @@ class Backend(Protocol):
     def confusion(self, a: Handle, b: Handle) -> npt.NDArray[np.int64]:
         """See ``reference.confusion``."""
 
+    def squared_error(
+        self, a: Handle, b: Handle, poses: npt.NDArray[np.int64], stride: int
+    ) -> npt.NDArray[np.int64]:
+        """See ``reference.squared_error``."""
+
     def correlate(
         self, fields: Handle, offsets: npt.NDArray[np.int32], shift_shape: tuple[int, int]
     ) -> Handle:
         """See ``reference.correlate``; ``shift_shape[1]`` a multiple of 64."""
+
+    def polyphase(
+        self, field: Handle, corner: tuple[int, int], step: int, shape: tuple[int, int], fill: int
+    ) -> Handle:
+        """See ``reference.polyphase``."""
+
+    def bound_blocks(
+        self,
+        blocks: npt.NDArray[np.int32],
+        starts: Handle,
+        classes: npt.NDArray[np.uint8],
+        fields: Handle,
+        fill: int,
+    ) -> npt.NDArray[np.int32]:
+        """See ``reference.bound_blocks``."""
 
     def tile_peaks(
         self, forward: Handle, backward: Handle, width: int, tile: int
@@ -101,6 +122,30 @@ class Backend(Protocol):
     ) -> npt.NDArray[np.float64]:
         """See ``reference.refine_terms``."""
 
+    def vote_majority(
+        self, grids: Sequence[npt.NDArray[np.int8]], *, unknown_votes: bool
+    ) -> reference.Votes:
+        """See ``reference.vote_majority``; the grids come from the host and return to it."""
+
+    def vote_weighted(
+        self,
+        grids: Sequence[npt.NDArray[np.int8]],
+        weights: npt.NDArray[np.int32],
+        *,
+        unknown_votes: bool,
+    ) -> reference.Votes:
+        """See ``reference.vote_weighted``."""
+
+    def vote_log_odds(
+        self,
+        grids: Sequence[npt.NDArray[np.int8]],
+        odds: npt.NDArray[np.int32],
+        *,
+        occupied_percent: int,
+        free_percent: int,
+    ) -> reference.Votes:
+        """See ``reference.vote_log_odds``."""
+
 
 class NumpyBackend:
     """The twins as a backend: the whole program without OpenCL, slowly and plainly."""
@@ -115,10 +160,16 @@ class NumpyBackend:
     max_window = staticmethod(reference.max_window)
     warp = staticmethod(reference.warp)
     confusion = staticmethod(reference.confusion)
+    squared_error = staticmethod(reference.squared_error)
     correlate = staticmethod(reference.correlate)
+    polyphase = staticmethod(reference.polyphase)
+    bound_blocks = staticmethod(reference.bound_blocks)
     tile_peaks = staticmethod(reference.tile_peaks)
     pose_counts = staticmethod(reference.pose_counts)
     refine_terms = staticmethod(reference.refine_terms)
+    vote_majority = staticmethod(reference.vote_majority)
+    vote_weighted = staticmethod(reference.vote_weighted)
+    vote_log_odds = staticmethod(reference.vote_log_odds)
 
     @staticmethod
     def upload(array: npt.NDArray[Any]) -> Handle:

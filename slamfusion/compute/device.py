@@ -54,6 +54,13 @@ def is_simulator(device: Any) -> bool:
     return SIMULATOR in f"{device.platform.name} {device.name}".lower()
 
 
+def _type_name(device: Any) -> str:
+    """Return cpu, gpu or other."""
+    if device.type & cl.device_type.GPU:
+        return "gpu"
+    return "cpu" if device.type & cl.device_type.CPU else "other"
+
+
 def list_devices() -> list[DeviceInfo]:
     """Describe every OpenCL device; the index is what ``--device`` takes."""
     infos = []
@@ -64,7 +71,7 @@ def list_devices() -> list[DeviceInfo]:
                 index=index,
                 name=device.name.strip(),
                 platform=device.platform.name.strip(),
-                type=cl.device_type.to_string(device.type).lower(),
+                type=_type_name(device),
                 version=device.version.strip(),
                 compute_units=int(device.max_compute_units),
                 memory_mb=int(device.global_mem_size // 2**20),

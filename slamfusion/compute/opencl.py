@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.device import choose_device
+from slamfusion.compute.device import choose_device, is_simulator
 from slamfusion.compute.program import KernelProgram
-from slamfusion.compute.reference import DISTANCE2_MAX
+from slamfusion.compute.reference import DISTANCE2_MAX, MOST_INPUTS, Votes
 from slamfusion.errors import DeviceError
 
 __all__ = ["DeviceArray", "OpenCLBackend"]
@@ -25,6 +27,10 @@ LANES = 16
 SHIFT_LANES = 64
 CHUNK_POINTS = 64
 CHUNK_CELLS = 4096
+CHUNK_ROWS = 16
+BLOCK_CELLS = 32
+# A lane of the packed vote is a byte; this spreads a value over the eight lanes of a word.
+EACH_LANE = np.uint64(0x0101010101010101)
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,13 @@ class DeviceArray:
     def size(self) -> int:
         """Elements."""
         return math.prod(self.shape)
+
+    def reshape(self, shape: tuple[int, ...]) -> DeviceArray:
+        """Return the same memory under another shape of as many elements."""
+        if math.prod(shape) != self.size:
+            message = f"cannot view {self.shape} as {shape}"
+            raise ValueError(message)
+        return DeviceArray(self.buffer, shape, self.dtype)
 
 
 class OpenCLBackend:
@@ -64,6 +77,8 @@ class OpenCLBackend:
             options.append("-DUNALIGNED_WORDS")
         self.program = KernelProgram(self.context, self.device, tuple(options))
         self._tables: dict[bytes, DeviceArray] = {}
+        # A CPU device reads and writes the host's arrays where they are.
+        self.shares_memory = is_cpu and not is_simulator(self.device)
 
     # -- moving data ---------------------------------------------------------------------------
 
@@ -74,7 +89,8 @@ class OpenCLBackend:
         try:
             buffer = cl.Buffer(self.context, flags, hostbuf=dense)
         except cl.Error as error:
-            raise self._failed("upload", error) from error
+            failure = self._failed("upload", error)
+            raise failure from error
         return DeviceArray(buffer, dense.shape, dense.dtype)
 
     def download(self, handle: DeviceArray) -> npt.NDArray[Any]:
@@ -90,8 +106,37 @@ class OpenCLBackend:
         try:
             buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
         except cl.Error as error:
-            raise self._failed(f"reserving {size / 2**20:.0f} MiB", error) from error
+            failure = self._failed(f"reserving {size / 2**20:.0f} MiB", error)
+            raise failure from error
         return DeviceArray(buffer, shape, kind)
+
+    def lend(self, array: npt.NDArray[Any], *, writable: bool = False) -> DeviceArray:
+        """Give the device a dense host array: without a copy where both share memory.
+
+        Args:
+            array: must outlive the device's use of it; kernels access it in words of 8 bytes.
+            writable: a result, to be fetched with ``collect``; its content is not sent.
+        """
+        lendable = array.flags.c_contiguous and array.ctypes.data % EACH_LANE.itemsize == 0
+        if not (self.shares_memory and lendable):
+            return self.empty(array.shape, array.dtype) if writable else self.upload(array)
+        access = cl.mem_flags.READ_WRITE if writable else cl.mem_flags.READ_ONLY
+        try:
+            buffer = cl.Buffer(self.context, access | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
+        except cl.Error as error:
+            failure = self._failed("lending memory", error)
+            raise failure from error
+        return DeviceArray(buffer, array.shape, array.dtype)
+
+    def collect(self, handle: DeviceArray, array: npt.NDArray[Any]) -> None:
+        """Finish the work on an array lent as writable, so that the host may read it."""
+        if not self.shares_memory:
+            cl.enqueue_copy(self.queue, array, handle.buffer)
+            return
+        mapped, _ = cl.enqueue_map_buffer(
+            self.queue, handle.buffer, cl.map_flags.READ, 0, handle.shape, handle.dtype
+        )
+        mapped.base.release(self.queue)
 
     def _launch(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
         """Start a kernel; its global size is rounded up to the fixed local size."""
@@ -101,12 +146,14 @@ class OpenCLBackend:
         try:
             self.program[name](self.queue, rounded, local, *plain)
         except cl.Error as error:
-            raise self._failed(f"kernel {name}", error) from error
+            failure = self._failed(f"kernel {name}", error)
+            raise failure from error
 
     def _failed(self, what: str, error: Exception) -> DeviceError:
         """Return the one-line error of a failed device call."""
         words = " ".join(str(error).split())[:200]
-        return DeviceError(f"{self.name}: {what} failed ({words}); try `--device numpy`")
+        message = f"{self.name}: {what} failed ({words}); try `--device numpy`"
+        return DeviceError(message)
 
     def _table(self, array: npt.NDArray[Any]) -> DeviceArray:
         """Upload a small constant table once."""
@@ -154,7 +201,9 @@ class OpenCLBackend:
         item = array.dtype.itemsize
         out = self.empty((height, width), array.dtype)
         if width > old:
-            cl.enqueue_fill_buffer(self.queue, out.buffer, np.uint8(0), 0, height * width * item)
+            cl.enqueue_fill_buffer(
+                self.queue, out.buffer, np.zeros(1, np.uint8), 0, height * width * item
+            )
         cl.enqueue_copy(
             self.queue,
             out.buffer,
@@ -191,10 +240,15 @@ class OpenCLBackend:
     ) -> DeviceArray:
         """See ``reference.max_window``."""
         height, width = field.shape
-        out = self.empty(field.shape, np.uint8)
-        sizes = [np.int32(v) for v in (height, width, window, along_rows)]
-        self._launch("max_window", (width, height), field, *sizes, np.uint8(fill), out)
-        return out
+        reached = 1
+        while reached < window:
+            shift = min(reached, window - reached)
+            out = self.empty(field.shape, np.uint8)
+            sizes = [np.int32(v) for v in (height, width, shift, along_rows)]
+            self._launch("max_pair", (width, height), field, *sizes, np.uint8(fill), out)
+            field = out
+            reached += shift
+        return field
 
     # -- warping and counting ------------------------------------------------------------------
 
@@ -220,7 +274,22 @@ class OpenCLBackend:
         partial = self.empty((chunks, 9), np.int32)
         sizes = (np.int32(a.size), np.int32(CHUNK_CELLS))
         self._launch("confusion", (chunks,), a, b, *sizes, partial)
-        return self.download(partial).sum(axis=0, dtype=np.int64).reshape(3, 3)
+        return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64)).reshape(3, 3)
+
+    def squared_error(
+        self, a: DeviceArray, b: DeviceArray, poses: npt.NDArray[np.int64], stride: int
+    ) -> npt.NDArray[np.int64]:
+        """See ``reference.squared_error``."""
+        chunks = -(-a.shape[0] // (stride * CHUNK_ROWS))
+        partial = self.empty((len(poses), chunks), np.int32)
+        own = [np.int32(v) for v in a.shape]
+        other = [np.int32(v) for v in b.shape]
+        sizes = [np.int32(v) for v in (len(poses), stride, CHUNK_ROWS, chunks)]
+        fixed = self.upload(poses)
+        self._launch(
+            "squared_error", (chunks, len(poses)), a, *own, b, *other, fixed, *sizes, partial
+        )
+        return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
 
     # -- scoring motions -----------------------------------------------------------------------
 
@@ -256,6 +325,48 @@ class OpenCLBackend:
             scores,
         )
         return scores
+
+    def polyphase(
+        self,
+        field: DeviceArray,
+        corner: tuple[int, int],
+        step: int,
+        shape: tuple[int, int],
+        fill: int,
+    ) -> DeviceArray:
+        """See ``reference.polyphase``."""
+        out = self.empty((step, step, *shape), np.uint8)
+        sizes = [np.int32(v) for v in (*field.shape, *corner, step, *shape)]
+        size = (shape[1], shape[0], step * step)
+        self._launch("polyphase", size, field, *sizes, np.uint8(fill), out)
+        return out
+
+    def bound_blocks(
+        self,
+        blocks: npt.NDArray[np.int32],
+        starts: DeviceArray,
+        classes: npt.NDArray[np.uint8],
+        fields: DeviceArray,
+        fill: int,
+    ) -> npt.NDArray[np.int32]:
+        """See ``reference.bound_blocks``."""
+        bounds = self.empty((len(blocks),), np.int32)
+        _, height, width = fields.shape
+        self._launch(
+            "bound_blocks",
+            (len(blocks),),
+            self.upload(blocks),
+            np.int32(len(blocks)),
+            starts,
+            self.upload(classes),
+            np.int32(len(classes)),
+            fields,
+            np.int32(height),
+            np.int32(width),
+            np.uint8(fill),
+            bounds,
+        )
+        return self.download(bounds)
 
     def tile_peaks(
         self, forward: DeviceArray, backward: DeviceArray, width: int, tile: int
@@ -301,7 +412,7 @@ class OpenCLBackend:
             *sizes,
             partial,
         )
-        return self.download(partial).sum(axis=1, dtype=np.int64)
+        return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
 
     def refine_terms(
         self,
@@ -336,4 +447,83 @@ class OpenCLBackend:
             np.int32(chunks),
             partial,
         )
-        return self.download(partial).sum(axis=1, dtype=np.float64)
+        return np.asarray(self.download(partial).sum(axis=1, dtype=np.float64))
+
+    # -- voting --------------------------------------------------------------------------------
+
+    def vote_majority(self, grids: Sequence[npt.NDArray[np.int8]], *, unknown_votes: bool) -> Votes:
+        """See ``reference.vote_majority``."""
+        shares = _majority_shares(len(grids), unknown_votes=unknown_votes)
+        arguments = (np.int32(unknown_votes), self._table(shares), np.int32(len(shares)))
+        return self._vote("vote_majority", grids, arguments)
+
+    def vote_weighted(
+        self,
+        grids: Sequence[npt.NDArray[np.int8]],
+        weights: npt.NDArray[np.int32],
+        *,
+        unknown_votes: bool,
+    ) -> Votes:
+        """See ``reference.vote_weighted``."""
+        return self._vote("vote_weighted", grids, (self.upload(weights), np.int32(unknown_votes)))
+
+    def vote_log_odds(
+        self,
+        grids: Sequence[npt.NDArray[np.int8]],
+        odds: npt.NDArray[np.int32],
+        *,
+        occupied_percent: int,
+        free_percent: int,
+    ) -> Votes:
+        """See ``reference.vote_log_odds``."""
+        thresholds = (np.int32(occupied_percent), np.int32(free_percent))
+        return self._vote("vote_log_odds", grids, (self._table(odds), *thresholds))
+
+    def _vote(
+        self, name: str, grids: Sequence[npt.NDArray[np.int8]], arguments: tuple[Any, ...]
+    ) -> Votes:
+        """Run a kernel of the vote family; its own arguments follow the grids and their sizes."""
+        shape, count = grids[0].shape, len(grids)
+        cells = math.prod(shape)
+        pitch = -(-cells // BLOCK_CELLS) * BLOCK_CELLS
+        planes = -(-count // 8)
+        fused, agreement = np.empty(shape, dtype=np.int8), np.empty(shape, dtype=np.int8)
+        dissent = np.empty((planes, pitch), dtype=np.uint8)
+        results = (fused, agreement, dissent)
+        lent = [self.lend(grid) for grid in grids]
+        outs = [self.lend(result, writable=True) for result in results]
+        chunks = -(-cells // CHUNK_CELLS)
+        phantom = self.empty((chunks,), np.int32)
+        self._launch(
+            name,
+            (chunks,),
+            *lent,
+            *[lent[0]] * (MOST_INPUTS - count),
+            np.int32(count),
+            np.int32(cells),
+            *arguments,
+            np.int32(CHUNK_CELLS),
+            *outs,
+            phantom,
+        )
+        phantom_cells = int(self.download(phantom).sum(dtype=np.int64))
+        for out, result in zip(outs, results, strict=True):
+            self.collect(out, result)
+        return Votes(fused, agreement, dissent[:, :cells].reshape(planes, *shape), phantom_cells)
+
+
+@cache
+def _majority_shares(count: int, *, unknown_votes: bool) -> npt.NDArray[np.uint64]:
+    """Return the share of the winner in percent for every split of up to ``count`` votes.
+
+    Returns:
+        (S, 3) uint64: votes for the winner, votes for others (at least 1), percent rounded half
+        up, each in all eight lanes of the word.
+    """
+    splits = [
+        (cast - others, others, (200 * (cast - others) + cast) // (2 * cast))
+        for cast in ((count,) if unknown_votes else range(2, count + 1))
+        for others in range(1, cast + 1)
+        if unknown_votes or others <= cast - others
+    ]
+    return np.array(splits or [(count, 0, 100)], dtype=np.uint64) * EACH_LANE

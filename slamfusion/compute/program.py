@@ -12,7 +12,7 @@ from slamfusion.errors import DeviceError
 
 __all__ = ["FAMILIES", "KernelProgram", "kernel_folder"]
 
-FAMILIES = ("walls", "warp", "match", "vote")
+FAMILIES = ("walls", "warp", "match", "bound", "vote")
 
 
 def kernel_folder() -> Path:

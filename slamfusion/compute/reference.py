@@ -6,6 +6,9 @@ device and float64 here, and agrees to a stated tolerance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
@@ -13,18 +16,26 @@ from scipy import ndimage
 __all__ = [
     "DISTANCE2_MAX",
     "DISTANCE_MAX",
+    "MOST_INPUTS",
+    "Votes",
+    "bound_blocks",
     "confusion",
     "correlate",
     "distance_squared",
     "fixed_cells",
     "fixed_poses",
     "max_window",
+    "polyphase",
     "pose_counts",
     "refine_terms",
     "score_field",
     "shrink",
+    "squared_error",
     "surface_walls",
     "tile_peaks",
+    "vote_log_odds",
+    "vote_majority",
+    "vote_weighted",
     "warp",
 ]
 
@@ -39,6 +50,7 @@ F64 = npt.NDArray[np.float64]
 DISTANCE_MAX = 64
 DISTANCE2_MAX = DISTANCE_MAX**2
 FIXED_ONE = 1 << 30
+MOST_INPUTS = 32
 
 
 def fixed_poses(poses: npt.ArrayLike) -> I64:
@@ -52,7 +64,7 @@ def fixed_poses(poses: npt.ArrayLike) -> I64:
     """
     array = np.atleast_2d(np.asarray(poses, dtype=np.float64))
     columns = (np.cos(array[:, 2]), np.sin(array[:, 2]), 2.0 * array[:, 0], 2.0 * array[:, 1])
-    return np.rint(np.stack(columns, axis=1) * FIXED_ONE).astype(np.int64)
+    return np.asarray(np.rint(np.stack(columns, axis=1) * FIXED_ONE), dtype=np.int64)
 
 
 def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
@@ -69,7 +81,7 @@ def surface_walls(cells: I8) -> U8:
         cells: (H, W) int8 in {-1, 0, 1}.
     """
     near_free = ndimage.binary_dilation(cells == 0, structure=np.ones((3, 3), dtype=bool))
-    return ((cells == 1) & near_free).astype(np.uint8)
+    return np.asarray((cells == 1) & near_free, dtype=np.uint8)
 
 
 def shrink(walls: U8, cells: I8, step: int) -> tuple[U8, U8]:
@@ -104,7 +116,7 @@ def distance_squared(walls: U8) -> U16:
     _, (rows, cols) = ndimage.distance_transform_edt(walls == 0, return_indices=True)
     own_rows, own_cols = np.indices(walls.shape)
     squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
-    return np.minimum(squared, DISTANCE2_MAX).astype(np.uint16)
+    return np.asarray(np.minimum(squared, DISTANCE2_MAX), dtype=np.uint16)
 
 
 def score_field(distance2: U16, free_share: U8, hit: U16, miss: U16, base: int) -> U8:
@@ -171,6 +183,33 @@ def confusion(a: I8, b: I8) -> I64:
     return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
 
 
+def squared_error(a: I8, b: I8, poses: I64, stride: int) -> I64:
+    """Return the [F16] squared error of the moving grid under each pose.
+
+    Args:
+        a: (H, W) int8 reference in {-1, 0, 1}. b: (h, w) int8 moving; off it counts as unknown.
+        poses: (P, 4) int64 fixed poses, reference lattice to moving lattice.
+        stride: only every stride-th row and column of the reference counts.
+
+    Returns:
+        (P,) int64.
+    """
+    y2, x2 = np.meshgrid(
+        2 * np.arange(0, a.shape[0], stride, dtype=np.int64) + 1,
+        2 * np.arange(0, a.shape[1], stride, dtype=np.int64) + 1,
+        indexing="ij",
+    )
+    own = a[::stride, ::stride].astype(np.int64)
+    out = np.zeros(len(poses), dtype=np.int64)
+    for p, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < b.shape[0]) & (col < b.shape[1])
+        other = np.full(own.shape, -1, dtype=np.int64)
+        other[inside] = b[row[inside], col[inside]]
+        out[p] = np.sum((own - other) ** 2)
+    return out
+
+
 def correlate(fields: U8, offsets: I32, shift_shape: tuple[int, int]) -> I32:
     """Return the sum over points of the field at point plus shift, for every whole-cell shift.
 
@@ -192,6 +231,55 @@ def correlate(fields: U8, offsets: I32, shift_shape: tuple[int, int]) -> I32:
             row, col = divmod(int(offset), field_width)
             scores[k] += field[row : row + height, col : col + width]
     return scores
+
+
+def polyphase(
+    field: U8, corner: tuple[int, int], step: int, shape: tuple[int, int], fill: int
+) -> U8:
+    """Return the field rearranged so that cells ``step`` apart lie side by side.
+
+    Args:
+        field: (H, W) uint8.
+        corner: row and column of the field where plane (0, 0) starts; may lie outside.
+        step: cells between neighbours of a plane.
+        shape: rows and columns of each plane.
+        fill: value outside the field.
+
+    Returns:
+        (step, step, rows, cols) uint8; [a, b, i, j] is cell (corner + (a + step i, b + step j)).
+    """
+    rows = corner[0] + np.arange(step * shape[0])
+    cols = corner[1] + np.arange(step * shape[1])
+    inside = (
+        ((rows >= 0) & (rows < field.shape[0]))[:, None] & (cols >= 0) & (cols < field.shape[1])
+    )
+    clipped = field[rows.clip(0, field.shape[0] - 1)][:, cols.clip(0, field.shape[1] - 1)]
+    dense = np.where(inside, clipped, np.uint8(fill))
+    planes = dense.reshape(shape[0], step, shape[1], step).transpose(1, 3, 0, 2)
+    return np.ascontiguousarray(planes)
+
+
+def bound_blocks(blocks: I32, starts: I32, classes: U8, fields: U8, fill: int) -> I32:
+    """Return the sum over points of their pooled field at the block's first shift.
+
+    Args:
+        blocks: (B, 3) int32: yaw group, row and column of the first shift.
+        starts: (G, N, 2) int32: row and column of each point's window for shift 0.
+        classes: (N,) uint8: the pooled field that a point reads.
+        fields: (C, H, W) uint8; outside counts as ``fill``.
+        fill: value outside.
+
+    Returns:
+        (B,) int32.
+    """
+    _, height, width = fields.shape
+    out = np.zeros(len(blocks), dtype=np.int32)
+    for b, (group, row0, col0) in enumerate(blocks):
+        row, col = starts[group, :, 0] + row0, starts[group, :, 1] + col0
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        values = fields[classes[inside], row[inside], col[inside]]
+        out[b] = values.sum(dtype=np.int32) + fill * np.count_nonzero(~inside)
+    return out
 
 
 def tile_peaks(forward: I32, backward: I32, width: int, tile: int) -> tuple[I32, I32]:
@@ -314,3 +402,107 @@ def refine_terms(
         terms = (gx * gx, gx * gy, gx * gt, gy * gy, gy * gt, gt * gt, gx * d, gy * d, gt * d)
         out[p] = [*(float(np.sum(weight * term)) for term in terms), float(np.sum(weight))]
     return out
+
+
+class Votes(NamedTuple):
+    """What a vote gives.
+
+    Attributes:
+        fused: (H, W) int8 in {-1, 0, 1}.
+        agreement: (H, W) int8, share of the votes for the winner in percent, rounded half up;
+            -1 without votes.
+        dissent: (P, H, W) uint8, bit n % 8 of plane n // 8 set where input n voted otherwise
+            than the winner; P is the number of inputs over 8, rounded up.
+        phantom_cells: cells occupied in the fused grid and in no input.
+    """
+
+    fused: I8
+    agreement: I8
+    dissent: U8
+    phantom_cells: int
+
+
+def vote_majority(grids: Sequence[I8], *, unknown_votes: bool) -> Votes:
+    """Let each cell be what most inputs say; any tie for first place is occupied.
+
+    Args:
+        grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
+        unknown_votes: unknown is a value like the others; otherwise it abstains, and a cell that
+            all inputs leave unknown stays unknown.
+
+    Source: [F16], the vote: two of three decide, three different values give 1.
+    """
+    return vote_weighted(grids, np.ones(len(grids), dtype=np.int32), unknown_votes=unknown_votes)
+
+
+def vote_weighted(grids: Sequence[I8], weights: I32, *, unknown_votes: bool) -> Votes:
+    """Let each cell be what carries most weight; any tie for first place is occupied.
+
+    Args:
+        grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
+        weights: (N,) int32, 1 to 255.
+        unknown_votes: as in ``vote_majority``.
+    """
+    stack = np.stack(grids)
+    amount = weights.astype(np.int32)[:, None, None]
+    votes = np.stack([((stack == value) * amount).sum(axis=0) for value in (-1, 0, 1)])
+    if not unknown_votes:
+        votes[0] = 0
+    winner = votes.argmax(axis=0) - 1
+    winner[(votes == votes.max(axis=0)).sum(axis=0) > 1] = 1
+    winner[votes.sum(axis=0) == 0] = -1
+    outvoted = (stack != winner) & ((stack != -1) | unknown_votes)
+    wall: npt.NDArray[np.bool_] = np.any(stack == 1, axis=0)
+    return _votes(winner, votes, outvoted, wall)
+
+
+def vote_log_odds(
+    grids: Sequence[I8], odds: I32, *, occupied_percent: int, free_percent: int
+) -> Votes:
+    """Add the log-odds of the inputs; unknown adds nothing.
+
+    An input votes occupied where its log-odds are positive and free where negative, with their
+    size as weight. The cell is occupied where the sum reaches the log-odds of
+    ``occupied_percent``, free where it is at most that of ``free_percent``. Between the two the
+    evidence balances: a tie, occupied, where any input alone is occupied; else unknown.
+
+    Args:
+        grids: 1 to 32 of (H, W) int8, occupancy in percent or -1.
+        odds: (101,) int32, fixed-point log-odds by percent.
+        occupied_percent: an input at or above this is occupied.
+        free_percent: below ``occupied_percent``.
+    """
+    stack = np.stack(grids)
+    known = stack >= 0
+    side = np.where(known, odds[stack.clip(0)], 0)
+    free, occupied = (-side).clip(0).sum(axis=0), side.clip(0).sum(axis=0)
+    wall: npt.NDArray[np.bool_] = np.any(stack >= occupied_percent, axis=0)
+    total = occupied - free
+    winner = np.where(wall, 1, -1)
+    winner[total <= odds[free_percent]] = 0
+    winner[total >= odds[occupied_percent]] = 1
+    winner[~known.any(axis=0)] = -1
+    outvoted = np.where(side > 0, winner != 1, (side < 0) & (winner != 0))
+    return _votes(winner, np.stack([np.zeros_like(free), free, occupied]), outvoted, wall)
+
+
+def _votes(
+    winner: I64, votes: I32 | I64, outvoted: npt.NDArray[np.bool_], wall: npt.NDArray[np.bool_]
+) -> Votes:
+    """Return the outcome of a vote.
+
+    Args:
+        winner: (H, W) in {-1, 0, 1}.
+        votes: (3, H, W), weight of the votes for unknown, free and occupied.
+        outvoted: (N, H, W), input n voted otherwise.
+        wall: (H, W), some input is occupied.
+    """
+    cast = votes.sum(axis=0)
+    share = np.take_along_axis(votes, (winner + 1)[None], axis=0)[0]
+    percent = (200 * share + cast) // np.maximum(2 * cast, 1)
+    agreement = np.where(cast > 0, percent, -1).astype(np.int8)
+    dissent = np.zeros((-(-len(outvoted) // 8), *winner.shape), dtype=np.uint8)
+    for n, mask in enumerate(outvoted):
+        dissent[n // 8] |= mask.astype(np.uint8) << np.uint8(n % 8)
+    phantom = int(np.count_nonzero((winner == 1) & ~wall))
+    return Votes(winner.astype(np.int8), agreement, dissent, phantom)

@@ -27,12 +27,14 @@ class ScoreTable:
         hit, miss: (4097,) uint16; ``base + hit - miss * free share`` is a field's cell.
         base: worth of a point in unknown space.
         span: largest gain over the base, so that (value - base) / span is 1 on a wall.
+        name: tells tables apart.
     """
 
     hit: npt.NDArray[np.uint16]
     miss: npt.NDArray[np.uint16]
     base: int
     span: int
+    name: str
 
 
 def score_table(sigma: float, base: int, span: int) -> ScoreTable:
@@ -46,7 +48,7 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     d = np.sqrt(np.arange(DISTANCE2_MAX + 1)) / sigma
     hit = np.rint(span * np.exp(-0.5 * d * d)).astype(np.uint16)
     miss = np.rint(base * np.where(d > 1.5, np.minimum(1.0, d / 4.0), 0.0)).astype(np.uint16)
-    return ScoreTable(hit, miss, base, span)
+    return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
 
 
 # Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
@@ -98,7 +100,7 @@ class GridFeatures:
         self.backend = backend
         self.cells = backend.upload(grid.cells)
         self._levels: dict[int, Level] = {}
-        self._fields: dict[tuple[int, int], Handle] = {}
+        self._fields: dict[tuple[int, str], Handle] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -121,6 +123,18 @@ class GridFeatures:
         return _lattice_points(self.grid.cells == 1)
 
     @cached_property
+    def known(self) -> Handle:
+        """(H, W) uint8 on the device, 1 where known."""
+        return self.backend.upload((self.grid.cells >= 0).astype(np.uint8))
+
+    @cached_property
+    def near_wall_share(self) -> float:
+        """Share of known cells within 3 cells of a wall: what a random place would match."""
+        distance2 = self.backend.download(self.level(1).distance2)
+        near = np.count_nonzero((distance2 <= 9) & (self.grid.cells >= 0))
+        return near / max(1, self.known_cells)
+
+    @cached_property
     def _surface(self) -> Handle:
         """Surface walls; all walls where no wall touches free space."""
         surface = self.backend.surface_walls(self.cells)
@@ -141,7 +155,7 @@ class GridFeatures:
 
     def field(self, step: int, table: ScoreTable) -> Handle:
         """Return the score field of a level, uint8 on the device."""
-        key = (step, id(table))
+        key = (step, table.name)
         if key not in self._fields:
             level = self.level(step)
             self._fields[key] = self.backend.score_field(

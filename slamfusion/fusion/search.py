@@ -1,10 +1,10 @@
 """Find the rigid motions under which the walls of two grids coincide, best first.
 
-Two stages. The coarse stage scores every whole-cell shift at every yaw on shrunken grids: the walls
-of each map on the other's wall likelihood less a penalty for walls in the other's free space, both
-ways (the score that ``ALIGNMENT`` experiments found right most often). The fine stage moves the best
-distinct peaks by robust Gauss-Newton steps on both distance fields, with ever narrower scales, and
-ranks them by the same score on full-resolution cells.
+Two stages. The coarse stage scores every whole-cell shift at every yaw on shrunken grids: the
+walls of each map on the other's wall likelihood less a penalty for walls in the other's free
+space, both ways (the score that ``ALIGNMENT`` experiments found right most often). The fine stage
+moves the best distinct peaks by robust Gauss-Newton steps on both distance fields, with ever
+narrower scales, and ranks them by the same score on full-resolution cells.
 
 A motion here is in cells of the common lattice: (x, y, yaw) maps the moving grid's lattice into the
 reference's, as x_ref = R(yaw) (x - centre of moving) + (x, y): (x, y) is where the centre lands.
@@ -36,8 +36,12 @@ __all__ = [
     "coarse_search",
     "coarse_step",
     "displacement",
+    "distinct",
+    "invert",
     "rank",
     "refine",
+    "search",
+    "shift_range",
     "to_lattice",
 ]
 
@@ -116,8 +120,8 @@ def coarse_search(
     rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
     yaws = _yaw_lattice(YAW_STEP_CELLS / rim, window)
     reach = math.ceil(float(radii.max())) + 1
-    rows = _shift_range(ref.shape[0], mov.shape, reach, window.start[1] / step, window, step)
-    cols = _shift_range(ref.shape[1], mov.shape, reach, window.start[0] / step, window, step)
+    rows = shift_range(ref.shape[0], mov.shape, reach, window.start[1] / step, window, step)
+    cols = shift_range(ref.shape[1], mov.shape, reach, window.start[0] / step, window, step)
     surface = _ShiftSurface(ref, mov, reference, moving, rows, cols, reach)
     forward = surface.forward(yaws, own, backend)
     backward = surface.backward(yaws, centre, backend)
@@ -136,14 +140,14 @@ def _yaw_lattice(step: float, window: SearchWindow) -> F64:
     """Return evenly spaced yaws, the start's among them: a full turn, or the window."""
     if window.yaw_rad >= math.pi:
         count = max(4, math.ceil(2.0 * math.pi / step))
-        return window.start[2] + np.arange(count) * (2.0 * math.pi / count)
+        return np.asarray(window.start[2] + np.arange(count) * (2.0 * math.pi / count))
     half = math.ceil(window.yaw_rad / step)
     if half == 0:
         return np.array([window.start[2]])
-    return window.start[2] + np.arange(-half, half + 1) * (window.yaw_rad / half)
+    return np.asarray(window.start[2] + np.arange(-half, half + 1) * (window.yaw_rad / half))
 
 
-def _shift_range(
+def shift_range(
     size: int,
     moving_shape: tuple[int, int],
     reach: int,
@@ -205,9 +209,7 @@ class _ShiftSurface:
         poses = np.stack(
             (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
         )
-        planes = backend.warp(
-            self.field_mov, fixed_poses(poses), plane_shape, COARSE_TABLE.base
-        )
+        planes = backend.warp(self.field_mov, fixed_poses(poses), plane_shape, COARSE_TABLE.base)
         offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
         return backend.correlate(planes, offsets, (self.height, self.lanes))
 
@@ -231,7 +233,7 @@ def _distinct_peaks(
     kept: list[int] = []
     for index, motion in enumerate(motions):
         near = motions[kept]
-        if len(kept):
+        if kept:
             shift = np.hypot(near[:, 0] - motion[0], near[:, 1] - motion[1])
             turn = np.abs(np.angle(np.exp(1j * (near[:, 2] - motion[2]))))
             if np.any((shift < TILE) & (turn < 2.5 * yaw_step)):
@@ -317,7 +319,7 @@ def refine(
             )
             change = _solve(terms, scale, reach)
             local = _apply(local, change, pivot)
-    return local * np.array([step, step, 1.0])
+    return np.asarray(local * np.array([step, step, 1.0]))
 
 
 def _solve(terms: F64, scale: float, reach: float) -> F64:

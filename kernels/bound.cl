@@ -1,0 +1,42 @@
+/* Upper bounds of a lattice score over blocks of motions (branch and bound).
+ *
+ * Twins: reference.polyphase, reference.bound_blocks; exact. The argument for the bound stands in
+ * slamfusion/fusion/proof.py.
+ */
+#include "common.h"
+
+/* Rearrange a field so that reads `step` cells apart lie side by side, reaching beyond its edges.
+ * Plane (a, b) of step x step planes holds the cells (row0 + a + step i, col0 + b + step j).
+ * field (height, width) uchar, fill outside; out (step, step, rows, cols) uchar.
+ * Global: (cols, rows, step * step). */
+__kernel void polyphase(__global const uchar *field, const int height, const int width,
+                        const int row0, const int col0, const int step, const int rows,
+                        const int cols, const uchar fill, __global uchar *out) {
+  const int j = get_global_id(0), i = get_global_id(1), phase = get_global_id(2);
+  if (j >= cols || i >= rows || phase >= step * step) return;
+  const int row = row0 + phase / step + step * i, col = col0 + phase % step + step * j;
+  const bool inside = row >= 0 && col >= 0 && row < height && col < width;
+  out[((size_t)phase * rows + i) * cols + j] = inside ? field[row * width + col] : fill;
+}
+
+/* bounds[b] = sum over points of the pooled field of the point's class at start + shift.
+ * blocks (count, 3) int: yaw group, row and column of the block's first shift;
+ * starts (groups, points, 2) int: row and column of each point's window for shift 0;
+ * classes (points) uchar: which pooled field a point reads; fields (classes, height, width) uchar,
+ * fill outside; bounds (count) int. Global: (count). */
+__kernel void bound_blocks(__global const int *blocks, const int count,
+                           __global const int *starts, __global const uchar *classes,
+                           const int points, __global const uchar *fields, const int height,
+                           const int width, const uchar fill, __global int *bounds) {
+  const int b = get_global_id(0);
+  if (b >= count) return;
+  const int row0 = blocks[3 * b + 1], col0 = blocks[3 * b + 2];
+  __global const int *start = starts + (size_t)blocks[3 * b] * points * 2;
+  int sum = 0;
+  for (int n = 0; n < points; n++) {
+    const int row = start[2 * n] + row0, col = start[2 * n + 1] + col0;
+    const bool inside = row >= 0 && col >= 0 && row < height && col < width;
+    sum += inside ? fields[((size_t)classes[n] * height + row) * width + col] : fill;
+  }
+  bounds[b] = sum;
+}

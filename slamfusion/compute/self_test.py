@@ -1,0 +1,314 @@
+"""Run every operation of a backend on small random input against its NumPy twin.
+
+``slamfusion doctor`` runs this in about a second. The kernel tests run the same checks over many
+shapes, and one of them holds that every operation of ``Backend`` has a check here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import reference
+from slamfusion.compute.backend import Backend, NumpyBackend
+from slamfusion.errors import DeviceError
+
+__all__ = ["CHECKS", "Sample", "differences", "self_test"]
+
+Arrays: TypeAlias = list[npt.NDArray[Any]]
+Check: TypeAlias = Callable[[Backend, "Sample"], Arrays]
+
+# Kernels that sum float32 where their twin sums float64 may differ by this share of the largest
+# term of a row; all others not at all.
+RELATIVE = 1e-4
+FLAT_FILL = 7
+BASE = 64
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Random input of one size; equal fields make equal input.
+
+    Attributes:
+        shape: rows and columns.
+        seed: of every random number.
+        known_share: of the cells; 0 makes a grid of unknown cells only.
+        away: cells that poses shift everything by; far more than the shape leaves no overlap.
+    """
+
+    shape: tuple[int, int]
+    seed: int = 0
+    known_share: float = 0.7
+    away: float = 0.0
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """A generator that starts anew at each use."""
+        return np.random.default_rng(self.seed)
+
+    def grids(self, count: int) -> list[npt.NDArray[np.int8]]:
+        """Return trinary grids (H, W) int8."""
+        share = (1.0 - self.known_share, 0.8 * self.known_share, 0.2 * self.known_share)
+        values = np.array([-1, 0, 1], dtype=np.int8)
+        stack = self.rng.choice(values, (count, *self.shape), p=share)
+        return list(stack)
+
+    def percents(self, count: int) -> list[npt.NDArray[np.int8]]:
+        """Return grids of occupancy in percent (H, W) int8, -1 unknown."""
+        percent = self.rng.integers(0, 101, (count, *self.shape)).astype(np.int8)
+        stack = np.stack(self.grids(count))
+        return list(np.where(stack < 0, stack, percent))
+
+    @cached_property
+    def cells(self) -> npt.NDArray[np.int8]:
+        """(H, W) int8 trinary."""
+        return self.grids(1)[0]
+
+    @cached_property
+    def walls(self) -> npt.NDArray[np.uint8]:
+        """(H, W) uint8, 0 or 1."""
+        return reference.surface_walls(self.cells)
+
+    @cached_property
+    def distance2(self) -> npt.NDArray[np.uint16]:
+        """(H, W) uint16."""
+        return reference.distance_squared(self.walls)
+
+    @cached_property
+    def field(self) -> npt.NDArray[np.uint8]:
+        """(H, W) uint8."""
+        field: npt.NDArray[np.uint8] = self.rng.integers(0, 256, self.shape).astype(np.uint8)
+        return field
+
+    @cached_property
+    def free(self) -> npt.NDArray[np.uint8]:
+        """(H, W) uint8, 1 where free."""
+        free: npt.NDArray[np.uint8] = (self.cells == 0).astype(np.uint8)
+        return free
+
+    @cached_property
+    def motions(self) -> npt.NDArray[np.float64]:
+        """(3, 3) x, y in cells and yaw."""
+        size = max(self.shape)
+        scale = np.array([size, size, 6.0])
+        motions: npt.NDArray[np.float64] = self.rng.uniform(-0.5, 0.5, (3, 3)) * scale
+        motions[:, :2] += self.away
+        return motions
+
+    def points(self, count: int) -> npt.NDArray[np.int32]:
+        """Return cell centres (N, 2) int32 in half cells, x and y."""
+        rows, cols = self.rng.integers(0, self.shape, (count, 2)).T
+        return (2 * np.stack((cols, rows), axis=1) + 1).astype(np.int32)
+
+
+def self_test(backend: Backend) -> list[tuple[str, bool, str]]:
+    """Check every operation once.
+
+    Returns:
+        (operation, passed, what was found) each.
+    """
+    sample = Sample((33, 70), seed=1)
+    results = []
+    for name in CHECKS:
+        try:
+            found = differences(name, backend, sample)
+        except DeviceError as error:
+            found = str(error)
+        results.append((name, not found, found or "equals its NumPy twin"))
+    return results
+
+
+def differences(name: str, backend: Backend, sample: Sample) -> str:
+    """Return how an operation differs from its twin on a sample; empty where it does not."""
+    found = CHECKS[name](backend, sample)
+    wanted = CHECKS[name](NumpyBackend(), sample)
+    for n, (own, twin) in enumerate(zip(found, wanted, strict=True)):
+        if own.shape != twin.shape or own.dtype != twin.dtype:
+            return f"output {n} is {own.dtype} {own.shape}, the twin's {twin.dtype} {twin.shape}"
+        if not own.size:
+            continue
+        gap = np.abs(own.astype(np.float64) - twin.astype(np.float64))
+        allowed = np.zeros_like(gap)
+        if twin.dtype.kind == "f":
+            allowed += RELATIVE * np.maximum(1.0, np.abs(twin).max(axis=-1, keepdims=True))
+        wrong = int(np.count_nonzero(~(gap <= allowed)))
+        if wrong:
+            return f"output {n}: {wrong} of {gap.size} values differ, by up to {gap.max():g}"
+    return ""
+
+
+# -- one check for each operation; each returns what the operation gives -------------------------
+
+
+def _fetch(backend: Backend, handles: Iterable[Any]) -> Arrays:
+    """Download results."""
+    return [backend.download(handle) for handle in handles]
+
+
+def _surface_walls(backend: Backend, sample: Sample) -> Arrays:
+    return _fetch(backend, [backend.surface_walls(backend.upload(sample.cells))])
+
+
+def _shrink(backend: Backend, sample: Sample) -> Arrays:
+    walls, cells = backend.upload(sample.walls), backend.upload(sample.cells)
+    return [a for step in (1, 7) for a in _fetch(backend, backend.shrink(walls, cells, step))]
+
+
+def _distance_squared(backend: Backend, sample: Sample) -> Arrays:
+    return _fetch(backend, [backend.distance_squared(backend.upload(sample.walls))])
+
+
+def _score_field(backend: Backend, sample: Sample) -> Arrays:
+    d2 = np.arange(reference.DISTANCE2_MAX + 1)
+    hit = np.rint(191 * np.exp(-d2 / 18.0)).astype(np.uint16)
+    miss = np.minimum(d2, BASE).astype(np.uint16)
+    share = backend.upload(sample.field)
+    field = backend.score_field(backend.upload(sample.distance2), share, hit, miss, BASE)
+    return _fetch(backend, [field])
+
+
+def _max_window(backend: Backend, sample: Sample) -> Arrays:
+    field = backend.upload(sample.field)
+    return _fetch(
+        backend,
+        [
+            backend.max_window(field, window, along_rows=along_rows, fill=BASE)
+            for window in (1, 2, 5, 40)
+            for along_rows in (True, False)
+        ],
+    )
+
+
+def _warp(backend: Backend, sample: Sample) -> Arrays:
+    poses = reference.fixed_poses(sample.motions)
+    return _fetch(backend, [backend.warp(backend.upload(sample.cells), poses, (19, 23), -1)])
+
+
+def _confusion(backend: Backend, sample: Sample) -> Arrays:
+    a, b = (backend.upload(grid) for grid in sample.grids(2))
+    return [backend.confusion(a, b)]
+
+
+def _squared_error(backend: Backend, sample: Sample) -> Arrays:
+    whole, other = sample.grids(2)
+    a, b = backend.upload(whole), backend.upload(other[: -(-len(other) // 2)])
+    poses = reference.fixed_poses(sample.motions)
+    return [backend.squared_error(a, b, poses, stride) for stride in (1, 3)]
+
+
+def _correlate(backend: Backend, sample: Sample) -> Arrays:
+    height, width = 9, 64
+    planes = sample.rng.integers(0, 16, (3, sample.shape[0] + height, sample.shape[1] + width))
+    fields = planes.astype(np.uint8)
+    rows, cols = sample.rng.integers(0, sample.shape, (3, 37, 2)).transpose(2, 0, 1)
+    offsets = (rows * fields.shape[2] + cols).astype(np.int32)
+    shifts = (height, width)
+    pairs = ((fields, offsets), (fields[:1], offsets), (fields, offsets[:1]))
+    return _fetch(backend, [backend.correlate(backend.upload(f), o, shifts) for f, o in pairs])
+
+
+def _polyphase(backend: Backend, sample: Sample) -> Arrays:
+    field = backend.upload(sample.field)
+    height, width = sample.shape
+    corners = ((0, 0), (-3, 2), (height + 5, -width - 40))
+    return _fetch(
+        backend, [backend.polyphase(field, corner, 4, (7, 11), FLAT_FILL) for corner in corners]
+    )
+
+
+def _bound_blocks(backend: Backend, sample: Sample) -> Arrays:
+    height, width = sample.shape
+    fields = sample.rng.integers(0, 256, (2, height, width)).astype(np.uint8)
+    starts = sample.rng.integers(-5, max(sample.shape) + 5, (2, 29, 2)).astype(np.int32)
+    classes = sample.rng.integers(0, 2, 29).astype(np.uint8)
+    shifts = sample.rng.integers(-5, 5, (13, 2)) + round(sample.away)
+    groups = sample.rng.integers(0, 2, (13, 1))
+    blocks = np.concatenate((groups, shifts), axis=1).astype(np.int32)
+    lent = backend.upload(starts), backend.upload(fields)
+    return [backend.bound_blocks(blocks, lent[0], classes, lent[1], FLAT_FILL)]
+
+
+def _tile_peaks(backend: Backend, sample: Sample) -> Arrays:
+    shape = (2, 2, sample.shape[0], sample.shape[1] + 3)
+    both = sample.rng.integers(0, 9, shape).astype(np.int32)
+    forward, backward = backend.upload(both[0]), backend.upload(both[1])
+    return list(backend.tile_peaks(forward, backward, sample.shape[1], 8))
+
+
+def _pose_counts(backend: Backend, sample: Sample) -> Arrays:
+    lent = [backend.upload(a) for a in (sample.field, sample.distance2, sample.free)]
+    poses = reference.fixed_poses(sample.motions)
+    return [
+        backend.pose_counts(sample.points(count), poses, *lent, base=BASE, near2=9, far2=16)
+        for count in (1, 150)
+    ]
+
+
+def _refine_terms(backend: Backend, sample: Sample) -> Arrays:
+    x, y, yaw = sample.motions.T
+    poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
+    size = (sample.shape[1], sample.shape[0])
+    points = (sample.rng.random((150, 2)) * size).astype(np.float32)
+    distance2 = backend.upload(sample.distance2)
+    centre = (size[0] / 2.0, size[1] / 2.0)
+    return [
+        backend.refine_terms(points, poses, distance2, scale=6.0, centre=centre, backward=backward)
+        for backward in (False, True)
+    ]
+
+
+def _flat(votes: Iterable[reference.Votes]) -> Arrays:
+    """Return the parts of votes as arrays."""
+    return [np.asarray(part) for vote in votes for part in vote]
+
+
+def _vote_majority(backend: Backend, sample: Sample) -> Arrays:
+    return _flat(
+        backend.vote_majority(sample.grids(count), unknown_votes=unknown_votes)
+        for count in (1, 2, 3, 4, 9, 17)
+        for unknown_votes in (True, False)
+    )
+
+
+def _vote_weighted(backend: Backend, sample: Sample) -> Arrays:
+    weights = sample.rng.integers(1, 5, 9).astype(np.int32)
+    return _flat(
+        backend.vote_weighted(sample.grids(count), weights[:count], unknown_votes=unknown_votes)
+        for count in (1, 3, 9)
+        for unknown_votes in (True, False)
+    )
+
+
+def _vote_log_odds(backend: Backend, sample: Sample) -> Arrays:
+    percent = np.arange(101).clip(2, 98)
+    odds = np.rint(256 * np.log(percent / (100 - percent))).astype(np.int32)
+    return _flat(
+        backend.vote_log_odds(sample.percents(count), odds, occupied_percent=65, free_percent=25)
+        for count in (1, 3, 9)
+    )
+
+
+CHECKS: dict[str, Check] = {
+    "surface_walls": _surface_walls,
+    "shrink": _shrink,
+    "distance_squared": _distance_squared,
+    "score_field": _score_field,
+    "max_window": _max_window,
+    "warp": _warp,
+    "confusion": _confusion,
+    "squared_error": _squared_error,
+    "correlate": _correlate,
+    "polyphase": _polyphase,
+    "bound_blocks": _bound_blocks,
+    "tile_peaks": _tile_peaks,
+    "pose_counts": _pose_counts,
+    "refine_terms": _refine_terms,
+    "vote_majority": _vote_majority,
+    "vote_weighted": _vote_weighted,
+    "vote_log_odds": _vote_log_odds,
+}

@@ -1,0 +1,129 @@
+"""Believe an alignment or not, and say why in one line.
+
+No single number separates right from wrong: maps of one place that different SLAMs made may share
+a tenth of their wall cells, and maps of two homes half of them. What a right answer has, and a
+wrong one lacks, is that it stands out: no other turn and no other shift comes near it. So an
+alignment is believed on one of three grounds, each of which no pair of different places among the
+recorded maps meets, by a margin (``tests/benchmarks/bench_accept.py`` prints the counts):
+
+* **walls match**: most wall cells of both maps lie on walls of the other;
+* **yaw stands out**: the best coarse score at any other yaw is clearly lower, and so is the best
+  refined rival, and no wall stands in the middle of the other's free space;
+* **score stands out**: the refined score exceeds the best refined rival's by a wide margin.
+
+It is never believed when a rival explains the maps about as well (symmetry), unless the answer
+agrees with the start transform; nor when it shares too little ground to be judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Evidence", "decide"]
+
+# Fewer wall cells than this fit anywhere.
+WALLS_MIN = 24
+OVERLAP_MIN = 0.15
+# The smaller share of matched walls: right pairs mostly above, the highest wrong one seen 0.42.
+MATCH_MIN = 0.45
+# Walls in the other's free space, more than 20 cells from any wall.
+CLASH_MAX = 0.15
+CLASH_MAX_STRICT = 0.10
+# Best score at another yaw over the best: wrong pairs seen down to 0.92 with few clashes.
+COARSE_RATIO_MAX = 0.85
+Z_MIN = 3.5
+RUNNER_UP_MAX = 0.80
+# Score less runner-up: wrong pairs seen up to 0.077 with few clashes.
+MARGIN_MIN = 0.10
+COARSE_RATIO_MARGIN_MAX = 0.98
+# A rival above this share of the score makes a pair ambiguous, unless the answer leaves less than
+# half as much unexplained.
+AMBIGUOUS_RATIO = 0.85
+UNEXPLAINED_RATIO = 0.5
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for and against an alignment.
+
+    Attributes:
+        score: symmetric wall score.
+        overlap: common known cells over those of the smaller map.
+        walls: wall cells of the map that has fewer.
+        statistics: see ``align.measure``, plus ``z``, ``coarse_ratio``, ``runner_up_ratio``.
+        bound_gap: see ``Alignment.bound_gap``.
+        rival: whether the proof found a member of the search set, elsewhere, that scores above the
+            answer.
+        searched: whether a search stands behind it; False when a known transform was tracked.
+        near_start: whether the answer agrees with the start transform.
+    """
+
+    score: float
+    overlap: float
+    walls: int
+    statistics: dict[str, float]
+    bound_gap: float | None
+    rival: bool
+    searched: bool
+    near_start: bool
+
+
+def decide(evidence: Evidence) -> tuple[bool, str]:
+    """Return whether to accept, and the reason."""
+    match = evidence.statistics["wall_match"]
+    clash = evidence.statistics["wall_clash"]
+    if evidence.walls < WALLS_MIN:
+        return False, f"too few walls to judge: {evidence.walls} of the {WALLS_MIN} needed"
+    if evidence.overlap < OVERLAP_MIN:
+        return False, f"too little common ground: {evidence.overlap:.0%} of the smaller map"
+    if not evidence.searched:
+        return _decide_tracked(match, clash)
+    runner_up = evidence.statistics.get("runner_up_ratio", 0.0)
+    if _is_ambiguous(evidence.score, runner_up) and not evidence.near_start:
+        return False, (
+            f"ambiguous: another transform scores {runner_up:.0%} of the best; "
+            "give a start or a window"
+        )
+    ground = _ground(evidence, match, clash, runner_up)
+    if ground is None:
+        ratio = evidence.statistics["coarse_ratio"]
+        return False, (
+            f"walls do not match: {match:.0%} of the wall cells meet, {clash:.0%} stand in free "
+            f"space, other yaws reach {ratio:.0%} and other transforms {runner_up:.0%} of the score"
+        )
+    if evidence.rival and match < MATCH_MIN:
+        return False, f"{ground}, but the proof found a rival with a higher lattice score"
+    return True, ground
+
+
+def _ground(evidence: Evidence, match: float, clash: float, runner_up: float) -> str | None:
+    """Return the ground on which the alignment is believed, or None."""
+    ratio = evidence.statistics["coarse_ratio"]
+    z = evidence.statistics["z"]
+    stands_out = ratio <= COARSE_RATIO_MAX and z >= Z_MIN and runner_up <= RUNNER_UP_MAX
+    if match >= MATCH_MIN and (clash <= CLASH_MAX or stands_out):
+        return f"walls match: {match:.0%}"
+    if stands_out and clash <= CLASH_MAX:
+        return f"yaw stands out: others reach {ratio:.0%} (z {z:.1f})"
+    margin = evidence.score * (1.0 - runner_up)
+    if margin >= MARGIN_MIN and clash <= CLASH_MAX_STRICT and ratio <= COARSE_RATIO_MARGIN_MAX:
+        return f"score stands out: {evidence.score:.2f}, the next {evidence.score - margin:.2f}"
+    return None
+
+
+def _is_ambiguous(score: float, ratio: float) -> bool:
+    """Whether the runner-up explains the maps about as well as the answer."""
+    if ratio <= AMBIGUOUS_RATIO:
+        return False
+    unexplained = 1.0 - min(score, 1.0)
+    return unexplained > UNEXPLAINED_RATIO * (1.0 - min(score * ratio, 1.0))
+
+
+def _decide_tracked(match: float, clash: float) -> tuple[bool, str]:
+    """Decide on the fit alone: a transform known from elsewhere was only refined."""
+    if match < MATCH_MIN or clash > CLASH_MAX:
+        return False, (
+            f"the tracked transform fits no longer: {match:.0%} of the wall cells meet, "
+            f"{clash:.0%} stand in free space"
+        )
+    return True, f"tracked: {match:.0%} of the walls match"

@@ -1,0 +1,378 @@
+"""Align one grid to another: search, prove, measure, decide."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import Backend
+from slamfusion.compute.reference import fixed_poses
+from slamfusion.config import AlignConfig, FusionConfig
+from slamfusion.fusion.accept import Evidence, decide
+from slamfusion.fusion.features import FINE_TABLE, GridFeatures, spread_sample
+from slamfusion.fusion.fixed_step import fixed_step_search
+from slamfusion.fusion.normalize import common_resolution, normalize_grid
+from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
+from slamfusion.fusion.records import Alignment, RunnerUp
+from slamfusion.fusion.search import (
+    CoarseSearch,
+    SearchWindow,
+    displacement,
+    distinct,
+    invert,
+    rank,
+    refine,
+    search,
+    to_lattice,
+)
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import OccupancyGrid
+
+__all__ = ["align_features", "align_grids", "measure", "rejected_alignment", "track_features"]
+
+F64 = npt.NDArray[np.float64]
+
+NEAR_CELLS = 3
+FAR_CELLS = 20
+EVIDENCE_POINTS = 20000
+DISTINCT_CELLS = 20.0
+DISTINCT_YAW_RAD = math.radians(10.0)
+NEIGHBOURHOOD_CELLS = 8
+PROOF_ROUNDS = 3
+BENT_MATCH = 0.45
+BENT_SCALES = (24.0,)
+OTHER_YAW_RAD = math.radians(15.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What the search leaves for the decision."""
+
+    motions: F64
+    scores: F64
+    coarse: CoarseSearch | None
+    bound_gap: float | None
+    rival: bool = False
+
+
+def align_grids(
+    reference: OccupancyGrid,
+    moving: OccupancyGrid,
+    config: FusionConfig,
+    backend: Backend,
+    start: Pose2 | None = None,
+) -> Alignment:
+    """Align one occupancy grid to another.
+
+    Args:
+        reference: held still.
+        moving: gets the transform.
+        config: normalisation and search; ``config.align.window_*`` limit the search around
+            ``start``.
+        backend: computes.
+        start: expected pose of the moving map frame in the reference's, metres; identity when None.
+
+    Returns:
+        The alignment; also when it is rejected, with the reason.
+
+    Raises:
+        GridError: a grid has no known cells.
+    """
+    resolution = common_resolution([reference, moving], config.normalize)
+    features = [
+        GridFeatures(normalize_grid(grid, resolution, config.normalize, backend), backend)
+        for grid in (reference, moving)
+    ]
+    return align_features(features[0], features[1], config.align, backend, start)
+
+
+def align_features(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    backend: Backend,
+    start: Pose2 | None = None,
+) -> Alignment:
+    """Align two prepared grids; see ``align_grids``."""
+    began = time.perf_counter()
+    for features in (reference, moving):
+        if not len(features.wall_points):
+            reason = f"{features.grid.name} has no occupied cell, so there is nothing to align"
+            return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
+    window = _window(reference, moving, config, start)
+    if config.step is not None:
+        motion = fixed_step_search(reference, moving, config.step, window, backend)
+        score = rank(reference, moving, motion[None], 1, FINE_TABLE, backend)
+        found = _Found(motion[None], score, None, None)
+    else:
+        coarse, motions, scores = search(reference, moving, config, window, backend)
+        found = _Found(motions, scores, coarse, None)
+        if config.prove:
+            found = _prove(reference, moving, config, window, backend, found)
+    return _conclude(reference, moving, backend, found, start, began)
+
+
+def track_features(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    backend: Backend,
+    start: Pose2,
+) -> Alignment:
+    """Refine a known transform without a search; the decision rests on the fit alone.
+
+    Args:
+        reference, moving: the grids.
+        backend: computes.
+        start: pose of the moving map frame in the reference's, within about half a metre and a few
+            degrees.
+    """
+    began = time.perf_counter()
+    motion = _motion(reference, moving, start)[None]
+    motion = refine(reference, moving, motion, 1, (8.0, 4.0, 2.0), backend, points=1024)
+    score = rank(reference, moving, motion, 1, FINE_TABLE, backend)
+    return _conclude(reference, moving, backend, _Found(motion, score, None, None), start, began)
+
+
+def rejected_alignment(
+    reference: GridFeatures, moving: GridFeatures, reason: str, time_s: float
+) -> Alignment:
+    """Return the record of a pair that could not be searched."""
+    return Alignment(
+        reference.grid.name,
+        moving.grid.name,
+        Pose2(),
+        accepted=False,
+        reason=reason,
+        score=0.0,
+        overlap=0.0,
+        error=0.0,
+        runner_up=None,
+        bound_gap=None,
+        time_s=time_s,
+    )
+
+
+def _window(
+    reference: GridFeatures, moving: GridFeatures, config: AlignConfig, start: Pose2 | None
+) -> SearchWindow:
+    """Return the search window in lattice cells."""
+    motion = _motion(reference, moving, start or Pose2())
+    resolution = reference.grid.grid.resolution
+    shift = None if config.window_m is None else config.window_m / resolution
+    yaw = 0.0 if start is None and config.window_yaw_rad >= math.pi else float(motion[2])
+    return SearchWindow((float(motion[0]), float(motion[1]), yaw), shift, config.window_yaw_rad)
+
+
+def _motion(reference: GridFeatures, moving: GridFeatures, transform: Pose2) -> F64:
+    """Return a map-frame transform as (x, y where the moving centre lands, yaw) in cells."""
+    ref, mov = reference.grid.grid, moving.grid.grid
+    lattice = ref.origin.inverse().compose(transform).compose(mov.origin)
+    centre = np.array(moving.centre) * mov.resolution
+    landed = lattice.transform(centre) / ref.resolution
+    return np.array([landed[0], landed[1], lattice.yaw_rad])
+
+
+def _transform(reference: GridFeatures, moving: GridFeatures, motion: F64) -> Pose2:
+    """Return a motion as the transform of map frames, metres."""
+    ref, mov = reference.grid.grid, moving.grid.grid
+    x, y, yaw = to_lattice(motion[None], moving.centre)[0]
+    lattice = Pose2(float(x) * ref.resolution, float(y) * ref.resolution, wrap_angle(float(yaw)))
+    return ref.origin.compose(lattice).compose(mov.origin.inverse())
+
+
+def _prove(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    window: SearchWindow,
+    backend: Backend,
+    found: _Found,
+) -> _Found:
+    """Bound the whole search set; rivals that the proof turns up are refined and may win."""
+    end = time.perf_counter() + config.deadline_s
+    lattice = LatticeScore(reference, moving, config, window, backend)
+    motions, scores = found.motions, found.scores
+    gap, rival = 0.0, False
+    for _ in range(PROOF_ROUNDS):
+        best, _ = neighbourhood_best(lattice, motions[0], NEIGHBOURHOOD_CELLS)
+        proof = prove(lattice, best, max(0.0, end - time.perf_counter()))
+        gap = proof.bound_gap
+        rivals = [
+            other
+            for other in distinct(proof.rivals, DISTINCT_CELLS, DISTINCT_YAW_RAD)[:8]
+            if _is_distinct(other, motions[0])
+        ]
+        rival = bool(rivals)
+        if not rivals:
+            # What scores above the answer lies beside it: the same peak, seen at another cell.
+            gap = gap if not proof.finished else 0.0
+            break
+        moved = refine(
+            reference, moving, np.array(rivals), 1, (8.0, 4.0, 2.0), backend, points=1536
+        )
+        everything = np.concatenate((motions, moved))
+        ranked = rank(reference, moving, everything, 1, FINE_TABLE, backend)
+        order = np.argsort(-ranked, kind="stable")
+        changed = order[0] >= len(motions)
+        motions, scores = everything[order], ranked[order]
+        if not changed:
+            break
+    return _Found(motions, scores, found.coarse, gap, rival)
+
+
+def _is_distinct(a: F64, b: F64) -> bool:
+    """Whether two motions are different answers rather than the same one found twice."""
+    shift, turn = displacement(a, b)
+    return shift > DISTINCT_CELLS or turn > DISTINCT_YAW_RAD
+
+
+def _conclude(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    backend: Backend,
+    found: _Found,
+    start: Pose2 | None,
+    began: float,
+) -> Alignment:
+    """Measure the best motion and its runner-up, decide, and write the record."""
+    best, score = found.motions[0], float(found.scores[0])
+    runner_up = None
+    for motion, other in zip(found.motions[1:], found.scores[1:], strict=True):
+        if _is_distinct(motion, best):
+            ratio = float(other) / score if score > 0 else 1.0
+            transform = _transform(reference, moving, motion)
+            runner_up = RunnerUp(transform, float(other), max(0.0, ratio))
+            break
+    statistics = measure(reference, moving, best, backend)
+    if max(statistics["wall_match_moving"], statistics["wall_match_reference"]) < BENT_MATCH:
+        # Both maps mostly miss each other's walls: one is bent. A narrow fit locks one part and
+        # leaves the rest; the wide one spreads the misfit over the whole map.
+        best = refine(reference, moving, best[None], 1, BENT_SCALES, backend, iterations=8)[0]
+        statistics = measure(reference, moving, best, backend)
+    transform = _transform(reference, moving, best)
+    overlap, error = statistics.pop("overlap"), statistics.pop("error")
+    profile = None
+    if found.coarse is not None:
+        profile = _profile(reference, moving, found.coarse)
+        z, ratio = _separation(found.coarse, float(best[2]))
+        statistics |= {"z": z, "coarse_ratio": ratio}
+    if runner_up is not None:
+        statistics["runner_up_ratio"] = runner_up.ratio
+    evidence = Evidence(
+        score=score,
+        overlap=overlap,
+        walls=min(len(reference.wall_points), len(moving.wall_points)),
+        statistics=statistics,
+        bound_gap=found.bound_gap,
+        rival=found.rival,
+        searched=found.coarse is not None,
+        near_start=_near_start(reference, moving, transform, start),
+    )
+    accepted, reason = decide(evidence)
+    return Alignment(
+        reference.grid.name,
+        moving.grid.name,
+        transform,
+        accepted,
+        reason,
+        score,
+        overlap,
+        error,
+        runner_up,
+        found.bound_gap,
+        time.perf_counter() - began,
+        statistics,
+        profile,
+    )
+
+
+def _near_start(
+    reference: GridFeatures, moving: GridFeatures, transform: Pose2, start: Pose2 | None
+) -> bool:
+    """Whether the answer agrees with the start frame that producers of one robot share."""
+    a = _motion(reference, moving, transform)
+    b = _motion(reference, moving, start or Pose2())
+    shift, turn = displacement(a, b)
+    return shift <= DISTINCT_CELLS and turn <= DISTINCT_YAW_RAD
+
+
+def _profile(reference: GridFeatures, moving: GridFeatures, coarse: CoarseSearch) -> F64:
+    """Return (K, 2) yaw of the map-frame transform, sorted, and the best coarse score there."""
+    turn = reference.grid.grid.origin.yaw_rad - moving.grid.grid.origin.yaw_rad
+    yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in coarse.yaws])
+    order = np.argsort(yaws)
+    return np.stack((yaws[order], coarse.best[order]), axis=1)
+
+
+def _separation(coarse: CoarseSearch, yaw: float) -> tuple[float, float]:
+    """Return how far the answer's yaw stands out of all others: z, and other over best."""
+    turn = np.abs(np.angle(np.exp(1j * (coarse.yaws - yaw))))
+    other = coarse.best[turn > OTHER_YAW_RAD]
+    near = coarse.best[turn <= OTHER_YAW_RAD]
+    if other.size < 2 or near.size == 0:
+        return 0.0, 1.0
+    best = float(near.max())
+    spread = float(other.std())
+    z = (best - float(other.mean())) / spread if spread > 0 else 0.0
+    return z, float(other.max()) / best if best > 0 else 1.0
+
+
+def measure(
+    reference: GridFeatures, moving: GridFeatures, motion: F64, backend: Backend
+) -> dict[str, float]:
+    """Return the numbers by which a motion is judged.
+
+    ``wall_match`` is the smaller of the two shares of wall cells with a wall of the other map
+    within 3 cells, ``wall_clash`` the larger of the two shares in the other's free space more than
+    20 cells from any wall; ``chance`` is the larger of the two shares of known cells within 3
+    cells of a wall, what a random place would match.
+    """
+    lattice = to_lattice(motion[None], moving.centre)
+    ref, mov = reference.level(1), moving.level(1)
+    match, clash, known, chance = [], [], [], []
+    for points, pose, features, level in (
+        (moving.wall_points, lattice, reference, ref),
+        (reference.wall_points, invert(lattice), moving, mov),
+    ):
+        sample = spread_sample(points, EVIDENCE_POINTS)
+        counts = backend.pose_counts(
+            sample,
+            fixed_poses(pose),
+            features.known,
+            level.distance2,
+            level.free,
+            base=0,
+            near2=NEAR_CELLS**2,
+            far2=FAR_CELLS**2,
+        )[0]
+        match.append(counts[1] / len(sample))
+        clash.append(counts[2] / len(sample))
+        known.append(counts[0] / len(sample))
+        chance.append(features.near_wall_share)
+    overlap, error = _overlap_and_error(reference, moving, lattice, backend)
+    return {
+        "wall_match": float(min(match)),
+        "wall_match_moving": float(match[0]),
+        "wall_match_reference": float(match[1]),
+        "wall_clash": float(max(clash)),
+        "wall_known": float(min(known)),
+        "chance": float(max(chance)),
+        "overlap": overlap,
+        "error": error,
+    }
+
+
+def _overlap_and_error(
+    reference: GridFeatures, moving: GridFeatures, lattice: F64, backend: Backend
+) -> tuple[float, float]:
+    """Return the share of known cells in common, and the [F16] error over the reference's box."""
+    warped = backend.warp(moving.cells, fixed_poses(invert(lattice)), reference.shape, -1)
+    counts = backend.confusion(reference.cells, warped)
+    both = float(counts[1:, 1:].sum())
+    smaller = max(1, min(reference.known_cells, moving.known_cells))
+    squares = np.array([[0, 1, 4], [1, 0, 1], [4, 1, 0]])
+    return min(1.0, both / smaller), math.sqrt(float((counts * squares).sum()))

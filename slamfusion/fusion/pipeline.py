@@ -1,0 +1,375 @@
+"""The fusion, step by step: normalise, align every pair, agree on a group, vote."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from statistics import median
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import Backend
+from slamfusion.compute.reference import fixed_poses
+from slamfusion.config import FusionConfig
+from slamfusion.errors import AlignmentError, ConfigError, GridError
+from slamfusion.fusion.align import align_features, rejected_alignment, track_features
+from slamfusion.fusion.consistency import Group, largest_group, path_transform
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.normalize import (
+    NormalizedGrid,
+    common_resolution,
+    lattice_box,
+    normalize_grid,
+)
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+from slamfusion.fusion.vote import vote_grids
+from slamfusion.geometry import Pose2
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.io.memory import check_memory
+
+__all__ = ["choose_reference", "fuse_grids", "warp_onto"]
+
+Progress = Callable[[str, int, int], None]
+
+REFERENCE_AREA_SHARE = 0.5
+BYTES_PER_CELL = 24
+WEIGHT_CEILING = 0.99
+# [F16]: any two of three decide, so one input has nobody to agree with.
+MINIMUM_INPUTS = 2
+
+
+def fuse_grids(
+    grids: Sequence[OccupancyGrid],
+    config: FusionConfig,
+    backend: Backend,
+    progress: Progress | None = None,
+) -> FusionResult:
+    """Bring the grids into one frame and let them vote.
+
+    Args:
+        grids: one or more, of distinct names, any frames and resolutions.
+        config: every setting of the fusion.
+        backend: computes.
+        progress: called with what is being done, how many steps are done, and of how many.
+
+    Returns:
+        The fused map and everything needed to judge it. A single grid is its own fusion.
+
+    Raises:
+        AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
+        ConfigError: the reference named in the config is none of the inputs.
+        MemoryBudgetError: the grids are too large for the memory that is free.
+    """
+    began = time.perf_counter()
+    _check_inputs(grids, config)
+    resolution = common_resolution(list(grids), config.normalize)
+    reasons: dict[str, str] = {}
+    features: dict[str, GridFeatures] = {}
+    for grid in grids:
+        try:
+            normalized = normalize_grid(grid, resolution, config.normalize, backend)
+        except GridError as error:
+            reasons[grid.name] = str(error)
+            continue
+        features[grid.name] = GridFeatures(normalized, backend)
+    pairs = _align_pairs(features, config, backend, progress)
+    group = _agree(grids, features, pairs, reasons, resolution)
+    reference = choose_reference(group.members, features, config.reference, [g.name for g in grids])
+    alignments = _to_reference(reference, group, features, pairs, backend)
+    shown: dict[str, Alignment | None] = {}
+    for name in features:
+        if name not in group.members:
+            reasons[name], shown[name] = _left_out(name, reference, group, pairs)
+    rejected = {
+        grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
+        for grid in grids
+        if grid.name in reasons
+    }
+    result = _vote(grids, reference, alignments, features, rejected, config, backend)
+    return replace(result, pairs=tuple(pairs), time_s=time.perf_counter() - began)
+
+
+def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
+    """Refuse no inputs, names given twice, and more cells than memory."""
+    if not grids:
+        message = "wanted at least one map to fuse, found none"
+        raise AlignmentError(message)
+    names = [grid.name for grid in grids]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        message = f"inputs need distinct names; given twice: {', '.join(twice)}"
+        raise ConfigError(message)
+    resolution = common_resolution(list(grids), config.normalize)
+    for grid in grids:
+        box = grid.known_box()
+        scale = (grid.resolution / resolution) ** 2
+        cells = 0 if box is None else int(box.area * scale)
+        check_memory(cells * BYTES_PER_CELL, f"fusing {box}" if box else "fusing", grid.name)
+
+
+def _align_pairs(
+    features: dict[str, GridFeatures],
+    config: FusionConfig,
+    backend: Backend,
+    progress: Progress | None,
+) -> list[Alignment]:
+    """Align every pair, the larger known box to the smaller."""
+    couples = list(itertools.combinations(features.values(), 2))
+    pairs = []
+    for done, (a, b) in enumerate(couples):
+        reference, moving = (a, b) if math.prod(a.shape) <= math.prod(b.shape) else (b, a)
+        if progress is not None:
+            progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
+        pairs.append(align_features(reference, moving, config.align, backend))
+    if progress is not None:
+        progress("vote", len(couples), len(couples))
+    return pairs
+
+
+def _agree(
+    grids: Sequence[OccupancyGrid],
+    features: dict[str, GridFeatures],
+    pairs: Sequence[Alignment],
+    reasons: dict[str, str],
+    resolution: float,
+) -> Group:
+    """Return the largest group that fits together, or raise with every input's reason."""
+    if len(grids) == 1 and features:
+        return Group((grids[0].name,), 0.0)
+    centres = {}
+    for name, feature in features.items():
+        own = np.array(feature.centre) * feature.grid.grid.resolution
+        x, y = feature.grid.grid.origin.transform(own)
+        centres[name] = (float(x), float(y))
+    names = [grid.name for grid in grids if grid.name in features]
+    group = largest_group(names, pairs, centres, resolution) if names else Group((), 0.0)
+    if len(group.members) < MINIMUM_INPUTS:
+        found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
+        words = "; ".join([*reasons.values(), *found])
+        listed = ", ".join(grid.name for grid in grids)
+        message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
+        raise AlignmentError(message, tuple(pairs))
+    return group
+
+
+def choose_reference(
+    members: Sequence[str],
+    features: dict[str, GridFeatures],
+    wanted: str | None,
+    names: Sequence[str],
+) -> str:
+    """Return the name of the reference among the group.
+
+    The smallest known box among members with at least half the group's median known area; a name
+    or an index of the inputs overrides it.
+
+    Raises:
+        ConfigError: the wanted one is no input, or was rejected.
+    """
+    if wanted is not None:
+        name = wanted
+        if wanted not in names and wanted.isdecimal() and int(wanted) < len(names):
+            name = names[int(wanted)]
+        if name not in members:
+            state = "was rejected" if name in names else "is none of them"
+            message = (
+                f"reference {wanted!r} {state}; the inputs that fit together are "
+                f"{', '.join(members)}"
+            )
+            raise ConfigError(message)
+        return name
+    typical = median(features[name].known_cells for name in members)
+    grown = [
+        name for name in members if features[name].known_cells >= REFERENCE_AREA_SHARE * typical
+    ]
+    return min(grown, key=lambda name: math.prod(features[name].shape))
+
+
+def _to_reference(
+    reference: str,
+    group: Group,
+    features: dict[str, GridFeatures],
+    pairs: Sequence[Alignment],
+    backend: Backend,
+) -> dict[str, Alignment]:
+    """Return each member's alignment to the reference, the reference's own the identity.
+
+    A pair aligned directly is taken as it is; one aligned the other way round, or connected over
+    others only, is refined from the transform that is known and keeps what the search said of it.
+    """
+    direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
+    out = {}
+    for name in group.members:
+        if name == reference:
+            out[name] = _own(features[name])
+        elif (reference, name) in direct:
+            out[name] = direct[reference, name]
+        else:
+            start = path_transform(name, reference, group.members, pairs)
+            if start is None:  # pragma: no cover - a group is connected by construction
+                message = f"{name} has no path of accepted pairs to {reference}"
+                raise AlignmentError(message, tuple(pairs))
+            tracked = track_features(features[reference], features[name], backend, start)
+            other = direct.get((name, reference))
+            if other is not None:
+                runner_up = other.runner_up
+                if runner_up is not None:
+                    runner_up = replace(runner_up, transform=runner_up.transform.inverse())
+                tracked = replace(
+                    tracked,
+                    runner_up=runner_up,
+                    bound_gap=other.bound_gap,
+                    time_s=other.time_s + tracked.time_s,
+                    yaw_profile=_turned(other.yaw_profile),
+                )
+            reason = f"accepted over {name} to {reference}" if other is None else other.reason
+            out[name] = replace(tracked, accepted=True, reason=reason)
+    return out
+
+
+def _turned(profile: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64] | None:
+    """Return a yaw profile as the inverse transform sees it."""
+    if profile is None:
+        return None
+    turned = profile * np.array([-1.0, 1.0])
+    return np.asarray(turned[np.argsort(turned[:, 0])])
+
+
+def _own(features: GridFeatures) -> Alignment:
+    """Return the reference's own record."""
+    record = rejected_alignment(features, features, "the reference", 0.0)
+    return replace(record, accepted=True, score=1.0, overlap=1.0)
+
+
+def _left_out(
+    name: str, reference: str, group: Group, pairs: Sequence[Alignment]
+) -> tuple[str, Alignment | None]:
+    """Return why an input is not in the group, in one line, and the alignment that shows it.
+
+    The one to the reference where there is one, else the best of the failed.
+    """
+    mine = [
+        pair
+        for pair in pairs
+        if name in {pair.reference, pair.moving}
+        and {pair.reference, pair.moving} & set(group.members)
+    ]
+    mine.sort(key=lambda pair: (reference not in {pair.reference, pair.moving}, -pair.score))
+    failed = [pair for pair in mine if not pair.accepted]
+    if failed:
+        shown = failed[0]
+        other = shown.reference if shown.moving == name else shown.moving
+        return f"to {other}: {shown.reason}", shown
+    return "its transforms to the others do not close (a to b to c to a)", next(iter(mine), None)
+
+
+def warp_onto(
+    grid: NormalizedGrid,
+    cells: npt.NDArray[np.int8],
+    transform: Pose2,
+    lattice: OccupancyGrid,
+    box: CellBox,
+    backend: Backend,
+) -> npt.NDArray[np.int8]:
+    """Return cells of one grid on the box of another's lattice, nearest cell, unknown outside.
+
+    Args:
+        grid: gives the origin and resolution of ``cells``.
+        cells: (H, W) int8 on the grid's lattice.
+        transform: maps the grid's map frame into the lattice's, metres.
+        lattice: the grid whose lattice is the target.
+        box: cells of that lattice; may reach beyond it.
+        backend: computes.
+    """
+    size = lattice.resolution
+    into = grid.grid.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
+    corner = into.transform((box.col0 * size, box.row0 * size)) / size
+    pose = fixed_poses((corner[0], corner[1], into.yaw_rad))
+    shape = (box.height, box.width)
+    warped = backend.warp(backend.upload(cells), pose, shape, UNKNOWN)
+    return np.asarray(backend.download(warped)[0])
+
+
+def _vote(
+    grids: Sequence[OccupancyGrid],
+    reference: str,
+    alignments: dict[str, Alignment],
+    features: dict[str, GridFeatures],
+    rejected: dict[str, InputRecord],
+    config: FusionConfig,
+    backend: Backend,
+) -> FusionResult:
+    """Warp the accepted grids onto the fused lattice, vote, and write the records."""
+    base = features[reference].grid
+    box = CellBox(0, 0, *base.shape)
+    if config.vote.extent == "union":
+        boxes = [
+            lattice_box(features[name].grid, pair.transform, base)
+            for name, pair in alignments.items()
+        ]
+        box = CellBox(
+            min(b.row0 for b in boxes),
+            min(b.col0 for b in boxes),
+            max(b.row1 for b in boxes),
+            max(b.col1 for b in boxes),
+        )
+    aligned, percents = [], []
+    for name, pair in alignments.items():
+        grid = features[name].grid
+        aligned.append(warp_onto(grid, grid.cells, pair.transform, base.grid, box, backend))
+        if config.vote.mode == "log-odds":
+            percents.append(
+                warp_onto(grid, grid.grid.cells, pair.transform, base.grid, box, backend)
+            )
+    weights = _weights(aligned) if config.vote.mode == "weighted" else [1.0] * len(aligned)
+    voted = vote_grids(aligned, config.vote, backend, weights=weights, percents=percents or None)
+    frame = base.grid.crop(box)
+    cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.int8)[voted.fused + 1]
+    fused = OccupancyGrid(cells, frame.resolution, frame.origin, "fused")
+    agreement = OccupancyGrid(voted.agreement, frame.resolution, frame.origin, "agreement")
+    slots = {name: index for index, name in enumerate(alignments)}
+    records = []
+    for given in grids:
+        if given.name in slots:
+            index = slots[given.name]
+            pair = alignments[given.name]
+            dissent = (voted.dissent >> np.array(index, voted.dissent.dtype)) & 1 != 0
+            records.append(InputRecord(given, pair, True, pair.reason, aligned[index], dissent))
+        else:
+            records.append(rejected[given.name])
+    return FusionResult(
+        reference=reference,
+        inputs=tuple(records),
+        fused=fused,
+        agreement=agreement,
+        pairs=(),
+        phantom_cells=voted.phantom_cells,
+        weights={name: float(weights[index]) for name, index in slots.items()},
+        device=backend.name,
+        time_s=0.0,
+    )
+
+
+def _weights(aligned: Sequence[npt.NDArray[np.int8]]) -> list[float]:
+    """Return each input's weight: the log-odds of its agreement with the others, the largest 1.
+
+    The agreement is the share of its known cells, among those that others know, where it says what
+    most of the others say; independent voters of that reliability are best weighted by its
+    log-odds.
+    """
+    stack = np.stack(aligned)
+    occupied = (stack == 1).sum(axis=0, dtype=np.int16)
+    free = (stack == 0).sum(axis=0, dtype=np.int16)
+    raw = []
+    for cells in stack:
+        others = (occupied - (cells == 1)) - (free - (cells == 0))
+        counted = (cells >= 0) & (others != 0)
+        agree = counted & ((others > 0) == (cells == 1))
+        share = agree.sum() / max(1, counted.sum())
+        share = min(max(float(share), 1.0 - WEIGHT_CEILING), WEIGHT_CEILING)
+        raw.append(max(0.05, math.log(share / (1.0 - share))))
+    return [weight / max(raw) for weight in raw]

@@ -1,0 +1,175 @@
+"""Let aligned grids vote cell by cell: majority, weighted majority, or the sum of log-odds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import Backend
+from slamfusion.compute.reference import MOST_INPUTS, Votes
+from slamfusion.config import NormalizeConfig, VoteConfig
+from slamfusion.errors import ConfigError, GridError
+from slamfusion.fusion.records import VoteResult
+
+__all__ = ["log_odds_table", "quantise_weights", "unknown_votes", "vote_grids"]
+
+I8 = npt.NDArray[np.int8]
+I32 = npt.NDArray[np.int32]
+
+# Divides by 2, 3, 4, 6, 7, 9 and 12: simple ratios of weights stay exact.
+WEIGHT_MAX = 252
+# One input alone never outweighs this many percent; 0 and 100 would outvote everyone for ever.
+SUREST_PERCENT = 98
+LOG_ODDS_ONE = 256
+
+
+def vote_grids(
+    stack: Sequence[I8],
+    config: VoteConfig,
+    backend: Backend,
+    *,
+    weights: Sequence[float] | None = None,
+    percents: Sequence[I8] | None = None,
+    thresholds: NormalizeConfig = NormalizeConfig(),  # noqa: B008 - frozen
+) -> VoteResult:
+    """Fuse grids that lie on one lattice.
+
+    ``majority``: every input has one vote in each cell. ``weighted``: votes count by weight. In
+    both a tie for first place is occupied, and ``config.unknown`` says whether unknown is a value
+    or abstains. ``log-odds``: an input votes with the log-odds of its occupancy, unknown and 50 %
+    abstain; the cell is occupied or free where the sum is that of the thresholds, and between
+    them occupied where an input alone says so (a tie), else unknown.
+
+    Args:
+        stack: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
+        config: mode and the meaning of unknown; ``extent`` is the caller's.
+        backend: computes the vote.
+        weights: one each input, finite and not negative; for ``weighted``.
+        percents: the inputs' occupancy in percent on the same lattice, (H, W) int8, -1 unknown;
+            for ``log-odds``.
+        thresholds: what the inputs were normalised with; for ``log-odds``.
+
+    Returns:
+        The fused cells, the agreement (share of the votes cast, by weight where votes have one,
+        in percent, rounded half up; -1 without votes), who was outvoted, and the phantom cells.
+
+    Raises:
+        GridError: no grid, more than 32, or grids that do not share one shape.
+        ConfigError: the mode lacks its weights or percents.
+
+    Source: [F16], the vote; any number of inputs, abstention, weights and log-odds are ours.
+    """
+    grids = _dense(stack, "grids")
+    if config.mode == "log-odds":
+        votes = _vote_log_odds(grids, percents, thresholds, backend)
+    elif config.mode == "weighted":
+        votes = _vote_weighted(grids, weights, config, backend)
+    else:
+        with_unknown = unknown_votes(config.unknown, [1] * len(grids))
+        votes = backend.vote_majority(grids, unknown_votes=with_unknown)
+    return VoteResult(
+        votes.fused, votes.agreement, _join_planes(votes.dissent), votes.phantom_cells
+    )
+
+
+def unknown_votes(rule: str, weights: Sequence[int]) -> bool:
+    """Say whether unknown is a value (True) or abstains.
+
+    ``auto``: a value with exactly three voters of whom any two outvote the third, so that a tie
+    for first place needs three different cells, one of them occupied. With other voters free and
+    unknown could tie alone, and the tie would put a wall where no input has one.
+
+    Args:
+        rule: ``auto``, ``value`` or ``abstain``.
+        weights: one each voter.
+    """
+    if rule == "auto":
+        return len(weights) == 3 and 2 * max(weights) < sum(weights)
+    return rule == "value"
+
+
+def quantise_weights(weights: Sequence[float]) -> I32:
+    """Return weights as whole numbers 1 to 252, the largest being 252.
+
+    Args:
+        weights: finite, not negative, at least one above 0.
+
+    Raises:
+        ConfigError: anything else.
+    """
+    largest = max(weights)
+    if not (all(math.isfinite(w) and w >= 0 for w in weights) and largest > 0):
+        message = f"vote weights must be finite and not negative, one above 0; found {weights!r}"
+        raise ConfigError(message)
+    share = np.asarray(weights, dtype=np.float64) / largest
+    whole: I32 = np.maximum(1, np.rint(WEIGHT_MAX * share)).astype(np.int32)
+    return whole
+
+
+def log_odds_table() -> I32:
+    """Return (101,) int32, log-odds by percent in units of 1/256, of 2 to 98 percent."""
+    percent = np.arange(101).clip(100 - SUREST_PERCENT, SUREST_PERCENT)
+    odds: I32 = np.rint(LOG_ODDS_ONE * np.log(percent / (100 - percent))).astype(np.int32)
+    return odds
+
+
+def _vote_weighted(
+    grids: list[I8], weights: Sequence[float] | None, config: VoteConfig, backend: Backend
+) -> Votes:
+    """Vote by weight."""
+    if weights is None or len(weights) != len(grids):
+        found = "none" if weights is None else f"{len(weights)}"
+        message = f"mode 'weighted' wants {len(grids)} weights, one each input, found {found}"
+        raise ConfigError(message)
+    whole = quantise_weights(weights)
+    with_unknown = unknown_votes(config.unknown, [int(w) for w in whole])
+    return backend.vote_weighted(grids, whole, unknown_votes=with_unknown)
+
+
+def _vote_log_odds(
+    grids: list[I8],
+    percents: Sequence[I8] | None,
+    thresholds: NormalizeConfig,
+    backend: Backend,
+) -> Votes:
+    """Vote by the sum of log-odds."""
+    if percents is None or [p.shape for p in percents] != [g.shape for g in grids]:
+        message = "mode 'log-odds' wants the occupancy in percent of every input, cell by cell"
+        raise ConfigError(message)
+    return backend.vote_log_odds(
+        _dense(percents, "occupancies"),
+        log_odds_table(),
+        occupied_percent=math.ceil(thresholds.occupied_percent),
+        free_percent=math.floor(thresholds.free_percent),
+    )
+
+
+def _dense(grids: Sequence[I8], what: str) -> list[I8]:
+    """Return the grids with dense rows, checked."""
+    if not 1 <= len(grids) <= MOST_INPUTS:
+        message = f"a vote takes 1 to {MOST_INPUTS} {what}, found {len(grids)}"
+        raise GridError(message)
+    kinds = {(grid.shape, grid.dtype.name) for grid in grids}
+    shape, dtype = next(iter(kinds))
+    if len(kinds) > 1 or dtype != "int8" or len(shape) != 2 or 0 in shape:
+        found = ", ".join(f"{dtype} {shape}" for shape, dtype in sorted(kinds))
+        message = f"{what} that vote must be (H, W) int8 of one shape, found {found}"
+        raise GridError(message)
+    return [np.ascontiguousarray(grid) for grid in grids]
+
+
+def _join_planes(planes: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+    """Return (P, H, W) planes of 8 bits as (H, W) of the smallest unsigned type that holds them."""
+    if len(planes) == 1:
+        only: npt.NDArray[np.uint8] = planes[0]
+        return only
+    size = 2 if len(planes) <= 2 else 4
+    joined = np.zeros((*planes.shape[1:], size), dtype=np.uint8)
+    for n, plane in enumerate(planes):
+        joined[..., n] = plane
+    native: npt.NDArray[Any] = joined.view(f"<u{size}")[..., 0].astype(f"u{size}", copy=False)
+    return native
