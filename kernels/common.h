@@ -16,6 +16,9 @@
 #define DISTANCE2_MAX 4096
 #define DISTANCE_MAX 64
 
+/* A wall cell with this many free cells among its eight neighbours is a speck, not a wall. */
+#define SPECK_FREE_CELLS 7
+
 /* Q30 half cells to whole cells: drop 30 fraction bits and the half. */
 #define FIXED_TO_CELL_SHIFT 31
 

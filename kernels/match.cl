@@ -22,16 +22,15 @@ inline ulong4 load32(__global const uchar *p) {
  * Field values are 0..15, so sixteen of them add in one byte lane without a carry.
  * fields: uchar planes, field_stride bytes from one k to the next (0: one plane for all);
  * offsets (count or 1, points) int: row * field_width + col of each point, offset_stride ints apart;
- * scores (count, shift_height, shift_width) int, shift_width a multiple of 64.
- * A list of blocks narrows the work: item b does blocks[b] = (k, i, j of 64 columns); with
- * blocks_given 0 the items are all blocks in order.
- * Global: (shift_width / 64, shift_height, count). */
+ * scores (count, shift_height, shift_width) int, shift_width a multiple of 32.
+ * Global: (shift_width / 32, (shift_height + 1) / 2, count). */
 __kernel void correlate(__global const uchar *fields, const int field_stride, const int field_width,
                         __global const int *offsets, const int offset_stride, const int points,
                         const int shift_height, const int shift_width, const int count,
                         __global int *scores) {
-  const int j = get_global_id(0) * 64, i = get_global_id(1), k = get_global_id(2);
+  const int j = get_global_id(0) * 32, i = get_global_id(1) * 2, k = get_global_id(2);
   if (j >= shift_width || i >= shift_height || k >= count) return;
+  const int second = i + 1 < shift_height ? field_width : 0;
   __global const uchar *field = fields + (size_t)k * field_stride + (size_t)i * field_width + j;
   __global const int *offset = offsets + (size_t)k * offset_stride;
   int16 total0 = 0, total1 = 0, total2 = 0, total3 = 0;
@@ -41,7 +40,7 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
     for (int n = start; n < stop; n++) {
       __global const uchar *p = field + offset[n];
       low += LOAD32(p);
-      high += LOAD32(p + 32);
+      high += LOAD32(p + second);
     }
     total0 += convert_int16(as_uchar16(low.lo));
     total1 += convert_int16(as_uchar16(low.hi));
@@ -51,8 +50,10 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
   __global int *out = scores + ((size_t)k * shift_height + i) * shift_width + j;
   vstore16(total0, 0, out);
   vstore16(total1, 1, out);
-  vstore16(total2, 2, out);
-  vstore16(total3, 3, out);
+  if (second) {
+    vstore16(total2, 0, out + shift_width);
+    vstore16(total3, 1, out + shift_width);
+  }
 }
 
 /* Sum of a forward and a backward score surface, and the best of each tile x tile block of shifts.
@@ -113,8 +114,8 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
 /* Normal equations of a robust point-to-wall fit under a small motion (dx, dy, dyaw) of the
  * reference frame, applied after the pose, about the centre (cx, cy).
  *
- * Residual: the distance d at the mapped point, bilinear over cell centres. Weight: Welsch,
- * exp(-(d / scale)^2). Forward: points of the moving grid on the reference's field; the gradient is
+ * Residual: the distance d at the mapped point, bilinear over cell centres. Weight: Geman-McClure,
+ * 1 / (1 + (d / scale)^2)^2. Forward: points of the moving grid on the reference's field; the gradient is
  * used as it is, the arm is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
  * partial[p, chunk] = 10 floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
@@ -144,7 +145,8 @@ __kernel void refine_terms(__global const float *points, const int count,
     const float d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11);
     float gx = (1 - v) * (d01 - d00) + v * (d11 - d10);
     float gy = (1 - u) * (d10 - d00) + u * (d11 - d01);
-    const float weight = exp(-(d * d) / (scale * scale));
+    const float root = 1.0f + (d * d) / (scale * scale);
+    const float weight = 1.0f / (root * root);
     float ax = qx - cx, ay = qy - cy;
     if (backward) {
       const float hx = -(cosine * gx + sine * gy), hy = -(cosine * gy - sine * gx);

@@ -151,11 +151,11 @@ __kernel void vote_majority(GRIDS, const int count, const int cells, const int u
   GRID grids[MOST_INPUTS] = GRID_LIST;
   const ulong4 abstains = unknown_votes ? (ulong4)0 : ~(ulong4)0;
   int phantoms = 0, at = start;
-  /* Three inputs are the usual case: with a constant count the block unrolls. */
-  if (count == 3)
+  /* The usual case, three inputs and unknown a value, with constants: the block unrolls. */
+  if (count == 3 && unknown_votes)
     for (; at + BLOCK <= stop; at += BLOCK)
-      phantoms += vote_block(grids, 3, at, BLOCK, pitch, abstains, shares, share_count, fused,
-                             agreement, dissent);
+      phantoms += vote_block(grids, 3, at, BLOCK, pitch, 0, shares, share_count, fused, agreement,
+                             dissent);
   for (; at < stop; at += BLOCK)
     phantoms += vote_block(grids, count, at, stop - at, pitch, abstains, shares, share_count, fused,
                            agreement, dissent);

@@ -1,26 +1,42 @@
 /* From trinary cells to what alignment looks at: surface walls, coarse grids, distance and score
  * fields.
  *
- * Twins: reference.surface_walls, reference.shrink, reference.distance_columns,
+ * Twins: reference.solid_walls, reference.surface_walls, reference.shrink, reference.distance_columns,
  * reference.distance_rows, reference.score_field. All integer, so kernel and twin agree exactly.
  * Work sizes: any local size; every kernel guards its global size.
  */
 #include "common.h"
 
-/* 1 where a wall cell touches free space (8 neighbours), else 0.
+/* Free cells among the eight neighbours of a cell; cells outside are unknown. */
+inline int free_neighbours(__global const char *cells, const int height, const int width,
+                           const int row, const int col) {
+  int count = 0;
+  for (int r = max(row - 1, 0); r <= min(row + 1, height - 1); r++)
+    for (int c = max(col - 1, 0); c <= min(col + 1, width - 1); c++)
+      count += (r != row || c != col) && cells[r * width + c] == FREE;
+  return count;
+}
+
+/* 1 where a wall cell does not stand in free space alone, else 0. A speck of noise, or two side by
+ * side, has seven or eight free neighbours.
  * cells (height, width) char trinary; out (height, width) uchar. Global: (width, height). */
-__kernel void surface_walls(__global const char *cells, const int height, const int width,
-                            __global uchar *out) {
+__kernel void solid_walls(__global const char *cells, const int height, const int width,
+                          __global uchar *out) {
   const int col = get_global_id(0), row = get_global_id(1);
   if (col >= width || row >= height) return;
   const int index = row * width + col;
-  uchar found = 0;
-  if (cells[index] == OCCUPIED) {
-    for (int r = max(row - 1, 0); r <= min(row + 1, height - 1); r++)
-      for (int c = max(col - 1, 0); c <= min(col + 1, width - 1); c++)
-        found |= cells[r * width + c] == FREE;
-  }
-  out[index] = found;
+  out[index] = cells[index] == OCCUPIED &&
+               free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
+}
+
+/* 1 where a solid wall cell touches free space (8 neighbours), else 0.
+ * cells (height, width) char trinary; solid, out (height, width) uchar. Global: (width, height). */
+__kernel void surface_walls(__global const char *cells, __global const uchar *solid,
+                            const int height, const int width, __global uchar *out) {
+  const int col = get_global_id(0), row = get_global_id(1);
+  if (col >= width || row >= height) return;
+  const int index = row * width + col;
+  out[index] = solid[index] && free_neighbours(cells, height, width, row, col) > 0;
 }
 
 /* Blocks of step x step cells: a coarse wall where any fine wall is, and the free share 0..255.

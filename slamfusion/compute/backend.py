@@ -36,7 +36,10 @@ class Backend(Protocol):
     def download(self, handle: Handle) -> npt.NDArray[Any]:
         """Bring an array back, shape and dtype kept."""
 
-    def surface_walls(self, cells: Handle) -> Handle:
+    def solid_walls(self, cells: Handle) -> Handle:
+        """See ``reference.solid_walls``."""
+
+    def surface_walls(self, cells: Handle, solid: Handle) -> Handle:
         """See ``reference.surface_walls``."""
 
     def shrink(self, walls: Handle, cells: Handle, step: int) -> tuple[Handle, Handle]:
@@ -74,7 +77,7 @@ class Backend(Protocol):
     def correlate(
         self, fields: Handle, offsets: npt.NDArray[np.int32], shift_shape: tuple[int, int]
     ) -> Handle:
-        """See ``reference.correlate``; ``shift_shape[1]`` a multiple of 64."""
+        """See ``reference.correlate``; ``shift_shape[1]`` a multiple of 32."""
 
     def polyphase(
         self, field: Handle, corner: tuple[int, int], step: int, shape: tuple[int, int], fill: int
@@ -153,6 +156,7 @@ class NumpyBackend:
     name = "NumPy twins (no OpenCL)"
     is_opencl = False
 
+    solid_walls = staticmethod(reference.solid_walls)
     surface_walls = staticmethod(reference.surface_walls)
     shrink = staticmethod(reference.shrink)
     distance_squared = staticmethod(reference.distance_squared)

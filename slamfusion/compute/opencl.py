@@ -24,7 +24,7 @@ __all__ = ["DeviceArray", "OpenCLBackend"]
 # one fixed size for each number of dimensions.
 LOCAL_SIZES = {1: (16,), 2: (16, 4), 3: (1, 4, 1)}
 LANES = 16
-SHIFT_LANES = 64
+SHIFT_LANES = 32
 CHUNK_POINTS = 64
 CHUNK_CELLS = 4096
 CHUNK_ROWS = 16
@@ -164,12 +164,20 @@ class OpenCLBackend:
 
     # -- walls and fields ----------------------------------------------------------------------
 
-    def surface_walls(self, cells: DeviceArray) -> DeviceArray:
+    def solid_walls(self, cells: DeviceArray) -> DeviceArray:
+        """See ``reference.solid_walls``."""
+        height, width = cells.shape
+        out = self.empty(cells.shape, np.uint8)
+        sizes = (np.int32(height), np.int32(width))
+        self._launch("solid_walls", (width, height), cells, *sizes, out)
+        return out
+
+    def surface_walls(self, cells: DeviceArray, solid: DeviceArray) -> DeviceArray:
         """See ``reference.surface_walls``."""
         height, width = cells.shape
         out = self.empty(cells.shape, np.uint8)
-        size = (width, height)
-        self._launch("surface_walls", size, cells, np.int32(height), np.int32(width), out)
+        sizes = (np.int32(height), np.int32(width))
+        self._launch("surface_walls", (width, height), cells, solid, *sizes, out)
         return out
 
     def shrink(
@@ -312,7 +320,7 @@ class OpenCLBackend:
         offset_stride = np.int32(points if len(offsets) > 1 else 0)
         self._launch(
             "correlate",
-            (width // SHIFT_LANES, height, count),
+            (width // SHIFT_LANES, (height + 1) // 2, count),
             fields,
             field_stride,
             np.int32(field_width),

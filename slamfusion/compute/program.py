@@ -35,7 +35,7 @@ class KernelProgram:
     def __init__(self, context: Any, device: Any, options: tuple[str, ...] = ()) -> None:
         """Build every family; a compiler's complaint becomes one DeviceError."""
         folder = kernel_folder()
-        self.options = ("-I", str(folder), *options)
+        self.options = ("-w", "-I", str(folder), *options)
         self._kernels: dict[str, Any] = {}
         for family in FAMILIES:
             source = (folder / f"{family}.cl").read_text(encoding="utf-8")

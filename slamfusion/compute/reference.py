@@ -30,6 +30,7 @@ __all__ = [
     "refine_terms",
     "score_field",
     "shrink",
+    "solid_walls",
     "squared_error",
     "surface_walls",
     "tile_peaks",
@@ -50,6 +51,7 @@ F64 = npt.NDArray[np.float64]
 DISTANCE_MAX = 64
 DISTANCE2_MAX = DISTANCE_MAX**2
 FIXED_ONE = 1 << 30
+SPECK_FREE_CELLS = 7
 MOST_INPUTS = 32
 
 
@@ -74,14 +76,34 @@ def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
     return y >> 31, x >> 31
 
 
-def surface_walls(cells: I8) -> U8:
-    """Return (H, W) uint8, 1 where an occupied cell has a free one among its 8 neighbours.
+def _free_neighbours(cells: I8) -> U8:
+    """Return (H, W) uint8, how many of a cell's 8 neighbours are free; outside is unknown."""
+    kernel = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
+    count: U8 = ndimage.convolve((cells == 0).astype(np.uint8), kernel, mode="constant")
+    return count
+
+
+def solid_walls(cells: I8) -> U8:
+    """Return (H, W) uint8, 1 where an occupied cell has at most six free ones among its neighbours.
+
+    With seven or eight it stands in free space alone, or beside one other: a speck of noise.
 
     Args:
         cells: (H, W) int8 in {-1, 0, 1}.
     """
-    near_free = ndimage.binary_dilation(cells == 0, structure=np.ones((3, 3), dtype=bool))
-    return np.asarray((cells == 1) & near_free, dtype=np.uint8)
+    solid = (cells == 1) & (_free_neighbours(cells) < SPECK_FREE_CELLS)
+    return solid.astype(np.uint8)
+
+
+def surface_walls(cells: I8, solid: U8) -> U8:
+    """Return (H, W) uint8, 1 where a solid wall cell has a free one among its 8 neighbours.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+        solid: (H, W) uint8, 1 at the wall cells that count.
+    """
+    surface = (solid != 0) & (_free_neighbours(cells) > 0)
+    return surface.astype(np.uint8)
 
 
 def shrink(walls: U8, cells: I8, step: int) -> tuple[U8, U8]:
@@ -362,8 +384,8 @@ def refine_terms(
     """Return the normal equations of a robust point-to-wall fit, one row per pose.
 
     The unknown is a small motion (dx, dy, dyaw) of the reference frame about ``centre``, applied
-    after the pose. The residual is the bilinear distance to the nearest wall, its weight Welsch's
-    exp(-(d / scale)^2).
+    after the pose. The residual is the bilinear distance to the nearest wall, its weight Geman and
+    McClure's 1 / (1 + (d / scale)^2)^2.
 
     Args:
         points: (N, 2) float32, cells.
@@ -393,7 +415,7 @@ def refine_terms(
         d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
         gx = (1 - v) * (d01 - d00) + v * (d11 - d10)
         gy = (1 - u) * (d10 - d00) + u * (d11 - d01)
-        weight = np.exp(-(d * d) / (scale * scale))
+        weight = (1.0 + (d * d) / (scale * scale)) ** -2.0
         ax, ay = qx - centre[0], qy - centre[1]
         if backward:
             gx, gy = -(cosine * gx + sine * gy), -(cosine * gy - sine * gx)

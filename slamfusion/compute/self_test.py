@@ -70,9 +70,15 @@ class Sample:
         return self.grids(1)[0]
 
     @cached_property
+    def solid(self) -> npt.NDArray[np.uint8]:
+        """(H, W) uint8, 1 where occupied."""
+        solid: npt.NDArray[np.uint8] = (self.cells == 1).astype(np.uint8)
+        return solid
+
+    @cached_property
     def walls(self) -> npt.NDArray[np.uint8]:
         """(H, W) uint8, 0 or 1."""
-        return reference.surface_walls(self.cells)
+        return reference.surface_walls(self.cells, self.solid)
 
     @cached_property
     def distance2(self) -> npt.NDArray[np.uint16]:
@@ -150,8 +156,13 @@ def _fetch(backend: Backend, handles: Iterable[Any]) -> Arrays:
     return [backend.download(handle) for handle in handles]
 
 
+def _solid_walls(backend: Backend, sample: Sample) -> Arrays:
+    return _fetch(backend, [backend.solid_walls(backend.upload(sample.cells))])
+
+
 def _surface_walls(backend: Backend, sample: Sample) -> Arrays:
-    return _fetch(backend, [backend.surface_walls(backend.upload(sample.cells))])
+    cells, solid = backend.upload(sample.cells), backend.upload(sample.solid)
+    return _fetch(backend, [backend.surface_walls(cells, solid)])
 
 
 def _shrink(backend: Backend, sample: Sample) -> Arrays:
@@ -294,6 +305,7 @@ def _vote_log_odds(backend: Backend, sample: Sample) -> Arrays:
 
 
 CHECKS: dict[str, Check] = {
+    "solid_walls": _solid_walls,
     "surface_walls": _surface_walls,
     "shrink": _shrink,
     "distance_squared": _distance_squared,

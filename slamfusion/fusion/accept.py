@@ -33,9 +33,10 @@ CLASH_MAX_STRICT = 0.10
 COARSE_RATIO_MAX = 0.85
 Z_MIN = 3.5
 RUNNER_UP_MAX = 0.80
-# Score less runner-up: wrong pairs seen up to 0.077 with few clashes.
+# Score less runner-up: wrong pairs seen up to 0.085, with few clashes and a lower yaw 0.068.
 MARGIN_MIN = 0.10
 COARSE_RATIO_MARGIN_MAX = 0.98
+MARGIN_ALONE_MIN = 0.15
 # A rival above this share of the score makes a pair ambiguous, unless the answer leaves less than
 # half as much unexplained.
 AMBIGUOUS_RATIO = 0.85
@@ -106,7 +107,10 @@ def _ground(evidence: Evidence, match: float, clash: float, runner_up: float) ->
     if stands_out and clash <= CLASH_MAX:
         return f"yaw stands out: others reach {ratio:.0%} (z {z:.1f})"
     margin = evidence.score * (1.0 - runner_up)
-    if margin >= MARGIN_MIN and clash <= CLASH_MAX_STRICT and ratio <= COARSE_RATIO_MARGIN_MAX:
+    is_wide = margin >= MARGIN_ALONE_MIN or (
+        margin >= MARGIN_MIN and ratio <= COARSE_RATIO_MARGIN_MAX
+    )
+    if is_wide and clash <= CLASH_MAX_STRICT:
         return f"score stands out: {evidence.score:.2f}, the next {evidence.score - margin:.2f}"
     return None
 

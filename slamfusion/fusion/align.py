@@ -27,6 +27,7 @@ from slamfusion.fusion.search import (
     rank,
     refine,
     search,
+    settle,
     to_lattice,
 )
 from slamfusion.geometry import Pose2, wrap_angle
@@ -132,7 +133,7 @@ def track_features(
     """
     began = time.perf_counter()
     motion = _motion(reference, moving, start)[None]
-    motion = refine(reference, moving, motion, 1, (8.0, 4.0, 2.0), backend, points=1024)
+    motion = settle(reference, moving, motion, backend)
     score = rank(reference, moving, motion, 1, FINE_TABLE, backend)
     return _conclude(reference, moving, backend, _Found(motion, score, None, None), start, began)
 
@@ -211,9 +212,7 @@ def _prove(
             # What scores above the answer lies beside it: the same peak, seen at another cell.
             gap = gap if not proof.finished else 0.0
             break
-        moved = refine(
-            reference, moving, np.array(rivals), 1, (8.0, 4.0, 2.0), backend, points=1536
-        )
+        moved = settle(reference, moving, np.array(rivals), backend)
         everything = np.concatenate((motions, moved))
         ranked = rank(reference, moving, everything, 1, FINE_TABLE, backend)
         order = np.argsort(-ranked, kind="stable")

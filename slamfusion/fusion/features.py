@@ -119,8 +119,8 @@ class GridFeatures:
 
     @cached_property
     def wall_points(self) -> npt.NDArray[np.int32]:
-        """All wall cells, surface or not, as lattice positions (N, 2) int32 in half cells."""
-        return _lattice_points(self.grid.cells == 1)
+        """The solid wall cells, surface or not: lattice positions (N, 2) int32 in half cells."""
+        return _lattice_points(self.grid.solid != 0)
 
     @cached_property
     def known(self) -> Handle:
@@ -136,11 +136,10 @@ class GridFeatures:
 
     @cached_property
     def _surface(self) -> Handle:
-        """Surface walls; all walls where no wall touches free space."""
-        surface = self.backend.surface_walls(self.cells)
-        if not self.backend.download(surface).any():
-            surface = self.backend.upload((self.grid.cells == 1).astype(np.uint8))
-        return surface
+        """Surface walls; all solid walls where none touches free space."""
+        solid = self.backend.upload(self.grid.solid)
+        surface = self.backend.surface_walls(self.cells, solid)
+        return surface if self.backend.download(surface).any() else solid
 
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""

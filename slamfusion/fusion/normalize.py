@@ -12,7 +12,7 @@ from slamfusion.compute.reference import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
 
 __all__ = ["NormalizedGrid", "common_resolution", "normalize_grid", "trinary_cells"]
 
@@ -28,10 +28,13 @@ class NormalizedGrid:
         grid: occupancy in percent, at the common resolution, cropped to known cells; its origin
             keeps the lattice (yaw and sub-cell offset) of the input.
         cells: (H, W) int8 in {-1, 0, 1}, the same lattice.
+        solid: (H, W) uint8, 1 at the wall cells that alignment looks at: no specks of noise, judged
+            at the input's own resolution; every wall cell where all are specks.
     """
 
     grid: OccupancyGrid
     cells: npt.NDArray[np.int8]
+    solid: npt.NDArray[np.uint8]
 
     @property
     def name(self) -> str:
@@ -80,7 +83,13 @@ def normalize_grid(
     Raises:
         GridError: no cell of the grid is known under these thresholds.
     """
+    solid = backend.download(
+        backend.solid_walls(backend.upload(trinary_cells(grid.cells, config)))
+    ).astype(np.int8)
     resampled = _resample(grid, resolution, config, backend)
+    if resampled is not grid:
+        mask = OccupancyGrid(solid * np.int8(OCCUPIED), grid.resolution, grid.origin, grid.name)
+        solid = (_resample(mask, resolution, config, backend).cells > 0).astype(np.int8)
     cells = trinary_cells(resampled.cells, config)
     box = known_box(cells)
     if box is None:
@@ -90,9 +99,14 @@ def normalize_grid(
             "give a map with known cells or other thresholds"
         )
         raise GridError(message)
-    kept = np.ascontiguousarray(cells[box.row0 : box.row1, box.col0 : box.col1])
+    window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
+    kept = np.ascontiguousarray(cells[window])
+    walls = np.ascontiguousarray((solid[window] != 0) & (kept == 1)).astype(np.uint8)
+    if not walls.any():
+        walls = (kept == 1).astype(np.uint8)
     kept.flags.writeable = False
-    return NormalizedGrid(resampled.crop(box), kept)
+    walls.flags.writeable = False
+    return NormalizedGrid(resampled.crop(box), kept, walls)
 
 
 def _resample(

@@ -54,6 +54,7 @@ RADIUS_CLASSES = (0.35, 0.55, 0.75, 1.0)
 FULL_LEVEL_WORK = 6e8
 BLOCKS_AT_ONCE = 1 << 17
 MEMBERS_KEPT = 64
+MEMBERS_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -221,8 +222,20 @@ def prove(lattice: LatticeScore, answer_score: int, deadline_s: float) -> Proof:
     done = bounds.size
     undecided = 0
     while len(blocks) and step > 1:
+        if len(blocks) * step**3 <= MEMBERS_AT_ONCE:
+            # So few are left that scoring their members outright is cheaper than bounding them.
+            while step > 1:
+                step //= 2
+                blocks = _split(blocks, step, lattice.shape)
+            value = _BlockBounds(lattice, step, blocks).bounds(blocks)
+            done += len(blocks)
+            keep = value > answer_score
+            blocks, value = blocks[keep], value[keep]
+            order = np.argsort(-value, kind="stable")
+            blocks, value = blocks[order], value[order]
+            break
         step //= 2
-        pools = _BlockBounds(lattice, step)
+        pools = _BlockBounds(lattice, step, 2 * blocks)
         kept_blocks, kept_values = [], []
         for start in range(0, len(blocks), BLOCKS_AT_ONCE // 8):
             if time.perf_counter() > end:
@@ -279,9 +292,8 @@ def _split(blocks: I32, step: int, shape: tuple[int, int, int]) -> I32:
 class _Windows:
     """Where each point's window starts for every yaw group of a level, and the window sizes."""
 
-    def __init__(self, lattice: LatticeScore, step: int) -> None:
-        groups = -(-lattice.shape[0] // step)
-        middle = np.arange(groups) * step + (step - 1) / 2.0
+    def __init__(self, lattice: LatticeScore, step: int, groups: npt.NDArray[np.int64]) -> None:
+        middle = groups * step + (step - 1) / 2.0
         x, y = lattice.turned(lattice.yaw(middle))
         far = float(lattice.radii.max())
         limits = np.array(RADIUS_CLASSES) * max(far, 1e-9) * (1.0 + 1e-9)
@@ -309,7 +321,7 @@ def _pooled(lattice: LatticeScore, window: int, pad: int) -> Handle:
 
 def _bound_all(lattice: LatticeScore, step: int) -> I32:
     """Return the bound of every block of a level: (groups, rows, cols) int32."""
-    windows = _Windows(lattice, step)
+    windows = _Windows(lattice, step, np.arange(-(-lattice.shape[0] // step)))
     backend = lattice.backend
     _, height, width = lattice.shape
     rows, cols = -(-height // step), -(-width // step)
@@ -338,16 +350,26 @@ def _bound_all(lattice: LatticeScore, step: int) -> I32:
 class _BlockBounds:
     """Bounds of listed blocks at one level."""
 
-    def __init__(self, lattice: LatticeScore, step: int) -> None:
-        windows = _Windows(lattice, step)
+    def __init__(self, lattice: LatticeScore, step: int, blocks: I32) -> None:
+        """Prepare the windows of the yaw groups among ``blocks``, and the next of each."""
+        groups = np.unique(blocks[:, 0]).astype(np.int64)
+        if step > 1 or len(groups) < lattice.shape[0]:
+            groups = np.unique(np.concatenate((groups, groups + 1)))
+        self.slots = np.zeros(int(groups[-1]) + 1, dtype=np.int32)
+        self.slots[groups] = np.arange(len(groups), dtype=np.int32)
+        windows = _Windows(lattice, step, groups)
         self.backend = lattice.backend
         self.pad = max(windows.sizes)
-        pooled = [self.backend.download(_pooled(lattice, size, self.pad)) for size in windows.sizes]
+        sizes = sorted(set(windows.sizes))
+        pooled = [self.backend.download(_pooled(lattice, size, self.pad)) for size in sizes]
         self.fields = self.backend.upload(np.stack(pooled))
-        self.classes = windows.classes.astype(np.uint8)
+        plane = np.array([sizes.index(size) for size in windows.sizes], dtype=np.uint8)
+        self.classes = plane[windows.classes]
         starts = np.stack((windows.rows, windows.cols), axis=2) + self.pad
         self.starts = self.backend.upload(np.ascontiguousarray(starts.astype(np.int32)))
 
     def bounds(self, blocks: I32) -> I32:
         """Return the bound of each block (B, 3): yaw group, first row, first column."""
-        return self.backend.bound_blocks(blocks, self.starts, self.classes, self.fields, BASE)
+        own = blocks.copy()
+        own[:, 0] = self.slots[blocks[:, 0]]
+        return self.backend.bound_blocks(own, self.starts, self.classes, self.fields, BASE)

@@ -41,6 +41,7 @@ __all__ = [
     "rank",
     "refine",
     "search",
+    "settle",
     "shift_range",
     "to_lattice",
 ]
@@ -48,12 +49,15 @@ __all__ = [
 F64 = npt.NDArray[np.float64]
 
 TILE = 4
-SHIFT_LANES = 64
+SHIFT_LANES = 32
 WALL_SHARE_MAX = 0.6
 YAW_STEP_CELLS = 1.3
 RIM_PERCENTILE = 90.0
 REFINE_POINTS = 768
+FINE_POINTS = 1536
 FINAL_POINTS = 4096
+SCALE_WIDE = 6.0
+SURFACE_RADII = (1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
@@ -284,7 +288,7 @@ def refine(
         reference, moving: the two grids.
         motions: (P, 3) where the moving centre lands, fine cells, and yaw.
         step: level to work on, fine cells a cell.
-        scales: Welsch scale of each round, in cells of the level, wide to narrow.
+        scales: robust scale of each round, in cells of the level, wide to narrow.
         backend: computes the normal equations.
         points: at most this many wall points of each grid.
         iterations: Gauss-Newton steps a scale.
@@ -347,6 +351,52 @@ def _apply(motions: F64, change: F64, pivot: tuple[float, float]) -> F64:
     )
 
 
+def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend: Backend) -> F64:
+    """Finish motions that are right to a few cells, as finely as the walls of the two maps allow.
+
+    Where one map's walls are thicker, their surfaces cannot meet: a fit narrower than the difference
+    locks onto one side of a room, a wider one stays between both. So the last scale is twice the
+    median distance of the surfaces that a wide fit leaves.
+    """
+    motions = refine(reference, moving, motions, 1, (8.0,), backend, points=FINE_POINTS)
+    spread = _surface_distance(reference, moving, motions, backend)
+    settled = np.empty_like(motions)
+    for radius in np.unique(spread):
+        mine = spread == radius
+        last = 2.0 * float(radius)
+        scales = (4.0, last) if last < SCALE_WIDE else (last,)
+        settled[mine] = refine(
+            reference, moving, motions[mine], 1, scales, backend, points=FINE_POINTS
+        )
+    return settled
+
+
+def _surface_distance(
+    reference: GridFeatures, moving: GridFeatures, motions: F64, backend: Backend
+) -> F64:
+    """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
+    ref, mov = reference.level(1), moving.level(1)
+    poses = to_lattice(motions, moving.centre)
+    sides = ((mov.points, poses, reference, ref), (ref.points, invert(poses), moving, mov))
+    near = np.zeros((len(SURFACE_RADII) + 1, len(motions)))
+    for row, radius in enumerate((*SURFACE_RADII, 8)):
+        for points, pose, features, level in sides:
+            counts = backend.pose_counts(
+                spread_sample(points, FINE_POINTS),
+                fixed_poses(pose),
+                features.field(1, FINE_TABLE),
+                level.distance2,
+                level.free,
+                base=0,
+                near2=radius * radius,
+                far2=0,
+            )
+            near[row] += counts[:, 1]
+    reached = 2.0 * near[:-1] >= near[-1]
+    reached[-1] = True
+    return np.asarray(np.array(SURFACE_RADII, dtype=np.float64)[reached.argmax(axis=0)])
+
+
 def rank(
     reference: GridFeatures,
     moving: GridFeatures,
@@ -407,7 +457,7 @@ def search(
     )
     scores = rank(reference, moving, motions, middle, FINE_TABLE, backend, points=1024)
     motions = distinct(motions[np.argsort(-scores, kind="stable")], 3.0 * middle, 0.02)[:8]
-    motions = refine(reference, moving, motions, 1, (8.0, 4.0, 2.0), backend, points=1536)
+    motions = settle(reference, moving, motions, backend)
     scores = rank(reference, moving, motions, 1, FINE_TABLE, backend)
     order = np.argsort(-scores, kind="stable")
     return coarse, motions[order], scores[order]

@@ -1,0 +1,65 @@
+#!/usr/bin/env bash
+# Lint, type check, and run the tests: under the Jazzy constraints (NumPy 1.26), then under NumPy 2.
+# --full adds the tests that are too long for every run; other options go to pytest.
+set -euo pipefail
+# shellcheck source=launch_scripts/setup.sh
+source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+cd "$root"
+
+venv="$root/.venv"
+jazzy="$root/.venv-jazzy"
+constraints="$root/launch_scripts/constraints-jazzy.txt"
+
+# Two test processes, and PoCL threads that share the cores among them.
+cores="$(nproc)"
+workers=$((cores < 2 ? 1 : 2))
+export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$((cores / workers))}"
+
+install_all() {
+    make_venv "$venv"
+    if [ -n "${ROS_DISTRO:-}" ]; then
+        say "ROS_DISTRO is set: its rclpy is used, the ros extra is not installed"
+        install_into "$venv" dev "$constraints"
+    elif ! install_into "$venv" dev,ros; then
+        say "the ros extra does not install on $("$venv/bin/python" --version); going without it"
+        install_into "$venv" dev
+    fi
+    make_venv "$jazzy"
+    install_into "$jazzy" test "$constraints"
+    if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; then
+        if can_install_packages && apt_install chromium; then
+            return
+        fi
+        say "no chromium: the test that looks at the report in a browser is skipped"
+    fi
+}
+
+failed=()
+
+# check NAME COMMAND...: run it and remember whether it failed.
+check() {
+    local name="$1"
+    shift
+    say "$name"
+    "$@" || failed+=("$name")
+}
+
+# The suite runs in parallel where test processes do not fight over one core.
+suite() {
+    local python="$1/bin/python"
+    shift
+    "$python" -m pytest -n "$workers" --dist loadfile "$@"
+}
+
+install_all
+check "ruff check" "$venv/bin/ruff" check .
+check "ruff format" "$venv/bin/ruff" format --check .
+check "mypy" "$venv/bin/mypy"
+# Recorded maps are looked at once, in the last leg; the Jazzy leg is about NumPy and OpenCV.
+check "tests under the Jazzy constraints" \
+    suite "$jazzy" -m "jazzy or not (ros or datasets)" -p no:cacheprovider "$@"
+if [ ${#failed[@]} -gt 0 ]; then
+    say "failed so far: ${failed[*]}"
+fi
+check "tests" suite "$venv" --cov --cov-report=term:skip-covered "$@"
+[ ${#failed[@]} -eq 0 ]

@@ -1,0 +1,63 @@
+"""``slamfusion devices``: what could compute."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import click
+
+from slamfusion.cli.options import common_options
+from slamfusion.cli.output import print_json, print_table
+
+__all__ = ["command", "print_devices"]
+
+NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
+
+
+@click.command("devices")
+@common_options
+def command(as_json: bool) -> int:
+    """List the OpenCL devices that --device can name."""
+    from slamfusion.compute import list_devices  # noqa: PLC0415
+
+    devices = list_devices()
+    if as_json:
+        print_json({"devices": [dataclasses.asdict(device) for device in devices]})
+        return 0
+    print_devices()
+    print(NUMPY_NOTE)
+    if not devices:
+        print("no OpenCL device found; `slamfusion doctor` says what to install")
+    return 0
+
+
+def print_devices() -> None:
+    """Print the table of devices."""
+    from slamfusion.compute import list_devices  # noqa: PLC0415
+
+    rows = [
+        [
+            str(device.index),
+            device.name,
+            device.platform,
+            device.type,
+            device.version,
+            str(device.compute_units),
+            f"{device.memory_mb:.0f}",
+            "yes" if device.usable else "NO",
+            device.note,
+        ]
+        for device in list_devices()
+    ]
+    columns = (
+        "index",
+        "name ",
+        "platform ",
+        "type ",
+        "version ",
+        "units",
+        "memory MB",
+        "usable ",
+        "note ",
+    )
+    print_table(columns, rows)

@@ -1,0 +1,94 @@
+"""``slamfusion doctor``: what is installed, whether it computes, what to install."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import os
+
+import click
+
+from slamfusion.cli.devices import print_devices
+from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.output import print_json, print_table, versions
+from slamfusion.config import RunConfig
+from slamfusion.errors import DeviceError, SlamFusionError
+
+__all__ = ["INSTALL", "command"]
+
+# One line for each maker of devices; names of Ubuntu and Debian packages unless said otherwise.
+INSTALL = {
+    "any CPU": "pip install pocl-binary-distribution (x86-64), or apt install pocl-opencl-icd",
+    "NVIDIA GPU": "apt install nvidia-opencl-icd (Debian), libnvidia-compute-NNN (Ubuntu)",
+    "Intel GPU": "apt install intel-opencl-icd",
+    "AMD GPU": "apt install rocm-opencl, or mesa-opencl-icd with RUSTICL_ENABLE=radeonsi",
+}
+
+
+@click.command("doctor")
+@with_config("device")
+@common_options
+def command(config: RunConfig, as_json: bool) -> int:
+    """Check this installation: versions, devices, and a one-second test of the kernels."""
+    from slamfusion.compute import list_devices  # noqa: PLC0415
+
+    found = versions()
+    devices = list_devices()
+    problems = []
+    if not any(device.usable for device in devices):
+        problems.append("no usable OpenCL device; install one of the drivers listed")
+    if has_two_rclpy():
+        problems.append(
+            "two rclpy: a sourced ROS (ROS_DISTRO) and ros-jazzy-rclpy from pip; "
+            "run pip uninstall ros-jazzy-rclpy"
+        )
+    device, tests = _self_test(config.device.device)
+    problems += [f"self test {name}: {detail}" for name, passed, detail in tests if not passed]
+
+    if as_json:
+        print_json(
+            {
+                "ok": not problems,
+                "problems": problems,
+                "versions": found,
+                "devices": [dataclasses.asdict(item) for item in devices],
+                "device": device,
+                "self_test": [
+                    {"name": name, "passed": passed, "detail": detail}
+                    for name, passed, detail in tests
+                ],
+                "install": INSTALL,
+            },
+        )
+    else:
+        rows = [[name, version or "absent"] for name, version in found.items()]
+        print_table(("package ", "version "), rows)
+        print_devices()
+        tested = [[name, "yes" if passed else "NO", detail] for name, passed, detail in tests]
+        print_table(("self test ", "passed ", "detail "), tested, title=f"on {device}")
+        print_table(("for ", "install "), [list(item) for item in INSTALL.items()])
+    if problems:
+        raise SlamFusionError("; ".join(problems))
+    return 0
+
+
+def has_two_rclpy() -> bool:
+    """Whether a sourced ROS and the rclpy of the Python package index are both there."""
+    if not os.environ.get("ROS_DISTRO"):
+        return False
+    try:
+        importlib.metadata.version("ros-jazzy-rclpy")
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _self_test(device: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
+    """Run the kernels on the chosen device; a device that cannot be opened is a failed test."""
+    from slamfusion.compute import open_backend, self_test  # noqa: PLC0415
+
+    try:
+        backend = open_backend(device)
+        return backend.name, self_test(backend)
+    except DeviceError as error:
+        return None, [("open the device", False, str(error))]

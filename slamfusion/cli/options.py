@@ -1,0 +1,191 @@
+"""Options built from the configuration's fields, and the options that every command has."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import types
+import typing
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from slamfusion.cli.output import Settings
+from slamfusion.config import FieldInfo, RunConfig, field_infos, load_config
+from slamfusion.errors import ConfigError
+
+__all__ = [
+    "ConfigOption",
+    "common_options",
+    "config_fields",
+    "map_resolution_option",
+    "option_name",
+    "with_config",
+]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# What help calls a value, by its unit or else its type.
+METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
+# A field whose own name already means something else on the command line.
+OPTION_NAMES = {"fusion.normalize.resolution": "--fused-resolution"}
+
+
+@dataclass(frozen=True)
+class ConfigOption:
+    """One leaf field of ``RunConfig`` and where it stands in the tree."""
+
+    section: str
+    info: FieldInfo
+
+    @property
+    def key(self) -> str:
+        """Dotted place in the configuration tree."""
+        return f"{self.section}.{self.info.name}".lstrip(".")
+
+    @property
+    def parameter(self) -> str:
+        """Name of the value in the command's arguments."""
+        return "config_" + self.key.replace(".", "_")
+
+
+def option_name(option: ConfigOption) -> str:
+    """Return the option's name on the command line."""
+    return OPTION_NAMES.get(option.key, "--" + option.info.name.replace("_", "-"))
+
+
+def config_fields(config_class: type[Any] = RunConfig, section: str = "") -> Iterator[ConfigOption]:
+    """Yield every leaf field of the configuration tree, in order, sections first to last."""
+    for info in field_infos(config_class):
+        yield ConfigOption(section, info)
+    hints = typing.get_type_hints(config_class)
+    for item in dataclasses.fields(config_class):
+        if dataclasses.is_dataclass(hints[item.name]):
+            yield from config_fields(hints[item.name], f"{section}.{item.name}".lstrip("."))
+
+
+def with_config(*sections: str) -> Callable[[F], F]:
+    """Give a command ``--config`` and the public fields of some sections as options.
+
+    The command receives one ``config: RunConfig``: defaults, then the file, then the options.
+
+    Args:
+        sections: dotted places in the tree; ``""`` is the root's own fields.
+    """
+    chosen = [
+        option
+        for option in config_fields()
+        if option.section in sections and option.info.level == "public"
+    ]
+
+    def decorate(function: F) -> F:
+        @functools.wraps(function)
+        def wrapper(*args: Any, config_file: Path | None, **values: Any) -> Any:
+            explicit = {option.key: values.pop(option.parameter) for option in chosen}
+            config = RunConfig() if config_file is None else load_config(config_file)
+            return function(*args, config=_override(config, explicit), **values)
+
+        command: Any = wrapper
+        for option in reversed(chosen):
+            command = _click_option(option)(command)
+        return typing.cast("F", _CONFIG_FILE(command))
+
+    return decorate
+
+
+_CONFIG_FILE = click.option(
+    "--config",
+    "config_file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="YAML file with settings, also the expert ones; options given here override it.",
+)
+
+
+def map_resolution_option(function: F) -> F:
+    """Give a command ``--resolution`` for images that come without a YAML file."""
+    decorate = click.option(
+        "--resolution", type=float, metavar="M", help="Cell size of bare images, in metres."
+    )
+    return decorate(function)
+
+
+def common_options(function: F) -> F:
+    """Give a command ``--json`` (as ``as_json``) and ``--debug``."""
+
+    def remember_debug(context: click.Context, _: click.Parameter, value: bool) -> None:
+        if value:
+            context.ensure_object(Settings).debug = True
+
+    def remember_json(context: click.Context, _: click.Parameter, value: bool) -> bool:
+        context.ensure_object(Settings).json = value
+        return value
+
+    debug = click.option(
+        "--debug",
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=remember_debug,
+        help="Show the traceback of a failure.",
+    )
+    as_json = click.option(
+        "--json",
+        "as_json",
+        is_flag=True,
+        is_eager=True,
+        callback=remember_json,
+        help="Print one JSON document instead of tables.",
+    )
+    return as_json(debug(function))
+
+
+def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
+    """Return the click option of one field; without it the field keeps its value."""
+    info, name = option.info, option_name(option)
+    kind: Any = info.type
+    if isinstance(kind, types.UnionType):
+        kind = next(item for item in typing.get_args(kind) if item is not type(None))
+    default = "" if info.default is None else f" [default: {_shown(info)}]"
+    help_text = info.help[0].upper() + info.help[1:] + "." + default
+    if kind is bool:
+        flags = f"{name}/--no-{name.removeprefix('--')}"
+        return click.option(flags, option.parameter, default=None, help=help_text)
+    if info.choices:
+        kind = click.Choice(info.choices)
+    metavar = None if info.choices else METAVARS.get(info.unit or kind.__name__, info.unit.upper())
+    return click.option(
+        name, option.parameter, type=kind, default=None, metavar=metavar, help=help_text
+    )
+
+
+def _shown(info: FieldInfo) -> str:
+    if isinstance(info.default, bool):
+        return "yes" if info.default else "no"
+    value = f"{info.default:.4g}" if isinstance(info.default, float) else str(info.default)
+    return f"{value} {info.unit}".rstrip()
+
+
+def _override(config: RunConfig, explicit: dict[str, Any]) -> RunConfig:
+    """Return the configuration with the explicit options put in."""
+    changed = {key: value for key, value in explicit.items() if value is not None}
+    try:
+        return typing.cast("RunConfig", _replace(config, changed))
+    except ConfigError as error:
+        raise click.UsageError(str(error)) from None
+
+
+def _replace(config: Any, changed: dict[str, Any]) -> Any:
+    """Replace fields by dotted key, those of one section together: they check each other."""
+    own = {key: value for key, value in changed.items() if "." not in key}
+    for section in {key.split(".", 1)[0] for key in changed if "." in key}:
+        below = {
+            key.split(".", 1)[1]: value
+            for key, value in changed.items()
+            if key.startswith(f"{section}.")
+        }
+        own[section] = _replace(getattr(config, section), below)
+    return dataclasses.replace(config, **own)

@@ -1,0 +1,81 @@
+"""Run the installed command as a user does."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "data" / "sample"
+MAPS = [str(SAMPLE / f"map_{letter}.yaml") for letter in "abc"]
+TRUTH = str(SAMPLE / "truth.yaml")
+INSTALLED = Path(sys.executable).with_name("slamfusion")
+
+
+def run(
+    *arguments: str | Path,
+    cwd: Path | None = None,
+    env: Mapping[str, str] | None = None,
+    limits: Mapping[int, int] | None = None,
+    timeout: float = 180.0,
+) -> subprocess.CompletedProcess[str]:
+    """Start ``slamfusion`` with arguments and return what it printed.
+
+    Args:
+        arguments: as on the command line.
+        cwd: where it runs.
+        env: added to the environment.
+        limits: resource limits by number, e.g. ``resource.RLIMIT_AS``.
+        timeout: seconds after which the test fails.
+    """
+
+    def set_limits() -> None:
+        for kind, value in (limits or {}).items():
+            resource.setrlimit(kind, (value, value))
+
+    return subprocess.run(
+        [str(INSTALLED), *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, **(env or {})},
+        preexec_fn=set_limits if limits else None,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+
+
+def json_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """Return the one JSON document on stdout; anything else there, or NaN, is an error."""
+
+    def refuse(constant: str) -> float:
+        message = f"{constant} in JSON"
+        raise ValueError(message)
+
+    document = json.loads(done.stdout, parse_constant=refuse)
+    assert isinstance(document, dict)
+    return document
+
+
+def assert_one_line_failure(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Exit code 1 and exactly one line on stderr, which holds all the words."""
+    assert done.returncode == 1, done.stderr
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("slamfusion: error: ")
+    for word in words:
+        assert word in lines[0]
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    """Return every path below a folder with its bytes; None for folders and links."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }

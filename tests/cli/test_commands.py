@@ -1,0 +1,281 @@
+"""The commands on the bundled maps, started as a user starts them."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from slamfusion import __version__
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import OCCUPIED, UNKNOWN
+from slamfusion.io import load_map
+from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
+
+
+@pytest.fixture(scope="module")
+def fused(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The folder and the JSON document of one fusion of the sample, with truth and report."""
+    folder = tmp_path_factory.mktemp("fused")
+    out, report = folder / "out", folder / "report"
+    done = run("fuse", *MAPS, "-o", out, "--truth", TRUTH, "--report", report, "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return folder, json_of(done)
+
+
+def pose_of(record: dict[str, Any]) -> Pose2:
+    return Pose2(record["dx_m"], record["dy_m"], record["yaw_rad"])
+
+
+def true_poses() -> dict[str, Pose2]:
+    text = (SAMPLE / "transforms.yaml").read_text(encoding="utf-8")
+    return {name: pose_of(record) for name, record in yaml.safe_load(text).items()}
+
+
+def assert_near(found: Pose2, true: Pose2, about: Pose2) -> None:
+    """Within a cell and a half, and half a degree; ``about`` is a place in the moving frame."""
+    place = np.array([about.x, about.y])
+    assert np.linalg.norm(found.transform(place) - true.transform(place)) < 1.5 * 0.05
+    assert abs(wrap_angle(found.yaw_rad - true.yaw_rad)) < math.radians(0.5)
+
+
+def test_fuse_finds_the_true_transforms(fused: tuple[Path, dict[str, Any]]) -> None:
+    _, document = fused
+    true = true_poses()
+    reference = document["reference"]
+    assert [record["name"] for record in document["inputs"]] == ["map_a", "map_b", "map_c"]
+    for record in document["inputs"]:
+        assert record["accepted"] is True
+        expected = true[reference].inverse().compose(true[record["name"]])
+        middle = true[record["name"]].inverse().compose(Pose2(2.4, 0.4))
+        assert_near(pose_of(record), expected, middle)
+
+
+def test_fuse_document_has_the_promised_keys(fused: tuple[Path, dict[str, Any]]) -> None:
+    _, document = fused
+    for record in document["inputs"]:
+        wanted = {"name", "accepted", "reason", "dx_m", "dy_m", "yaw_rad", "score", "overlap"}
+        assert wanted | {"error", "runner_up", "bound_gap", "time_s"} <= record.keys()
+    assert document["fused_count"] == 3
+    assert document["phantom_cells"] == 0
+    assert set(document["weights"]) == {"map_a", "map_b", "map_c"}
+    assert set(document["doubled_wall_share"]["inputs"]) == {"map_a", "map_b", "map_c"}
+    assert 0 <= document["doubled_wall_share"]["fused"] <= 1
+    assert len(document["pairs"]) == 3
+    assert document["device"]
+    assert document["seed"] == 0
+    assert document["config"]["fusion"]["vote"]["unknown"] == "auto"
+    assert document["versions"]["numpy"] == np.__version__
+    assert document["time_s"] > 0
+
+
+def test_fuse_writes_both_maps_and_nothing_else(fused: tuple[Path, dict[str, Any]]) -> None:
+    folder, document = fused
+    files = {path.name for path in folder.iterdir() if path.is_file()}
+    assert files == {"out.yaml", "out.pgm", "out_agreement.yaml", "out_agreement.pgm"}
+    grid = load_map(document["fused"])
+    agreement = load_map(document["agreement"])
+    assert set(np.unique(grid.cells)) <= {UNKNOWN, 0, OCCUPIED}
+    assert grid.cells.shape == agreement.cells.shape
+    assert grid.origin == agreement.origin
+    assert agreement.cells.max() == 100
+
+
+def test_fuse_report_shows_what_happened(fused: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = fused
+    pages = list((folder / "report").glob("*.html"))
+    assert len(pages) == 1
+    text = pages[0].read_text(encoding="utf-8")
+    for name in ("map_a", "map_b", "map_c"):
+        assert name in text
+
+
+def test_fused_map_beats_its_inputs(fused: tuple[Path, dict[str, Any]]) -> None:
+    _, document = fused
+    errors = {item["name"]: item for item in document["evaluations"]}
+    assert set(errors) == {"map_a", "map_b", "map_c", "fused"}
+    assert all(item["aligned"] for item in errors.values())
+    for name in ("map_a", "map_b", "map_c"):
+        assert errors["fused"]["error"] < errors[name]["error"]
+        assert errors["fused"]["wall_f1"] > errors[name]["wall_f1"]
+
+
+def test_fuse_prints_tables_and_replaces_old_files(tmp_path: Path) -> None:
+    (tmp_path / "out.yaml").write_text("old", encoding="utf-8")
+    done = run("fuse", *MAPS, "-o", "out.yaml", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "fused 3 of 3 inputs" in done.stdout
+    for name in ("map_a", "map_b", "map_c", "reference"):
+        assert name in done.stdout
+    assert load_map(tmp_path / "out.yaml").cells.max() == OCCUPIED
+    assert not (tmp_path / "out.yaml.yaml").exists()
+
+
+@pytest.fixture(scope="module")
+def stranger(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map of another place: a big empty hall with a zigzag through it."""
+    folder = tmp_path_factory.mktemp("stranger")
+    cells = np.full((240, 240), 254, dtype=np.uint8)
+    cells[[0, -1]] = 0
+    cells[:, [0, -1]] = 0
+    for step in range(0, 200, 2):
+        fold = abs(step % 80 - 40)
+        cells[20 + step : 23 + step, 60 + 3 * fold : 64 + 3 * fold] = 0
+    (folder / "stranger.pgm").write_bytes(b"P5\n240 240\n255\n" + cells.tobytes())
+    (folder / "stranger.yaml").write_text(
+        "image: stranger.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
+        encoding="utf-8",
+    )
+    return folder / "stranger.yaml"
+
+
+def test_rejected_input_is_named_loudly(tmp_path: Path, stranger: Path) -> None:
+    done = run("fuse", *MAPS[:2], stranger, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "fused 2 of 3 inputs; rejected: stranger: " in done.stdout
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("slamfusion: rejected: stranger: ")
+
+
+def test_require_all_makes_a_rejection_a_failure(tmp_path: Path, stranger: Path) -> None:
+    arguments = ("fuse", *MAPS[:2], stranger, "-o", tmp_path / "out", "--require-all", "--json")
+    done = run(*arguments)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "stranger" in done.stderr
+    assert json_of(done)["fused"] is None
+    assert not tree(tmp_path)
+
+
+def test_two_strangers_fuse_nothing_and_report_why(tmp_path: Path, stranger: Path) -> None:
+    report = tmp_path / "report"
+    done = run("fuse", MAPS[0], stranger, "-o", tmp_path / "out", "--report", report, "--json")
+    assert done.returncode == 1
+    assert "map_a" in done.stderr
+    assert "stranger" in done.stderr
+    document = json_of(done)
+    assert document["fused"] is None
+    assert document["fused_count"] == 0
+    assert len(document["pairs"]) == 1
+    assert all(not item["accepted"] and item["reason"] for item in document["inputs"])
+    assert list(report.glob("*.html"))
+    assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_same_stems_get_distinct_names(tmp_path: Path) -> None:
+    for letter in "ab":
+        (tmp_path / letter).mkdir()
+        shutil.copy(SAMPLE / f"map_{letter}.pgm", tmp_path / letter)
+        shutil.copy(SAMPLE / f"map_{letter}.yaml", tmp_path / letter / "map.yaml")
+    done = run("fuse", "a/map.yaml", "b/map.yaml", "-o", "out", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert [item["name"] for item in json_of(done)["inputs"]] == ["a/map", "b/map"]
+
+
+def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:
+    images = [SAMPLE / "map_a.pgm", SAMPLE / "map_b.pgm"]
+    done = run("fuse", *images, "-o", tmp_path / "out", "--resolution", "0.05", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json_of(done)["fused_count"] == 2
+
+
+def test_options_override_the_config_file(tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        "seed: 7\nfusion: {vote: {unknown: abstain}, align: {candidates: 6, prove: false}}\n",
+        encoding="utf-8",
+    )
+    arguments = ("fuse", *MAPS[:2], "-o", tmp_path / "out", "--config", config)
+    done = run(*arguments, "--unknown", "value", "--json")
+    assert done.returncode == 0, done.stderr
+    effective = json_of(done)["config"]
+    assert effective["seed"] == 7
+    assert effective["fusion"]["vote"]["unknown"] == "value"
+    assert effective["fusion"]["align"]["candidates"] == 6
+    assert effective["fusion"]["align"]["prove"] is False
+
+
+def test_align_prints_one_record() -> None:
+    done = run("align", TRUTH, MAPS[1], "--json")
+    assert done.returncode == 0, done.stderr
+    record = json_of(done)
+    true = true_poses()["map_b"]
+    assert_near(pose_of(record), true, true.inverse().compose(Pose2(2.4, 0.4)))
+    assert record["accepted"] is True
+    table = run("align", TRUTH, MAPS[1])
+    assert table.returncode == 0
+    assert "runner-up" in table.stdout
+
+
+def test_align_of_strangers_exits_with_one_and_still_prints(stranger: Path) -> None:
+    done = run("align", TRUTH, stranger, "--json")
+    assert done.returncode == 1
+    assert json_of(done)["accepted"] is False
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_evaluate_measures_pictures_and_distances(tmp_path: Path) -> None:
+    distances = tmp_path / "distances.csv"
+    distances.write_text(
+        "name,x1,y1,x2,y2,distance_m\nheight,-2.0,-4.875,-2.0,3.575,8.45\n", encoding="utf-8"
+    )
+    image, report = tmp_path / "difference.png", tmp_path / "report"
+    done = run(
+        "evaluate",
+        TRUTH,
+        *("--truth", TRUTH, "--no-align", "--distances", distances),
+        *("--image", image, "--report", report, "--json"),
+    )
+    assert done.returncode == 0, done.stderr
+    document = json_of(done)
+    assert document["maps"][0]["name"] == "truth"
+    assert document["maps"][0]["error"] == 0
+    assert document["maps"][0]["wall_f1"] == 1
+    assert document["distances"][0]["rows"][0]["error_m"] == pytest.approx(0, abs=0.06)
+    assert image.read_bytes().startswith(b"\x89PNG")
+    assert list(report.glob("*.html"))
+
+
+def test_evaluate_aligns_first() -> None:
+    done = run("evaluate", *MAPS, "--truth", TRUTH, "--json")
+    assert done.returncode == 0, done.stderr
+    maps = json_of(done)["maps"]
+    assert [item["name"] for item in maps] == ["map_a", "map_b", "map_c"]
+    assert all(item["aligned"] and item["wall_precision"] > 0.8 for item in maps)
+
+
+def test_devices_lists_each_with_its_index() -> None:
+    devices = json_of(run("devices", "--json"))["devices"]
+    assert [device["index"] for device in devices] == list(range(len(devices)))
+    assert run("devices").returncode == 0
+
+
+def test_doctor_passes_where_the_tests_run() -> None:
+    done = run("doctor", "--json", env={"ROS_DISTRO": ""})
+    document = json_of(done)
+    assert done.returncode == 0, document["problems"]
+    assert document["ok"] is True
+    assert document["self_test"]
+    assert all(test["passed"] for test in document["self_test"])
+
+
+def test_bench_gives_ratios() -> None:
+    done = run("bench", "--quick", "--json", timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert json_of(done)
+
+
+def test_version_and_help() -> None:
+    assert __version__ in run("--version").stdout
+    listing = run("--help").stdout
+    for command in ("fuse", "align", "evaluate", "devices", "doctor", "bench"):
+        assert command in listing
+        assert run(command, "--help").returncode == 0

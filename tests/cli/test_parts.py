@@ -1,0 +1,93 @@
+"""The small parts of the command line: names, JSON, options, the doctor's view of ROS."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.cli import doctor
+from slamfusion.cli.fuse import command as fuse_command
+from slamfusion.cli.inputs import check_writable, distinct_names
+from slamfusion.cli.options import config_fields, option_name
+from slamfusion.cli.output import one_line, plain, progress_bar
+from slamfusion.errors import MapFileError
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["x/a.yaml", "x/b.pgm.gz"], ["a", "b"]),
+        (["a/map.yaml", "b/map.yaml"], ["a/map", "b/map"]),
+        (["a/map.yaml", "b/map.yaml", "b/other.yaml"], ["a/map", "b/map", "other"]),
+        (["a/x/map.yaml", "b/x/map.yaml"], ["a/x/map", "b/x/map"]),
+        (["map.yaml", "map.yaml"], ["map", "map#2"]),
+        (["one.two.yaml", ".yaml"], ["one.two", ".yaml"]),
+    ],
+)
+def test_names_are_as_short_as_they_can_be(paths: list[str], names: list[str]) -> None:
+    assert distinct_names([Path(path) for path in paths]) == names
+
+
+def test_json_has_no_nan_and_no_numpy() -> None:
+    value = {
+        "a": float("nan"),
+        "b": [np.float32(0.5), np.int64(3), float("-inf")],
+        "c": np.array([1.0, np.inf]),
+        "d": Path("x"),
+        "e": np.bool_(True),
+    }
+    found = json.loads(json.dumps(plain(value), allow_nan=False))
+    assert found == {"a": None, "b": [0.5, 3, None], "c": [1.0, None], "d": "x", "e": True}
+
+
+def test_one_line_shows_what_cannot_be_printed() -> None:
+    assert one_line("a\nb\tc\x1b[0m\x07") == "a b c\\x1b[0m\\x07"
+
+
+def test_every_public_fusion_field_is_an_option_and_no_expert_one_is() -> None:
+    offered = {name for parameter in fuse_command.params for name in parameter.opts}
+    for field in config_fields():
+        if field.section.split(".")[0] in {"fusion", "evaluate", "device", ""}:
+            assert (option_name(field) in offered) == (field.info.level == "public"), field.key
+
+
+def test_option_names_are_unique() -> None:
+    for parameters in (fuse_command.params,):
+        names = [name for parameter in parameters for name in parameter.opts]
+        assert len(names) == len(set(names))
+
+
+def test_check_writable_makes_nothing(tmp_path: Path) -> None:
+    check_writable(tmp_path / "new" / "deeper")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(MapFileError, match="not a folder"):
+        check_writable(tmp_path / "file" / "below")
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stream, drawn in ((Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress_bar() as progress:
+            assert (progress is not None) == drawn
+            if progress is not None:
+                progress("align", 1, 3)
+                progress("align", 3, 3)
+        assert bool(stream.getvalue()) == drawn
+
+
+def test_two_rclpy_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "7.1.6")
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    assert doctor.has_two_rclpy()
+    monkeypatch.delenv("ROS_DISTRO")
+    assert not doctor.has_two_rclpy()
