@@ -243,7 +243,7 @@ def _input(record: InputRecord, reference: str | None) -> dict[str, Any]:
     return {
         **alignment,
         "name": record.name,
-        "reference": reference,
+        "reference": record.alignment.reference if record.alignment else reference,
         "accepted": record.accepted,
         "reason": record.reason,
     }

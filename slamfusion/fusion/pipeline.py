@@ -216,15 +216,14 @@ def _to_reference(
             tracked = track_features(features[reference], features[name], backend, start)
             other = direct.get((name, reference))
             if other is not None:
-                runner_up = other.runner_up
-                if runner_up is not None:
-                    runner_up = replace(runner_up, transform=runner_up.transform.inverse())
+                other = _from_the_side_of(name, other)
                 tracked = replace(
                     tracked,
-                    runner_up=runner_up,
+                    runner_up=other.runner_up,
                     bound_gap=other.bound_gap,
                     time_s=other.time_s + tracked.time_s,
-                    yaw_profile=_turned(other.yaw_profile),
+                    yaw_profile=other.yaw_profile,
+                    statistics=other.statistics | tracked.statistics,
                 )
             reason = f"accepted over {name} to {reference}" if other is None else other.reason
             out[name] = replace(tracked, accepted=True, reason=reason)
@@ -261,10 +260,27 @@ def _left_out(
     mine.sort(key=lambda pair: (reference not in {pair.reference, pair.moving}, -pair.score))
     failed = [pair for pair in mine if not pair.accepted]
     if failed:
-        shown = failed[0]
-        other = shown.reference if shown.moving == name else shown.moving
-        return f"to {other}: {shown.reason}", shown
-    return "its transforms to the others do not close (a to b to c to a)", next(iter(mine), None)
+        shown = _from_the_side_of(name, failed[0])
+        return f"to {shown.reference}: {shown.reason}", shown
+    shown = _from_the_side_of(name, mine[0]) if mine else None
+    return "its transforms to the others do not close (a to b to c to a)", shown
+
+
+def _from_the_side_of(name: str, pair: Alignment) -> Alignment:
+    """Return the pair with ``name`` as the moving grid; scores are symmetric, the error is not."""
+    if pair.moving == name:
+        return pair
+    runner_up = pair.runner_up
+    if runner_up is not None:
+        runner_up = replace(runner_up, transform=runner_up.transform.inverse())
+    return replace(
+        pair,
+        reference=pair.moving,
+        moving=name,
+        transform=pair.transform.inverse(),
+        runner_up=runner_up,
+        yaw_profile=_turned(pair.yaw_profile),
+    )
 
 
 def warp_onto(

@@ -3,8 +3,8 @@
     python -m tests.benchmarks.bench_drawn --per-base 40 --seed 1
 
 Any yaw, shift up to half the map, 0 to 5 % flipped cells, crops down to half, walls thinned or
-thickened by a cell, resolutions 0.04, 0.05 and 0.1, origin yaw. Right: the centre within one cell and
-the yaw within half a degree.
+thickened by a cell, resolutions 0.04, 0.05 and 0.1, origin yaw. Right: the centre within one cell
+and the yaw within half a degree.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ import numpy as np
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io.map_server import load_map
 from slamfusion.sim import Degradation, degrade_map, draw_degradation
 from tests.support.datasets import MAPS, load_carpin
-from slamfusion.io.map_server import load_map
 
 # Eight recorded places, from one home of 7 m to a floor of 140 m.
 BASES = (

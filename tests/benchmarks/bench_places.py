@@ -1,0 +1,209 @@
+"""Align recorded maps of the same and of different places, and count what is believed.
+
+    python -m tests.benchmarks.bench_places --pictures out/places
+
+Three tables: every pair of maps of different places by places.csv (none may be accepted), the
+pairs of one place, and the Halmstad pairs against their annotation. With --pictures each pair of
+one place is drawn, the reference's walls in one colour and the moving map's in another, to be
+looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from slamfusion.compute import Backend, open_backend
+from slamfusion.config import FusionConfig
+from slamfusion.fusion.align import align_features
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.fusion.pipeline import warp_onto
+from slamfusion.fusion.records import Alignment
+from slamfusion.grid import CellBox
+from slamfusion.io import save_image
+from tests.support.datasets import MapEntry, load_entry, map_entries
+from tests.support.halmstad import (
+    RIGHT_DEGREES,
+    RIGHT_PIXELS,
+    annotated_error,
+    load_place,
+)
+
+Pair = tuple[MapEntry, MapEntry]
+
+
+def different_places() -> Iterator[Pair]:
+    """Every pair of maps that places.csv says are of different places.
+
+    The drawings of worlds/stage may repeat places of rendered and are left out against them.
+    """
+    for a, b in itertools.combinations(map_entries(), 2):
+        folders = {a.file.split("/")[0], b.file.split("/")[0]}
+        if a.place == b.place or (folders == {"worlds", "rendered"} and "stage" in a.file + b.file):
+            continue
+        yield a, b
+
+
+def same_place() -> Iterator[Pair]:
+    """Every pair of maps of one place, drawings and Halmstad left out."""
+    for a, b in itertools.combinations(map_entries(), 2):
+        if a.place == b.place and not (a.is_drawing or b.is_drawing or "halmstad" in a.place):
+            yield a, b
+
+
+class Aligner:
+    """Aligns pairs, keeping the features of each map and resolution."""
+
+    def __init__(self, backend: Backend, *, prove: bool) -> None:
+        config = FusionConfig()
+        self.config = replace(config, align=replace(config.align, prove=prove))
+        self.backend = backend
+        self.features: dict[tuple[str, float], GridFeatures] = {}
+
+    def feature(self, entry: MapEntry, resolution: float) -> GridFeatures:
+        """Return the prepared map."""
+        key = (entry.file, resolution)
+        if key not in self.features:
+            grid = normalize_grid(
+                load_entry(entry), resolution, self.config.normalize, self.backend
+            )
+            self.features[key] = GridFeatures(grid, self.backend)
+        return self.features[key]
+
+    def align(self, a: MapEntry, b: MapEntry) -> tuple[Alignment, GridFeatures, GridFeatures]:
+        """Align the larger of two maps to the smaller."""
+        resolution = min(entry.cell_size_m or 0.05 for entry in (a, b))
+        first, second = self.feature(a, resolution), self.feature(b, resolution)
+        if math.prod(first.shape) > math.prod(second.shape):
+            first, second = second, first
+        return align_features(first, second, self.config.align, self.backend), first, second
+
+
+def draw_pair(
+    path: Path,
+    alignment: Alignment,
+    reference: GridFeatures,
+    moving: GridFeatures,
+    backend: Backend,
+) -> None:
+    """Write a picture of both maps' walls: reference orange, moving blue, both black."""
+    height, width = reference.shape
+    margin = max(height, width) // 4
+    box = CellBox(-margin, -margin, height + margin, width + margin)
+    lattice = reference.grid.grid
+    own = np.pad(reference.grid.cells, margin, constant_values=-1)
+    other = warp_onto(moving.grid, moving.grid.cells, alignment.transform, lattice, box, backend)
+    picture = np.full((*own.shape, 3), 255, dtype=np.uint8)
+    picture[(own == 0) | (other == 0)] = (238, 238, 238)
+    picture[own == 1] = (230, 120, 0)
+    picture[other == 1] = (0, 90, 220)
+    picture[(own == 1) & (other == 1)] = (0, 0, 0)
+    save_image(path, np.ascontiguousarray(np.flipud(picture)))
+
+
+def bench_different(aligner: Aligner, console: Console) -> None:
+    """Print how many pairs of different places are accepted, and the nearest misses."""
+    records = [
+        aligner.align(a, b)[0]
+        for a, b in track(list(different_places()), "different places", console=console)
+    ]
+    accepted = [record for record in records if record.accepted]
+    table = Table("pairs", "accepted", title="different places")
+    table.add_row(str(len(records)), str(len(accepted)))
+    console.print(table)
+    for record in accepted:
+        console.print(f"WRONG: {record.moving} to {record.reference}: {record.reason}")
+    columns = ("score", "wall_match", "wall_clash", "coarse_ratio", "z", "runner_up_ratio")
+    misses = Table("moving", "reference", *columns, title="highest scores among them")
+    for record in sorted(records, key=lambda item: -item.score)[:8]:
+        numbers = {"score": record.score, **record.statistics}
+        misses.add_row(
+            record.moving, record.reference, *(f"{numbers.get(c, math.nan):.2f}" for c in columns)
+        )
+    console.print(misses)
+
+
+def bench_same(aligner: Aligner, console: Console, pictures: Path | None) -> None:
+    """Print the pairs of one place."""
+    columns = ("accepted", "dx m", "dy m", "yaw deg", "score", "match", "next", "s")
+    table = Table("moving", "reference", *columns, "reason", title="one place")
+    for a, b in same_place():
+        record, reference, moving = aligner.align(a, b)
+        pose = record.transform
+        table.add_row(
+            record.moving,
+            record.reference,
+            "yes" if record.accepted else "no",
+            f"{pose.x:.2f}",
+            f"{pose.y:.2f}",
+            f"{math.degrees(pose.yaw_rad):.2f}",
+            f"{record.score:.2f}",
+            f"{record.statistics.get('wall_match', math.nan):.2f}",
+            f"{record.statistics.get('runner_up_ratio', math.nan):.2f}",
+            f"{record.time_s:.2f}",
+            record.reason,
+        )
+        if pictures is not None:
+            name = f"{record.reference}--{record.moving}.png".replace("/", "_")
+            draw_pair(pictures / name, record, reference, moving, aligner.backend)
+    console.print(table)
+
+
+def bench_halmstad(aligner: Aligner, console: Console) -> None:
+    """Print the Halmstad places against their annotation."""
+    table = Table("place", "pairs", "right", "accepted", "accepted wrong", title="Halmstad")
+    for place in ("F5", "HIH", "E5", "KPT4A"):
+        counts: Counter[str] = Counter()
+        grids = load_place(place)
+        features = {
+            name: GridFeatures(
+                normalize_grid(grid, grid.resolution, aligner.config.normalize, aligner.backend),
+                aligner.backend,
+            )
+            for name, grid in grids.items()
+        }
+        for a, b in itertools.combinations(features, 2):
+            record = align_features(features[a], features[b], aligner.config.align, aligner.backend)
+            pixels, degrees = annotated_error(grids[b], record)
+            is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
+            counts["pairs"] += 1
+            counts["right"] += is_right
+            counts["accepted"] += record.accepted
+            counts["accepted wrong"] += record.accepted and not is_right
+            if record.accepted and not is_right:
+                console.print(f"WRONG: {b} to {a}: {pixels:.1f} px, {degrees:.2f} deg")
+        if counts["pairs"]:
+            columns = ("pairs", "right", "accepted", "accepted wrong")
+            table.add_row(place, *(str(counts[column]) for column in columns))
+    console.print(table)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pictures", type=Path, help="folder for the pictures of one place")
+    parser.add_argument("--prove", action="store_true")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--skip-different", action="store_true")
+    arguments = parser.parse_args()
+    backend = open_backend(arguments.device)
+    console = Console(width=180)
+    aligner = Aligner(backend, prove=arguments.prove)
+    bench_halmstad(aligner, console)
+    bench_same(aligner, console, arguments.pictures)
+    if not arguments.skip_different:
+        bench_different(aligner, console)
+
+
+if __name__ == "__main__":
+    main()

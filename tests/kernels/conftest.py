@@ -1,0 +1,47 @@
+"""Every device of this machine, PoCL and the Oclgrind simulator first."""
+
+from __future__ import annotations
+
+import platform
+import sys
+
+import pytest
+
+from slamfusion.compute import Backend, list_devices, open_backend
+
+POCL = "portable computing"
+SIMULATOR = "oclgrind"
+# Both come as wheels for this platform and belong to the test requirements, so there their absence
+# is a failure. Elsewhere it is a skip.
+WHEELS_EXIST = sys.platform == "linux" and platform.machine() == "x86_64"
+
+
+def other_devices() -> list[str]:
+    """Indices of the usable devices beside PoCL and the simulator."""
+    return [
+        str(device.index)
+        for device in list_devices()
+        if device.usable and not any(n in device.platform.lower() for n in (POCL, SIMULATOR))
+    ]
+
+
+@pytest.fixture(scope="session", params=[POCL, SIMULATOR, *other_devices()])
+def backend(request: pytest.FixtureRequest) -> Backend:
+    """The backend of each device in turn."""
+    if not WHEELS_EXIST:
+        names = " ".join(device.platform.lower() for device in list_devices())
+        if request.param in {POCL, SIMULATOR} and request.param not in names:
+            pytest.skip(f"no {request.param} on this platform")
+    return open_backend(request.param)
+
+
+@pytest.fixture(scope="session")
+def pocl() -> Backend:
+    """PoCL, or the first device where there is no PoCL wheel."""
+    return open_backend(POCL if WHEELS_EXIST else "auto")
+
+
+@pytest.fixture
+def is_simulated(backend: Backend) -> bool:
+    """Whether the backend runs on the simulator, which wants small sizes."""
+    return SIMULATOR in backend.name.lower()

@@ -1,0 +1,49 @@
+"""Run kernels on the Oclgrind simulator: ``python -m tests.kernels.simulated WHAT``.
+
+``checks`` runs every operation on small sizes; ``beyond`` (its bounds), ``race`` and ``sound`` run
+a toy kernel each. Oclgrind writes what it finds to the file that ``OCLGRIND_LOG`` names.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pyopencl as cl  # noqa: TID251 - toy kernels
+
+from slamfusion.compute import open_backend
+from slamfusion.compute.self_test import CHECKS, Sample, differences
+
+SAMPLES = (
+    Sample((13, 35), seed=21),
+    Sample((1, 37), seed=22),
+    Sample((31, 1), seed=23),
+    Sample((7, 40), seed=24, known_share=0.0),
+    Sample((9, 33), seed=25, away=5000.0),
+)
+TOYS = """
+__kernel void beyond(__global int *cells) { cells[get_global_id(0) + 1] = 1; }
+__kernel void race(__global int *cells) { cells[0] += get_global_id(0); }
+__kernel void sound(__global int *cells) { cells[get_global_id(0)] += 1; }
+"""
+
+
+def run_checks() -> int:
+    """Run every operation; return how many differ from their twins."""
+    backend = open_backend("oclgrind")
+    found = [differences(name, backend, sample) for name in CHECKS for sample in SAMPLES]
+    return sum(1 for words in found if words)
+
+
+def run_toy(name: str) -> int:
+    """Run one toy kernel on 16 cells."""
+    backend = open_backend("oclgrind")
+    program = cl.Program(backend.context, TOYS).build()  # type: ignore[attr-defined]
+    cells = backend.upload(np.zeros(16, dtype=np.int32))
+    getattr(program, name)(backend.queue, (16,), (4,), cells.buffer)  # type: ignore[attr-defined]
+    backend.download(cells)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run_checks() if sys.argv[1] == "checks" else run_toy(sys.argv[1]))

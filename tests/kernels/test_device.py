@@ -1,0 +1,221 @@
+"""Which device is chosen, and what is said where none is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pyopencl as cl  # noqa: TID251 - device types
+import pytest
+
+from slamfusion.compute import device as device_module
+from slamfusion.compute import list_devices, open_backend, program
+from slamfusion.compute.device import NO_DEVICE, choose_device
+from slamfusion.errors import DeviceError
+from tests.kernels.conftest import POCL, SIMULATOR, WHEELS_EXIST
+
+GPU, CPU = cl.device_type.GPU, cl.device_type.CPU
+needs_wheels = pytest.mark.skipif(not WHEELS_EXIST, reason="no PoCL or Oclgrind wheel here")
+
+
+def fake(name: str, kind: int, platform: str = "Maker", *, available: bool = True):
+    """A device that can be chosen but not opened."""
+    return SimpleNamespace(
+        name=name, type=kind, platform=SimpleNamespace(name=platform), available=available
+    )
+
+
+SIMULATED = fake("Oclgrind Simulator", GPU | CPU, "Oclgrind")
+Machine = Callable[..., None]
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
+    """Set what devices there are."""
+    monkeypatch.delenv("PYOPENCL_CTX", raising=False)
+
+    def has(*devices: object) -> None:
+        monkeypatch.setattr(device_module, "find_devices", lambda: list(devices))
+
+    return has
+
+
+def test_first_gpu_before_cpu(machine: Machine):
+    machine(SIMULATED, fake("cpu", CPU), fake("gpu 1", GPU), fake("gpu 2", GPU))
+    device, reason = choose_device()
+    assert (device.name, reason) == ("gpu 1", "the first GPU")
+
+
+def test_first_cpu_without_gpu(machine: Machine):
+    machine(SIMULATED, fake("cpu 1", CPU), fake("cpu 2", CPU))
+    device, reason = choose_device()
+    assert (device.name, reason) == ("cpu 1", "the first CPU device, no GPU found")
+
+
+def test_device_that_is_not_available_is_passed_over(machine: Machine):
+    machine(fake("gone", GPU, available=False), fake("cpu", CPU))
+    assert choose_device()[0].name == "cpu"
+
+
+def test_device_of_another_type_is_taken_alone(machine: Machine):
+    machine(fake("board", cl.device_type.ACCELERATOR))
+    assert choose_device()[1] == "the only device"
+
+
+def test_simulator_is_never_chosen_unasked(machine: Machine):
+    machine(SIMULATED)
+    with pytest.raises(DeviceError, match="no OpenCL device found"):
+        choose_device()
+
+
+@pytest.mark.parametrize("wanted", ["oclgrind", "OCLGRIND", "1"])
+def test_simulator_is_chosen_by_name_or_index(machine: Machine, wanted: str):
+    machine(fake("cpu", CPU), SIMULATED)
+    device, reason = choose_device(wanted)
+    assert device is SIMULATED
+    assert reason == f"asked for {wanted!r}"
+
+
+@pytest.mark.parametrize("wanted", ["nvidia", "2", "17"])
+def test_unknown_name_lists_the_devices(machine: Machine, wanted: str):
+    machine(fake("first", CPU), fake("second", GPU))
+    with pytest.raises(DeviceError) as caught:
+        choose_device(wanted)
+    words = str(caught.value)
+    assert f"no OpenCL device fits {wanted!r}" in words
+    assert "0: first; 1: second" in words
+    assert "--device numpy" in words
+
+
+def test_no_device_names_the_package_and_the_numpy_path(machine: Machine):
+    machine()
+    for wanted in ("auto", "0", "pocl"):
+        with pytest.raises(DeviceError, match="pocl-binary-distribution") as caught:
+            choose_device(wanted)
+        assert str(caught.value) == NO_DEVICE
+
+
+def test_option_comes_before_the_environment(machine: Machine, monkeypatch: pytest.MonkeyPatch):
+    machine(fake("cpu", CPU), fake("gpu", GPU))
+    monkeypatch.setenv("PYOPENCL_CTX", "no such platform")
+    assert choose_device("cpu")[0].name == "cpu"
+
+
+@needs_wheels
+@pytest.mark.parametrize("name", [POCL, SIMULATOR])
+def test_environment_names_a_device(monkeypatch: pytest.MonkeyPatch, name: str):
+    platforms = [platform.name.lower() for platform in cl.get_platforms()]
+    place = next(n for n, platform in enumerate(platforms) if name in platform)
+    monkeypatch.setenv("PYOPENCL_CTX", str(place))
+    device, reason = choose_device()
+    assert name in device.platform.name.lower()
+    assert reason == "PYOPENCL_CTX"
+
+
+@needs_wheels
+@pytest.mark.xfail(raises=cl.RuntimeError, reason="choose_device lets pyopencl's own error through")
+def test_environment_that_fits_nothing_is_said(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PYOPENCL_CTX", "no such platform")
+    with pytest.raises(DeviceError, match="PYOPENCL_CTX"):
+        choose_device()
+
+
+@needs_wheels
+def test_list_marks_the_simulator():
+    notes = {info.platform.lower(): info.note for info in list_devices()}
+    assert notes[SIMULATOR].startswith("simulator")
+    assert not next(note for platform, note in notes.items() if POCL in platform)
+    assert [info.index for info in list_devices()] == list(range(len(list_devices())))
+
+
+def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh interpreter."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_no_platform_at_all_is_one_line(tmp_path: Path):
+    code = (
+        "from slamfusion.compute import list_devices, open_backend\n"
+        "from slamfusion.errors import DeviceError\n"
+        "assert list_devices() == []\n"
+        "try: open_backend()\n"
+        "except DeviceError as error: print(error)\n"
+    )
+    done = run(code, OCL_ICD_VENDORS=str(tmp_path / "none"))
+    assert (done.returncode, done.stdout.strip()) == (0, NO_DEVICE)
+
+
+def test_without_pyopencl_the_twins_remain():
+    hide = "import sys; sys.modules['pyopencl'] = None\n"
+    code = (
+        "from slamfusion.compute import list_devices, open_backend\n"
+        "from slamfusion.errors import DeviceError\n"
+        "assert list_devices() == []\n"
+        "assert not open_backend('numpy').is_opencl\n"
+        "try: open_backend()\n"
+        "except DeviceError as error: print(error)\n"
+    )
+    done = run(hide + code)
+    assert done.returncode == 0, done.stderr
+    assert "pyopencl cannot be imported" in done.stdout
+    assert "--device numpy" in done.stdout
+
+
+def test_numpy_backend_does_not_import_pyopencl():
+    code = (
+        "import sys; from slamfusion.compute import open_backend; open_backend('numpy')\n"
+        "print('pyopencl' in sys.modules)"
+    )
+    assert run(code).stdout.strip() == "False"
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installed package without kernels."""
+    compute = tmp_path / "site" / "slamfusion" / "compute"
+    compute.mkdir(parents=True)
+    monkeypatch.setattr(program, "__file__", str(compute / "program.py"))
+    return compute.parent
+
+
+@pytest.mark.parametrize("place", ["slamfusion/kernels", "kernels"])
+def test_kernels_are_found_in_the_wheel_and_beside_a_checkout(package: Path, place: str):
+    folder = package.parent / place
+    folder.mkdir()
+    (folder / "common.h").touch()
+    assert program.kernel_folder() == folder
+
+
+def test_kernels_inside_the_package_come_first(package: Path):
+    for folder in (package / "kernels", package.parent / "kernels"):
+        folder.mkdir()
+        (folder / "common.h").touch()
+    assert program.kernel_folder() == package / "kernels"
+
+
+def test_missing_kernels_are_named(package: Path):
+    with pytest.raises(DeviceError, match="reinstall slamfusion") as caught:
+        program.kernel_folder()
+    assert str(package / "kernels") in str(caught.value)
+
+
+@needs_wheels
+def test_source_that_does_not_build_is_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "common.h").touch()
+    for family in program.FAMILIES:
+        (tmp_path / f"{family}.cl").write_text("__kernel void broken( {", encoding="utf-8")
+    monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
+    with pytest.raises(DeviceError, match="does not build on") as caught:
+        open_backend(POCL)
+    assert "\n" not in str(caught.value)

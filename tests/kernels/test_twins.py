@@ -1,0 +1,93 @@
+"""Every operation of every device equals its NumPy twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, NumpyBackend, open_backend, self_test
+from slamfusion.compute.self_test import CHECKS, Sample, differences
+from slamfusion.errors import DeviceError
+
+SMALL = {
+    "odd": Sample((13, 29), seed=2),
+    "one row": Sample((1, 37), seed=3),
+    "one column": Sample((31, 1), seed=4),
+    "one cell": Sample((1, 1), seed=5),
+    "all unknown": Sample((11, 35), seed=6, known_share=0.0),
+    "all known": Sample((16, 64), seed=7, known_share=1.0),
+    "no overlap": Sample((12, 34), seed=8, away=5000.0),
+}
+LARGE = {"odd and large": Sample((131, 203), seed=9), "long": Sample((3, 1030), seed=10)}
+
+
+def test_every_operation_has_a_check():
+    operations = {name for name in vars(Backend) if not name.startswith("_")}
+    assert set(CHECKS) == operations - {"name", "is_opencl", "upload", "download"}
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_operation_equals_its_twin(backend: Backend, is_simulated: bool, name: str):
+    for words, sample in (SMALL if is_simulated else SMALL | LARGE).items():
+        assert not differences(name, backend, sample), words
+
+
+@pytest.mark.parametrize("name", CHECKS)
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    shape=st.tuples(st.integers(1, 80), st.integers(1, 80)),
+    seed=st.integers(0, 2**32 - 1),
+    known_share=st.sampled_from((0.0, 0.3, 0.9, 1.0)),
+)
+def test_operation_equals_its_twin_at_any_size(
+    pocl: Backend, name: str, shape: tuple[int, int], seed: int, known_share: float
+):
+    assert not differences(name, pocl, Sample(shape, seed=seed, known_share=known_share))
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_repeated_runs_give_the_same_bytes(pocl: Backend, name: str):
+    sample = Sample((61, 83), seed=11)
+    first = [array.tobytes() for array in CHECKS[name](pocl, sample)]
+    fresh = open_backend(pocl.device.name.strip())  # type: ignore[attr-defined]
+    for other in (pocl, pocl, fresh):
+        assert [array.tobytes() for array in CHECKS[name](other, sample)] == first
+
+
+def test_self_test_passes(backend: Backend):
+    assert all(passed for _, passed, _ in self_test(backend))
+
+
+def test_self_test_names_a_wrong_kernel(monkeypatch: pytest.MonkeyPatch):
+    wrong = NumpyBackend()
+    confusion, surface_walls = wrong.confusion, wrong.surface_walls
+    monkeypatch.setattr(
+        wrong, "confusion", lambda a, b: confusion(a, b) + np.eye(3, dtype=np.int64)
+    )
+    monkeypatch.setattr(wrong, "surface_walls", lambda *a: surface_walls(*a).astype(np.int32))
+    failed = {name: words for name, passed, words in self_test(wrong) if not passed}
+    assert failed["confusion"].startswith("output 0: 3 of 9 values differ")
+    assert failed["surface_walls"] == "output 0 is int32 (33, 70), the twin's uint8 (33, 70)"
+    assert set(failed) == {"confusion", "surface_walls"}
+
+
+def test_tolerance_of_float_kernels_is_not_slack(monkeypatch: pytest.MonkeyPatch):
+    loose = NumpyBackend()
+    exact = loose.refine_terms
+    monkeypatch.setattr(loose, "refine_terms", lambda *a, **k: 1.001 * exact(*a, **k))
+    assert "values differ" in differences("refine_terms", loose, Sample((40, 60)))
+
+
+def test_tables_and_shifts_of_the_wrong_size_are_refused(pocl: Backend):
+    d2 = pocl.upload(np.zeros((4, 4), dtype=np.uint16))
+    share = pocl.upload(np.zeros((4, 4), dtype=np.uint8))
+    short = np.zeros(9, dtype=np.uint16)
+    with pytest.raises(DeviceError, match="4097 entries"):
+        pocl.score_field(d2, share, short, short, 0)
+    fields = pocl.upload(np.zeros((1, 40, 90), dtype=np.uint8))
+    with pytest.raises(DeviceError, match="must come in multiples"):
+        pocl.correlate(fields, np.zeros((1, 1), dtype=np.int32), (9, 65))
