@@ -29,4 +29,28 @@ inline int2 fixed_cell(const long4 pose, const int x2, const int y2) {
   return (int2)((int)(x >> FIXED_TO_CELL_SHIFT), (int)(y >> FIXED_TO_CELL_SHIFT));
 }
 
+/* PoCL 3.0 leaves its builtins (vload, vstore, min, max, sqrt, floor) as function calls, and a call
+ * spills every vector register around it. So hot loops read 32 bytes by plain loads where the device
+ * takes any address, compare instead of calling min, and cut to int instead of calling floor. */
+#ifdef UNALIGNED_WORDS
+#define WORD(p, i) (((__global const ulong *)(p))[i])
+#define LOAD32(p) ((ulong4)(WORD(p, 0), WORD(p, 1), WORD(p, 2), WORD(p, 3)))
+inline void store32(const ulong4 words, __global ulong *to) {
+  to[0] = words.x;
+  to[1] = words.y;
+  to[2] = words.z;
+  to[3] = words.w;
+}
+#define STORE32(words, p) store32(words, (__global ulong *)(p))
+#define LOWER(a, b) ((a) < (b) ? (a) : (b))
+#else
+inline ulong4 load32(__global const uchar *p) {
+  const uchar16 a = vload16(0, p), b = vload16(1, p);
+  return (ulong4)(as_ulong2(a), as_ulong2(b));
+}
+#define LOAD32(p) load32((__global const uchar *)(p))
+#define STORE32(words, p) vstore16(as_ushort16(words), 0, (__global ushort *)(p))
+#define LOWER(a, b) min(a, b)
+#endif
+
 #endif

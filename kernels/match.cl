@@ -6,18 +6,6 @@
  */
 #include "common.h"
 
-/* Load 32 neighbouring bytes from any address. PoCL on x86 turns this form into two plain loads
- * and byte vectors into much slower code; devices that need aligned words take the portable form. */
-#ifdef UNALIGNED_WORDS
-#define LOAD32(p) vload4(0, (__global const ulong *)(p))
-#else
-inline ulong4 load32(__global const uchar *p) {
-  const uchar16 a = vload16(0, p), b = vload16(1, p);
-  return (ulong4)(as_ulong2(a), as_ulong2(b));
-}
-#define LOAD32(p) load32(p)
-#endif
-
 /* scores[k, i, j] = sum over points n of fields[k, offset(k, n) + i * field_width + j].
  * Field values are 0..15, so sixteen of them add in one byte lane without a carry.
  * fields: uchar planes, field_stride bytes from one k to the next (0: one plane for all);
@@ -48,11 +36,16 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
     total3 += convert_int16(as_uchar16(high.hi));
   }
   __global int *out = scores + ((size_t)k * shift_height + i) * shift_width + j;
-  vstore16(total0, 0, out);
-  vstore16(total1, 1, out);
+  STORE32(as_ulong4(total0.lo), out);
+  STORE32(as_ulong4(total0.hi), out + 8);
+  STORE32(as_ulong4(total1.lo), out + 16);
+  STORE32(as_ulong4(total1.hi), out + 24);
   if (second) {
-    vstore16(total2, 0, out + shift_width);
-    vstore16(total3, 1, out + shift_width);
+    out += shift_width;
+    STORE32(as_ulong4(total2.lo), out);
+    STORE32(as_ulong4(total2.hi), out + 8);
+    STORE32(as_ulong4(total3.lo), out + 16);
+    STORE32(as_ulong4(total3.hi), out + 24);
   }
 }
 
@@ -114,16 +107,17 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
 /* Normal equations of a robust point-to-wall fit under a small motion (dx, dy, dyaw) of the
  * reference frame, applied after the pose, about the centre (cx, cy).
  *
- * Residual: the distance d at the mapped point, bilinear over cell centres. Weight: Geman-McClure,
+ * Residual: the distance d at the mapped point, bilinear over cell centres, from a field in 1/256
+ * cell. Weight: Geman-McClure,
  * 1 / (1 + (d / scale)^2)^2. Forward: points of the moving grid on the reference's field; the gradient is
  * used as it is, the arm is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
  * partial[p, chunk] = 10 floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
  * points (count, 2) float cells; poses (n, 4) float cos, sin, tx, ty in cells, points to field;
- * distance2 (height, width) ushort; Global: (chunks, n). */
+ * distance (height, width) ushort, 1/256 cell. Global: (chunks, n). */
 __kernel void refine_terms(__global const float *points, const int count,
                            __global const float *poses, const int n,
-                           __global const ushort *distance2, const int height, const int width,
+                           __global const ushort *distance, const int height, const int width,
                            const float scale, const float cx, const float cy, const int backward,
                            const int chunk, const int chunks, __global float *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
@@ -135,13 +129,13 @@ __kernel void refine_terms(__global const float *points, const int count,
   for (int i = c * chunk; i < min((c + 1) * chunk, count); i++) {
     const float px = points[2 * i], py = points[2 * i + 1];
     const float qx = cosine * px - sine * py + tx, qy = sine * px + cosine * py + ty;
-    const float fx = floor(qx - 0.5f), fy = floor(qy - 0.5f);
-    const int col = (int)fx, row = (int)fy;
-    if (col < 0 || row < 0 || col + 1 >= width || row + 1 >= height) continue;
-    const float u = qx - 0.5f - fx, v = qy - 0.5f - fy;
-    __global const ushort *at = distance2 + (size_t)row * width + col;
-    const float d00 = sqrt((float)at[0]), d01 = sqrt((float)at[1]);
-    const float d10 = sqrt((float)at[width]), d11 = sqrt((float)at[width + 1]);
+    if (!(qx >= 0.5f && qy >= 0.5f && qx < width && qy < height)) continue;
+    const int col = (int)(qx - 0.5f), row = (int)(qy - 0.5f);
+    if (col + 1 >= width || row + 1 >= height) continue;
+    const float u = qx - 0.5f - col, v = qy - 0.5f - row;
+    __global const ushort *at = distance + (size_t)row * width + col;
+    const float d00 = at[0] * (1.0f / 256), d01 = at[1] * (1.0f / 256);
+    const float d10 = at[width] * (1.0f / 256), d11 = at[width + 1] * (1.0f / 256);
     const float d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11);
     float gx = (1 - v) * (d01 - d00) + v * (d11 - d10);
     float gy = (1 - u) * (d10 - d00) + u * (d11 - d01);

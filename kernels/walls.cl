@@ -1,8 +1,8 @@
 /* From trinary cells to what alignment looks at: surface walls, coarse grids, distance and score
  * fields.
  *
- * Twins: reference.solid_walls, reference.surface_walls, reference.shrink, reference.distance_columns,
- * reference.distance_rows, reference.score_field. All integer, so kernel and twin agree exactly.
+ * Twins: reference.solid_walls, reference.surface_walls, reference.shrink, reference.distance_squared (both
+ * passes), reference.look_up, reference.score_field. All integer, so kernel and twin agree exactly.
  * Work sizes: any local size; every kernel guards its global size.
  */
 #include "common.h"
@@ -70,15 +70,23 @@ __kernel void distance_columns(__global const uchar *walls, const int height, co
   ushort16 last = DISTANCE_MAX;
   for (int row = 0; row < height; row++) {
     const ushort16 wall = convert_ushort16(vload16(0, walls + row * width + col));
-    last = min(last + (ushort16)1, (ushort16)DISTANCE_MAX) * ((ushort16)1 - wall);
-    vstore16(last, 0, out + row * width + col);
+    last = LOWER(last + (ushort16)1, (ushort16)DISTANCE_MAX);
+    last *= (ushort16)1 - wall;
+    STORE32(as_ulong4(last), out + row * width + col);
   }
   last = DISTANCE_MAX;
   for (int row = height - 1; row >= 0; row--) {
-    const ushort16 above = vload16(0, out + row * width + col);
-    last = min(min(last + (ushort16)1, (ushort16)DISTANCE_MAX), above);
-    vstore16(last, 0, out + row * width + col);
+    const ushort16 above = as_ushort16(LOAD32(out + row * width + col));
+    last = LOWER(last + (ushort16)1, above);
+    STORE32(as_ulong4(last), out + row * width + col);
   }
+}
+
+/* Whether any lane exceeds a value. */
+inline bool any_above(const ushort16 lanes, const ushort value) {
+  const short16 above = lanes > (ushort16)value;
+  const ulong4 words = as_ulong4(above);
+  return (words.x | words.y | words.z | words.w) != 0;
 }
 
 /* Second pass: squared distance, the minimum over the row of column distance squared plus offset
@@ -90,23 +98,15 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
   const int col = get_global_id(0) * 16, row = get_global_id(1);
   if (col >= width || row >= height) return;
   __global const ushort *line = columns + row * width;
-  ushort16 best = vload16(0, line + col);
+  ushort16 best = as_ushort16(LOAD32(line + col));
   best *= best;
-  ushort worst = DISTANCE2_MAX;
   for (int k = 1; k < DISTANCE_MAX; k++) {
-    const ushort k2 = (ushort)(k * k);
     /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
-    if ((k & 7) == 1) {
-      const ushort8 m8 = max(best.lo, best.hi);
-      const ushort4 m4 = max(m8.lo, m8.hi);
-      const ushort2 m2 = max(m4.lo, m4.hi);
-      worst = max(m2.x, m2.y);
-      if (k2 >= worst) break;
-    }
+    if ((k & 7) == 1 && !any_above(best, (ushort)(k * k))) break;
     ushort16 left, right;
     if (col - k >= 0 && col + k + 16 <= width) {
-      left = vload16(0, line + col - k);
-      right = vload16(0, line + col + k);
+      left = as_ushort16(LOAD32(line + col - k));
+      right = as_ushort16(LOAD32(line + col + k));
     } else {
       ushort l[16], r[16];
       for (int i = 0; i < 16; i++) {
@@ -116,10 +116,22 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
       left = vload16(0, l);
       right = vload16(0, r);
     }
-    const ushort16 near = min(left, right);
-    best = min(best, near * near + (ushort16)k2);
+    const ushort16 near = LOWER(left, right);
+    const ushort16 through = near * near + (ushort16)(k * k);
+    best = LOWER(best, through);
   }
-  vstore16(min(best, (ushort16)DISTANCE2_MAX), 0, out + row * width + col);
+  best = LOWER(best, (ushort16)DISTANCE2_MAX);
+  STORE32(as_ulong4(best), out + row * width + col);
+}
+
+/* out = table[in]: squared distances to distances in 1/256 cell, say.
+ * in (cells) ushort; table ushort, one entry for every value of in; out (cells) ushort.
+ * Global: (cells). */
+__kernel void look_up(__global const ushort *in, __global const ushort *table, const int cells,
+                      __global ushort *out) {
+  const int index = get_global_id(0);
+  if (index >= cells) return;
+  out[index] = table[in[index]];
 }
 
 /* What a wall point of the other map is worth in each cell:

@@ -169,9 +169,7 @@ class AlignConfig(_Checked):
     coarse_cells: int = option(
         48, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
     )
-    candidates: int = option(
-        32, "coarse peaks that are refined", low=1, high=64, level="expert"
-    )
+    candidates: int = option(32, "coarse peaks that are refined", low=1, high=64, level="expert")
     proof_points: int = option(
         1024, "wall points that the proof scores", low=16, high=8192, level="expert"
     )

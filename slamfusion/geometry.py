@@ -62,6 +62,7 @@ class Pose2:
 
         Args:
             points: (..., 2) x and y, same unit as the pose.
+
         Returns:
             (..., 2) float64.
         """

@@ -21,6 +21,7 @@ __all__ = ["FREE", "OCCUPIED", "UNKNOWN", "CellBox", "OccupancyGrid", "known_box
 FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
+IDENTITY = Pose2()
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class OccupancyGrid:
 
     cells: npt.NDArray[np.int8]
     resolution: float
-    origin: Pose2 = Pose2()
+    origin: Pose2 = IDENTITY
     name: str = "map"
 
     def __post_init__(self) -> None:

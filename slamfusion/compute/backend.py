@@ -58,6 +58,9 @@ class Backend(Protocol):
     ) -> Handle:
         """See ``reference.score_field``."""
 
+    def look_up(self, values: Handle, table: npt.NDArray[np.uint16]) -> Handle:
+        """See ``reference.look_up``."""
+
     def max_window(self, field: Handle, window: int, *, along_rows: bool, fill: int) -> Handle:
         """See ``reference.max_window``."""
 
@@ -117,7 +120,7 @@ class Backend(Protocol):
         self,
         points: npt.NDArray[np.float32],
         poses: npt.NDArray[np.float32],
-        distance2: Handle,
+        distance: Handle,
         *,
         scale: float,
         centre: tuple[float, float],
@@ -161,6 +164,7 @@ class NumpyBackend:
     shrink = staticmethod(reference.shrink)
     distance_squared = staticmethod(reference.distance_squared)
     score_field = staticmethod(reference.score_field)
+    look_up = staticmethod(reference.look_up)
     max_window = staticmethod(reference.max_window)
     warp = staticmethod(reference.warp)
     confusion = staticmethod(reference.confusion)

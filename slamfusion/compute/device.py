@@ -101,7 +101,12 @@ def choose_device(wanted: str = "auto") -> tuple[Any, str]:
     if wanted != "auto":
         return _named(devices, wanted), f"asked for {wanted!r}"
     if os.environ.get("PYOPENCL_CTX"):
-        context = cl.create_some_context(interactive=False)
+        try:
+            context = cl.create_some_context(interactive=False)
+        except (cl.Error, RuntimeError) as error:
+            wish = os.environ["PYOPENCL_CTX"]
+            message = f"PYOPENCL_CTX={wish!r} names no device ({error}); mend it or unset it"
+            raise DeviceError(message) from error
         return context.devices[0], "PYOPENCL_CTX"
     real = [device for device in devices if not is_simulator(device) and device.available]
     for kind, words in (

@@ -243,6 +243,13 @@ class OpenCLBackend:
         self._launch("score_field", (cells,), distance2, free_share, *tables, *scalars, out)
         return out
 
+    def look_up(self, values: DeviceArray, table: npt.NDArray[np.uint16]) -> DeviceArray:
+        """See ``reference.look_up``."""
+        out = self.empty(values.shape, np.uint16)
+        cells = values.size
+        self._launch("look_up", (cells,), values, self._table(table), np.int32(cells), out)
+        return out
+
     def max_window(
         self, field: DeviceArray, window: int, *, along_rows: bool, fill: int
     ) -> DeviceArray:
@@ -426,7 +433,7 @@ class OpenCLBackend:
         self,
         points: npt.NDArray[np.float32],
         poses: npt.NDArray[np.float32],
-        distance2: DeviceArray,
+        distance: DeviceArray,
         *,
         scale: float,
         centre: tuple[float, float],
@@ -436,7 +443,7 @@ class OpenCLBackend:
         count, n = len(points), len(poses)
         chunks = -(-count // CHUNK_POINTS)
         partial = self.empty((n, chunks, 10), np.float32)
-        height, width = distance2.shape
+        height, width = distance.shape
         self._launch(
             "refine_terms",
             (chunks, n),
@@ -444,7 +451,7 @@ class OpenCLBackend:
             np.int32(count),
             self.upload(poses),
             np.int32(n),
-            distance2,
+            distance,
             np.int32(height),
             np.int32(width),
             np.float32(scale),

@@ -24,6 +24,7 @@ __all__ = [
     "distance_squared",
     "fixed_cells",
     "fixed_poses",
+    "look_up",
     "max_window",
     "polyphase",
     "pose_counts",
@@ -92,7 +93,7 @@ def solid_walls(cells: I8) -> U8:
         cells: (H, W) int8 in {-1, 0, 1}.
     """
     solid = (cells == 1) & (_free_neighbours(cells) < SPECK_FREE_CELLS)
-    return solid.astype(np.uint8)
+    return np.asarray(solid, dtype=np.uint8)
 
 
 def surface_walls(cells: I8, solid: U8) -> U8:
@@ -103,7 +104,7 @@ def surface_walls(cells: I8, solid: U8) -> U8:
         solid: (H, W) uint8, 1 at the wall cells that count.
     """
     surface = (solid != 0) & (_free_neighbours(cells) > 0)
-    return surface.astype(np.uint8)
+    return np.asarray(surface, dtype=np.uint8)
 
 
 def shrink(walls: U8, cells: I8, step: int) -> tuple[U8, U8]:
@@ -372,10 +373,19 @@ def pose_counts(
     return out
 
 
+def look_up(values: U16, table: U16) -> U16:
+    """Return ``table[values]``.
+
+    Args:
+        values: any shape, uint16. table: (M,) uint16, longer than the largest value.
+    """
+    return np.asarray(table[values], dtype=np.uint16)
+
+
 def refine_terms(
     points: F32,
     poses: F32,
-    distance2: U16,
+    distance: U16,
     *,
     scale: float,
     centre: tuple[float, float],
@@ -390,7 +400,7 @@ def refine_terms(
     Args:
         points: (N, 2) float32, cells.
         poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
-        distance2: (H, W) uint16.
+        distance: (H, W) uint16, to the nearest wall in 1/256 cell.
         scale: cells.
         centre: x and y in cells of the reference.
         backward: points belong to the reference and the field to the moving grid.
@@ -398,8 +408,8 @@ def refine_terms(
     Returns:
         (P, 10) float64: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
     """
-    height, width = distance2.shape
-    distance = np.sqrt(distance2.astype(np.float64))
+    height, width = distance.shape
+    cells = distance / 256.0
     out = np.zeros((len(poses), 10))
     for p, (cosine, sine, tx, ty) in enumerate(poses.astype(np.float64)):
         px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
@@ -410,8 +420,8 @@ def refine_terms(
         px, py, qx, qy = px[inside], py[inside], qx[inside], qy[inside]
         col, row = col[inside], row[inside]
         u, v = qx - 0.5 - col, qy - 0.5 - row
-        d00, d01 = distance[row, col], distance[row, col + 1]
-        d10, d11 = distance[row + 1, col], distance[row + 1, col + 1]
+        d00, d01 = cells[row, col], cells[row, col + 1]
+        d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]
         d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
         gx = (1 - v) * (d01 - d00) + v * (d11 - d10)
         gy = (1 - u) * (d10 - d00) + u * (d11 - d01)

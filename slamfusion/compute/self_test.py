@@ -27,6 +27,10 @@ Check: TypeAlias = Callable[[Backend, "Sample"], Arrays]
 # term of a row; all others not at all.
 RELATIVE = 1e-4
 FLAT_FILL = 7
+# Squared distance to distance in 1/256 cell.
+DISTANCE_TABLE = np.rint(
+    256.0 * np.sqrt(np.arange(reference.DISTANCE2_MAX + 1, dtype=np.float64))
+).astype(np.uint16)
 BASE = 64
 
 
@@ -260,15 +264,19 @@ def _pose_counts(backend: Backend, sample: Sample) -> Arrays:
     ]
 
 
+def _look_up(backend: Backend, sample: Sample) -> Arrays:
+    return [backend.download(backend.look_up(backend.upload(sample.distance2), DISTANCE_TABLE))]
+
+
 def _refine_terms(backend: Backend, sample: Sample) -> Arrays:
     x, y, yaw = sample.motions.T
     poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
     size = (sample.shape[1], sample.shape[0])
     points = (sample.rng.random((150, 2)) * size).astype(np.float32)
-    distance2 = backend.upload(sample.distance2)
+    distance = backend.upload(reference.look_up(sample.distance2, DISTANCE_TABLE))
     centre = (size[0] / 2.0, size[1] / 2.0)
     return [
-        backend.refine_terms(points, poses, distance2, scale=6.0, centre=centre, backward=backward)
+        backend.refine_terms(points, poses, distance, scale=6.0, centre=centre, backward=backward)
         for backward in (False, True)
     ]
 
@@ -309,6 +317,7 @@ CHECKS: dict[str, Check] = {
     "surface_walls": _surface_walls,
     "shrink": _shrink,
     "distance_squared": _distance_squared,
+    "look_up": _look_up,
     "score_field": _score_field,
     "max_window": _max_window,
     "warp": _warp,

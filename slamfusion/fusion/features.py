@@ -51,6 +51,8 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
 
 
+# Squared distance to distance in 1/256 cell.
+DISTANCE_TABLE = np.rint(256.0 * np.sqrt(np.arange(DISTANCE2_MAX + 1))).astype(np.uint16)
 # Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
 COARSE_TABLE = score_table(1.0, base=4, span=11)
 FINE_SIGMA = 3.0
@@ -74,7 +76,8 @@ class Level:
         shape: rows and columns.
         wall: (H, W) uint8 on the device, 1 at a surface wall.
         free: (H, W) uint8 on the device, free share 0..255.
-        distance2: (H, W) uint16 on the device.
+        distance2: (H, W) uint16 on the device, squared, cells.
+        distance: (H, W) uint16 on the device, 1/256 cell.
         points: (N, 2) int32, surface walls as lattice positions x, y in half cells.
     """
 
@@ -83,6 +86,7 @@ class Level:
     wall: Handle
     free: Handle
     distance2: Handle
+    distance: Handle
     points: npt.NDArray[np.int32]
 
     @property
@@ -146,9 +150,10 @@ class GridFeatures:
         if step not in self._levels:
             wall, free = self.backend.shrink(self._surface, self.cells, step)
             distance2 = self.backend.distance_squared(wall)
+            distance = self.backend.look_up(distance2, DISTANCE_TABLE)
             mask = self.backend.download(wall)
             self._levels[step] = Level(
-                step, mask.shape, wall, free, distance2, _lattice_points(mask != 0)
+                step, mask.shape, wall, free, distance2, distance, _lattice_points(mask != 0)
             )
         return self._levels[step]
 

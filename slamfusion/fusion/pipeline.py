@@ -262,8 +262,8 @@ def _left_out(
     if failed:
         shown = _from_the_side_of(name, failed[0])
         return f"to {shown.reference}: {shown.reason}", shown
-    shown = _from_the_side_of(name, mine[0]) if mine else None
-    return "its transforms to the others do not close (a to b to c to a)", shown
+    reason = "its transforms to the others do not close (a to b to c to a)"
+    return reason, _from_the_side_of(name, mine[0]) if mine else None
 
 
 def _from_the_side_of(name: str, pair: Alignment) -> Alignment:
@@ -342,7 +342,14 @@ def _vote(
                 warp_onto(grid, grid.grid.cells, pair.transform, base.grid, box, backend)
             )
     weights = _weights(aligned) if config.vote.mode == "weighted" else [1.0] * len(aligned)
-    voted = vote_grids(aligned, config.vote, backend, weights=weights, percents=percents or None)
+    voted = vote_grids(
+        aligned,
+        config.vote,
+        backend,
+        weights=weights,
+        percents=percents or None,
+        thresholds=config.normalize,
+    )
     frame = base.grid.crop(box)
     cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.int8)[voted.fused + 1]
     fused = OccupancyGrid(cells, frame.resolution, frame.origin, "fused")

@@ -126,13 +126,13 @@ class VoteResult:
     Attributes:
         fused: (H, W) int8 in {-1, 0, 1}.
         agreement: (H, W) int8, share of votes for the winner in percent 0..100, -1 without votes.
-        dissent: (H, W) uint32, bit n set where input n voted otherwise than the winner.
+        dissent: (H, W) unsigned integers, bit n set where input n voted otherwise than the winner.
         phantom_cells: cells occupied in the fused grid and in no input.
     """
 
     fused: npt.NDArray[np.int8]
     agreement: npt.NDArray[np.int8]
-    dissent: npt.NDArray[np.uint32]
+    dissent: npt.NDArray[np.unsignedinteger[Any]]
     phantom_cells: int
 
 

@@ -309,14 +309,14 @@ def refine(
             terms = backend.refine_terms(
                 from_mov,
                 _device_poses(poses),
-                ref.distance2,
+                ref.distance,
                 scale=scale,
                 centre=pivot,
                 backward=False,
             ) + backend.refine_terms(
                 from_ref,
                 _device_poses(invert(poses)),
-                mov.distance2,
+                mov.distance,
                 scale=scale,
                 centre=pivot,
                 backward=True,
@@ -354,9 +354,9 @@ def _apply(motions: F64, change: F64, pivot: tuple[float, float]) -> F64:
 def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend: Backend) -> F64:
     """Finish motions that are right to a few cells, as finely as the walls of the two maps allow.
 
-    Where one map's walls are thicker, their surfaces cannot meet: a fit narrower than the difference
-    locks onto one side of a room, a wider one stays between both. So the last scale is twice the
-    median distance of the surfaces that a wide fit leaves.
+    Where one map's walls are thicker, their surfaces cannot meet: a fit narrower than the
+    difference locks onto one side of a room, a wider one stays between both. So the last scale is
+    twice the median distance of the surfaces that a wide fit leaves.
     """
     motions = refine(reference, moving, motions, 1, (8.0,), backend, points=FINE_POINTS)
     spread = _surface_distance(reference, moving, motions, backend)
