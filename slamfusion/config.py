@@ -167,7 +167,7 @@ class AlignConfig(_Checked):
     )
     deadline_s: float = option(2.0, "stop proving a pair after this long", unit="s", low=0.0)
     coarse_cells: int = option(
-        48, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
+        40, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
     )
     candidates: int = option(32, "coarse peaks that are refined", low=1, high=64, level="expert")
     proof_points: int = option(

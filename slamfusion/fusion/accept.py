@@ -24,16 +24,18 @@ __all__ = ["Evidence", "decide"]
 # Fewer wall cells than this fit anywhere.
 WALLS_MIN = 24
 OVERLAP_MIN = 0.15
+SCORE_MIN = 0.05
 # The smaller share of matched walls: right pairs mostly above, the highest wrong one seen 0.42.
 MATCH_MIN = 0.45
 # Walls in the other's free space, more than 20 cells from any wall.
 CLASH_MAX = 0.15
 CLASH_MAX_STRICT = 0.10
-# Best score at another yaw over the best: wrong pairs seen down to 0.92 with few clashes.
-COARSE_RATIO_MAX = 0.85
 Z_MIN = 3.5
-RUNNER_UP_MAX = 0.80
-# Score less runner-up: wrong pairs seen up to 0.085, with few clashes and a lower yaw 0.068.
+# The best score at another yaw over the best, the runner-up over the best, and walls that clash.
+# Wrong pairs seen: with clashes under 0.15 and a runner-up under 0.80 the ratio is 0.927 or more,
+# with clashes under 0.10 it is 0.95 or more.
+STANDS_OUT = ((0.85, 0.80, CLASH_MAX), (0.90, 0.75, CLASH_MAX_STRICT))
+# Score less runner-up: wrong pairs seen up to 0.066 with clashes under 0.10.
 MARGIN_MIN = 0.10
 COARSE_RATIO_MARGIN_MAX = 0.98
 MARGIN_ALONE_MIN = 0.15
@@ -77,6 +79,8 @@ def decide(evidence: Evidence) -> tuple[bool, str]:
         return False, f"too few walls to judge: {evidence.walls} of the {WALLS_MIN} needed"
     if evidence.overlap < OVERLAP_MIN:
         return False, f"too little common ground: {evidence.overlap:.0%} of the smaller map"
+    if evidence.score < SCORE_MIN:
+        return False, f"walls do not match: score {evidence.score:.2f}"
     if not evidence.searched:
         return _decide_tracked(match, clash)
     runner_up = evidence.statistics.get("runner_up_ratio", 0.0)
@@ -101,10 +105,16 @@ def _ground(evidence: Evidence, match: float, clash: float, runner_up: float) ->
     """Return the ground on which the alignment is believed, or None."""
     ratio = evidence.statistics["coarse_ratio"]
     z = evidence.statistics["z"]
-    stands_out = ratio <= COARSE_RATIO_MAX and z >= Z_MIN and runner_up <= RUNNER_UP_MAX
+    stands_out = z >= Z_MIN and any(
+        ratio <= most_ratio and runner_up <= most_runner_up
+        for most_ratio, most_runner_up, _ in STANDS_OUT
+    )
     if match >= MATCH_MIN and (clash <= CLASH_MAX or stands_out):
         return f"walls match: {match:.0%}"
-    if stands_out and clash <= CLASH_MAX:
+    if z >= Z_MIN and any(
+        ratio <= most_ratio and runner_up <= most_runner_up and clash <= most_clash
+        for most_ratio, most_runner_up, most_clash in STANDS_OUT
+    ):
         return f"yaw stands out: others reach {ratio:.0%} (z {z:.1f})"
     margin = evidence.score * (1.0 - runner_up)
     is_wide = margin >= MARGIN_ALONE_MIN or (

@@ -42,6 +42,8 @@ FAR_CELLS = 20
 EVIDENCE_POINTS = 20000
 DISTINCT_CELLS = 20.0
 DISTINCT_YAW_RAD = math.radians(10.0)
+# A bent map fits its place in several ways a metre or two apart; they are one answer.
+BENT_CELLS = 60.0
 NEIGHBOURHOOD_CELLS = 8
 PROOF_ROUNDS = 3
 BENT_MATCH = 0.45
@@ -223,10 +225,10 @@ def _prove(
     return _Found(motions, scores, found.coarse, gap, rival)
 
 
-def _is_distinct(a: F64, b: F64) -> bool:
+def _is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
     """Whether two motions are different answers rather than the same one found twice."""
     shift, turn = displacement(a, b)
-    return shift > DISTINCT_CELLS or turn > DISTINCT_YAW_RAD
+    return shift > cells or turn > DISTINCT_YAW_RAD
 
 
 def _conclude(
@@ -239,16 +241,11 @@ def _conclude(
 ) -> Alignment:
     """Measure the best motion and its runner-up, decide, and write the record."""
     best, score = found.motions[0], float(found.scores[0])
-    runner_up = None
-    for motion, other in zip(found.motions[1:], found.scores[1:], strict=True):
-        if _is_distinct(motion, best):
-            ratio = float(other) / score if score > 0 else 1.0
-            transform = _transform(reference, moving, motion)
-            runner_up = RunnerUp(transform, float(other), max(0.0, ratio))
-            break
     statistics = measure(reference, moving, best, backend)
-    if max(statistics["wall_match_moving"], statistics["wall_match_reference"]) < BENT_MATCH:
-        # Both maps mostly miss each other's walls: one is bent. A narrow fit locks one part and
+    is_bent = max(statistics["wall_match_moving"], statistics["wall_match_reference"]) < BENT_MATCH
+    runner_up = _runner_up(reference, moving, found, BENT_CELLS if is_bent else DISTINCT_CELLS)
+    if is_bent:
+        # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
         # leaves the rest; the wide one spreads the misfit over the whole map.
         best = refine(reference, moving, best[None], 1, BENT_SCALES, backend, iterations=8)[0]
         statistics = measure(reference, moving, best, backend)
@@ -287,6 +284,18 @@ def _conclude(
         statistics,
         profile,
     )
+
+
+def _runner_up(
+    reference: GridFeatures, moving: GridFeatures, found: _Found, cells: float
+) -> RunnerUp | None:
+    """Return the best motion that is another answer: farther than ``cells``, or turned."""
+    best, score = found.motions[0], float(found.scores[0])
+    for motion, other in zip(found.motions[1:], found.scores[1:], strict=True):
+        if _is_distinct(motion, best, cells):
+            ratio = float(other) / score if score > 0 else 1.0
+            return RunnerUp(_transform(reference, moving, motion), float(other), max(0.0, ratio))
+    return None
 
 
 def _near_start(
