@@ -8,15 +8,24 @@
 /* Rearrange a field so that reads `step` cells apart lie side by side, reaching beyond its edges.
  * Plane (a, b) of step x step planes holds the cells (row0 + a + step i, col0 + b + step j).
  * field (height, width) uchar, fill outside; out (step, step, rows, cols) uchar.
- * Global: (cols, rows, step * step). */
+ * Global: (rows, step * step). */
 __kernel void polyphase(__global const uchar *field, const int height, const int width,
                         const int row0, const int col0, const int step, const int rows,
                         const int cols, const uchar fill, __global uchar *out) {
-  const int j = get_global_id(0), i = get_global_id(1), phase = get_global_id(2);
-  if (j >= cols || i >= rows || phase >= step * step) return;
-  const int row = row0 + phase / step + step * i, col = col0 + phase % step + step * j;
-  const bool inside = row >= 0 && col >= 0 && row < height && col < width;
-  out[((size_t)phase * rows + i) * cols + j] = inside ? field[row * width + col] : fill;
+  const int i = get_global_id(0), phase = get_global_id(1);
+  if (i >= rows || phase >= step * step) return;
+  const int row = row0 + phase / step + step * i, first = col0 + phase % step;
+  __global uchar *line = out + ((size_t)phase * rows + i) * cols;
+  /* Columns [from, to) lie on the field; a row off the field has none. */
+  int from = first >= 0 ? 0 : (-first + step - 1) / step;
+  int to = width > first ? (width - first + step - 1) / step : 0;
+  from = from < cols ? from : cols;
+  to = to < cols ? to : cols;
+  if (row < 0 || row >= height || to < from) from = to = cols;
+  for (int j = 0; j < from; j++) line[j] = fill;
+  __global const uchar *source = field + (row < 0 || row >= height ? 0 : (size_t)row * width);
+  for (int j = from; j < to; j++) line[j] = source[first + j * step];
+  for (int j = to; j < cols; j++) line[j] = fill;
 }
 
 /* bounds[b] = sum over points of the pooled field of the point's class at start + shift.

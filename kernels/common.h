@@ -43,14 +43,20 @@ inline void store32(const ulong4 words, __global ulong *to) {
 }
 #define STORE32(words, p) store32(words, (__global ulong *)(p))
 #define LOWER(a, b) ((a) < (b) ? (a) : (b))
+#define HIGHER(a, b) ((a) > (b) ? (a) : (b))
 #else
 inline ulong4 load32(__global const uchar *p) {
   const uchar16 a = vload16(0, p), b = vload16(1, p);
   return (ulong4)(as_ulong2(a), as_ulong2(b));
 }
 #define LOAD32(p) load32((__global const uchar *)(p))
-#define STORE32(words, p) vstore16(as_ushort16(words), 0, (__global ushort *)(p))
+inline void store32(const ulong4 words, __global uchar *to) {
+  vstore16(as_uchar16(words.lo), 0, to);
+  vstore16(as_uchar16(words.hi), 1, to);
+}
+#define STORE32(words, p) store32(words, (__global uchar *)(p))
 #define LOWER(a, b) min(a, b)
+#define HIGHER(a, b) max(a, b)
 #endif
 
 #endif

@@ -151,14 +151,27 @@ __kernel void score_field(__global const ushort *distance2, __global const uchar
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the
  * row or the column; cells outside count as fill. A window of w starting at each cell takes about
  * log2(w) calls an axis.
- * field, out (height, width) uchar, not the same buffer. Global: (width, height). */
+ * field, out (height, width) uchar, not the same buffer. Global: (ceil(width / 32), height). */
 __kernel void max_pair(__global const uchar *field, const int height, const int width,
                        const int shift, const int along_rows, const uchar fill,
                        __global uchar *out) {
-  const int col = get_global_id(0), row = get_global_id(1);
+  const int col = get_global_id(0) * 32, row = get_global_id(1);
   if (col >= width || row >= height) return;
-  const int index = row * width + col;
-  const int inside = along_rows ? col + shift < width : row + shift < height;
-  const uchar other = inside ? field[index + (along_rows ? shift : shift * width)] : fill;
-  out[index] = max(field[index], other);
+  const size_t index = (size_t)row * width + col;
+  const int step = along_rows ? shift : shift * width;
+  const int reach = col + 32 + (along_rows ? shift : 0);
+  if (reach <= width && (along_rows || row + shift < height)) {
+    const ulong4 own = LOAD32(field + index), other = LOAD32(field + index + step);
+    const uchar16 a = as_uchar16(own.lo), b = as_uchar16(other.lo);
+    const uchar16 c = as_uchar16(own.hi), d = as_uchar16(other.hi);
+    const ulong2 low = as_ulong2(HIGHER(a, b)), high = as_ulong2(HIGHER(c, d));
+    STORE32((ulong4)(low, high), out + index);
+    return;
+  }
+  for (int i = 0; i < 32 && col + i < width; i++) {
+    const bool inside = along_rows ? col + i + shift < width : row + shift < height;
+    const uchar other = inside ? field[index + i + step] : fill;
+    const uchar own = field[index + i];
+    out[index + i] = own > other ? own : other;
+  }
 }

@@ -167,9 +167,9 @@ class AlignConfig(_Checked):
     )
     deadline_s: float = option(2.0, "stop proving a pair after this long", unit="s", low=0.0)
     coarse_cells: int = option(
-        40, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
+        44, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
     )
-    candidates: int = option(32, "coarse peaks that are refined", low=1, high=64, level="expert")
+    candidates: int = option(24, "coarse peaks that are refined", low=1, high=64, level="expert")
     proof_points: int = option(
         1024, "wall points that the proof scores", low=16, high=8192, level="expert"
     )

@@ -28,6 +28,7 @@ SHIFT_LANES = 32
 CHUNK_POINTS = 64
 CHUNK_CELLS = 4096
 CHUNK_ROWS = 16
+WARP_RUN = 64
 BLOCK_CELLS = 32
 # A lane of the packed vote is a byte; this spreads a value over the eight lanes of a word.
 EACH_LANE = np.uint64(0x0101010101010101)
@@ -260,7 +261,7 @@ class OpenCLBackend:
             shift = min(reached, window - reached)
             out = self.empty(field.shape, np.uint8)
             sizes = [np.int32(v) for v in (height, width, shift, along_rows)]
-            self._launch("max_pair", (width, height), field, *sizes, np.uint8(fill), out)
+            self._launch("max_pair", (-(-width // 32), height), field, *sizes, np.uint8(fill), out)
             field = out
             reached += shift
         return field
@@ -278,7 +279,7 @@ class OpenCLBackend:
         out = self.empty((len(poses), *shape), cells.dtype)
         sizes = [np.int32(v) for v in (len(poses), *shape)]
         own = [np.int32(v) for v in cells.shape]
-        size = (shape[1], shape[0], len(poses))
+        size = (-(-shape[1] // WARP_RUN), shape[0], len(poses))
         fixed = self.upload(poses)
         self._launch("warp", size, cells, *own, fixed, *sizes, np.int8(fill), out)
         return out
@@ -352,7 +353,7 @@ class OpenCLBackend:
         """See ``reference.polyphase``."""
         out = self.empty((step, step, *shape), np.uint8)
         sizes = [np.int32(v) for v in (*field.shape, *corner, step, *shape)]
-        size = (shape[1], shape[0], step * step)
+        size = (shape[0], step * step)
         self._launch("polyphase", size, field, *sizes, np.uint8(fill), out)
         return out
 

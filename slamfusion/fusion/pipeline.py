@@ -104,11 +104,16 @@ def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
         message = f"inputs need distinct names; given twice: {', '.join(twice)}"
         raise ConfigError(message)
     resolution = common_resolution(list(grids), config.normalize)
+    largest, cells = names[0], 0
+    total = 0
     for grid in grids:
         box = grid.known_box()
-        scale = (grid.resolution / resolution) ** 2
-        cells = 0 if box is None else int(box.area * scale)
-        check_memory(cells * BYTES_PER_CELL, f"fusing {box}" if box else "fusing", grid.name)
+        own = 0 if box is None else int(box.area * (grid.resolution / resolution) ** 2)
+        total += own
+        if own > cells:
+            largest, cells = grid.name, own
+    what = f"fusing {total:.3g} cells at {resolution:g} m, {cells:.3g} of them"
+    check_memory(total * BYTES_PER_CELL, what, largest)
 
 
 def _align_pairs(

@@ -57,6 +57,7 @@ REFINE_POINTS = 768
 FINE_POINTS = 1536
 FINAL_POINTS = 4096
 SCALE_WIDE = 6.0
+SETTLED = 6
 SURFACE_RADII = (1, 2, 3, 4)
 
 
@@ -358,7 +359,7 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
     difference locks onto one side of a room, a wider one stays between both. So the last scale is
     twice the median distance of the surfaces that a wide fit leaves.
     """
-    motions = refine(reference, moving, motions, 1, (8.0,), backend, points=FINE_POINTS)
+    motions = refine(reference, moving, motions, 1, (12.0, 8.0), backend, points=FINE_POINTS)
     spread = _surface_distance(reference, moving, motions, backend)
     settled = np.empty_like(motions)
     for radius in np.unique(spread):
@@ -453,10 +454,10 @@ def search(
     coarse = coarse_search(reference, moving, config, window, backend)
     middle = max(1, round(coarse.step / 8))
     motions = refine(
-        reference, moving, coarse.motions, middle, (16.0, 10.0, 6.0, 4.0), backend, points=384
+        reference, moving, coarse.motions, middle, (16.0, 8.0, 4.0), backend, points=384
     )
     scores = rank(reference, moving, motions, middle, FINE_TABLE, backend, points=1024)
-    motions = distinct(motions[np.argsort(-scores, kind="stable")], 3.0 * middle, 0.02)[:8]
+    motions = distinct(motions[np.argsort(-scores, kind="stable")], 3.0 * middle, 0.02)[:SETTLED]
     motions = settle(reference, moving, motions, backend)
     scores = rank(reference, moving, motions, 1, FINE_TABLE, backend)
     order = np.argsort(-scores, kind="stable")
