@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import click
 
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import number, plain, print_json, print_table, versions
+from slamfusion.cli.output import number, print_json, print_table, versions
 from slamfusion.config import RunConfig
 
 __all__ = ["command"]
@@ -28,23 +27,31 @@ def command(quick: bool, config: RunConfig, as_json: bool) -> int:
     if as_json:
         print_json({**results, "device": backend.name, "versions": versions()})
     else:
-        rows = [[key, _cell(value)] for key, value in _leaves(plain(results))]
-        print_table(("measure ", "value"), rows, title=f"Benchmarks on {backend.name}")
+        print_table(
+            COLUMNS,
+            [_row(entry) for entry in results["entries"]],
+            title=f"Benchmarks on {backend.name}",
+        )
     return 0
 
 
-def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every number or text with its dotted place."""
-    if isinstance(value, Mapping):
-        items = [(str(key), item) for key, item in value.items()]
-    elif isinstance(value, list):
-        items = [(str(index), item) for index, item in enumerate(value)]
-    else:
-        yield path, value
-        return
-    for key, item in items:
-        yield from _leaves(item, f"{path}.{key}".lstrip("."))
+COLUMNS = ("work ", "s", "runs", "baseline ", "baseline s", "ratio", "must", "stretch", "reached ")
 
 
-def _cell(value: Any) -> str:
-    return number(value, 4) if isinstance(value, float) else str(value)
+def _row(entry: dict[str, Any]) -> list[str]:
+    """Return an entry's row; the target is of the seconds or of the ratio, as the entry says."""
+    reached = "-"
+    if entry["must"] is not None:
+        reached = "stretch" if entry["meets_stretch"] else "must" if entry["meets_must"] else "NO"
+    unit = "x" if entry["target_of"] == "ratio" else "s"
+    targets = ["-" if entry[k] is None else f"{entry[k]:g} {unit}" for k in ("must", "stretch")]
+    return [
+        entry["name"],
+        number(entry["seconds"], 4),
+        str(entry["runs"]),
+        entry["baseline"],
+        number(entry["baseline_seconds"], 4),
+        number(entry["ratio"], 4),
+        *targets,
+        reached,
+    ]

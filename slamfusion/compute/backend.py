@@ -118,7 +118,7 @@ class Backend(Protocol):
 
     def refine_terms(
         self,
-        points: npt.NDArray[np.float32],
+        points: Handle,
         poses: npt.NDArray[np.float32],
         distance: Handle,
         *,

@@ -432,7 +432,7 @@ class OpenCLBackend:
 
     def refine_terms(
         self,
-        points: npt.NDArray[np.float32],
+        points: DeviceArray,
         poses: npt.NDArray[np.float32],
         distance: DeviceArray,
         *,
@@ -441,14 +441,14 @@ class OpenCLBackend:
         backward: bool,
     ) -> npt.NDArray[np.float64]:
         """See ``reference.refine_terms``."""
-        count, n = len(points), len(poses)
+        count, n = points.shape[0], len(poses)
         chunks = -(-count // CHUNK_POINTS)
         partial = self.empty((n, chunks, 10), np.float32)
         height, width = distance.shape
         self._launch(
             "refine_terms",
             (chunks, n),
-            self.upload(points),
+            points,
             np.int32(count),
             self.upload(poses),
             np.int32(n),

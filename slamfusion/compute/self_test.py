@@ -272,7 +272,7 @@ def _refine_terms(backend: Backend, sample: Sample) -> Arrays:
     x, y, yaw = sample.motions.T
     poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
     size = (sample.shape[1], sample.shape[0])
-    points = (sample.rng.random((150, 2)) * size).astype(np.float32)
+    points = backend.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
     distance = backend.upload(reference.look_up(sample.distance2, DISTANCE_TABLE))
     centre = (size[0] / 2.0, size[1] / 2.0)
     return [

@@ -39,7 +39,7 @@ F64 = npt.NDArray[np.float64]
 
 NEAR_CELLS = 3
 FAR_CELLS = 20
-EVIDENCE_POINTS = 20000
+EVIDENCE_POINTS = 8192
 DISTINCT_CELLS = 20.0
 DISTINCT_YAW_RAD = math.radians(10.0)
 # A bent map fits its place in several ways a metre or two apart; they are one answer.

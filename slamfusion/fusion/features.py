@@ -148,7 +148,11 @@ class GridFeatures:
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""
         if step not in self._levels:
-            wall, free = self.backend.shrink(self._surface, self.cells, step)
+            if step == 1:
+                wall = self._surface
+                free = self.backend.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
+            else:
+                wall, free = self.backend.shrink(self._surface, self.cells, step)
             distance2 = self.backend.distance_squared(wall)
             distance = self.backend.look_up(distance2, DISTANCE_TABLE)
             mask = self.backend.download(wall)

@@ -56,8 +56,10 @@ RIM_PERCENTILE = 90.0
 REFINE_POINTS = 768
 FINE_POINTS = 1536
 FINAL_POINTS = 4096
+SPREAD_POINTS = 512
 SCALE_WIDE = 6.0
 SETTLED = 6
+SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
 
 
@@ -292,14 +294,14 @@ def refine(
         scales: robust scale of each round, in cells of the level, wide to narrow.
         backend: computes the normal equations.
         points: at most this many wall points of each grid.
-        iterations: Gauss-Newton steps a scale.
+        iterations: Gauss-Newton steps a scale; fewer once no pose moves by 0.02 cells.
 
     Returns:
         (P, 3) refined motions, the same form.
     """
     ref, mov = reference.level(step), moving.level(step)
-    from_mov = (spread_sample(mov.points, points) / 2.0).astype(np.float32)
-    from_ref = (spread_sample(ref.points, points) / 2.0).astype(np.float32)
+    from_mov = backend.upload((spread_sample(mov.points, points) / 2.0).astype(np.float32))
+    from_ref = backend.upload((spread_sample(ref.points, points) / 2.0).astype(np.float32))
     centre_mov = (moving.centre[0] / step, moving.centre[1] / step)
     pivot = (ref.shape[1] / 2.0, ref.shape[0] / 2.0)
     reach = math.hypot(*mov.shape) / 2.0
@@ -324,6 +326,8 @@ def refine(
             )
             change = _solve(terms, scale, reach)
             local = _apply(local, change, pivot)
+            if np.all(np.abs(change) * (1.0, 1.0, reach) < SETTLED_CELLS):
+                break
     return np.asarray(local * np.array([step, step, 1.0]))
 
 
@@ -378,14 +382,14 @@ def _surface_distance(
     """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
     ref, mov = reference.level(1), moving.level(1)
     poses = to_lattice(motions, moving.centre)
-    sides = ((mov.points, poses, reference, ref), (ref.points, invert(poses), moving, mov))
+    sides = ((mov.points, poses, ref), (ref.points, invert(poses), mov))
     near = np.zeros((len(SURFACE_RADII) + 1, len(motions)))
     for row, radius in enumerate((*SURFACE_RADII, 8)):
-        for points, pose, features, level in sides:
+        for points, pose, level in sides:
             counts = backend.pose_counts(
-                spread_sample(points, FINE_POINTS),
+                spread_sample(points, SPREAD_POINTS),
                 fixed_poses(pose),
-                features.field(1, FINE_TABLE),
+                level.free,
                 level.distance2,
                 level.free,
                 base=0,
