@@ -145,7 +145,7 @@ __kernel void score_field(__global const ushort *distance2, __global const uchar
   if (index >= cells) return;
   const int d2 = distance2[index];
   const int value = base + hit[d2] - (free_share[index] * miss[d2]) / 255;
-  out[index] = (uchar)clamp(value, 0, 255);
+  out[index] = (uchar)(value < 0 ? 0 : value > 255 ? 255 : value);
 }
 
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the

@@ -162,6 +162,10 @@ class AlignConfig(_Checked):
     step: int | None = option(
         None, "run the fixed-step search of [F16] with this first step instead", unit="cells", low=1
     )
+    shared_frame: bool = option(
+        False,
+        "the maps share their start frame: of equally good answers believe one near the identity",
+    )
     prove: bool = option(
         True, "prove the answer the best of the search set, or say how far it may be off"
     )

@@ -22,7 +22,7 @@ from slamfusion.fusion.search import (
     CoarseSearch,
     SearchWindow,
     displacement,
-    distinct,
+    inside,
     invert,
     rank,
     refine,
@@ -37,15 +37,19 @@ __all__ = ["align_features", "align_grids", "measure", "rejected_alignment", "tr
 
 F64 = npt.NDArray[np.float64]
 
-NEAR_CELLS = 3
-FAR_CELLS = 20
+# Tolerances in metres, and the least they are in cells where cells are coarse.
+NEAR_M, NEAR_CELLS_MIN = 0.15, 1.5
+CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
+FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
 EVIDENCE_POINTS = 8192
 DISTINCT_CELLS = 20.0
 DISTINCT_YAW_RAD = math.radians(10.0)
 # A bent map fits its place in several ways a metre or two apart; they are one answer.
 BENT_CELLS = 60.0
 NEIGHBOURHOOD_CELLS = 8
+NEIGHBOURHOOD_YAW_RAD = math.radians(2.0)
 PROOF_ROUNDS = 3
+RIVALS = 8
 BENT_MATCH = 0.45
 BENT_SCALES = (24.0,)
 OTHER_YAW_RAD = math.radians(15.0)
@@ -59,6 +63,7 @@ class _Found:
     scores: F64
     coarse: CoarseSearch | None
     bound_gap: float | None
+    search: str
     rival: bool = False
 
 
@@ -110,12 +115,18 @@ def align_features(
     if config.step is not None:
         motion = fixed_step_search(reference, moving, config.step, window, backend)
         score = rank(reference, moving, motion[None], 1, FINE_TABLE, backend)
-        found = _Found(motion[None], score, None, None)
+        found = _Found(motion[None], score, None, None, "fixed step")
     else:
         coarse, motions, scores = search(reference, moving, config, window, backend)
-        found = _Found(motions, scores, coarse, None)
-        if config.prove:
+        is_full = window.shift_cells is None and window.yaw_rad >= math.pi
+        found = _Found(motions, scores, coarse, None, "full" if is_full else "window")
+        if config.prove and len(motions):
             found = _prove(reference, moving, config, window, backend, found)
+    if not len(found.motions):
+        reason = "no fit inside the window; widen it or give a better start"
+        return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
+    if start is None and config.shared_frame:
+        start = Pose2()
     return _conclude(reference, moving, backend, found, start, began)
 
 
@@ -137,7 +148,9 @@ def track_features(
     motion = _motion(reference, moving, start)[None]
     motion = settle(reference, moving, motion, backend)
     score = rank(reference, moving, motion, 1, FINE_TABLE, backend)
-    return _conclude(reference, moving, backend, _Found(motion, score, None, None), start, began)
+    return _conclude(
+        reference, moving, backend, _Found(motion, score, None, None, "tracked"), start, began
+    )
 
 
 def rejected_alignment(
@@ -203,26 +216,30 @@ def _prove(
     for _ in range(PROOF_ROUNDS):
         best, _ = neighbourhood_best(lattice, motions[0], NEIGHBOURHOOD_CELLS)
         proof = prove(lattice, best, max(0.0, end - time.perf_counter()))
-        gap = proof.bound_gap
-        rivals = [
-            other
-            for other in distinct(proof.rivals, DISTINCT_CELLS, DISTINCT_YAW_RAD)[:8]
-            if _is_distinct(other, motions[0])
-        ]
-        rival = bool(rivals)
-        if not rivals:
-            # What scores above the answer lies beside it: the same peak, seen at another cell.
+        gap, rival = proof.bound_gap, False
+        if not len(proof.rivals):
+            break
+        others = inside(window, settle(reference, moving, proof.rivals[:RIVALS], backend))
+        elsewhere = [other for other in others if not _is_same(other, motions[0])]
+        if not elsewhere:
+            # All that scores above the answer runs into it when refined: it is their optimum.
             gap = gap if not proof.finished else 0.0
             break
-        moved = settle(reference, moving, np.array(rivals), backend)
-        everything = np.concatenate((motions, moved))
+        rival = any(_is_distinct(other, motions[0]) for other in elsewhere)
+        everything = np.concatenate((motions, np.array(elsewhere)))
         ranked = rank(reference, moving, everything, 1, FINE_TABLE, backend)
         order = np.argsort(-ranked, kind="stable")
         changed = order[0] >= len(motions)
         motions, scores = everything[order], ranked[order]
         if not changed:
             break
-    return _Found(motions, scores, found.coarse, gap, rival)
+    return _Found(motions, scores, found.coarse, gap, found.search, rival)
+
+
+def _is_same(a: F64, b: F64) -> bool:
+    """Whether one motion lies in the neighbourhood of the other, which the proof takes as one."""
+    shift, turn = displacement(a, b)
+    return shift <= NEIGHBOURHOOD_CELLS and turn <= NEIGHBOURHOOD_YAW_RAD
 
 
 def _is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
@@ -265,8 +282,8 @@ def _conclude(
         statistics=statistics,
         bound_gap=found.bound_gap,
         rival=found.rival,
-        searched=found.coarse is not None,
-        near_start=_near_start(reference, moving, transform, start),
+        search=found.search,
+        near_start=start is not None and _near_start(reference, moving, transform, start),
     )
     accepted, reason = decide(evidence)
     return Alignment(
@@ -299,11 +316,11 @@ def _runner_up(
 
 
 def _near_start(
-    reference: GridFeatures, moving: GridFeatures, transform: Pose2, start: Pose2 | None
+    reference: GridFeatures, moving: GridFeatures, transform: Pose2, start: Pose2
 ) -> bool:
     """Whether the answer agrees with the start frame that producers of one robot share."""
     a = _motion(reference, moving, transform)
-    b = _motion(reference, moving, start or Pose2())
+    b = _motion(reference, moving, start)
     shift, turn = displacement(a, b)
     return shift <= DISTINCT_CELLS and turn <= DISTINCT_YAW_RAD
 
@@ -335,38 +352,47 @@ def measure(
     """Return the numbers by which a motion is judged.
 
     ``wall_match`` is the smaller of the two shares of wall cells with a wall of the other map
-    within 3 cells, ``wall_clash`` the larger of the two shares in the other's free space more than
-    20 cells from any wall; ``chance`` is the larger of the two shares of known cells within 3
-    cells of a wall, what a random place would match.
+    within 0.15 m, ``wall_clash`` the larger of the two shares in the other's free space more than
+    1 m from any wall, ``wall_clash_near`` the same beyond 0.4 m; ``chance`` is the larger of the
+    two shares of known cells within 0.15 m of a wall, what a random place would match.
     """
     lattice = to_lattice(motion[None], moving.centre)
     ref, mov = reference.level(1), moving.level(1)
-    match, clash, known, chance = [], [], [], []
+    size = reference.grid.grid.resolution
+    near2 = int(max(NEAR_M / size, NEAR_CELLS_MIN) ** 2 + 1e-9)
+    clashes2 = [
+        int(max(metres / size, least) ** 2 + 1e-9)
+        for metres, least in ((FAR_CLASH_M, FAR_CLASH_CELLS_MIN), (CLASH_M, CLASH_CELLS_MIN))
+    ]
+    match, known, chance = [], [], []
+    clash: list[list[float]] = [[], []]
     for points, pose, features, level in (
         (moving.wall_points, lattice, reference, ref),
         (reference.wall_points, invert(lattice), moving, mov),
     ):
         sample = spread_sample(points, EVIDENCE_POINTS)
-        counts = backend.pose_counts(
-            sample,
-            fixed_poses(pose),
-            features.known,
-            level.distance2,
-            level.free,
-            base=0,
-            near2=NEAR_CELLS**2,
-            far2=FAR_CELLS**2,
-        )[0]
+        for far2, shares in zip(clashes2, clash, strict=True):
+            counts = backend.pose_counts(
+                sample,
+                fixed_poses(pose),
+                features.known,
+                level.distance2,
+                level.free,
+                base=0,
+                near2=near2,
+                far2=far2,
+            )[0]
+            shares.append(counts[2] / len(sample))
         match.append(counts[1] / len(sample))
-        clash.append(counts[2] / len(sample))
         known.append(counts[0] / len(sample))
-        chance.append(features.near_wall_share)
+        chance.append(features.near_wall_share(near2))
     overlap, error = _overlap_and_error(reference, moving, lattice, backend)
     return {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
         "wall_match_reference": float(match[1]),
-        "wall_clash": float(max(clash)),
+        "wall_clash": float(max(clash[0])),
+        "wall_clash_near": float(max(clash[1])),
         "wall_known": float(min(known)),
         "chance": float(max(chance)),
         "overlap": overlap,

@@ -55,8 +55,7 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
 DISTANCE_TABLE = np.rint(256.0 * np.sqrt(np.arange(DISTANCE2_MAX + 1))).astype(np.uint16)
 # Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
 COARSE_TABLE = score_table(1.0, base=4, span=11)
-FINE_SIGMA = 3.0
-FINE_TABLE = score_table(FINE_SIGMA, base=64, span=191)
+FINE_TABLE = score_table(3.0, base=64, span=191)
 
 
 def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.int32]:
@@ -105,6 +104,7 @@ class GridFeatures:
         self.cells = backend.upload(grid.cells)
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], Handle] = {}
+        self._near_wall_share: dict[int, float] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -131,12 +131,13 @@ class GridFeatures:
         """(H, W) uint8 on the device, 1 where known."""
         return self.backend.upload((self.grid.cells >= 0).astype(np.uint8))
 
-    @cached_property
-    def near_wall_share(self) -> float:
-        """Share of known cells within 3 cells of a wall: what a random place would match."""
-        distance2 = self.backend.download(self.level(1).distance2)
-        near = np.count_nonzero((distance2 <= 9) & (self.grid.cells >= 0))
-        return near / max(1, self.known_cells)
+    def near_wall_share(self, near2: int) -> float:
+        """Return the share of known cells within this squared distance (cells) of a wall."""
+        if near2 not in self._near_wall_share:
+            distance2 = self.backend.download(self.level(1).distance2)
+            near = np.count_nonzero((distance2 <= near2) & (self.grid.cells >= 0))
+            self._near_wall_share[near2] = near / max(1, self.known_cells)
+        return self._near_wall_share[near2]
 
     @cached_property
     def _surface(self) -> Handle:

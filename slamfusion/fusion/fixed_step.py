@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import Backend
 from slamfusion.compute.reference import fixed_poses
+from slamfusion.errors import ConfigError
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.search import SearchWindow, invert, to_lattice
 
@@ -26,6 +27,7 @@ F64 = npt.NDArray[np.float64]
 
 REACH_SHARE = 0.25
 BATCH = 4096
+POSES_MAX = 20_000_000
 
 
 def fixed_step_search(
@@ -50,6 +52,13 @@ def fixed_step_search(
     while True:
         shifts = step * np.arange(-(reach // step), reach // step + 1)
         turns = np.radians(step * np.arange(-(turn // step), turn // step + 1))
+        count = len(shifts) ** 2 * len(turns)
+        if count > POSES_MAX:
+            message = (
+                f"--step {step} means {count:.3g} poses to try; give a larger step, or a window "
+                "with --window-m and --window-yaw-rad"
+            )
+            raise ConfigError(message)
         grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
         best = _least_error(reference, moving, best + grid, max(1, step // 2), backend)
         if step == 1:

@@ -112,7 +112,7 @@ def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
         total += own
         if own > cells:
             largest, cells = grid.name, own
-    what = f"fusing {total:.3g} cells at {resolution:g} m, {cells:.3g} of them"
+    what = f"fusing {total} known-box cells at {resolution:g} m (this map: {cells})"
     check_memory(total * BYTES_PER_CELL, what, largest)
 
 

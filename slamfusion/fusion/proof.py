@@ -54,6 +54,7 @@ RADIUS_CLASSES = (0.35, 0.55, 0.75, 1.0)
 FULL_LEVEL_WORK = 6e8
 BLOCKS_AT_ONCE = 1 << 17
 MEMBERS_KEPT = 64
+APART = 8
 MEMBERS_AT_ONCE = 1 << 15
 
 
@@ -94,7 +95,8 @@ class LatticeScore:
         points = spread_sample(moving.level(1).points, config.proof_points)
         self.own = points / 2.0 - np.array(moving.centre)
         self.radii = np.hypot(self.own[:, 0], self.own[:, 1])
-        far = np.hypot(*(moving.level(1).points / 2.0 - np.array(moving.centre)).T)
+        walls = np.concatenate((moving.level(1).points, moving.wall_points))
+        far = np.hypot(*(walls / 2.0 - np.array(moving.centre)).T)
         self.reach = math.ceil(float(far.max())) + 1
         self.turn = max(4, math.ceil(2.0 * math.pi * float(far.max())))
         self.yaw_step = 2.0 * math.pi / self.turn
@@ -254,10 +256,19 @@ def prove(lattice: LatticeScore, answer_score: int, deadline_s: float) -> Proof:
         if undecided:
             undecided = max(undecided, int(value.max(initial=0)))
             blocks = blocks[:0]
-    rivals = lattice.motions(blocks[:MEMBERS_KEPT].astype(np.int64))
+    rivals = lattice.motions(_spread(blocks.astype(np.int64)))
     highest = max(undecided, int(value.max(initial=0)) if len(blocks) else 0)
     gap = max(0, highest - answer_score) / lattice.scale if highest else 0.0
     return Proof(gap, rivals, undecided == 0, done)
+
+
+def _spread(members: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the best members (best first), none within 8 cells and yaw steps of a better one."""
+    kept: list[npt.NDArray[np.int64]] = []
+    while len(members) and len(kept) < MEMBERS_KEPT:
+        kept.append(members[0])
+        members = members[np.abs(members - members[0]).max(axis=1) > APART]
+    return np.array(kept, dtype=np.int64).reshape(-1, 3)
 
 
 def _first_step(lattice: LatticeScore) -> int:

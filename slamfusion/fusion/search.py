@@ -37,6 +37,7 @@ __all__ = [
     "coarse_step",
     "displacement",
     "distinct",
+    "inside",
     "invert",
     "rank",
     "refine",
@@ -57,8 +58,10 @@ REFINE_POINTS = 768
 FINE_POINTS = 1536
 FINAL_POINTS = 4096
 SPREAD_POINTS = 512
-SCALE_WIDE = 6.0
+SCALE_SPREAD = 4.0
 SETTLED = 6
+WINDOW_SLACK_CELLS = 2.0
+WINDOW_SLACK_RAD = math.radians(1.0)
 SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
 
@@ -368,10 +371,9 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
     settled = np.empty_like(motions)
     for radius in np.unique(spread):
         mine = spread == radius
-        last = 2.0 * float(radius)
-        scales = (4.0, last) if last < SCALE_WIDE else (last,)
+        last = SCALE_SPREAD * float(radius)
         settled[mine] = refine(
-            reference, moving, motions[mine], 1, scales, backend, points=FINE_POINTS
+            reference, moving, motions[mine], 1, (last,), backend, points=FINE_POINTS
         )
     return settled
 
@@ -462,10 +464,23 @@ def search(
     )
     scores = rank(reference, moving, motions, middle, FINE_TABLE, backend, points=1024)
     motions = distinct(motions[np.argsort(-scores, kind="stable")], 3.0 * middle, 0.02)[:SETTLED]
-    motions = settle(reference, moving, motions, backend)
+    motions = inside(window, settle(reference, moving, motions, backend))
+    if not len(motions):
+        return coarse, motions, np.zeros(0)
     scores = rank(reference, moving, motions, 1, FINE_TABLE, backend)
     order = np.argsort(-scores, kind="stable")
     return coarse, motions[order], scores[order]
+
+
+def inside(window: SearchWindow, motions: F64) -> F64:
+    """Return the motions that lie in the window; refinement may have carried some out of it."""
+    start = np.array(window.start)
+    turn = np.abs(np.angle(np.exp(1j * (motions[:, 2] - start[2]))))
+    kept = turn <= window.yaw_rad + WINDOW_SLACK_RAD
+    if window.shift_cells is not None:
+        limit = window.shift_cells + WINDOW_SLACK_CELLS
+        kept &= np.abs(motions[:, :2] - start[:2]).max(axis=1) <= limit
+    return np.asarray(motions[kept])
 
 
 def distinct(motions: F64, shift: float, turn: float) -> F64:

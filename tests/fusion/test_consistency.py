@@ -1,0 +1,182 @@
+"""Which inputs agree: triangles that close, and the largest group when some do not."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+
+from slamfusion.fusion.consistency import closure_error, largest_group, path_transform
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+
+SIZE = 0.05
+# Where the frame of each input lies in the world; every right transform follows from them.
+FRAMES = {
+    name: Pose2(3.0 * index, -1.5 * index, 0.4 * index)
+    for index, name in enumerate("abcdefghijklmnop")
+}
+CENTRES = dict.fromkeys(FRAMES, (1.0, 2.0))
+ASIDE = Pose2(0.0, 2.0)
+TURNED = Pose2(0.0, 0.0, math.radians(10.0))
+
+
+def pair(
+    moving: str,
+    reference: str,
+    score: float = 0.5,
+    error: Pose2 | None = None,
+    *,
+    accepted: bool = True,
+) -> Alignment:
+    """An alignment that follows the frames, or is off by ``error`` at the moving centre."""
+    right = FRAMES[reference].inverse().compose(FRAMES[moving])
+    if error is not None:
+        x, y = CENTRES[moving]
+        right = right.compose(Pose2(x, y)).compose(error).compose(Pose2(-x, -y))
+    return Alignment(
+        reference, moving, right, accepted, "drawn by hand", score, 1.0, 0.0, None, None, 0.0
+    )
+
+
+def members(names: str, pairs: list[Alignment]) -> str:
+    return "".join(largest_group(list(names), pairs, CENTRES, SIZE).members)
+
+
+def all_pairs(names: str) -> list[Alignment]:
+    return [pair(b, a) for a, b in itertools.combinations(names, 2)]
+
+
+def test_closing_a_right_triangle_leaves_no_error() -> None:
+    motions = [pair("a", "b"), pair("b", "c"), pair("c", "a")]
+    around = closure_error(*(p.transform for p in motions), CENTRES["a"])
+    assert around == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+def test_closure_is_measured_where_the_map_is() -> None:
+    """A turn of a degree about the map's centre moves it nowhere, though the frame's zero moves."""
+    turn = Pose2(500.0, 300.0, math.radians(1.0)).compose(Pose2(-500.0, -300.0))
+    shift, yaw = closure_error(turn, Pose2(), Pose2(), (500.0, 300.0))
+    assert shift == pytest.approx(0.0, abs=1e-9)
+    assert yaw == pytest.approx(math.radians(1.0))
+
+
+def test_a_triangle_that_closes_is_one_group() -> None:
+    assert members("abc", all_pairs("abc")) == "abc"
+
+
+def test_directions_of_the_pairs_do_not_matter() -> None:
+    for order in itertools.product((False, True), repeat=3):
+        pairs = [
+            pair(*(names[::-1] if flip else names))
+            for names, flip in zip(("ab", "bc", "ca"), order, strict=True)
+        ]
+        assert members("abc", pairs) == "abc"
+
+
+@pytest.mark.parametrize("error", [ASIDE, TURNED, Pose2(0.6, -0.7, 0.03)])
+def test_of_a_triangle_that_does_not_close_the_best_pair_stays(error: Pose2) -> None:
+    pairs = [pair("b", "a", 0.5), pair("c", "a", 0.7, error), pair("c", "b", 0.6)]
+    group = largest_group(list("abc"), pairs, CENTRES, SIZE)
+    assert group.members == ("a", "c")
+    assert group.score == 0.7
+
+
+def test_the_frames_of_a_small_error_still_close() -> None:
+    pairs = [pair("b", "a"), pair("c", "a", error=Pose2(0.3, 0.3, 0.02)), pair("c", "b")]
+    assert members("abc", pairs) == "abc"
+
+
+def test_one_bad_input_among_four_is_left_out() -> None:
+    pairs = [
+        pair("b", "a"),
+        pair("c", "a"),
+        pair("c", "b"),
+        pair("d", "a", 0.9, ASIDE),
+        pair("d", "b", 0.9, TURNED),
+        pair("d", "c", 0.9),
+    ]
+    assert members("abcd", pairs) == "abc"
+
+
+def test_size_comes_before_score() -> None:
+    pairs = [pair("b", "a", 0.1), pair("c", "a", 0.1), pair("c", "b", 0.1), pair("e", "d", 0.9)]
+    assert members("abcde", pairs) == "abc"
+
+
+def test_of_equal_groups_the_higher_score_wins_then_the_earlier_inputs() -> None:
+    assert members("abcd", [pair("b", "a", 0.4), pair("d", "c", 0.6)]) == "cd"
+    assert members("abcd", [pair("d", "c", 0.5), pair("b", "a", 0.5)]) == "ab"
+
+
+def test_a_chain_without_a_triangle_is_a_group() -> None:
+    assert members("abcd", [pair("b", "a"), pair("c", "b"), pair("d", "c")]) == "abcd"
+
+
+def test_rejected_pairs_connect_nothing() -> None:
+    pairs = [pair("b", "a"), pair("c", "a", accepted=False), pair("c", "b", accepted=False)]
+    assert members("abc", pairs) == "ab"
+
+
+def test_a_rejected_side_leaves_a_triangle_open() -> None:
+    pairs = [pair("b", "a"), pair("c", "a"), pair("c", "b", error=ASIDE, accepted=False)]
+    assert members("abc", pairs) == "abc"
+
+
+def test_without_accepted_pairs_the_first_input_stands_alone() -> None:
+    group = largest_group(list("abc"), [pair("b", "a", accepted=False)], CENTRES, SIZE)
+    assert group.members == ("a",)
+    assert group.score == 0.0
+
+
+def test_members_keep_the_order_of_the_inputs() -> None:
+    assert members("cab", all_pairs("abc")) == "cab"
+
+
+@pytest.mark.parametrize("count", [12, 13, 16])
+def test_many_inputs_that_agree_are_one_group(count: int) -> None:
+    names = "abcdefghijklmnop"[:count]
+    assert members(names, all_pairs(names)) == names
+
+
+def test_of_sixteen_inputs_five_bad_ones_are_left_out() -> None:
+    """More than can be tried exhaustively: grown from the best pairs."""
+    bad = set("cfgkp")
+    names = "abcdefghijklmnop"
+    pairs = [
+        pair(b, a, 0.9, Pose2(0.0, 3.0 + ord(b) % 7, 0.3 * (ord(b) % 5)))
+        if bad & {a, b}
+        else pair(b, a, 0.5)
+        for a, b in itertools.combinations(names, 2)
+    ]
+    found = members(names, pairs)
+    assert set("abdehijlmno") <= set(found)
+
+
+def test_a_long_chain_of_many_inputs_is_grown_whole_in_any_order() -> None:
+    names = "abcdefghijklmnop"
+    chain = [pair(b, a) for a, b in itertools.pairwise(names)]
+    assert members(names, chain) == names
+    assert members(names[::-1], chain) == names[::-1]
+    # With three strangers the group is too small to be found by leaving two out.
+    known = chain[:12]
+    assert members(names[::-1], known) == names[12::-1]
+
+
+def test_a_path_follows_the_fewest_pairs() -> None:
+    pairs = [pair("b", "a"), pair("c", "b"), pair("c", "a", error=Pose2(0.1, 0.0))]
+    direct = path_transform("c", "a", "abc", pairs)
+    assert direct == pairs[2].transform
+    around = path_transform("c", "a", "abc", pairs[:2])
+    right = pair("c", "a").transform
+    assert around is not None
+    assert (around.x, around.y, around.yaw_rad) == pytest.approx((right.x, right.y, right.yaw_rad))
+
+
+def test_a_path_takes_accepted_pairs_of_the_group_only() -> None:
+    pairs = [pair("b", "a"), pair("c", "b")]
+    assert path_transform("c", "a", "ac", pairs) is None
+    assert path_transform("c", "a", "abc", [pairs[0], replace(pairs[1], accepted=False)]) is None
+    assert path_transform("a", "a", "a", []) == Pose2()

@@ -1,0 +1,471 @@
+"""The whole fusion: who votes, who is named, and that no fused cell ever moves in the world."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend
+from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
+from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
+from slamfusion.fusion import FusionResult, fuse_grids, pipeline
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.pipeline import choose_reference
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.io import memory
+from tests.fusion.drawings import (
+    assert_right,
+    building,
+    degraded,
+    draw,
+    features_of,
+    fusion_config,
+    off_by,
+    padded,
+    with_origin,
+)
+
+QUICK = fusion_config()
+ANGLES = st.floats(-math.pi, math.pi)
+
+
+@cache
+def place(seed: int = 1) -> OccupancyGrid:
+    return building(seed, 11.0, 9.0)
+
+
+@cache
+def three(seed: int = 1) -> tuple[tuple[OccupancyGrid, ...], tuple[Pose2, ...]]:
+    """Three faulty maps of one place, and the poses of their frames in the truth's."""
+    faults = (
+        {"yaw_rad": 0.02, "flip_share": 0.03},
+        {"yaw_rad": -1.1, "flip_share": 0.04, "margin_share": 0.5, "shift_share": (0.3, 0.1)},
+        {"yaw_rad": 2.4, "flip_share": 0.03, "origin_yaw_rad": 0.7, "speckle_share": 0.05},
+    )
+    made = [
+        degraded(place(seed), 10 * seed + index, name, **fault)
+        for index, (name, fault) in enumerate(zip("abc", faults, strict=True))
+    ]
+    return tuple(grid for grid, _ in made), tuple(pose for _, pose in made)
+
+
+def stranger(name: str = "stranger") -> OccupancyGrid:
+    return building(77, 8.0, 7.5).with_name(name)
+
+
+def truth_error(grid: OccupancyGrid, truth: OccupancyGrid, pose: Pose2) -> float:
+    """Share of the truth's known cells that a map calls otherwise, the map placed by ``pose``."""
+    rows, cols = np.nonzero(truth.cells >= 0)
+    row, col = grid.cell_indices(pose.inverse().transform(truth.cell_centres(rows, cols)))
+    inside = (row >= 0) & (col >= 0) & (row < grid.height) & (col < grid.width)
+    values = np.full(len(rows), -1)
+    values[inside] = grid.cells[row[inside], col[inside]]
+    return float(np.mean(values != truth.cells[rows, cols]))
+
+
+def assert_same_world(a: OccupancyGrid, b: OccupancyGrid) -> None:
+    """Both grids have the same known cells, at the same places in the world."""
+    first, second = a.known_box(), b.known_box()
+    assert first is not None
+    assert second is not None
+    one, other = a.crop(first), b.crop(second)
+    assert np.array_equal(one.cells, other.cells)
+    assert one.resolution == other.resolution
+    corner = np.array([one.origin.x - other.origin.x, one.origin.y - other.origin.y])
+    assert np.abs(corner).max() < 1e-6
+    assert abs(math.sin(one.origin.yaw_rad - other.origin.yaw_rad)) < 1e-9
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_three_faulty_maps_of_one_place_all_vote(backend: Backend, seed: int) -> None:
+    grids, poses = three(seed)
+    result = fuse_grids(grids, QUICK, backend)
+    assert [record.name for record in result.accepted] == ["a", "b", "c"]
+    assert result.phantom_cells == 0
+    base = poses["abc".index(result.reference)]
+    for record, pose in zip(result.inputs, poses, strict=True):
+        assert record.alignment is not None
+        wanted = base.inverse().compose(pose)
+        assert_right(record.alignment, record.grid, wanted)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_fused_map_is_nearer_the_truth_than_any_input(backend: Backend, seed: int) -> None:
+    grids, poses = three(seed)
+    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(extent="union")), backend)
+    alone = [truth_error(g, place(seed), p) for g, p in zip(grids, poses, strict=True)]
+    fused = truth_error(result.fused, place(seed), poses["abc".index(result.reference)])
+    assert fused < min(alone)
+
+
+def test_the_result_is_complete(backend: Backend) -> None:
+    grids, _ = three()
+    steps: list[tuple[str, int, int]] = []
+    result = fuse_grids(grids, QUICK, backend, lambda *step: steps.append(step))
+    assert [(p.reference, p.moving) for p in result.pairs if not p.accepted] == []
+    assert {frozenset((p.reference, p.moving)) for p in result.pairs} == {
+        frozenset(names) for names in itertools.combinations("abc", 2)
+    }
+    assert result.device == backend.name
+    assert result.time_s > 0
+    assert result.weights == {"a": 1.0, "b": 1.0, "c": 1.0}
+    assert set(np.unique(result.fused.cells).tolist()) <= {-1, 0, 100}
+    shape = result.fused.cells.shape
+    assert result.agreement.cells.shape == shape
+    assert result.agreement.origin == result.fused.origin
+    for record in result.inputs:
+        assert record.aligned is not None
+        assert record.dissent is not None
+        assert record.aligned.shape == record.dissent.shape == shape
+    assert [step[1:] for step in steps] == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_dissent_marks_where_an_input_was_outvoted(backend: Backend) -> None:
+    grids, _ = three()
+    result = fuse_grids(grids, QUICK, backend)
+    fused = np.select([result.fused.cells == 100, result.fused.cells == 0], [1, 0], -1)
+    for record in result.inputs:
+        # Three voters under auto: unknown is a value, so any other cell is dissent.
+        assert np.array_equal(record.dissent, record.aligned != fused)
+
+
+def test_the_reference_keeps_its_cells_where_they_are(backend: Backend) -> None:
+    """Three copies fused are the map itself, in its own frame and on its own lattice."""
+    grid = with_origin(place(), Pose2(4.37, -2.11, 0.9))
+    copies = [grid.with_name(name) for name in "abc"]
+    result = fuse_grids(copies, QUICK, backend)
+    assert_same_world(result.fused, grid)
+    assert result.agreement.cells[result.fused.cells >= 0].min() == 100
+
+
+def test_an_unrelated_map_is_named_and_the_others_fused(backend: Backend) -> None:
+    grids, _ = three()
+    result = fuse_grids([grids[0], stranger(), grids[1]], QUICK, backend)
+    assert [record.name for record in result.accepted] == ["a", "b"]
+    (left_out,) = result.rejected
+    assert left_out.name == "stranger"
+    assert left_out.reason.startswith(f"to {result.reference}: ")
+    assert left_out.alignment is not None
+    assert not left_out.alignment.accepted
+    assert left_out.aligned is None
+    assert left_out.dissent is None
+    assert result.phantom_cells == 0
+    assert len(result.pairs) == 3
+    assert list(result.weights) == ["a", "b"]
+    alone = fuse_grids([grids[0], grids[1]], QUICK, backend)
+    assert np.array_equal(result.fused.cells, alone.fused.cells)
+
+
+def test_two_unrelated_maps_fuse_to_nothing_and_both_are_named(backend: Backend) -> None:
+    with pytest.raises(AlignmentError, match="no two of the inputs stranger, a align") as error:
+        fuse_grids([stranger(), three()[0][0]], QUICK, backend)
+    assert len(error.value.pairs) == 1
+    assert {error.value.pairs[0].moving, error.value.pairs[0].reference} == {"stranger", "a"}
+
+
+def test_a_single_map_is_its_own_fusion(backend: Backend) -> None:
+    grid = padded(with_origin(place().with_name("only"), Pose2(1.0, 2.0, 0.4)), 5, 0, 7, 3)
+    result = fuse_grids([grid], QUICK, backend)
+    assert_same_world(result.fused, grid)
+    assert result.reference == "only"
+    assert result.pairs == ()
+    (record,) = result.inputs
+    assert record.accepted
+    assert record.alignment is not None
+    assert record.alignment.transform == Pose2()
+    assert not np.any(record.dissent)
+
+
+def test_a_single_map_without_a_known_cell_is_refused_by_name(backend: Backend) -> None:
+    with pytest.raises(AlignmentError, match="fog: all 1 x 2 cells are unknown"):
+        fuse_grids([draw(" ?", name="fog")], QUICK, backend)
+
+
+def test_an_unknown_map_among_three_is_named_and_the_others_fused(backend: Backend) -> None:
+    grids, _ = three()
+    result = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2]], QUICK, backend)
+    assert [record.name for record in result.accepted] == ["a", "b"]
+    (fog,) = result.rejected
+    assert fog.name == "fog"
+    assert fog.alignment is None
+    assert "all 2 x 2 cells are unknown" in fog.reason
+    assert len(result.pairs) == 1
+
+
+def test_a_map_without_walls_among_three_is_named(backend: Backend) -> None:
+    grids, _ = three()
+    result = fuse_grids([*grids[:2], draw("....\n....", name="lawn")], QUICK, backend)
+    (lawn,) = result.rejected
+    assert "lawn has no occupied cell" in lawn.reason
+    assert len(result.accepted) == 2
+
+
+def test_nothing_to_fuse_is_refused(backend: Backend) -> None:
+    with pytest.raises(AlignmentError, match="at least one map"):
+        fuse_grids([], QUICK, backend)
+
+
+def test_names_given_twice_are_refused(backend: Backend) -> None:
+    grids, _ = three()
+    with pytest.raises(ConfigError, match=r"distinct names; given twice: a$"):
+        fuse_grids([grids[0], grids[1], grids[2].with_name("a")], QUICK, backend)
+
+
+def test_order_of_the_inputs_does_not_change_the_fused_map(backend: Backend) -> None:
+    grids, _ = three()
+    wanted = fuse_grids(grids, QUICK, backend)
+    for order in itertools.permutations(grids):
+        result = fuse_grids(order, QUICK, backend)
+        assert result.reference == wanted.reference
+        assert np.array_equal(result.fused.cells, wanted.fused.cells)
+
+
+def test_same_input_same_fused_map(backend: Backend) -> None:
+    grids, _ = three()
+    first, second = (fuse_grids(grids, QUICK, backend) for _ in range(2))
+    assert first.fused.cells.tobytes() == second.fused.cells.tobytes()
+    assert first.fused.origin == second.fused.origin
+
+
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(margins=st.tuples(*[st.integers(0, 60)] * 4), which=st.integers(0, 2))
+def test_growing_an_input_moves_no_fused_cell(
+    backend: Backend, margins: tuple[int, int, int, int], which: int
+) -> None:
+    """Unknown cells around an input are no news; nor is cropping them off again."""
+    grids, _ = three()
+    config = replace(QUICK, reference="a")
+    wanted = fuse_grids(grids, config, backend)
+    grown = [padded(g, *margins) if k == which else g for k, g in enumerate(grids)]
+    result = fuse_grids(grown, config, backend)
+    assert_same_world(result.fused, wanted.fused)
+    assert_same_world(result.agreement, wanted.agreement)
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_cropping_unknown_margins_moves_no_fused_cell(backend: Backend, which: int) -> None:
+    grids = [padded(grid, 9, 4, 13, 22) for grid in three()[0]]
+    config = replace(QUICK, reference="a")
+    box = grids[which].known_box()
+    assert box is not None
+    cropped = [g.crop(box) if k == which else g for k, g in enumerate(grids)]
+    wanted, result = (fuse_grids(some, config, backend) for some in (grids, cropped))
+    assert_same_world(result.fused, wanted.fused)
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(x=st.floats(-600, 600), y=st.floats(-600, 600), yaw=ANGLES, which=st.integers(1, 2))
+def test_shifting_an_input_moves_no_fused_cell(
+    backend: Backend, x: float, y: float, yaw: float, which: int
+) -> None:
+    """Another origin of an input, its frame moved and turned anywhere: the transform makes up."""
+    grids, _ = three()
+    config = replace(QUICK, reference="a")
+    wanted = fuse_grids(grids, config, backend)
+    there = Pose2(x, y, yaw)
+    moved = [
+        with_origin(g, there.compose(g.origin)) if k == which else g for k, g in enumerate(grids)
+    ]
+    result = fuse_grids(moved, config, backend)
+    assert_same_world(result.fused, wanted.fused)
+    old, new = wanted.inputs[which].alignment, result.inputs[which].alignment
+    assert old is not None
+    assert new is not None
+    shift, turn = off_by(grids[which], new.transform.compose(there), old.transform)
+    assert shift < 1e-4
+    assert turn < 1e-4
+
+
+def test_shifting_the_reference_moves_the_fused_map_with_it(backend: Backend) -> None:
+    grids, _ = three()
+    config = replace(QUICK, reference="a")
+    there = Pose2(31.0, -7.3, 1.0)
+    wanted = fuse_grids(grids, config, backend)
+    moved = with_origin(grids[0], there.compose(grids[0].origin))
+    result = fuse_grids([moved, *grids[1:]], config, backend)
+    assert_same_world(result.fused, with_origin(wanted.fused, there.compose(wanted.fused.origin)))
+
+
+def test_growing_by_whole_cells_through_the_origin_is_the_same_map(backend: Backend) -> None:
+    """A map that gained rows and columns of unknown on its lower side starts farther away."""
+    grid = three()[0][1]
+    grown = grid.crop(CellBox(-30, -50, grid.height, grid.width))
+    assert grown.origin != grid.origin
+    wanted = fuse_grids([three()[0][0], grid], QUICK, backend)
+    assert_same_world(fuse_grids([three()[0][0], grown], QUICK, backend).fused, wanted.fused)
+
+
+def test_union_and_reference_share_one_lattice(backend: Backend) -> None:
+    truth = place()
+    parts = [
+        replace(truth, cells=truth.cells[:, :75], name="west"),
+        truth.crop(CellBox(0, 25, 90, 110)).with_name("east"),
+    ]
+    config = replace(QUICK, reference="west")
+    inner = fuse_grids(parts, config, backend).fused
+    outer = fuse_grids(parts, replace(config, vote=VoteConfig(extent="union")), backend).fused
+    assert outer.width > inner.width
+    assert inner.cells.shape == parts[0].cells.shape
+    offset = outer.origin.inverse().transform((inner.origin.x, inner.origin.y)) / inner.resolution
+    col, row = np.rint(offset).astype(int)
+    assert np.allclose(offset, (col, row), atol=1e-6)
+    same = outer.cells[row : row + inner.height, col : col + inner.width]
+    assert np.array_equal(same, inner.cells)
+    assert_same_world(outer, truth)
+
+
+@pytest.mark.parametrize("extent", ["reference", "union"])
+@pytest.mark.parametrize("unknown", ["auto", "value", "abstain"])
+@pytest.mark.parametrize("mode", ["majority", "weighted", "log-odds"])
+def test_every_mode_fuses(backend: Backend, mode: str, unknown: str, extent: str) -> None:
+    grids, poses = three()
+    config = replace(QUICK, vote=VoteConfig(mode, unknown, extent))
+    result = fuse_grids(grids, config, backend)
+    assert len(result.accepted) == 3
+    error = truth_error(result.fused, place(), poses["abc".index(result.reference)])
+    assert error < 0.3
+    if unknown == "auto":
+        assert result.phantom_cells == 0
+    if mode == "weighted":
+        assert max(result.weights.values()) == 1.0
+        assert min(result.weights.values()) > 0.0
+
+
+def test_the_noisier_input_weighs_less(backend: Backend) -> None:
+    truth = place()
+    made = [
+        degraded(truth, index, name, flip_share=share)[0]
+        for index, (name, share) in enumerate((("a", 0.01), ("b", 0.01), ("noisy", 0.08)))
+    ]
+    result = fuse_grids(made, replace(QUICK, vote=VoteConfig(mode="weighted")), backend)
+    assert result.weights["noisy"] < min(result.weights["a"], result.weights["b"])
+
+
+def test_thresholds_of_the_config_decide_the_log_odds(backend: Backend) -> None:
+    """One map of 60 % walls, walls being 55 % and more: it is its own fusion in every mode."""
+    truth = place()
+    faint = replace(truth, cells=np.where(truth.cells == 100, np.int8(60), truth.cells), name="f")
+    config = FusionConfig(
+        normalize=NormalizeConfig(occupied_percent=55.0), vote=VoteConfig(mode="log-odds")
+    )
+    fused = fuse_grids([faint], config, backend).fused
+    assert_same_world(fused, truth)
+
+
+def table_of(shapes: dict[str, tuple[int, int]], backend: Backend) -> dict[str, GridFeatures]:
+    """Features of blank rooms, rows x columns of known cells, by name."""
+    return {
+        name: features_of(draw("\n".join(["#" * cols] * rows), name=name), backend)
+        for name, (rows, cols) in shapes.items()
+    }
+
+
+def test_the_reference_is_the_smallest_box_of_those_half_as_large_as_usual(
+    backend: Backend,
+) -> None:
+    features = table_of({"a": (40, 40), "b": (30, 40), "c": (35, 35), "new": (10, 10)}, backend)
+    names = list(features)
+    assert choose_reference(names, features, None, names) == "b"
+    # The median of the three known areas is 1225 cells; half of it is 612.
+    half = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 31)}, backend)
+    assert choose_reference(list(half), half, None, list(half)) == "d"
+    less = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 30)}, backend)
+    assert choose_reference(list(less), less, None, list(less)) == "c"
+
+
+def test_a_newborn_map_is_never_the_reference(backend: Backend) -> None:
+    features = table_of({"one": (1, 1), "a": (40, 40), "b": (41, 40)}, backend)
+    for members in itertools.permutations(features):
+        assert choose_reference(members, features, None, list(features)) == "a"
+    assert choose_reference(["one", "a"], features, None, list(features)) == "a"
+
+
+def test_a_box_without_much_known_is_no_reference(backend: Backend) -> None:
+    """Half the usual known area is asked for, not half the usual box."""
+    hollow = draw("\n".join(["#" * 30, *["#" + " " * 28 + "#"] * 28, "#" * 30]), name="hollow")
+    features = table_of({"a": (40, 40), "b": (40, 41)}, backend)
+    features["hollow"] = features_of(hollow, backend)
+    assert choose_reference(list(features), features, None, list(features)) == "a"
+
+
+def test_a_name_or_an_index_chooses_the_reference(backend: Backend) -> None:
+    grids, _ = three()
+    for wanted, name in (("c", "c"), ("1", "b"), ("0", "a")):
+        assert fuse_grids(grids, replace(QUICK, reference=wanted), backend).reference == name
+
+
+def test_a_name_comes_before_an_index(backend: Backend) -> None:
+    features = table_of({"1": (40, 40), "0": (30, 30)}, backend)
+    assert choose_reference(["1", "0"], features, "0", ["1", "0"]) == "0"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [("nobody", "is none of them"), ("7", "is none of them"), ("stranger", "was rejected")],
+)
+def test_a_reference_that_cannot_be_is_refused(backend: Backend, wanted: str, words: str) -> None:
+    grids = [three()[0][0], three()[0][1], stranger()]
+    with pytest.raises(ConfigError, match=rf"reference '{wanted}' {words}.* a, b$"):
+        fuse_grids(grids, replace(QUICK, reference=wanted), backend)
+
+
+def test_work_that_would_not_fit_into_memory_is_refused(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grids, _ = three()
+    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    with pytest.raises(MemoryBudgetError, match=r"^b: .*needs .* of memory"):
+        fuse_grids(grids, QUICK, backend)
+
+
+def test_memory_is_asked_for_at_the_common_resolution(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A coarse map brought to fine cells takes what the fine map takes."""
+    asked: list[int] = []
+    monkeypatch.setattr(pipeline, "check_memory", lambda count, _what, _where: asked.append(count))
+    coarse = replace(place(), name="coarse")
+    fine, _ = degraded(place(), 1, "fine", resolution=0.05)
+    box = fine.known_box()
+    assert box is not None
+    fuse_grids([coarse, fine], QUICK, backend)
+    assert sum(asked) >= pipeline.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
+
+
+def test_maps_of_three_resolutions_fuse_at_the_finest(backend: Backend) -> None:
+    truth = building(1, 11.0, 9.0, 0.05)
+    made = [
+        degraded(truth, index, name, yaw_rad=yaw, resolution=size)
+        for index, (name, yaw, size) in enumerate(
+            (("a", 0.3, 0.05), ("b", -2.0, 0.04), ("c", 1.0, 0.1))
+        )
+    ]
+    result = fuse_grids([grid for grid, _ in made], QUICK, backend)
+    assert len(result.accepted) == 3
+    assert result.fused.resolution == 0.04
+    base = made["abc".index(result.reference)][1]
+    for record, (grid, pose) in zip(result.inputs, made, strict=True):
+        assert record.alignment is not None
+        assert_right(record.alignment, grid, base.inverse().compose(pose), cells=1.25)
+
+
+def test_the_numpy_twins_fuse_the_same_cells(backend: Backend, twins: Backend) -> None:
+    """On a place of 7 m with cells of 0.2 m, for the twins are slow."""
+    truth = building(3, 8.0, 7.0, 0.2)
+    made = [
+        degraded(truth, index, name, yaw_rad=yaw, flip_share=0.02)[0]
+        for index, (name, yaw) in enumerate((("a", 0.0), ("b", 0.35)))
+    ]
+    config = fusion_config(window_m=1.2, window_yaw_rad=0.5)
+    results: list[FusionResult] = [fuse_grids(made, config, each) for each in (backend, twins)]
+    assert np.array_equal(results[0].fused.cells, results[1].fused.cells)
+    assert np.array_equal(results[0].agreement.cells, results[1].agreement.cells)
+    assert results[0].reference == results[1].reference
