@@ -83,22 +83,26 @@ def normalize_grid(
     Raises:
         GridError: no cell of the grid is known under these thresholds.
     """
-    solid = backend.download(
-        backend.solid_walls(backend.upload(trinary_cells(grid.cells, config)))
-    ).astype(np.int8)
+    nothing_known = (
+        f"{grid.name}: all {grid.height} x {grid.width} cells are unknown at "
+        f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
+        "give a map with known cells or other thresholds"
+    )
+    given = grid.known_box()
+    if given is None:
+        raise GridError(nothing_known)
+    # Margins go first: a map of a small place on a huge canvas costs no more than the place.
+    grid = grid.crop(given)
+    cells = trinary_cells(grid.cells, config)
+    solid = backend.download(backend.solid_walls(backend.upload(cells))).astype(np.int8)
     resampled = _resample(grid, resolution, config, backend)
     if resampled is not grid:
         mask = OccupancyGrid(solid * np.int8(OCCUPIED), grid.resolution, grid.origin, grid.name)
         solid = (_resample(mask, resolution, config, backend).cells > 0).astype(np.int8)
-    cells = trinary_cells(resampled.cells, config)
+        cells = trinary_cells(resampled.cells, config)
     box = known_box(cells)
     if box is None:
-        message = (
-            f"{grid.name}: all {grid.height} x {grid.width} cells are unknown at "
-            f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
-            "give a map with known cells or other thresholds"
-        )
-        raise GridError(message)
+        raise GridError(nothing_known)
     window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
     kept = np.ascontiguousarray(cells[window])
     walls = np.ascontiguousarray((solid[window] != 0) & (kept == 1)).astype(np.uint8)
