@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +41,7 @@ F64 = npt.NDArray[np.float64]
 NEAR_M, NEAR_CELLS_MIN = 0.15, 1.5
 CLASH_M, CLASH_CELLS_MIN = 0.4, 3.0
 FAR_CLASH_M, FAR_CLASH_CELLS_MIN = 1.0, 5.0
-EVIDENCE_POINTS = 8192
+EVIDENCE_POINTS = 4096
 DISTINCT_CELLS = 20.0
 DISTINCT_YAW_RAD = math.radians(10.0)
 # A bent map fits its place in several ways a metre or two apart; they are one answer.
@@ -50,6 +50,7 @@ NEIGHBOURHOOD_CELLS = 8
 NEIGHBOURHOOD_YAW_RAD = math.radians(2.0)
 PROOF_ROUNDS = 3
 RIVALS = 8
+PLANE_CELLS_MAX = 1 << 28
 BENT_MATCH = 0.45
 BENT_SCALES = (24.0,)
 OTHER_YAW_RAD = math.radians(15.0)
@@ -212,6 +213,9 @@ def _prove(
     end = time.perf_counter() + config.deadline_s
     lattice = LatticeScore(reference, moving, config, window, backend)
     motions, scores = found.motions, found.scores
+    if lattice.plane_cells > PLANE_CELLS_MAX:
+        # Nothing can be bounded in reasonable memory: the rest of the set may score anything.
+        return replace(found, bound_gap=1.0)
     gap, rival = 0.0, False
     for _ in range(PROOF_ROUNDS):
         best, _ = neighbourhood_best(lattice, motions[0], NEIGHBOURHOOD_CELLS)

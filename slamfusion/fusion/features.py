@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -175,5 +176,7 @@ class GridFeatures:
 
 def _lattice_points(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """Return the centres of the set cells, x and y in half cells, in raster order."""
-    rows, cols = np.nonzero(mask)
-    return np.stack((2 * cols + 1, 2 * rows + 1), axis=1).astype(np.int32)
+    found = cv2.findNonZero(mask.astype(np.uint8))
+    if found is None:
+        return np.zeros((0, 2), dtype=np.int32)
+    return np.asarray(2 * found.reshape(-1, 2) + 1, dtype=np.int32)

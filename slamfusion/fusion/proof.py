@@ -116,6 +116,12 @@ class LatticeScore:
         """Yaws, rows and columns of the search set."""
         return self.yaw_count, self.rows[1] - self.rows[0], self.cols[1] - self.cols[0]
 
+    @property
+    def plane_cells(self) -> int:
+        """Cells of the padded field that the shifts read: what the search set costs in memory."""
+        _, height, width = self.shape
+        return (height + 2 * self.reach) * (width + 2 * self.reach)
+
     def yaw(self, index: npt.ArrayLike) -> F64:
         """Return the yaw in rad of (fractional) yaw indices."""
         return np.asarray(

@@ -52,6 +52,8 @@ F64 = npt.NDArray[np.float64]
 TILE = 4
 SHIFT_LANES = 32
 WALL_SHARE_MAX = 0.6
+FINEST_FACTOR = 4
+COARSE_POINTS = 2048
 YAW_STEP_CELLS = 1.3
 RIM_PERCENTILE = 90.0
 REFINE_POINTS = 768
@@ -103,14 +105,16 @@ class CoarseSearch:
 def coarse_step(reference: GridFeatures, moving: GridFeatures, cells: int) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
 
-    Finer where walls would fill more than 0.6 of the coarse cells: a grid that is all wall tells
-    nothing.
+    Finer where walls would fill more than 0.6 of the coarse cells, since a grid that is all wall
+    tells nothing; but never more than four times finer, which would take too long.
     """
-    step = max(1, math.ceil(max(*reference.shape, *moving.shape) / cells))
-    while step > 1 and (
+    longest = max(*reference.shape, *moving.shape)
+    step = max(1, math.ceil(longest / cells))
+    finest = max(1, math.ceil(longest / (FINEST_FACTOR * cells)))
+    while step > finest and (
         max(reference.level(step).wall_share, moving.level(step).wall_share) > WALL_SHARE_MAX
     ):
-        step = max(1, (2 * step) // 3)
+        step = max(finest, (2 * step) // 3)
     return step
 
 
@@ -125,7 +129,9 @@ def coarse_search(
     step = coarse_step(reference, moving, config.coarse_cells)
     ref, mov = reference.level(step), moving.level(step)
     centre = np.array(moving.centre) / step
-    own = mov.points / 2.0 - centre
+    from_mov = spread_sample(mov.points, COARSE_POINTS)
+    from_ref = spread_sample(ref.points, COARSE_POINTS)
+    own = from_mov / 2.0 - centre
     radii = np.hypot(own[:, 0], own[:, 1])
     rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
     yaws = _yaw_lattice(YAW_STEP_CELLS / rim, window)
@@ -134,10 +140,10 @@ def coarse_search(
     cols = shift_range(ref.shape[1], mov.shape, reach, window.start[0] / step, window, step)
     surface = _ShiftSurface(ref, mov, reference, moving, rows, cols, reach)
     forward = surface.forward(yaws, own, backend)
-    backward = surface.backward(yaws, centre, backend)
+    backward = surface.backward(yaws, from_ref // 2, centre, backend)
     width = cols[1] - cols[0]
     values, places = backend.tile_peaks(forward, backward, width, TILE)
-    count = len(ref.points) + len(mov.points)
+    count = len(from_ref) + len(from_mov)
     scores = (values / count - COARSE_TABLE.base) / COARSE_TABLE.span
     motions, kept = _distinct_peaks(
         scores, places, yaws, rows[0], cols[0], width, config.candidates
@@ -209,9 +215,10 @@ class _ShiftSurface:
         offsets = (y + reach) * plane_shape[1] + (x + reach)
         return backend.correlate(plane, offsets, (self.height, self.lanes))
 
-    def backward(self, yaws: F64, centre: F64, backend: Backend) -> object:
+    def backward(
+        self, yaws: F64, points: npt.NDArray[np.int32], centre: F64, backend: Backend
+    ) -> object:
         """Reference walls on the moving field, turned; read with shifts running backwards."""
-        points = self.ref.points // 2
         plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
         dx = 0.5 - self.cols[0] - self.width
         dy = 0.5 - self.rows[0] - self.height
