@@ -38,7 +38,7 @@ CLASH_MAX_STRICT = 0.10
 DENSE_CHANCE = 0.15
 CLASH_NEAR_MAX = 0.10
 # What stands out this far needs no such check.
-STANDS_FAR_OUT = (0.70, 0.60)
+STANDS_FAR_OUT = ((0.70, 0.60), (0.80, 0.45))
 Z_MIN = 3.5
 # The best score at another yaw over the best, the runner-up over the best, and walls that clash.
 # Wrong pairs seen: with clashes under 0.15 and a runner-up under 0.80 the ratio is 0.927 or more,
@@ -130,7 +130,10 @@ def _ground(evidence: Evidence, match: float, clash: float, *, do_walls_match: b
     z = evidence.statistics["z"]
     runner_up = evidence.statistics.get("runner_up_ratio", ratio)
     is_dense = evidence.statistics["chance"] >= DENSE_CHANCE
-    stands_far_out = ratio <= STANDS_FAR_OUT[0] and runner_up <= STANDS_FAR_OUT[1]
+    stands_far_out = any(
+        ratio <= most_ratio and runner_up <= most_runner_up
+        for most_ratio, most_runner_up in STANDS_FAR_OUT
+    )
     if is_dense and evidence.statistics["wall_clash_near"] > CLASH_NEAR_MAX and not stands_far_out:
         return None
     limits = STANDS_OUT if z >= Z_MIN and evidence.search == "full" else ()

@@ -163,6 +163,14 @@ class GridFeatures:
             )
         return self._levels[step]
 
+    @cached_property
+    def solid_level(self) -> Level:
+        """The finest level with every solid wall cell, not only the surfaces."""
+        wall = self.backend.upload(self.grid.solid)
+        distance2 = self.backend.distance_squared(wall)
+        distance = self.backend.look_up(distance2, DISTANCE_TABLE)
+        return Level(1, self.shape, wall, self.level(1).free, distance2, distance, self.wall_points)
+
     def field(self, step: int, table: ScoreTable) -> Handle:
         """Return the score field of a level, uint8 on the device."""
         key = (step, table.name)

@@ -294,6 +294,7 @@ def refine(
     *,
     points: int = REFINE_POINTS,
     iterations: int = 4,
+    solid: bool = False,
 ) -> F64:
     """Move motions to the nearest best fit of walls on walls.
 
@@ -305,11 +306,15 @@ def refine(
         backend: computes the normal equations.
         points: at most this many wall points of each grid.
         iterations: Gauss-Newton steps a scale; fewer once no pose moves by 0.02 cells.
+        solid: fit all wall cells instead of surfaces; at step 1.
+        solid: fit all wall cells, not only surfaces, at step 1.
 
     Returns:
         (P, 3) refined motions, the same form.
     """
     ref, mov = reference.level(step), moving.level(step)
+    if solid:
+        ref, mov = reference.solid_level, moving.solid_level
     from_mov = backend.upload((spread_sample(mov.points, points) / 2.0).astype(np.float32))
     from_ref = backend.upload((spread_sample(ref.points, points) / 2.0).astype(np.float32))
     centre_mov = (moving.centre[0] / step, moving.centre[1] / step)
@@ -371,7 +376,9 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
 
     Where one map's walls are thicker, their surfaces cannot meet: a fit narrower than the
     difference locks onto one side of a room, a wider one stays between both. So the last scale is
-    twice the median distance of the surfaces that a wide fit leaves.
+    four times the median distance of the surfaces that a wide fit leaves. And a surface says
+    nothing of the wall's other side: the last fit takes all cells of the walls, under which a thin
+    wall comes to lie in the middle of a thick one.
     """
     motions = refine(reference, moving, motions, 1, (12.0, 8.0), backend, points=FINE_POINTS)
     spread = _surface_distance(reference, moving, motions, backend)
@@ -380,7 +387,14 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
         mine = spread == radius
         last = SCALE_SPREAD * float(radius)
         settled[mine] = refine(
-            reference, moving, motions[mine], 1, (last,), backend, points=FINE_POINTS
+            reference,
+            moving,
+            motions[mine],
+            1,
+            (last,),
+            backend,
+            points=FINE_POINTS,
+            solid=True,
         )
     return settled
 
