@@ -16,6 +16,9 @@
 #define DISTANCE2_MAX 4096
 #define DISTANCE_MAX 64
 
+/* Cells that one work item does, one after the other, where a cell is little work. */
+#define RUN 64
+
 /* A wall cell with this many free cells among its eight neighbours is a speck, not a wall. */
 #define SPECK_FREE_CELLS 7
 

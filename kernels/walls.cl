@@ -19,24 +19,32 @@ inline int free_neighbours(__global const char *cells, const int height, const i
 
 /* 1 where a wall cell does not stand in free space alone, else 0. A speck of noise, or two side by
  * side, has seven or eight free neighbours.
- * cells (height, width) char trinary; out (height, width) uchar. Global: (width, height). */
+ * cells (height, width) char trinary; out (height, width) uchar.
+ * Global: (ceil(width / RUN), height). */
 __kernel void solid_walls(__global const char *cells, const int height, const int width,
                           __global uchar *out) {
-  const int col = get_global_id(0), row = get_global_id(1);
-  if (col >= width || row >= height) return;
-  const int index = row * width + col;
-  out[index] = cells[index] == OCCUPIED &&
-               free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
+  const int first = get_global_id(0) * RUN, row = get_global_id(1);
+  if (first >= width || row >= height) return;
+  const int stop = first + RUN < width ? first + RUN : width;
+  for (int col = first; col < stop; col++) {
+    const int index = row * width + col;
+    out[index] = cells[index] == OCCUPIED &&
+                 free_neighbours(cells, height, width, row, col) < SPECK_FREE_CELLS;
+  }
 }
 
 /* 1 where a solid wall cell touches free space (8 neighbours), else 0.
- * cells (height, width) char trinary; solid, out (height, width) uchar. Global: (width, height). */
+ * cells (height, width) char trinary; solid, out (height, width) uchar.
+ * Global: (ceil(width / RUN), height). */
 __kernel void surface_walls(__global const char *cells, __global const uchar *solid,
                             const int height, const int width, __global uchar *out) {
-  const int col = get_global_id(0), row = get_global_id(1);
-  if (col >= width || row >= height) return;
-  const int index = row * width + col;
-  out[index] = solid[index] && free_neighbours(cells, height, width, row, col) > 0;
+  const int first = get_global_id(0) * RUN, row = get_global_id(1);
+  if (first >= width || row >= height) return;
+  const int stop = first + RUN < width ? first + RUN : width;
+  for (int col = first; col < stop; col++) {
+    const int index = row * width + col;
+    out[index] = solid[index] && free_neighbours(cells, height, width, row, col) > 0;
+  }
 }
 
 /* Blocks of step x step cells: a coarse wall where any fine wall is, and the free share 0..255.
@@ -90,17 +98,17 @@ inline bool any_above(const ushort16 lanes, const ushort value) {
 }
 
 /* Second pass: squared distance, the minimum over the row of column distance squared plus offset
- * squared, capped at DISTANCE2_MAX.
+ * squared, capped at reach squared; reach at most DISTANCE_MAX.
  * columns, out (height, width) ushort, width a multiple of 16.
  * Global: (width / 16, height). */
 __kernel void distance_rows(__global const ushort *columns, const int height, const int width,
-                            __global ushort *out) {
+                            const int reach, __global ushort *out) {
   const int col = get_global_id(0) * 16, row = get_global_id(1);
   if (col >= width || row >= height) return;
   __global const ushort *line = columns + row * width;
   ushort16 best = as_ushort16(LOAD32(line + col));
   best *= best;
-  for (int k = 1; k < DISTANCE_MAX; k++) {
+  for (int k = 1; k < reach; k++) {
     /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
     if ((k & 7) == 1 && !any_above(best, (ushort)(k * k))) break;
     ushort16 left, right;
@@ -120,32 +128,34 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
     const ushort16 through = near * near + (ushort16)(k * k);
     best = LOWER(best, through);
   }
-  best = LOWER(best, (ushort16)DISTANCE2_MAX);
+  best = LOWER(best, (ushort16)(reach * reach));
   STORE32(as_ulong4(best), out + row * width + col);
 }
 
 /* out = table[in]: squared distances to distances in 1/256 cell, say.
  * in (cells) ushort; table ushort, one entry for every value of in; out (cells) ushort.
- * Global: (cells). */
+ * Global: (ceil(cells / RUN)). */
 __kernel void look_up(__global const ushort *in, __global const ushort *table, const int cells,
                       __global ushort *out) {
-  const int index = get_global_id(0);
-  if (index >= cells) return;
-  out[index] = table[in[index]];
+  const int first = get_global_id(0) * RUN;
+  const int stop = first + RUN < cells ? first + RUN : cells;
+  for (int index = first; index < stop; index++) out[index] = table[in[index]];
 }
 
 /* What a wall point of the other map is worth in each cell:
  * base + hit[d2] - free * miss[d2] / 255, rounded down, within 0..255.
  * distance2 (cells) ushort; free_share (cells) uchar 0..255; hit, miss (DISTANCE2_MAX + 1) ushort;
- * out (cells) uchar. Global: (cells). */
+ * out (cells) uchar. Global: (ceil(cells / RUN)). */
 __kernel void score_field(__global const ushort *distance2, __global const uchar *free_share,
                           __global const ushort *hit, __global const ushort *miss, const int base,
                           const int cells, __global uchar *out) {
-  const int index = get_global_id(0);
-  if (index >= cells) return;
-  const int d2 = distance2[index];
-  const int value = base + hit[d2] - (free_share[index] * miss[d2]) / 255;
-  out[index] = (uchar)(value < 0 ? 0 : value > 255 ? 255 : value);
+  const int first = get_global_id(0) * RUN;
+  const int stop = first + RUN < cells ? first + RUN : cells;
+  for (int index = first; index < stop; index++) {
+    const int d2 = distance2[index];
+    const int value = base + hit[d2] - (free_share[index] * miss[d2]) / 255;
+    out[index] = (uchar)(value < 0 ? 0 : value > 255 ? 255 : value);
+  }
 }
 
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the

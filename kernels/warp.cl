@@ -9,8 +9,6 @@
  * in (height, width) char; out (count, out_height, out_width) char.
  * A work item does RUN cells of a row: along it the position grows by a constant, two additions a
  * cell instead of four products. Global: (ceil(out_width / RUN), out_height, count). */
-#define RUN 64
-
 __kernel void warp(__global const char *in, const int height, const int width,
                    __global const long *poses, const int count, const int out_height,
                    const int out_width, const char fill, __global char *out) {

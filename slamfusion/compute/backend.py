@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import reference
+from slamfusion.compute.reference import DISTANCE_MAX
 
 __all__ = ["Backend", "Handle", "NumpyBackend"]
 
@@ -45,7 +46,7 @@ class Backend(Protocol):
     def shrink(self, walls: Handle, cells: Handle, step: int) -> tuple[Handle, Handle]:
         """See ``reference.shrink``."""
 
-    def distance_squared(self, walls: Handle) -> Handle:
+    def distance_squared(self, walls: Handle, reach: int = DISTANCE_MAX) -> Handle:
         """See ``reference.distance_squared``."""
 
     def score_field(

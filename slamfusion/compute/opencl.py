@@ -15,7 +15,7 @@ import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.device import choose_device, is_simulator
 from slamfusion.compute.program import KernelProgram
-from slamfusion.compute.reference import DISTANCE2_MAX, MOST_INPUTS, Votes
+from slamfusion.compute.reference import DISTANCE2_MAX, DISTANCE_MAX, MOST_INPUTS, Votes
 from slamfusion.errors import DeviceError
 
 __all__ = ["DeviceArray", "OpenCLBackend"]
@@ -28,7 +28,7 @@ SHIFT_LANES = 32
 CHUNK_POINTS = 64
 CHUNK_CELLS = 4096
 CHUNK_ROWS = 16
-WARP_RUN = 64
+RUN = 64
 BLOCK_CELLS = 32
 # A lane of the packed vote is a byte; this spreads a value over the eight lanes of a word.
 EACH_LANE = np.uint64(0x0101010101010101)
@@ -170,7 +170,7 @@ class OpenCLBackend:
         height, width = cells.shape
         out = self.empty(cells.shape, np.uint8)
         sizes = (np.int32(height), np.int32(width))
-        self._launch("solid_walls", (width, height), cells, *sizes, out)
+        self._launch("solid_walls", (-(-width // RUN), height), cells, *sizes, out)
         return out
 
     def surface_walls(self, cells: DeviceArray, solid: DeviceArray) -> DeviceArray:
@@ -178,7 +178,7 @@ class OpenCLBackend:
         height, width = cells.shape
         out = self.empty(cells.shape, np.uint8)
         sizes = (np.int32(height), np.int32(width))
-        self._launch("surface_walls", (width, height), cells, solid, *sizes, out)
+        self._launch("surface_walls", (-(-width // RUN), height), cells, solid, *sizes, out)
         return out
 
     def shrink(
@@ -192,7 +192,7 @@ class OpenCLBackend:
         self._launch("shrink", shape[::-1], walls, cells, *sizes, wall, free)
         return wall, free
 
-    def distance_squared(self, walls: DeviceArray) -> DeviceArray:
+    def distance_squared(self, walls: DeviceArray, reach: int = DISTANCE_MAX) -> DeviceArray:
         """See ``reference.distance_squared``."""
         height, width = walls.shape
         padded = -(-width // LANES) * LANES
@@ -201,7 +201,8 @@ class OpenCLBackend:
         squared = self.empty((height, padded), np.uint16)
         sizes = (np.int32(height), np.int32(padded))
         self._launch("distance_columns", (padded // LANES,), source, *sizes, columns)
-        self._launch("distance_rows", (padded // LANES, height), columns, *sizes, squared)
+        size = (padded // LANES, height)
+        self._launch("distance_rows", size, columns, *sizes, np.int32(reach), squared)
         return squared if padded == width else self._repitch(squared, width)
 
     def _repitch(self, array: DeviceArray, width: int) -> DeviceArray:
@@ -241,14 +242,18 @@ class OpenCLBackend:
         cells = distance2.size
         tables = (self._table(hit), self._table(miss))
         scalars = (np.int32(base), np.int32(cells))
-        self._launch("score_field", (cells,), distance2, free_share, *tables, *scalars, out)
+        self._launch(
+            "score_field", (-(-cells // RUN),), distance2, free_share, *tables, *scalars, out
+        )
         return out
 
     def look_up(self, values: DeviceArray, table: npt.NDArray[np.uint16]) -> DeviceArray:
         """See ``reference.look_up``."""
         out = self.empty(values.shape, np.uint16)
         cells = values.size
-        self._launch("look_up", (cells,), values, self._table(table), np.int32(cells), out)
+        self._launch(
+            "look_up", (-(-cells // RUN),), values, self._table(table), np.int32(cells), out
+        )
         return out
 
     def max_window(
@@ -279,7 +284,7 @@ class OpenCLBackend:
         out = self.empty((len(poses), *shape), cells.dtype)
         sizes = [np.int32(v) for v in (len(poses), *shape)]
         own = [np.int32(v) for v in cells.shape]
-        size = (-(-shape[1] // WARP_RUN), shape[0], len(poses))
+        size = (-(-shape[1] // RUN), shape[0], len(poses))
         fixed = self.upload(poses)
         self._launch("warp", size, cells, *own, fixed, *sizes, np.int8(fill), out)
         return out

@@ -126,20 +126,19 @@ def shrink(walls: U8, cells: I8, step: int) -> tuple[U8, U8]:
     return wall.astype(np.uint8), (free * 255 // (step * step)).astype(np.uint8)
 
 
-def distance_squared(walls: U8) -> U16:
-    """Return (H, W) uint16, squared distance in cells to the nearest wall, at most 4096.
-
-    The true distance wherever a wall lies within 64 cells along the column and along the row.
+def distance_squared(walls: U8, reach: int = DISTANCE_MAX) -> U16:
+    """Return (H, W) uint16, squared distance in cells to the nearest wall, at most reach squared.
 
     Args:
         walls: (H, W) uint8, 0 or 1.
+        reach: cells, 1 to 64; farther walls count as this far.
     """
     if not walls.any():
-        return np.full(walls.shape, DISTANCE2_MAX, dtype=np.uint16)
+        return np.full(walls.shape, reach**2, dtype=np.uint16)
     _, (rows, cols) = ndimage.distance_transform_edt(walls == 0, return_indices=True)
     own_rows, own_cols = np.indices(walls.shape)
     squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
-    return np.asarray(np.minimum(squared, DISTANCE2_MAX), dtype=np.uint16)
+    return np.asarray(np.minimum(squared, reach**2), dtype=np.uint16)
 
 
 def score_field(distance2: U16, free_share: U8, hit: U16, miss: U16, base: int) -> U8:

@@ -175,7 +175,9 @@ def _shrink(backend: Backend, sample: Sample) -> Arrays:
 
 
 def _distance_squared(backend: Backend, sample: Sample) -> Arrays:
-    return _fetch(backend, [backend.distance_squared(backend.upload(sample.walls))])
+    walls = backend.upload(sample.walls)
+    reaches = (reference.DISTANCE_MAX, 24, 1)
+    return _fetch(backend, [backend.distance_squared(walls, reach) for reach in reaches])
 
 
 def _score_field(backend: Backend, sample: Sample) -> Arrays:

@@ -52,6 +52,8 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
 
 
+# The last fit is narrow: it needs no distances beyond this, in cells.
+SOLID_REACH = 24
 # Squared distance to distance in 1/256 cell.
 DISTANCE_TABLE = np.rint(256.0 * np.sqrt(np.arange(DISTANCE2_MAX + 1))).astype(np.uint16)
 # Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
@@ -167,7 +169,7 @@ class GridFeatures:
     def solid_level(self) -> Level:
         """The finest level with every solid wall cell, not only the surfaces."""
         wall = self.backend.upload(self.grid.solid)
-        distance2 = self.backend.distance_squared(wall)
+        distance2 = self.backend.distance_squared(wall, SOLID_REACH)
         distance = self.backend.look_up(distance2, DISTANCE_TABLE)
         return Level(1, self.shape, wall, self.level(1).free, distance2, distance, self.wall_points)
 

@@ -2,7 +2,7 @@
 
 Two stages. The coarse stage scores every whole-cell shift at every yaw on shrunken grids: the
 walls of each map on the other's wall likelihood less a penalty for walls in the other's free
-space, both ways (the score that ``ALIGNMENT`` experiments found right most often). The fine stage
+space, both ways (of the scores tried on recorded pairs the one right most often). The fine stage
 moves the best distinct peaks by robust Gauss-Newton steps on both distance fields, with ever
 narrower scales, and ranks them by the same score on full-resolution cells.
 
