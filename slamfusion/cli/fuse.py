@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
 from slamfusion.cli.inputs import check_writable, load_maps
@@ -206,6 +207,7 @@ def _document(
         "doubled_wall_share": {
             "inputs": doubled,
             "fused": doubled_wall_share(result.fused, normalize=normalize),
+            "added_by_fusion": _added_doubled(result),
         },
         "weights": result.weights,
         "pairs": [pair.to_json() for pair in result.pairs],
@@ -213,6 +215,15 @@ def _document(
         **_circumstances(config, result.device),
         "time_s": result.time_s,
     }
+
+
+def _added_doubled(result: FusionResult) -> float:
+    """Return the share of fused wall cells that are doubled in no input."""
+    from slamfusion.evaluation import added_doubled_share  # noqa: PLC0415
+
+    cells = result.fused.cells
+    aligned = [record.aligned for record in result.accepted if record.aligned is not None]
+    return added_doubled_share(np.sign(cells).astype(np.int8), aligned)
 
 
 def _circumstances(config: RunConfig, device: str) -> dict[str, Any]:
@@ -262,7 +273,10 @@ def _print_result(
         title=f"Alignment to {result.reference}, on {result.device}",
     )
     print(_rejections(result))
-    print(f"{result.phantom_cells} phantom cells, {result.time_s:.2f} s")
+    print(
+        f"{result.phantom_cells} phantom cells, {_added_doubled(result):.1%} of the walls doubled "
+        f"by the fusion, {result.time_s:.2f} s"
+    )
     if evaluations:
         print()
         print_evaluations(evaluations)

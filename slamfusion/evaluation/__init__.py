@@ -12,7 +12,11 @@ from slamfusion.evaluation.distances import (
     compare_distances,
     load_distances,
 )
-from slamfusion.evaluation.doubled_walls import doubled_wall_cells, doubled_wall_share
+from slamfusion.evaluation.doubled_walls import (
+    added_doubled_share,
+    doubled_wall_cells,
+    doubled_wall_share,
+)
 from slamfusion.evaluation.map_error import (
     AGREE_FREE,
     AGREE_UNKNOWN,
@@ -39,6 +43,7 @@ __all__ = [
     "MapError",
     "MeasuredDistance",
     "WallDistance",
+    "added_doubled_share",
     "compare_distances",
     "compare_to_truth",
     "doubled_wall_cells",

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.evaluation import doubled_wall_cells, doubled_wall_share
+from slamfusion.evaluation import added_doubled_share, doubled_wall_cells, doubled_wall_share
 from slamfusion.grid import OccupancyGrid
 
 Line = tuple[tuple[int, int], tuple[int, int]]
@@ -147,3 +147,13 @@ def test_the_share_of_a_turned_map_stays() -> None:
 def test_limits_that_make_no_sense_are_refused(near: float, far: float) -> None:
     with pytest.raises(ValueError, match="near"):
         doubled_wall_cells(draw_walls(HORIZONTAL), near, far)
+
+
+def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():
+    passage = np.zeros((40, 60), dtype=np.int8)
+    passage[10, 5:55] = passage[16, 5:55] = 1
+    assert added_doubled_share(passage, [passage, passage]) == 0.0
+    single, slipped = np.zeros_like(passage), np.zeros_like(passage)
+    single[10, 5:55] = slipped[15, 5:55] = 1
+    assert added_doubled_share(np.maximum(single, slipped), [single, slipped]) > 0.8
+    assert added_doubled_share(np.zeros_like(passage), [passage]) == 0.0
