@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 
-__all__ = ["FREE", "OCCUPIED", "UNKNOWN", "CellBox", "OccupancyGrid", "known_box"]
+__all__ = ["FREE", "OCCUPIED", "UNKNOWN", "CellBox", "OccupancyGrid", "known_box", "trinary_cells"]
 
 FREE = 0
 OCCUPIED = 100
@@ -61,6 +62,22 @@ def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
         return None
     cols = np.flatnonzero(known.any(axis=0))
     return CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
+
+
+def trinary_cells(cells: npt.NDArray[np.int8], thresholds: NormalizeConfig) -> npt.NDArray[np.int8]:
+    """Return the classes of cells: -1 unknown, 0 free, 1 occupied.
+
+    Args:
+        cells: any shape int8, -1 unknown or 0..100 percent; between the thresholds is unknown.
+        thresholds: in percent, both inclusive; the resolution is not used.
+
+    Source: [F16], the normalisation step (100 becomes 1).
+    """
+    percent = np.arange(256).astype(np.uint8).view(np.int8)
+    table = np.full(256, UNKNOWN, dtype=np.int8)
+    table[(percent >= 0) & (percent <= thresholds.free_percent)] = 0
+    table[(percent >= 0) & (percent >= thresholds.occupied_percent)] = 1
+    return np.asarray(table[cells.view(np.uint8)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,8 @@ from slamfusion.compute.reference import DISTANCE_MAX
 __all__ = ["Backend", "Handle", "NumpyBackend"]
 
 Handle: TypeAlias = Any
+# ``correlate`` does shifts along a row in multiples of this.
+SHIFT_LANES = 32
 
 
 class Backend(Protocol):

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
+from slamfusion.compute.backend import SHIFT_LANES
 from slamfusion.compute.device import choose_device, is_simulator
 from slamfusion.compute.program import KernelProgram
 from slamfusion.compute.reference import DISTANCE2_MAX, DISTANCE_MAX, MOST_INPUTS, Votes
@@ -24,7 +25,6 @@ __all__ = ["DeviceArray", "OpenCLBackend"]
 # one fixed size for each number of dimensions.
 LOCAL_SIZES = {1: (16,), 2: (16, 4), 3: (1, 4, 1)}
 LANES = 16
-SHIFT_LANES = 32
 CHUNK_POINTS = 64
 CHUNK_CELLS = 4096
 CHUNK_ROWS = 16

@@ -53,6 +53,8 @@ DISTANCE_MAX = 64
 DISTANCE2_MAX = DISTANCE_MAX**2
 FIXED_ONE = 1 << 30
 SPECK_FREE_CELLS = 7
+# Squared distance to distance in 1/256 cell.
+DISTANCE_TABLE = np.rint(256.0 * np.sqrt(np.arange(DISTANCE2_MAX + 1))).astype(np.uint16)
 MOST_INPUTS = 32
 
 

@@ -27,10 +27,6 @@ Check: TypeAlias = Callable[[Backend, "Sample"], Arrays]
 # term of a row; all others not at all.
 RELATIVE = 1e-4
 FLAT_FILL = 7
-# Squared distance to distance in 1/256 cell.
-DISTANCE_TABLE = np.rint(
-    256.0 * np.sqrt(np.arange(reference.DISTANCE2_MAX + 1, dtype=np.float64))
-).astype(np.uint16)
 BASE = 64
 
 
@@ -267,7 +263,8 @@ def _pose_counts(backend: Backend, sample: Sample) -> Arrays:
 
 
 def _look_up(backend: Backend, sample: Sample) -> Arrays:
-    return [backend.download(backend.look_up(backend.upload(sample.distance2), DISTANCE_TABLE))]
+    distance2 = backend.upload(sample.distance2)
+    return [backend.download(backend.look_up(distance2, reference.DISTANCE_TABLE))]
 
 
 def _refine_terms(backend: Backend, sample: Sample) -> Arrays:
@@ -275,7 +272,7 @@ def _refine_terms(backend: Backend, sample: Sample) -> Arrays:
     poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
     size = (sample.shape[1], sample.shape[0])
     points = backend.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
-    distance = backend.upload(reference.look_up(sample.distance2, DISTANCE_TABLE))
+    distance = backend.upload(reference.look_up(sample.distance2, reference.DISTANCE_TABLE))
     centre = (size[0] / 2.0, size[1] / 2.0)
     return [
         backend.refine_terms(points, poses, distance, scale=6.0, centre=centre, backward=backward)

@@ -1,4 +1,4 @@
-"""Cells as the measures see them: three classes, and one map read on another map's lattice."""
+"""Cells as the measures see them: one map read on another map's lattice."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 
-__all__ = ["sample_on_lattice", "trinary", "wall_centres"]
+__all__ = ["sample_on_lattice", "wall_centres"]
 
 _IDENTITY = Pose2()
 _ROWS_PER_BLOCK = 256
@@ -19,20 +18,6 @@ _ROWS_PER_BLOCK = 256
 # A centre that falls on the border of two cells belongs to the upper one, whatever the rounding of
 # the poses says; the last digits must not decide row by row.
 _BORDER_CELLS = 1e-6
-
-
-def trinary(cells: npt.NDArray[np.int8], normalize: NormalizeConfig) -> npt.NDArray[np.int8]:
-    """Return the classes of cells: -1 unknown, 0 free, 1 occupied.
-
-    Args:
-        cells: any shape int8, -1 unknown or 0..100 percent; between the thresholds is unknown.
-        normalize: the thresholds; its resolution is not used.
-    """
-    percent = np.arange(256).astype(np.uint8).view(np.int8)
-    table = np.full(256, UNKNOWN, dtype=np.int8)
-    table[(percent >= 0) & (percent <= normalize.free_percent)] = 0
-    table[(percent >= 0) & (percent >= normalize.occupied_percent)] = 1
-    return table[cells.view(np.uint8)]
 
 
 def sample_on_lattice(

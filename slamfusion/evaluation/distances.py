@@ -20,8 +20,8 @@ from scipy.spatial import KDTree
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation.cells import trinary, wall_centres
-from slamfusion.grid import OccupancyGrid
+from slamfusion.evaluation.cells import wall_centres
+from slamfusion.grid import OccupancyGrid, trinary_cells
 
 __all__ = [
     "DistanceComparison",
@@ -145,7 +145,7 @@ def compare_distances(
         MapFileError: the file cannot be read as distances.
     """
     rows = load_distances(distances) if isinstance(distances, (str, Path)) else tuple(distances)
-    walls = wall_centres(trinary(grid.cells, normalize), grid)
+    walls = wall_centres(trinary_cells(grid.cells, normalize), grid)
     tree = KDTree(walls) if walls.shape[0] else None
     compared = []
     for row in rows:

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation.cells import trinary
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OccupancyGrid, trinary_cells
 
 __all__ = ["added_doubled_share", "doubled_wall_cells", "doubled_wall_share"]
 
@@ -151,7 +150,7 @@ def _walls(
 ) -> npt.NDArray[np.bool_]:
     """Return the occupied cells as (H, W) bool."""
     if isinstance(grid, OccupancyGrid):
-        return np.asarray(trinary(grid.cells, normalize) == 1, dtype=np.bool_)
+        return np.asarray(trinary_cells(grid.cells, normalize) == 1, dtype=np.bool_)
     return np.asarray(grid, dtype=np.bool_)
 
 

@@ -17,9 +17,9 @@ from scipy.spatial import KDTree
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
-from slamfusion.evaluation.cells import sample_on_lattice, trinary, wall_centres
+from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid, known_box
+from slamfusion.grid import OccupancyGrid, known_box, trinary_cells
 
 __all__ = [
     "AGREE_FREE",
@@ -185,8 +185,8 @@ def compare_to_truth(
     if not (math.isfinite(tolerance_m) and tolerance_m >= 0):
         message = f"tolerance_m must be a distance in metres, at least 0, found {tolerance_m}"
         raise ValueError(message)
-    true_classes = trinary(truth.cells, normalize)
-    map_classes = trinary(grid.cells, normalize)
+    true_classes = trinary_cells(truth.cells, normalize)
+    map_classes = trinary_cells(grid.cells, normalize)
     box = known_box(true_classes)
     if box is None:
         message = (

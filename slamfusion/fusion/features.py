@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import Backend
 from slamfusion.compute.backend import Handle
-from slamfusion.compute.reference import DISTANCE2_MAX
+from slamfusion.compute.reference import DISTANCE2_MAX, DISTANCE_TABLE
 from slamfusion.fusion.normalize import NormalizedGrid
 
 __all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"]
@@ -54,8 +54,6 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
 
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
-# Squared distance to distance in 1/256 cell.
-DISTANCE_TABLE = np.rint(256.0 * np.sqrt(np.arange(DISTANCE2_MAX + 1))).astype(np.uint16)
 # Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
 COARSE_TABLE = score_table(1.0, base=4, span=11)
 FINE_TABLE = score_table(3.0, base=64, span=191)

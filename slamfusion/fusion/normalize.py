@@ -12,9 +12,9 @@ from slamfusion.compute.reference import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 
-__all__ = ["NormalizedGrid", "common_resolution", "normalize_grid", "trinary_cells"]
+__all__ = ["NormalizedGrid", "common_resolution", "normalize_grid"]
 
 # Resolutions this close are one resolution: 0.05 and 0.050000001 need no resampling.
 SAME_RESOLUTION = 1e-4
@@ -45,21 +45,6 @@ class NormalizedGrid:
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.grid.height, self.grid.width
-
-
-def trinary_cells(cells: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
-    """Return -1 unknown, 0 free, 1 occupied; between the thresholds is unknown.
-
-    Args:
-        cells: (H, W) int8, -1 or percent.
-        config: thresholds in percent, both inclusive.
-
-    Source: [F16], the normalisation step (100 becomes 1).
-    """
-    out = np.full(cells.shape, -1, dtype=np.int8)
-    out[(cells >= 0) & (cells <= config.free_percent)] = 0
-    out[cells >= config.occupied_percent] = 1
-    return out
 
 
 def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:

@@ -38,10 +38,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import Backend
-from slamfusion.compute.backend import Handle
+from slamfusion.compute.backend import SHIFT_LANES, Handle
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import GridFeatures, score_table, spread_sample
-from slamfusion.fusion.search import SHIFT_LANES, SearchWindow, shift_range
+from slamfusion.fusion.search import SearchWindow, shift_range
 
 __all__ = ["LatticeScore", "Proof", "prove"]
 
@@ -243,7 +243,8 @@ def prove(lattice: LatticeScore, answer_score: int, deadline_s: float) -> Proof:
             blocks, value = blocks[order], value[order]
             break
         step //= 2
-        pools = _BlockBounds(lattice, step, 2 * blocks)
+        halves = np.concatenate((2 * blocks, 2 * blocks + 1))  # only the yaw groups count
+        pools = _BlockBounds(lattice, step, halves)
         kept_blocks, kept_values = [], []
         for start in range(0, len(blocks), BLOCKS_AT_ONCE // 8):
             if time.perf_counter() > end:
@@ -368,10 +369,8 @@ class _BlockBounds:
     """Bounds of listed blocks at one level."""
 
     def __init__(self, lattice: LatticeScore, step: int, blocks: I32) -> None:
-        """Prepare the windows of the yaw groups among ``blocks``, and the next of each."""
+        """Prepare the windows of the yaw groups among ``blocks``."""
         groups = np.unique(blocks[:, 0]).astype(np.int64)
-        if step > 1 or len(groups) < lattice.shape[0]:
-            groups = np.unique(np.concatenate((groups, groups + 1)))
         self.slots = np.zeros(int(groups[-1]) + 1, dtype=np.int32)
         self.slots[groups] = np.arange(len(groups), dtype=np.int32)
         windows = _Windows(lattice, step, groups)

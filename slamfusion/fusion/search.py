@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import Backend
+from slamfusion.compute.backend import SHIFT_LANES
 from slamfusion.compute.reference import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import (
@@ -50,7 +51,6 @@ __all__ = [
 F64 = npt.NDArray[np.float64]
 
 TILE = 4
-SHIFT_LANES = 32
 WALL_SHARE_MAX = 0.6
 FINEST_FACTOR = 4
 COARSE_POINTS = 2048

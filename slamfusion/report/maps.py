@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import MapError, doubled_wall_share
-from slamfusion.evaluation.cells import sample_on_lattice, trinary
+from slamfusion.evaluation.cells import sample_on_lattice
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, known_box
+from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.report import plots
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
 
@@ -35,7 +35,7 @@ def input_picture(
     grid: OccupancyGrid, normalize: NormalizeConfig, *, caption: str = "", accepted: bool = True
 ) -> Picture:
     """Return one input as it was given, framed and marked when it was rejected."""
-    classes = trinary(grid.cells, normalize)
+    classes = trinary_cells(grid.cells, normalize)
     size = f"{grid.width} x {grid.height} cells of {grid.resolution:g} m"
     return Picture(
         f"input-{grid.name}",
@@ -63,7 +63,7 @@ def pair_overlay(
 
     None when they would lie too far apart to be drawn, or one of them is all unknown.
     """
-    fixed, moved = trinary(reference.cells, normalize), trinary(moving.cells, normalize)
+    fixed, moved = trinary_cells(reference.cells, normalize), trinary_cells(moving.cells, normalize)
     box = _common_box(reference, fixed, moving, moved, alignment.transform)
     if box is None or box.area > _OVERLAY_CELLS:
         return None
@@ -170,7 +170,7 @@ def statistics_table(grids: Sequence[OccupancyGrid], normalize: NormalizeConfig)
     """Return size, known area and walls of maps, with their share of doubled walls."""
     rows = []
     for grid in grids:
-        classes = trinary(grid.cells, normalize)
+        classes = trinary_cells(grid.cells, normalize)
         known = int(np.count_nonzero(classes != -1))
         rows.append(
             [

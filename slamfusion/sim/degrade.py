@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 
 __all__ = ["Degradation", "degrade_map", "draw_degradation"]
 
-OCCUPIED_PERCENT = 65
-FREE_PERCENT = 25
 RESOLUTIONS_M = (0.04, 0.05, 0.1)
 # Side of the blocks in which walls gain or lose their cell on the same side.
 THICKNESS_BLOCK = 12
@@ -160,9 +159,8 @@ def degrade_map(
 
 
 def _trinary(grid: OccupancyGrid) -> OccupancyGrid:
-    cells = np.full(grid.cells.shape, UNKNOWN, dtype=np.int8)
-    cells[(grid.cells >= 0) & (grid.cells <= FREE_PERCENT)] = FREE
-    cells[grid.cells >= OCCUPIED_PERCENT] = OCCUPIED
+    classes = trinary_cells(grid.cells, NormalizeConfig())
+    cells = np.where(classes == 1, np.int8(OCCUPIED), classes)
     return OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
 
 

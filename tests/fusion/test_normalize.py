@@ -17,10 +17,9 @@ from slamfusion.fusion.normalize import (
     common_resolution,
     lattice_box,
     normalize_grid,
-    trinary_cells,
 )
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 from tests.fusion.drawings import building, draw, padded, picture_of, random_grid
 
 DEFAULTS = NormalizeConfig()
