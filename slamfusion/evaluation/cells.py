@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import IDENTITY, UNKNOWN, CellBox, OccupancyGrid
 
 __all__ = ["sample_on_lattice", "wall_centres"]
 
-_IDENTITY = Pose2()
 _ROWS_PER_BLOCK = 256
 
 # A centre that falls on the border of two cells belongs to the upper one, whatever the rounding of
@@ -59,7 +58,7 @@ def sample_on_lattice(
 
 
 def wall_centres(
-    classes: npt.NDArray[np.int8], grid: OccupancyGrid, transform: Pose2 = _IDENTITY
+    classes: npt.NDArray[np.int8], grid: OccupancyGrid, transform: Pose2 = IDENTITY
 ) -> npt.NDArray[np.float64]:
     """Return the centres of the occupied cells, carried through ``transform``.
 

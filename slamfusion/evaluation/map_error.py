@@ -19,7 +19,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid, known_box, trinary_cells
+from slamfusion.grid import IDENTITY, OccupancyGrid, known_box, trinary_cells
 
 __all__ = [
     "AGREE_FREE",
@@ -56,7 +56,6 @@ _DIFFERENCE = np.array(
     dtype=np.int8,
 )
 
-_IDENTITY = Pose2()
 
 # A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
 _TOLERANCE_SLACK_M = 1e-6
@@ -159,7 +158,7 @@ class MapError:
 def compare_to_truth(
     grid: OccupancyGrid,
     truth: OccupancyGrid,
-    transform: Pose2 = _IDENTITY,
+    transform: Pose2 = IDENTITY,
     *,
     normalize: NormalizeConfig,
     tolerance_m: float,

@@ -26,13 +26,13 @@ from slamfusion.evaluation import (
     compare_to_truth,
 )
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import IDENTITY, OccupancyGrid
 
 NORMALIZE = NormalizeConfig()
 CHARACTERS = {"?": -1, ".": 0, "#": 100, "~": 50}
 
 
-def draw(*rows: str, resolution: float = 1.0, origin: Pose2 = Pose2()) -> OccupancyGrid:  # noqa: B008
+def draw(*rows: str, resolution: float = 1.0, origin: Pose2 = IDENTITY) -> OccupancyGrid:
     """Draw a grid; the first string is the top row, so the last is row 0."""
     cells = np.array([[CHARACTERS[c] for c in row] for row in reversed(rows)], dtype=np.int8)
     return OccupancyGrid(cells, resolution, origin)
@@ -41,7 +41,7 @@ def draw(*rows: str, resolution: float = 1.0, origin: Pose2 = Pose2()) -> Occupa
 def compare(
     grid: OccupancyGrid,
     truth: OccupancyGrid,
-    transform: Pose2 = Pose2(),  # noqa: B008
+    transform: Pose2 = IDENTITY,
     tolerance_m: float = 1.0,
 ) -> MapError:
     return compare_to_truth(grid, truth, transform, normalize=NORMALIZE, tolerance_m=tolerance_m)

@@ -30,7 +30,7 @@ TINY = pgm(ROWS)
 
 
 def values_of(path: Path, **arguments: float) -> list[list[int]]:
-    return load_map(path, **arguments).cells.tolist()  # type: ignore[no-any-return, arg-type]
+    return load_map(path, **arguments).cells.tolist()
 
 
 def shade_of(value: int, maxval: int = 255) -> float:
