@@ -25,8 +25,11 @@ __all__ = [
     "EvaluateConfig",
     "FieldInfo",
     "FusionConfig",
+    "LogConfig",
     "NormalizeConfig",
     "RunConfig",
+    "TinySlamConfig",
+    "TrajectoryConfig",
     "VoteConfig",
     "field_infos",
     "from_mapping",
@@ -231,6 +234,49 @@ class EvaluateConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class LogConfig(_Checked):
+    """Reading logs and bags."""
+
+    scan_topic: str | None = option(None, "laser topic of a bag; default: its only one")
+    odom_topic: str | None = option(
+        None, "odometry topic of a bag; default: its only one, or else the transforms"
+    )
+    base_frame: str | None = option(
+        None, "the robot's frame in a bag's transforms; default: base_footprint or base_link"
+    )
+    odom_frame: str = option("odom", "the odometry frame in a bag's transforms")
+    no_return_m: float | None = option(
+        None,
+        "readings at or above this saw nothing; default: found from the log",
+        unit="m",
+        low=0.1,
+    )
+    index_period_s: float = option(
+        0.1, "time between scans where the stamps are broken", unit="s", low=1e-3, high=60.0
+    )
+
+
+@dataclass(frozen=True)
+class TrajectoryConfig(_Checked):
+    """Measures of a trajectory against the truth."""
+
+    tolerance_s: float = option(0.01, "poses this near in time belong together", unit="s", low=0.0)
+
+
+@dataclass(frozen=True)
+class TinySlamConfig(_Checked):
+    """tinySLAM [H16]: a Monte-Carlo scan matcher on one map."""
+
+    resolution: float = option(0.05, "cell size of the map", unit="m", low=0.005, high=1.0)
+    cell_model: str = option("mean", "how a cell joins its observations", choices=("base", "mean"))
+    occupancy_estimator: str = option(
+        "constant",
+        "what a hit says of its cell: always the same, or the area behind the beam's normal",
+        choices=("constant", "area"),
+    )
+
+
+@dataclass(frozen=True)
 class DeviceConfig(_Checked):
     """Which device computes."""
 
@@ -244,7 +290,10 @@ class RunConfig(_Checked):
     """Everything that decides a result; written beside every result."""
 
     fusion: FusionConfig = FusionConfig()
+    log: LogConfig = LogConfig()
+    tinyslam: TinySlamConfig = TinySlamConfig()
     evaluate: EvaluateConfig = EvaluateConfig()
+    trajectory: TrajectoryConfig = TrajectoryConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
 

@@ -13,9 +13,13 @@ __all__ = [
     "ConfigError",
     "DeviceError",
     "GridError",
+    "LogError",
     "MapFileError",
     "MemoryBudgetError",
+    "ScanError",
+    "SimulationError",
     "SlamFusionError",
+    "TrajectoryError",
 ]
 
 
@@ -29,6 +33,22 @@ class GridError(SlamFusionError, ValueError):
 
 class MapFileError(SlamFusionError):
     """A map file (YAML or image) is missing, damaged, or outside what a map server reads."""
+
+
+class LogError(SlamFusionError):
+    """A log or bag cannot be read: unknown kind, damaged, or nothing in it that SLAM needs."""
+
+
+class ScanError(SlamFusionError, ValueError):
+    """A laser scan's readings or geometry cannot be a scan."""
+
+
+class SimulationError(SlamFusionError):
+    """A world, robot or course cannot be simulated as asked."""
+
+
+class TrajectoryError(SlamFusionError, ValueError):
+    """A trajectory or its truth is damaged, or the two do not meet in time."""
 
 
 class ConfigError(SlamFusionError, ValueError):

@@ -8,12 +8,48 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Pose2", "wrap_angle"]
+__all__ = ["Pose2", "compose_poses", "invert_poses", "wrap_angle", "wrap_angles"]
 
 
 def wrap_angle(angle_rad: float) -> float:
     """Wrap an angle to [-pi, pi)."""
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def wrap_angles(angles_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Wrap angles to [-pi, pi), any shape."""
+    return np.asarray((np.asarray(angles_rad, np.float64) + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+def compose_poses(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Compose many poses at once, as ``Pose2.compose`` does one.
+
+    Args:
+        a: (..., 3) x, y, yaw; one length unit throughout, radians.
+        b: (..., 3), or a shape that broadcasts against ``a``.
+
+    Returns:
+        (..., 3) float64; yaw in [-pi, pi).
+    """
+    first, second = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
+    x, y = second[..., 0], second[..., 1]
+    return np.stack(
+        (
+            first[..., 0] + cos * x - sin * y,
+            first[..., 1] + sin * x + cos * y,
+            wrap_angles(first[..., 2] + second[..., 2]),
+        ),
+        axis=-1,
+    )
+
+
+def invert_poses(poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Invert many poses at once, as ``Pose2.inverse`` does one; (..., 3) to (..., 3) float64."""
+    given = np.asarray(poses, np.float64)
+    cos, sin = np.cos(given[..., 2]), np.sin(given[..., 2])
+    x, y = given[..., 0], given[..., 1]
+    return np.stack((-cos * x - sin * y, sin * x - cos * y, wrap_angles(-given[..., 2])), axis=-1)
 
 
 @dataclass(frozen=True)

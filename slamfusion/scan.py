@@ -1,0 +1,113 @@
+"""``LaserScan``: one sweep of a planar laser, and what each of its beams saw.
+
+Readings follow REP-117: a finite range inside the limits is a hit, +inf says that nothing was
+there up to the longest range, -inf that something was too close to measure, NaN that the reading
+failed. Readers turn what their format writes for "no return" (0, 81.91) into +inf.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import ScanError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
+
+__all__ = ["LaserScan"]
+
+
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """One sweep; immutable.
+
+    Attributes:
+        stamp_s: time of the first beam, seconds.
+        ranges: (N,) float32, metres, in the order of the beams; may hold NaN and infinity.
+        angle_min_rad: direction of the first beam in the laser's frame, counter-clockwise.
+        angle_increment_rad: from one beam to the next; negative for a laser that turns clockwise.
+        range_min_m: readings below are too close to be measured.
+        range_max_m: readings at or above saw nothing.
+        mount: pose of the laser in the robot's base frame; metres, radians.
+
+    Raises:
+        ScanError: wrong shape, no beam, or a geometry that is not finite.
+    """
+
+    stamp_s: float
+    ranges: npt.NDArray[np.float32]
+    angle_min_rad: float
+    angle_increment_rad: float
+    range_min_m: float
+    range_max_m: float
+    mount: Pose2 = IDENTITY
+
+    def __post_init__(self) -> None:
+        """Check once, then freeze the readings."""
+        ranges = np.ascontiguousarray(self.ranges, dtype=np.float32)
+        if ranges.ndim != 1 or ranges.size == 0:
+            message = f"a scan needs a row of at least one range, found shape {ranges.shape}"
+            raise ScanError(message)
+        numbers = (self.stamp_s, self.angle_min_rad, self.angle_increment_rad)
+        if not all(math.isfinite(value) for value in numbers):
+            message = f"stamp, first angle and angle step must be finite, found {numbers}"
+            raise ScanError(message)
+        if ranges.size > 1 and self.angle_increment_rad == 0.0:
+            message = f"the angle between the {ranges.size} beams of a scan must not be 0"
+            raise ScanError(message)
+        if not 0.0 <= self.range_min_m < self.range_max_m:
+            message = (
+                f"range limits must satisfy 0 <= min < max, "
+                f"found {self.range_min_m} and {self.range_max_m}"
+            )
+            raise ScanError(message)
+        if ranges is self.ranges:
+            if not ranges.flags.writeable:
+                return
+            ranges = ranges.copy()
+        ranges.flags.writeable = False
+        object.__setattr__(self, "ranges", ranges)
+
+    def __len__(self) -> int:
+        """Beams."""
+        return int(self.ranges.size)
+
+    def angles(self) -> npt.NDArray[np.float64]:
+        """Return the direction of each beam in the laser's frame, (N,) radians."""
+        steps = np.arange(len(self), dtype=np.float64)
+        return np.asarray(self.angle_min_rad + self.angle_increment_rad * steps)
+
+    def is_hit(self, usable_m: float = math.inf) -> npt.NDArray[np.bool_]:
+        """Return which beams hit something, (N,).
+
+        Args:
+            usable_m: hits at or beyond this are not trusted and do not count.
+        """
+        with np.errstate(invalid="ignore"):
+            hit = (self.ranges >= self.range_min_m) & (self.ranges > 0.0)
+            return np.asarray(hit & (self.ranges < min(self.range_max_m, usable_m)))
+
+    def is_clear(self) -> npt.NDArray[np.bool_]:
+        """Return which beams met nothing up to ``range_max_m``, (N,): +inf or over-range."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.ranges >= self.range_max_m)
+
+    def points(self, beams: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.float64]:
+        """Return the ends of beams in the robot's base frame.
+
+        Args:
+            beams: (N,) which ones; default: every hit.
+
+        Returns:
+            (M, 2) x and y, metres.
+        """
+        chosen = self.is_hit() if beams is None else beams
+        angles = self.angles()[chosen] + self.mount.yaw_rad
+        ranges = self.ranges[chosen].astype(np.float64)
+        return np.stack(
+            (self.mount.x + ranges * np.cos(angles), self.mount.y + ranges * np.sin(angles)),
+            axis=-1,
+        )

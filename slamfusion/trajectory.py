@@ -1,0 +1,80 @@
+"""``Trajectory``: stamped poses, and finding the pose that belongs to a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import TrajectoryError
+from slamfusion.geometry import Pose2
+
+__all__ = ["Trajectory"]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of one body over time; immutable.
+
+    Attributes:
+        stamps_s: (N,) float64, seconds, never decreasing.
+        poses: (N, 3) float64, x and y in metres, yaw in radians; all in one frame.
+        name: what tables and messages call it.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, values that are not finite, time that goes back.
+    """
+
+    stamps_s: npt.NDArray[np.float64]
+    poses: npt.NDArray[np.float64]
+    name: str = "trajectory"
+
+    def __post_init__(self) -> None:
+        """Check once, then freeze."""
+        stamps = np.array(self.stamps_s, dtype=np.float64)
+        poses = np.array(self.poses, dtype=np.float64).reshape(-1, 3)
+        if stamps.ndim != 1 or len(stamps) != len(poses):
+            message = f"{self.name}: {stamps.shape} stamps do not fit {poses.shape} poses"
+            raise TrajectoryError(message)
+        if not (np.isfinite(stamps).all() and np.isfinite(poses).all()):
+            message = f"{self.name}: stamps and poses must be finite"
+            raise TrajectoryError(message)
+        if (np.diff(stamps) < 0.0).any():
+            first = int(np.flatnonzero(np.diff(stamps) < 0.0)[0]) + 1
+            message = f"{self.name}: time goes back at pose {first}; sort the poses by time"
+            raise TrajectoryError(message)
+        stamps.flags.writeable = False
+        poses.flags.writeable = False
+        object.__setattr__(self, "stamps_s", stamps)
+        object.__setattr__(self, "poses", poses)
+
+    def __len__(self) -> int:
+        """Poses."""
+        return len(self.stamps_s)
+
+    def pose(self, index: int) -> Pose2:
+        """Return one pose."""
+        x, y, yaw = self.poses[index]
+        return Pose2(float(x), float(y), float(yaw))
+
+    def nearest(self, stamps_s: npt.ArrayLike) -> npt.NDArray[np.int64]:
+        """Return for each time the index of the pose nearest in time, (M,); the earlier on a tie.
+
+        Raises:
+            TrajectoryError: there is no pose at all.
+        """
+        if len(self) == 0:
+            message = f"{self.name}: has no pose"
+            raise TrajectoryError(message)
+        wanted = np.asarray(stamps_s, dtype=np.float64)
+        after = np.clip(np.searchsorted(self.stamps_s, wanted), 1, max(1, len(self) - 1))
+        before = after - 1
+        after = np.minimum(after, len(self) - 1)
+        later_is_nearer = self.stamps_s[after] - wanted < wanted - self.stamps_s[before]
+        return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
+
+    def path_length_m(self) -> float:
+        """Return the sum of the straight distances between neighbouring poses."""
+        steps = np.diff(self.poses[:, :2], axis=0)
+        return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
