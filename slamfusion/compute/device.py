@@ -8,6 +8,7 @@ from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
+from slamfusion.compute.pocl import name_processor
 from slamfusion.errors import DeviceError
 
 __all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices"]
@@ -36,6 +37,7 @@ class DeviceInfo:
 
 def find_devices() -> list[Any]:
     """Return every OpenCL device in the platforms' order; an empty list without any platform."""
+    name_processor()
     try:
         platforms = cl.get_platforms()
     except cl.Error:
