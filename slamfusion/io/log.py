@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,9 +11,15 @@ from typing import Any, Protocol
 from slamfusion.geometry import Pose2
 from slamfusion.scan import LaserScan
 
-__all__ = ["LogScan", "ScanLog", "Skips"]
+__all__ = ["FARTHEST_M", "Continuity", "LogScan", "ScanLog", "Skips"]
+
+# No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
+FARTHEST_M = 1e9
 
 LINES_KEPT = 5
+# Between two neighbouring scans, more than this is worth a word to the user.
+GAP_S = 3600.0
+JUMP_M = 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +40,13 @@ class LogScan:
 
 @dataclass
 class Skips:
-    """What was left out, by reason: how often, and the first lines where it happened."""
+    """What was left out (or warned of), by reason: how often, and the first lines of each."""
 
     counts: dict[str, int] = field(default_factory=dict)
     lines: dict[str, list[int]] = field(default_factory=dict)
 
     def add(self, reason: str, line: int) -> None:
-        """Count one thing left out at a line or message number."""
+        """Count one thing at a line or message number."""
         self.counts[reason] = self.counts.get(reason, 0) + 1
         kept = self.lines.setdefault(reason, [])
         if len(kept) < LINES_KEPT:
@@ -47,7 +54,7 @@ class Skips:
 
     @property
     def total(self) -> int:
-        """Things left out."""
+        """Things counted."""
         return sum(self.counts.values())
 
     def sentences(self) -> tuple[str, ...]:
@@ -66,19 +73,58 @@ class Skips:
         ]
 
 
+class Continuity:
+    """Lets scans through whose time is later than the last one's; counts the others.
+
+    A scan after a gap of an hour, or whose odometry has jumped by 50 m, is let through: the log
+    may be right. It is counted as a warning.
+
+    Args:
+        skips: where refused scans are counted.
+        warnings: where gaps and jumps are counted.
+    """
+
+    def __init__(self, skips: Skips, warnings: Skips) -> None:
+        self._skips = skips
+        self._warnings = warnings
+        self._stamp_s: float | None = None
+        self._odometry: Pose2 | None = None
+
+    def accepts(self, stamp_s: float, odometry: Pose2 | None, line: int) -> bool:
+        """Return whether the scan may be used, and count what is wrong or odd about it."""
+        if self._stamp_s is not None:
+            if stamp_s <= self._stamp_s:
+                equal = stamp_s == self._stamp_s
+                self._skips.add("two scans of one stamp" if equal else "time goes back", line)
+                return False
+            if stamp_s - self._stamp_s >= GAP_S:
+                self._warnings.add("no scan for an hour or more", line)
+        if odometry is not None:
+            last = self._odometry
+            if last is not None and math.hypot(odometry.x - last.x, odometry.y - last.y) >= JUMP_M:
+                self._warnings.add(f"odometry jumps by {JUMP_M:g} m or more", line)
+            self._odometry = odometry
+        self._stamp_s = stamp_s
+        return True
+
+
 class ScanLog(Protocol):
     """A log or bag, read as a stream; each iteration starts anew.
 
     Attributes:
         path: where it lies.
         skips: what the last iteration left out so far.
+        warnings: what the last iteration let through although it is odd: gaps and jumps.
         notes: sentences for the user: e.g. that stamps are broken and index time is used.
+        has_stamps: whether times are the log's own; else they are made from the scans' index.
         fraction_read: how far the current iteration is, 0 to 1.
     """
 
     path: Path
     skips: Skips
+    warnings: Skips
     notes: list[str]
+    has_stamps: bool
     fraction_read: float
 
     def __iter__(self) -> Iterator[LogScan]:

@@ -1,0 +1,103 @@
+"""``open_log``: any log or bag as a stream of scans, whatever program wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import LogError
+from slamfusion.io.bags import BagLog
+from slamfusion.io.carmen import CARMEN_WORDS, CarmenLog
+from slamfusion.io.lines import read_head, strip_gz
+from slamfusion.io.log import ScanLog
+from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
+
+__all__ = ["open_log"]
+
+_DEFAULT_CONFIG = LogConfig()
+
+Reader = Callable[[Path, LogConfig], ScanLog]
+
+# By the end of the name, without .gz. The content decides where it speaks clearly.
+_READERS: dict[str, Reader] = {
+    ".clf": CarmenLog,
+    ".log": CarmenLog,
+    ".gfs": CarmenLog,
+    ".carmen": CarmenLog,
+    ".txt": CarmenLog,
+    ".dat": TinySlamDat,
+    ".bag": BagLog,
+    ".db3": BagLog,
+    ".mcap": BagLog,
+}
+_TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
+_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+_BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap", "*.db3.zstd", "*.mcap.zstd")
+# Text has none of the control characters, but for tab, line feed, form feed and carriage return.
+_NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
+
+
+def open_log(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> ScanLog:
+    """Open a log or bag.
+
+    Args:
+        path: CARMEN (.clf, .log, .gfs, .carmen, .txt) or tinySLAM (.dat), each also as .gz; a
+            ROS 1 bag (.bag); a ROS 2 bag's folder, .db3 or .mcap.
+        config: topics and frames of bags, the no-return value, the period for broken stamps.
+
+    Returns:
+        The reader; iterate over it for the scans, as often as wanted.
+
+    Raises:
+        LogError: empty, no kind of log that is known, or no laser in it.
+        OSError: the file cannot be opened.
+    """
+    where = Path(path)
+    if where.is_dir():
+        if not any(any(where.glob(pattern)) for pattern in _BAG_FILES):
+            message = (
+                f"{where}: a folder without metadata.yaml, .db3 or .mcap is no ROS 2 bag; name a "
+                "bag's folder or a log file"
+            )
+            raise LogError(message)
+        return BagLog(where, config)
+    if where.exists() and not where.is_file():
+        message = f"{where}: a device or pipe cannot be read twice, as logs are; save it to a file"
+        raise LogError(message)
+    head = read_head(where)
+    suffix = Path(strip_gz(where.name)).suffix
+    reader = _READERS.get(suffix)
+    if reader is None:
+        message = (
+            f"{where}: wanted a log named {', '.join(_READERS)} (text also .gz) or a ROS 2 bag's "
+            f"folder, found {suffix or 'no extension'!r}; rename it by its kind"
+        )
+        raise LogError(message)
+    if not head:
+        message = f"{where}: the file is empty; give a log with scans"
+        raise LogError(message)
+    return (_reader_by_content(head) or _checked_text(where, head, reader))(where, config)
+
+
+def _reader_by_content(head: bytes) -> Reader | None:
+    """Return the reader of a log whose first bytes tell its kind, or None."""
+    if head.startswith(_BAG_MAGICS):
+        return BagLog
+    for line in head.splitlines():
+        fields = line.split()
+        if not fields or fields[0].startswith(b"#"):
+            continue
+        if fields[0] in CARMEN_WORDS:
+            return CarmenLog
+        if len(fields) == FIELDS and fields[0].isdigit():
+            return TinySlamDat
+    return None
+
+
+def _checked_text(where: Path, head: bytes, reader: Reader) -> Reader:
+    """Return the reader that the name asks for, unless the content cannot be that kind."""
+    if reader in _TEXT_READERS and head.translate(None, _NO_TEXT) != head:
+        message = f"{where}: wanted a text log, found binary data; check what the file is"
+        raise LogError(message)
+    return reader

@@ -1,0 +1,210 @@
+"""``TinySlamDat``: the recordings that tinySLAM came with, wheel ticks and a Hokuyo URG-04LX.
+
+One scan a line, 707 numbers: time in microseconds, left and right wheel ticks (fields 2 and 3),
+682 ranges in millimetres (fields 24 to 705).
+
+Source: Steux and El Hamzaoui, tinySLAM, ICARCV 2010, whose recordings these are; the robot's
+measures as BreezySLAM uses them; the laser's angles from the data sheet of the URG-04LX.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import LogError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.io.lines import TextLines
+from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
+from slamfusion.scan import LaserScan
+
+__all__ = ["FIELDS", "TinySlamDat"]
+
+_DEFAULT_CONFIG = LogConfig()
+
+FIELDS = 707
+_BEAMS = slice(24, 706)
+_METRES_PER_TICK = 2.0 * math.pi * 0.077 / 2000.0
+_HALF_AXLE_M = 0.165
+_MOUNT = Pose2(0.145, 0.0, 0.0)
+# The data sheet: 1024 steps a turn; 682 of them, 44 to 725, are measured, and 384 looks ahead.
+_STEP_RAD = 2.0 * math.pi / 1024.0
+_FIRST_RAD = (44 - 384) * _STEP_RAD
+# The robot's own body hides so many beams at each side.
+_HIDDEN = 70
+_RANGE_MAX_M = 4.0
+# The laser writes small numbers for what went wrong (0: nothing came back); a wall cannot be there.
+_RANGE_MIN_M = 0.02
+
+WRONG_COUNT = f"not {FIELDS} fields (a cut-off line?)"
+NOT_NUMBERS = "not numbers"
+NOT_FINITE = "ticks or time not finite"
+# Beyond, a float no longer counts one by one; NaN is no less than it either.
+_COUNT_MAX = 2.0**53
+CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was read"
+
+
+class TinySlamDat:
+    """A tinySLAM recording, plain or gzip; each iteration starts anew (see ``ScanLog``).
+
+    The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. Counters of ticks and
+    time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
+
+    Args:
+        path: the file.
+        config: ``no_return_m`` replaces the laser's rated 4 m.
+
+    Attributes:
+        path, skips, warnings, notes, has_stamps, fraction_read: see ``ScanLog``.
+
+    Raises:
+        LogError: no line of the file is such a scan.
+    """
+
+    def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
+        self.path = Path(path)
+        self.skips = Skips()
+        self.warnings = Skips()
+        self.notes: list[str] = [
+            f"{_HIDDEN} beams at each side are left out: the robot's body hides them"
+        ]
+        self.has_stamps = True
+        self.fraction_read = 0.0
+        self._range_max_m = config.no_return_m or _RANGE_MAX_M
+        if next(iter(self), None) is None:
+            reasons = "; ".join(self.skips.sentences()) or "the file is empty"
+            message = (
+                f"{self.path}: wanted lines of {FIELDS} numbers as tinySLAM records them, found "
+                f"none: {reasons}; check the file"
+            )
+            raise LogError(message)
+        self.skips, self.fraction_read = Skips(), 0.0
+
+    def __iter__(self) -> Iterator[LogScan]:
+        """Yield the scans; stamps strictly increase."""
+        self.skips, self.warnings = Skips(), Skips()
+        continuity = Continuity(self.skips, self.warnings)
+        lines = TextLines(self.path)
+        clock_us = _Unwrapped(_CLOCK_TURNS)
+        left, right = _Unwrapped(_TICK_TURNS), _Unwrapped(_TICK_TURNS)
+        pose: Pose2 | None = None
+        ticks = (0.0, 0.0)
+        number = 0
+        for number, line in lines:
+            self.fraction_read = lines.fraction_read
+            values = self._values(line, number)
+            if values is None:
+                continue
+            stamp_s = clock_us.follow(float(values[0])) * 1e-6
+            now = (left.follow(float(values[2])), right.follow(float(values[3])))
+            if pose is None:
+                pose = Pose2()
+            else:
+                pose = drive_arc(
+                    pose,
+                    (now[0] - ticks[0]) * _METRES_PER_TICK,
+                    (now[1] - ticks[1]) * _METRES_PER_TICK,
+                )
+            ticks = now
+            if continuity.accepts(stamp_s, pose, number):
+                yield LogScan(self._scan(values[_BEAMS] * 1e-3, stamp_s), pose, number)
+        if lines.is_cut_off:
+            self.skips.add(CUT_OFF_FILE, number + 1)
+        self.fraction_read = 1.0
+
+    def _values(self, line: bytes, number: int) -> npt.NDArray[np.float64] | None:
+        """Return the numbers of a line, or count why they are none."""
+        fields = line.split()
+        if not fields or fields[0].startswith(b"#"):
+            return None
+        if len(fields) != FIELDS:
+            self.skips.add(WRONG_COUNT, number)
+            return None
+        try:
+            # The last field carries nothing and need not even be a number.
+            values = np.array(fields[: FIELDS - 1], dtype=np.float64)
+        except ValueError:
+            self.skips.add(NOT_NUMBERS, number)
+            return None
+        if not (np.abs(values[[0, 2, 3]]) < _COUNT_MAX).all():
+            self.skips.add(NOT_FINITE, number)
+            return None
+        return values
+
+    def _scan(self, ranges_m: npt.NDArray[np.float64], stamp_s: float) -> LaserScan:
+        """Return the sweep: 0 saw nothing, error codes and hidden beams measured nothing."""
+        ranges = np.where((ranges_m == 0.0) | (ranges_m > FARTHEST_M), np.inf, ranges_m)
+        ranges[ranges < _RANGE_MIN_M] = np.nan
+        ranges[:_HIDDEN] = np.nan
+        ranges[-_HIDDEN:] = np.nan
+        return LaserScan(
+            stamp_s=stamp_s,
+            ranges=ranges.astype(np.float32),
+            angle_min_rad=_FIRST_RAD,
+            angle_increment_rad=_STEP_RAD,
+            range_min_m=_RANGE_MIN_M,
+            range_max_m=self._range_max_m,
+            mount=_MOUNT,
+        )
+
+
+def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:
+    """Return the pose after the wheels rolled so far, at a constant ratio: a circular arc.
+
+    Args:
+        start: pose of the middle of the axle.
+        left_m: way of the left wheel, metres; negative backward.
+        right_m: way of the right wheel.
+
+    Source: Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, section 5.2.4.
+    """
+    turn_rad = (right_m - left_m) / (2.0 * _HALF_AXLE_M)
+    way_m = 0.5 * (left_m + right_m)
+    # The chord of the arc points along its middle heading; sin(x) / x is 1 on a straight line.
+    half_rad = 0.5 * turn_rad
+    chord_m = way_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-9 else 1.0)
+    heading_rad = start.yaw_rad + half_rad
+    return Pose2(
+        start.x + chord_m * math.cos(heading_rad),
+        start.y + chord_m * math.sin(heading_rad),
+        wrap_angle(start.yaw_rad + turn_rad),
+    )
+
+
+# After so many counts a counter may start again at 0, or at its negative half.
+_CLOCK_TURNS = (2.0**32,)
+_TICK_TURNS = (2.0**16, 2.0**32)
+
+
+class _Unwrapped:
+    """Follows a counter across its wraps.
+
+    Args:
+        turns: the counts after which it may wrap, ascending.
+    """
+
+    def __init__(self, turns: tuple[float, ...]) -> None:
+        self._turns = turns
+        self._raw: float | None = None
+        self._total = 0.0
+
+    def follow(self, raw: float) -> float:
+        """Return the count as if it had never wrapped."""
+        if self._raw is None:
+            self._raw = self._total = raw
+            return raw
+        step = raw - self._raw
+        for turn in self._turns:
+            # Half a turn within one scan is no motion (2^15 ticks would be 8 m), but only a
+            # counter that never left its turn can have wrapped there.
+            if 0.5 * turn < abs(step) < turn and max(abs(raw), abs(self._raw)) < turn:
+                step -= math.copysign(turn, step)
+                break
+        self._raw = raw
+        self._total += step
+        return self._total

@@ -1,0 +1,194 @@
+"""Claims about opening logs of any kind, and about counting what is left out."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import LogError
+from slamfusion.geometry import Pose2
+from slamfusion.io import open_log
+from slamfusion.io.carmen import CarmenLog
+from slamfusion.io.lines import TextLines
+from slamfusion.io.log import Continuity, Skips
+from slamfusion.io.tinyslam_dat import TinySlamDat
+from tests.io.logs import flaser, write_lines
+from tests.io.test_tinyslam_dat import row
+
+# --- which reader --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["a.clf", "a.log", "a.txt", "a.gfs", "a.carmen", "A.LOG"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_carmen_logs_are_known_by_their_names(tmp_path: Path, name: str, packed: bool) -> None:
+    data = f"{flaser(1)}\n".encode()
+    path = tmp_path / (f"{name}.gz" if packed else name)
+    path.write_bytes(gzip.compress(data) if packed else data)
+    log = open_log(path)
+    assert isinstance(log, CarmenLog)
+    assert len(list(log)) == 1
+
+
+def test_the_content_speaks_before_the_name(tmp_path: Path) -> None:
+    assert isinstance(open_log(write_lines(tmp_path / "a.dat", flaser(1))), CarmenLog)
+    assert isinstance(open_log(write_lines(tmp_path / "a.log", row(1))), TinySlamDat)
+
+
+def test_the_configuration_reaches_the_reader(tmp_path: Path) -> None:
+    path = write_lines(tmp_path / "a.log", flaser(1, [1.0, 6.0]))
+    assert next(iter(open_log(path, LogConfig(no_return_m=5.0)))).scan.range_max_m == 5.0
+
+
+def refusal(path: Path) -> str:
+    """Return the one line with which a path is refused."""
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.clf.gz", "a.dat", "a.bag", "a.db3", "a.mcap"])
+def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.touch()
+    assert "the file is empty" in refusal(path)
+
+
+def test_an_empty_packed_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.log.gz"
+    path.write_bytes(gzip.compress(b""))
+    assert "the file is empty" in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["a.xyz", "a", "a.gz", "a.pgm.gz"])
+def test_an_unknown_extension_is_refused_whatever_is_inside(tmp_path: Path, name: str) -> None:
+    message = refusal(write_lines(tmp_path / name, flaser(1)))
+    assert ".clf" in message
+    assert ".mcap" in message
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.clf", "a.txt", "a.dat"])
+def test_binary_junk_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(np.random.default_rng(1).bytes(5000))
+    assert "found binary data" in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
+def test_binary_junk_is_no_bag(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("rosbags", reason="rosbags comes with the bags extra")
+    path = tmp_path / name
+    path.write_bytes(np.random.default_rng(1).bytes(5000))
+    assert "cannot be read as a bag" in refusal(path)
+
+
+def test_packed_junk_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.log.gz"
+    path.write_bytes(b"\x1f\x8b" + np.random.default_rng(1).bytes(500))
+    refusal(path)
+
+
+def test_a_log_without_a_laser_says_what_it_has(tmp_path: Path) -> None:
+    lines = ["PARAM a b h 0", *["ODOM 0 0 0 0 0 0 1 h 0"] * 3]
+    message = refusal(write_lines(tmp_path / "a.log", *lines))
+    assert "no laser in it" in message
+    assert "3 ODOM, 1 PARAM" in message
+
+
+def test_a_log_of_comments_has_no_line_at_all(tmp_path: Path) -> None:
+    assert "found no line" in refusal(write_lines(tmp_path / "a.log", "# nothing", "# at all"))
+
+
+def test_prose_is_no_log(tmp_path: Path) -> None:
+    assert "2 other lines" in refusal(write_lines(tmp_path / "a.txt", "Dear all,", "no laser."))
+
+
+def test_a_log_whose_scans_are_all_damaged_says_why(tmp_path: Path) -> None:
+    message = refusal(write_lines(tmp_path / "a.log", flaser(1)[:20], flaser(2)[:20]))
+    assert "2 x wrong number of fields (a cut-off line?) (line 1, 2)" in message
+
+
+def test_a_folder_that_is_no_bag_is_refused(tmp_path: Path) -> None:
+    write_lines(tmp_path / "a.log", flaser(1))
+    assert "no ROS 2 bag" in refusal(tmp_path)
+
+
+def test_a_pipe_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pipe.log"
+    os.mkfifo(path)
+    assert "cannot be read twice" in refusal(path)
+
+
+def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        open_log(tmp_path / "none.log")
+
+
+def test_a_line_without_end_is_refused_before_it_fills_the_memory(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_bytes(b"FLASER 3 " + b"1 " * (9 << 20))
+    assert "line 1 is longer than 16 MiB" in refusal(path)
+
+
+def test_lines_know_how_far_they_are(tmp_path: Path) -> None:
+    lines = TextLines(write_lines(tmp_path / "a.log", *["x" * 999] * 1000))
+    seen = [lines.fraction_read for _ in lines]
+    assert seen == sorted(seen)
+    assert 0.0 < seen[0] < 0.2
+    assert lines.fraction_read == 1.0
+    assert not lines.is_cut_off
+
+
+# --- counting ------------------------------------------------------------------------------------
+
+
+def test_skips_keep_the_first_lines_of_each_reason() -> None:
+    skips = Skips()
+    for line in range(1, 8):
+        skips.add("b", line)
+    skips.add("a", 9)
+    assert skips.total == 8
+    assert skips.sentences() == ("1 x a (line 9)", "7 x b (line 1, 2, 3, 4, 5, ...)")
+    assert skips.to_json()[1] == {"reason": "b", "count": 7, "first_lines": [1, 2, 3, 4, 5]}
+
+
+def accepted(*scans: tuple[float, Pose2 | None]) -> tuple[list[bool], Skips, Skips]:
+    skips, warnings = Skips(), Skips()
+    continuity = Continuity(skips, warnings)
+    flags = [continuity.accepts(stamp, pose, k) for k, (stamp, pose) in enumerate(scans, start=1)]
+    return flags, skips, warnings
+
+
+def test_time_must_go_on() -> None:
+    flags, skips, _ = accepted((5.0, None), (5.0, None), (4.0, None), (5.1, None))
+    assert flags == [True, False, False, True]
+    assert skips.lines == {"two scans of one stamp": [2], "time goes back": [3]}
+
+
+def test_a_refused_scan_is_not_what_the_next_is_measured_by() -> None:
+    far = Pose2(80.0, 0.0, 0.0)
+    flags, _, warnings = accepted((1.0, Pose2()), (0.5, far), (2.0, Pose2(1.0, 0.0, 0.0)))
+    assert flags == [True, False, True]
+    assert warnings.total == 0
+
+
+@pytest.mark.parametrize(("gap_s", "warned"), [(3599.0, 0), (3600.0, 1)])
+def test_a_gap_is_warned_of_from_an_hour_on(gap_s: float, warned: int) -> None:
+    flags, _, warnings = accepted((0.0, None), (gap_s, None), (gap_s + 1.0, None))
+    assert all(flags)
+    assert warnings.total == warned
+
+
+@pytest.mark.parametrize(("jump_m", "warned"), [(49.9, 0), (50.0, 1)])
+def test_a_jump_is_warned_of_from_50_m_on(jump_m: float, warned: int) -> None:
+    scans = ((0.0, Pose2()), (1.0, None), (2.0, Pose2(0.0, jump_m, 0.0)))
+    flags, _, warnings = accepted(*scans)
+    assert all(flags)
+    assert warnings.total == warned

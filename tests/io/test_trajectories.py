@@ -1,0 +1,183 @@
+"""Claims about reading trajectories from whatever file holds them."""
+
+from __future__ import annotations
+
+import gzip
+import logging
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import LogError, TrajectoryError
+from slamfusion.io import read_trajectory
+from tests.io.logs import flaser, robotlaser, write_lines
+from tests.support.datasets import DATASETS
+
+TURN = f"0 0 {math.sin(0.25)} {math.cos(0.25)}"  # yaw 0.5
+
+
+def read(folder: Path, name: str, *lines: str) -> list[list[float]]:
+    """Write a file, read it, and return its rows: time, x, y, yaw."""
+    found = read_trajectory(write_lines(folder / name, *lines))
+    return np.column_stack((found.stamps_s, found.poses)).tolist()
+
+
+@pytest.mark.parametrize("name", ["a.tum", "a.txt", "anything"])
+def test_eight_columns_are_a_tum_file(tmp_path: Path, name: str) -> None:
+    rows = read(tmp_path, name, "# heading", "", f"1.5 1 2 9 {TURN}", f"2.5 3 4 9 {TURN}")
+    assert rows == [pytest.approx([1.5, 1, 2, 0.5]), pytest.approx([2.5, 3, 4, 0.5])]
+
+
+def test_packed_files_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.b.tum.gz"
+    path.write_bytes(gzip.compress(f"1.5 1 2 9 {TURN}\n".encode()))
+    found = read_trajectory(path)
+    assert found.name == "a.b"
+    assert found.poses[0] == pytest.approx([1.0, 2.0, 0.5])
+
+
+def test_four_columns_are_seconds_or_nanoseconds_by_magnitude(tmp_path: Path) -> None:
+    seconds = read(tmp_path, "s.txt", "1134864629.895182 1 2 0.5", "1134864630 3 4 0.5")
+    nanoseconds = read(
+        tmp_path, "n.txt", "1134864629895182000 1 2 0.5", "1134864630000000000 3 4 0"
+    )
+    assert seconds[0] == [1134864629.895182, 1.0, 2.0, 0.5]
+    assert nanoseconds[0][0] == pytest.approx(1134864629.895182, abs=1e-6)
+
+
+def test_csv_with_its_heading(tmp_path: Path) -> None:
+    rows = read(tmp_path, "a.csv", "ipc_timestamp,x,y,theta", "1.5,1,2,0.5", "2.5,3,4,0.25")
+    assert rows == [[1.5, 1.0, 2.0, 0.5], [2.5, 3.0, 4.0, 0.25]]
+
+
+def test_recorded_odometry_out_of_order_is_sorted_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = read(tmp_path, "a.txt", "1 1 0 0", "3 3 0 0", "2 2 0 0", "3 4 0 0")
+    assert [row[:2] for row in rows] == [[1, 1], [2, 2], [3, 3], [3, 4]]
+    assert "1 rows are earlier" in caplog.text
+
+
+def test_a_log_gives_the_odometry_of_its_scans(tmp_path: Path) -> None:
+    lines = [
+        flaser(1.5, robot=(1, 2, 0.5), laser=(9, 9, 9)),
+        "FLASER 3",
+        flaser(2, robot=(3, 4, 0)),
+    ]
+    assert read(tmp_path, "a.log", *lines) == [[1.5, 1, 2, 0.5], [2, 3, 4, 0]]
+
+
+def test_a_log_without_time_says_that_its_times_are_made_up(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_lines(tmp_path / "a.log", flaser(0), flaser(0))
+    found = read_trajectory(path, LogConfig(index_period_s=0.5))
+    assert found.stamps_s.tolist() == [0.0, 0.5]
+    assert "times are made from indices" in caplog.text
+
+
+def test_a_graph_gives_its_vertices_at_the_times_of_their_scans(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    lines = [
+        "VERTEX2 0 1 2 0.5",
+        robotlaser(7.5, robot=(1.3, 2, 0.5)),
+        "VERTEX2 1 3 4 0.25",
+        robotlaser(6.5),
+        "VERTEX2 2 5 6 0.25",
+        robotlaser(7.5),
+        "VERTEX2 3 7 8 0",
+        "EDGE2 0 1 1 1 0 1 0 1 1 0 0",
+    ]
+    assert read(tmp_path, "a.log", *lines) == [[6.5, 3, 4, 0.25], [7.5, 1, 2, 0.5]]
+    assert "1 vertices have the stamp of an earlier one" in caplog.text
+    assert "1 vertices have no scan" in caplog.text
+
+
+def test_a_vertex_of_three_digits_takes_the_pose_of_its_scan(tmp_path: Path) -> None:
+    line = robotlaser(7.5, robot=(576.536523, 0.106594, -2.255213))
+    assert read(tmp_path, "a.log", "VERTEX2 0 577 0.107 -2.26", line) == [
+        [7.5, 576.536523, 0.106594, -2.255213]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([], "found no pose at all"),
+        (["# only a comment"], "found no pose at all"),
+        (["1 2 3"], "found '1 2 3'"),
+        (["hello world, this is text"], "found 'hello"),
+        (["VERTEX_SE2 0 0 0 0"], "found 'VERTEX_SE2"),
+        (["a b c d"], "found 'a b c d'"),
+        (["1 0 0 0", "2 0 0"], "line 2: wanted 4 columns as in the lines before, found 3"),
+        (["1 0 0 0", "2 0 x 0"], "line 2: wanted numbers, found '2 0 x 0'"),
+        (["1 0 0 0", "2 0 nan 0"], "line 2: not a finite pose"),
+        ([f"1 0 0 0 {TURN}", f"inf 0 0 0 {TURN}"], "line 2: not a finite pose"),
+        ([f"1 0 0 0 {TURN}", "2 0 0 0 0 0 0 0"], "line 2: not a finite pose"),
+        ([f"2 0 0 0 {TURN}", f"1 0 0 0 {TURN}"], "line 2: time goes back from 2.000000 s"),
+        (["1 2 0.5 0.1 0 0 0 0.2"], "line 1: the quaternion has length 0.2"),
+        (["VERTEX2 0 1 2 0.5", "EDGE2 0 1 1 1 0 1 0 1 1 0 0"], "no ROBOTLASER1 line"),
+        (["VERTEX2 0 1 2"], "line 1: wanted 'VERTEX2 id x y theta'"),
+        (["VERTEX2 0 1 2 0.5", "ROBOTLASER1 0 1"], "line 2: pose or time not finite"),
+    ],
+)
+def test_what_is_no_trajectory_is_one_clear_line(
+    tmp_path: Path, lines: list[str], words: str
+) -> None:
+    path = write_lines(tmp_path / "a.txt", *lines)
+    with pytest.raises(TrajectoryError) as caught:
+        read_trajectory(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cut_off_packed_file_is_an_error(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    text = "".join(f"{k} {rng.random()} 0 0\n" for k in range(9000))
+    packed = gzip.compress(text.encode())
+    path = tmp_path / "a.txt.gz"
+    path.write_bytes(packed[: len(packed) // 2])
+    with pytest.raises(TrajectoryError, match="ends early"):
+        read_trajectory(path)
+
+
+def test_a_log_without_a_laser_is_a_log_error(tmp_path: Path) -> None:
+    path = write_lines(tmp_path / "a.log", "ODOM 0 0 0 0 0 0 1 h 0")
+    with pytest.raises(LogError, match="no laser in it"):
+        read_trajectory(path)
+
+
+def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_trajectory(tmp_path / "none.tum")
+
+
+@pytest.mark.datasets
+@pytest.mark.parametrize(
+    ("name", "poses", "path_m"),
+    [
+        ("mit-csail/mit-csail.clf.gz", 1988, 373.6),
+        ("mit-csail/mit-csail-reference-graph.log.gz", 1051, 382.9),
+        ("mit-csail/mit-csail-estimate-1592.txt.gz", 1592, None),
+        ("mit-csail/csail-406-corrected.poses.csv.gz", 406, 379.6),
+        ("intel/intel-reference-graph.log.gz", 2672, 393.6),
+        ("intel/intel-estimate-11439.txt.gz", 11439, None),
+        ("intel/intel-odometry-13631.txt.gz", 13631, None),
+        ("intel/intel-910-corrected.poses.csv.gz", 910, 499.6),
+        ("maps/multi-slam/mit-csail/karto.tum", 1468, None),
+    ],
+)
+def test_recorded_trajectories(
+    name: str, poses: int, path_m: float | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.ERROR)
+    found = read_trajectory(DATASETS / name)
+    assert len(found) == poses
+    if path_m is not None:
+        assert found.path_length_m() == pytest.approx(path_m, abs=0.06)
+    assert found.stamps_s[0] > 9e8
