@@ -20,17 +20,24 @@ import yaml
 from slamfusion.errors import ConfigError
 
 __all__ = [
+    "ActionConfig",
     "AlignConfig",
     "DeviceConfig",
+    "DriveConfig",
     "EvaluateConfig",
     "FieldInfo",
     "FusionConfig",
+    "LidarConfig",
     "LogConfig",
     "NormalizeConfig",
+    "ObstacleConfig",
+    "PersonConfig",
     "RunConfig",
+    "SimulateConfig",
     "TinySlamConfig",
     "TrajectoryConfig",
     "VoteConfig",
+    "WorldConfig",
     "field_infos",
     "from_mapping",
     "load_config",
@@ -261,6 +268,27 @@ class TrajectoryConfig(_Checked):
     """Measures of a trajectory against the truth."""
 
     tolerance_s: float = option(0.01, "poses this near in time belong together", unit="s", low=0.0)
+    alignment: str = option(
+        "se2",
+        "bring the estimate onto the truth by a rigid motion first, or take both frames for one",
+        choices=("se2", "none"),
+    )
+    rpe_delta: float = option(
+        1.0, "what one pair of poses of the relative error spans, in --rpe-unit", low=1e-3
+    )
+    rpe_unit: str = option(
+        "frames",
+        "matched poses, metres along the truth, or seconds",
+        choices=("frames", "m", "s"),
+    )
+    odometry_tolerance_m: float = option(
+        0.005,
+        "an odometry row this near (metres, and radians of heading) is a scan's own",
+        unit="m",
+        low=1e-6,
+        high=0.5,
+        level="expert",
+    )
 
 
 @dataclass(frozen=True)
@@ -273,6 +301,280 @@ class TinySlamConfig(_Checked):
         "constant",
         "what a hit says of its cell: always the same, or the area behind the beam's normal",
         choices=("constant", "area"),
+    )
+    hole_width_m: float = option(
+        0.6, "width of the valley around a hit that the matcher sees", unit="m", low=0.0, high=5.0
+    )
+    quality: float | None = option(
+        None,
+        "how much of an observation a cell believes; default: 1 for mean, 0.3 for base",
+        low=0.01,
+        high=1.0,
+    )
+    quality_moved: float = option(
+        1.0,
+        "the quality is multiplied by this where the matcher moved the pose far",
+        low=0.0,
+        high=1.0,
+    )
+    usable_range_m: float = option(
+        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
+    )
+    occupied_share: float = option(
+        0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
+    )
+    beams: int = option(
+        180, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
+    )
+    first_poses: int = option(
+        256, "poses drawn in the matcher's first, wide look", low=16, high=65536, level="expert"
+    )
+    poses: int = option(
+        128, "poses drawn in each round that refines", low=16, high=65536, level="expert"
+    )
+    rounds: int = option(3, "rounds that refine", low=1, high=32, level="expert")
+    best_poses: int = option(
+        6, "poses of the first look that are refined", low=1, high=64, level="expert"
+    )
+    sigma_m: float = option(
+        0.1, "spread of the first look", unit="m", low=0.001, high=10.0, level="expert"
+    )
+    sigma_m_per_m: float = option(
+        0.3, "the same for each metre of odometry", low=0.0, high=10.0, level="expert"
+    )
+    sigma_rad: float = option(
+        0.05, "spread of the first look", unit="rad", low=0.001, high=3.2, level="expert"
+    )
+    sigma_rad_per_rad: float = option(
+        0.2, "the same for each radian of odometry", low=0.0, high=10.0, level="expert"
+    )
+    prior_weight_xy: float = option(
+        0.04, "score lost one spread beside the guessed place", low=0.0, high=1.0, level="expert"
+    )
+    prior_weight_yaw: float = option(
+        0.005, "the same for the guessed heading", low=0.0, high=1.0, level="expert"
+    )
+    drift_loss: float = option(
+        0.05,
+        "score lost by believing that the robot went on as it went, against its odometry",
+        low=0.0,
+        high=1.0,
+        level="expert",
+    )
+    matcher_free_value: float = option(
+        0.2, "what the matcher's map learns of a passed cell", low=0.0, high=0.5, level="expert"
+    )
+
+
+@dataclass(frozen=True)
+class WorldConfig(_Checked):
+    """A simulated place."""
+
+    name: str = option(
+        "office",
+        "which drawn place, or map for a map file",
+        choices=("office", "corridor", "hall", "atrium", "yard", "map"),
+    )
+    map: str | None = option(None, "map file of the world `map`; from the course file's folder")
+    seed: int | None = option(None, "seed of the drawing; default: the run's seed", low=0)
+    resolution: float = option(
+        0.05, "cell size of a drawn truth; a map file has its own", unit="m", low=0.01, high=0.25
+    )
+    wall_height_m: float = option(
+        2.5, "beams of a tilted laser pass over walls at this", unit="m", low=0.1, high=20.0
+    )
+    glass_share: float = option(0.0, "share of the wall cells that are glass", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class LidarConfig(_Checked):
+    """A planar laser: what it can see, how it errs, and where it sits."""
+
+    model: str = option("hokuyo", "its kind", choices=("kinect", "hokuyo", "rplidar"))
+    beams: int = option(541, "beams in a sweep", low=1, high=100_000)
+    view_rad: float = option(
+        math.radians(270.0), "angle from first to last beam", unit="rad", low=0.0, high=math.tau
+    )
+    clockwise: bool = option(False, "the first beam is the leftmost one")
+    rate_hz: float = option(10.0, "sweeps a second", unit="Hz", low=0.1, high=100.0)
+    range_min_m: float = option(0.1, "nearer things are too close", unit="m", low=0.0, high=10.0)
+    range_max_m: float = option(30.0, "farther things are not seen", unit="m", low=0.1, high=1000.0)
+    noise_m: float = option(
+        0.01, "standard deviation of a range at 0 m", unit="m", low=0.0, high=1.0
+    )
+    noise_per_m: float = option(0.0005, "what a metre of range adds to it", low=0.0, high=1.0)
+    noise_per_m2: float = option(
+        0.0, "what the square of a metre of range adds to it", unit="1/m", low=0.0, high=1.0
+    )
+    dropout_share: float = option(0.001, "share of readings that fail", low=0.0, high=1.0)
+    dropout_far_share: float = option(
+        0.0,
+        "share of readings at the longest range that fail beside these; falls with the square of "
+        "the range",
+        low=0.0,
+        high=1.0,
+    )
+    outlier_share: float = option(
+        0.0005, "share of readings that stop short anywhere on their way", low=0.0, high=1.0
+    )
+    mixed_share: float = option(
+        0.2, "share of readings at an edge in depth that lie between both sides", low=0.0, high=1.0
+    )
+    glass_return_share: float = option(
+        0.9, "share of beams that glass sends back when met head-on", low=0.0, high=1.0
+    )
+    glass_angle_rad: float = option(
+        0.35,
+        "glass met at this angle or more from its normal lets every beam pass",
+        unit="rad",
+        low=0.01,
+        high=math.pi / 2.0,
+    )
+    mount_x_m: float = option(
+        0.1, "laser ahead of the robot's origin", unit="m", low=-10.0, high=10.0
+    )
+    mount_y_m: float = option(
+        0.0, "laser left of the robot's origin", unit="m", low=-10.0, high=10.0
+    )
+    mount_yaw_rad: float = option(
+        0.0, "turn of the laser on the robot", unit="rad", low=-math.tau, high=math.tau
+    )
+    height_m: float = option(0.25, "laser above the floor", unit="m", low=0.01, high=10.0)
+
+
+@dataclass(frozen=True)
+class DriveConfig(_Checked):
+    """How a robot moves, and how its odometry errs."""
+
+    model: str = option("differential", "its kind", choices=("differential", "bicycle", "tracks"))
+    radius_m: float = option(
+        0.2, "disc that holds the robot; keeps off walls", unit="m", low=0.01, high=5.0
+    )
+    speed_mps: float = option(0.6, "speed on a free way", unit="m/s", low=0.01, high=10.0)
+    turn_rate_rad_s: float = option(1.0, "turning speed at most", unit="rad/s", low=0.01, high=10.0)
+    acceleration_mps2: float = option(
+        0.8, "change of speed at most", unit="m/s^2", low=0.01, high=100.0
+    )
+    wheelbase_m: float = option(0.3, "bicycle: between the axles", unit="m", low=0.05, high=5.0)
+    steer_max_rad: float = option(
+        0.6, "bicycle: steering angle at most", unit="rad", low=0.05, high=1.4
+    )
+    track_m: float = option(0.4, "tracks: between left and right", unit="m", low=0.05, high=5.0)
+    slip_left: float = option(
+        0.0, "tracks: share of the left track's motion that is lost", low=0.0, high=0.9
+    )
+    slip_right: float = option(
+        0.0, "tracks: share of the right track's motion that is lost", low=0.0, high=0.9
+    )
+    travel_noise: float = option(
+        0.02, "error of the way after a metre; grows with the square root", low=0.0, high=1.0
+    )
+    travel_turn_noise: float = option(
+        0.005, "error of the way in metres after a turn of a radian", low=0.0, high=1.0
+    )
+    turn_noise: float = option(
+        0.015, "error of a turn of a radian; grows with the square root", low=0.0, high=1.0
+    )
+    turn_travel_noise: float = option(
+        0.01, "error of the heading in radians after a metre", low=0.0, high=1.0
+    )
+    travel_bias: float = option(
+        0.01, "share by which odometry reads the way too long", low=-0.5, high=0.5
+    )
+    turn_bias: float = option(
+        0.005, "share by which odometry reads turns too large", low=-0.5, high=0.5
+    )
+    turn_travel_bias: float = option(
+        0.001, "what odometry turns by itself in a metre", unit="rad/m", low=-0.5, high=0.5
+    )
+
+
+@dataclass(frozen=True)
+class ObstacleConfig(_Checked):
+    """A cable or low ramp on the floor, [F16]'s ground obstacle: wheels slip, the body tilts."""
+
+    x_m: float = option(0.0, "its middle in the map frame", unit="m", low=-1e7, high=1e7)
+    y_m: float = option(0.0, "its middle in the map frame", unit="m", low=-1e7, high=1e7)
+    yaw_rad: float = option(
+        0.0, "direction straight across it", unit="rad", low=-math.tau, high=math.tau
+    )
+    across_m: float = option(
+        0.6, "way across it on which it is felt", unit="m", low=0.01, high=10.0
+    )
+    along_m: float = option(1.6, "its length", unit="m", low=0.01, high=100.0)
+    slip_share: float = option(
+        0.3, "share of the wheels' motion that is lost on it", low=-0.9, high=0.9
+    )
+    kick_rad_m: float = option(
+        0.15, "turn that a metre on it adds unseen by the wheels", unit="rad/m", low=-3.0, high=3.0
+    )
+    pitch_rad: float = option(
+        0.09, "tilt of the body at most: nose up, then down", unit="rad", low=0.0, high=0.7
+    )
+
+
+@dataclass(frozen=True)
+class PersonConfig(_Checked):
+    """Someone who walks about."""
+
+    speed_mps: float = option(1.0, "walking speed", unit="m/s", low=0.05, high=5.0)
+    body: str = option(
+        "legs", "what the laser meets: two legs, or one body", choices=("legs", "disc")
+    )
+    distance_m: float = option(
+        0.7, "stands still rather than come this near to the robot", unit="m", low=0.0, high=10.0
+    )
+
+
+@dataclass(frozen=True)
+class ActionConfig(_Checked):
+    """One command of a script, as the wheels measure it: a turn, a straight way, or a wait."""
+
+    turn_deg: float = option(
+        0.0, "turn on the spot, counter-clockwise", unit="deg", low=-36e3, high=36e3
+    )
+    speed_deg_s: float = option(90.0, "speed of a turn", unit="deg/s", low=0.1, high=1000.0)
+    forward_m: float = option(
+        0.0, "straight way; negative goes backwards", unit="m", low=-1e4, high=1e4
+    )
+    speed_mps: float = option(0.5, "speed of a straight way", unit="m/s", low=0.001, high=10.0)
+    wait_s: float = option(0.0, "stand still", unit="s", low=0.0, high=3600.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a command that is none, or more than one."""
+        super().__post_init__()
+        given = [name for name in ("turn_deg", "forward_m", "wait_s") if getattr(self, name)]
+        if len(given) != 1:
+            found = " and ".join(given) or "none of them"
+            message = f"a command is one of turn_deg, forward_m and wait_s, found {found}"
+            raise ConfigError(message)
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes."""
+        turn_s = abs(self.turn_deg) / self.speed_deg_s
+        return turn_s + abs(self.forward_m) / self.speed_mps + self.wait_s
+
+
+@dataclass(frozen=True)
+class SimulateConfig(_Checked):
+    """What a simulated drive changes of its course; unset, the course decides."""
+
+    world: str | None = option(None, "drawn place by name, or a map file")
+    world_seed: int | None = option(None, "seed of the drawn place; default: the run's seed", low=0)
+    resolution: float | None = option(
+        None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
+    )
+    lidar: str | None = option(None, "laser on the robot", choices=("kinect", "hokuyo", "rplidar"))
+    drive: str | None = option(
+        None, "how the robot moves", choices=("differential", "bicycle", "tracks")
+    )
+    obstacle: bool | None = option(
+        None, "a cable on the way, over which wheels slip and the laser tilts"
+    )
+    people: int | None = option(None, "people who walk about", low=0, high=100)
+    glass_share: float | None = option(
+        None, "share of the wall cells that are glass", low=0.0, high=1.0
     )
 
 
@@ -294,6 +596,7 @@ class RunConfig(_Checked):
     tinyslam: TinySlamConfig = TinySlamConfig()
     evaluate: EvaluateConfig = EvaluateConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig()
+    simulate: SimulateConfig = SimulateConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
 

@@ -12,8 +12,9 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import reference
+from slamfusion.compute import reference, slam_reference
 from slamfusion.compute.reference import DISTANCE_MAX
+from slamfusion.compute.slam_reference import BeamRule
 
 __all__ = ["Backend", "Handle", "NumpyBackend"]
 
@@ -155,6 +156,43 @@ class Backend(Protocol):
     ) -> reference.Votes:
         """See ``reference.vote_log_odds``."""
 
+    def cast_rays(
+        self, cells: Handle, rays: npt.NDArray[np.float32], reach_cells: float
+    ) -> npt.NDArray[np.float32]:
+        """See ``reference.cast_rays``."""
+
+    def extend(self, pool: Handle, count: int, fill: int) -> Handle:
+        """Return a pool (T, ...) with ``count`` tiles, T or more; the new ones hold ``fill``."""
+
+    def score_poses(
+        self,
+        field: Handle,
+        pages: Handle,
+        points: Handle,
+        poses: npt.NDArray[np.float32],
+        *,
+        stride: int = 1,
+        reach: int = 0,
+    ) -> npt.NDArray[np.int64]:
+        """See ``slam_reference.score_poses``; the poses come from the host."""
+
+    def tiny_mark(
+        self, observed: Handle, pages: Handle, beams: Handle, rule: BeamRule, wanted: Handle
+    ) -> bool:
+        """See ``slam_reference.tiny_mark``; works in place."""
+
+    def tiny_fold(
+        self,
+        observed: Handle,
+        valley: Handle,
+        published: Handle,
+        field: Handle,
+        pages: Handle,
+        beams: Handle,
+        rule: BeamRule,
+    ) -> None:
+        """See ``slam_reference.tiny_fold``; works in place."""
+
 
 class NumpyBackend:
     """The twins as a backend: the whole program without OpenCL, slowly and plainly."""
@@ -181,14 +219,25 @@ class NumpyBackend:
     vote_majority = staticmethod(reference.vote_majority)
     vote_weighted = staticmethod(reference.vote_weighted)
     vote_log_odds = staticmethod(reference.vote_log_odds)
+    score_poses = staticmethod(slam_reference.score_poses)
+    tiny_mark = staticmethod(slam_reference.tiny_mark)
+    tiny_fold = staticmethod(slam_reference.tiny_fold)
+    cast_rays = staticmethod(reference.cast_rays)
 
     @staticmethod
     def upload(array: npt.NDArray[Any]) -> Handle:
-        """Return the array itself."""
-        return array
+        """Return a copy that operations may change in place."""
+        return array.copy()
 
     @staticmethod
     def download(handle: Handle) -> npt.NDArray[Any]:
         """Return the array itself."""
         array: npt.NDArray[Any] = handle
         return array
+
+    @staticmethod
+    def extend(pool: Handle, count: int, fill: int) -> Handle:
+        """Return a longer copy."""
+        grown = np.full((count, *pool.shape[1:]), fill, dtype=pool.dtype)
+        grown[: len(pool)] = pool
+        return grown

@@ -1,12 +1,12 @@
 """Let the PoCL of the wheel build kernels on processors newer than its compiler.
 
-The wheel brings PoCL 3.0 with LLVM 14 of 2022. On a processor that LLVM does not know (AMD Zen 4
-and later, for example) it asks its own compiler for the processor "generic", which that compiler
-refuses, so that no kernel builds ("unknown target CPU 'generic'", PoCL issue 1049). PoCL 3.0 has no
-setting for it. What the processor can do is known from its feature flags, so the one function of the
-library that names the processor is replaced, in this process's memory and before PoCL is first
-asked for its devices, by one that returns the best name which both sides know. Nothing is written
-to disk, and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
+The wheel brings PoCL 3.0 with LLVM 14 of 2022. On a processor that LLVM does not know (AMD Zen 5,
+for example) it asks its own compiler for the processor "generic", which that compiler refuses, so
+that no kernel builds ("unknown target CPU 'generic'", PoCL issue 1049). PoCL 3.0 has no setting for
+it. What the processor can do is known from its feature flags, so the one function of the library
+that names the processor is replaced, in this process's memory and before PoCL is first asked for
+its devices, by one that returns the best name which both sides know. Nothing is written to disk,
+and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
 """
 
 from __future__ import annotations

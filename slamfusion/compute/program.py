@@ -12,7 +12,7 @@ from slamfusion.errors import DeviceError
 
 __all__ = ["FAMILIES", "KernelProgram", "kernel_folder"]
 
-FAMILIES = ("walls", "warp", "match", "bound", "vote")
+FAMILIES = ("walls", "warp", "match", "bound", "vote", "raycast", "scan_match", "tiny_map")
 
 
 def kernel_folder() -> Path:

@@ -7,14 +7,14 @@ shapes, and one of them holds that every operation of ``Backend`` has a check he
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import reference
+from slamfusion.compute import reference, slam_reference
 from slamfusion.compute.backend import Backend, NumpyBackend
 from slamfusion.errors import DeviceError
 
@@ -311,6 +311,99 @@ def _vote_log_odds(backend: Backend, sample: Sample) -> Arrays:
     )
 
 
+def _cast_rays(backend: Backend, sample: Sample) -> Arrays:
+    classes = sample.rng.choice(3, sample.shape, p=(0.9, 0.07, 0.03)).astype(np.uint8)
+    size = np.array(sample.shape[::-1])
+    places = sample.rng.uniform(-0.2, 1.2, (97, 2)) * size + sample.away
+    places[:9] = np.floor(places[:9])  # on the edges of cells
+    angles = sample.rng.uniform(-np.pi, np.pi, 97)
+    angles[:17] = np.arange(-8, 9) * (np.pi / 4.0)  # along the cells and through their corners
+    rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
+    cells = backend.upload(classes)
+    return [
+        np.nan_to_num(backend.cast_rays(cells, rays[:count], reach), posinf=-1.0)
+        for count, reach in ((97, 300.0), (97, 2.5), (1, 40.0))
+    ]
+
+
+def _extend(backend: Backend, sample: Sample) -> Arrays:
+    pool = backend.upload(sample.rng.integers(0, 9, (3, 5, 7)).astype(np.uint32))
+    grown = [backend.extend(pool, count, slam_reference.UNSEEN) for count in (3, 4, 11)]
+    return [*_fetch(backend, grown), backend.download(pool)]
+
+
+def _window(sample: Sample) -> tuple[npt.NDArray[np.int32], int]:
+    """Return the page table of a window that holds the sample's shape, and how many tiles it has.
+
+    One page in three has no tile, nor has the border.
+    """
+    inner = tuple(-(-size // slam_reference.TILE) for size in sample.shape)
+    used = sample.rng.random(inner) < 2.0 / 3.0
+    numbers = np.where(used, np.cumsum(used).reshape(inner), 0)
+    return np.pad(numbers, 1).astype(np.int32), int(used.sum()) + 1
+
+
+def _score_poses(backend: Backend, sample: Sample) -> Arrays:
+    pages, tiles = _window(sample)
+    pool = sample.rng.integers(0, 256, (tiles, slam_reference.TILE, slam_reference.TILE))
+    pool[0] = 0
+    field, table = backend.upload(pool.astype(np.uint8)), backend.upload(pages)
+    size = np.array(pages.shape[::-1]) * slam_reference.TILE
+    points = backend.upload(sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    yaw = sample.rng.uniform(-np.pi, np.pi, 37)
+    places = sample.rng.uniform(-0.2, 1.2, (37, 2)) * size + sample.away
+    poses = np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
+    return [
+        backend.score_poses(field, table, points, poses[:count], stride=stride, reach=reach)
+        for count, stride, reach in ((37, 1, 0), (37, 3, 2), (1, 100, 0))
+    ]
+
+
+def _beams(sample: Sample) -> npt.NDArray[np.int32]:
+    """Return 57 beams from one laser inside the window of the sample; one has no length."""
+    low = slam_reference.TILE * slam_reference.BEAM_ONE
+    size = np.array(sample.shape[::-1]) * slam_reference.BEAM_ONE
+    hits = low + (sample.rng.random((57, 2)) * size).astype(np.int32)
+    laser = hits[0]
+    length = np.hypot(*(hits - laser).T)
+    peaks = sample.rng.integers(0, 4096, 57)
+    return np.column_stack((hits, np.broadcast_to(laser, hits.shape), length, peaks)).astype(
+        np.int32
+    )
+
+
+def _tiny_map(backend: Backend, sample: Sample, *, fold: bool) -> Arrays:
+    """Mark and fold a few scans, with both cell models, with blur and without."""
+    results: Arrays = []
+    for is_mean, half_blur in ((True, 3000), (False, 3000), (True, 0)):
+        pages, tiles = _window(sample)
+        shape = (tiles, slam_reference.TILE, slam_reference.TILE)
+        unseen = np.full(shape, slam_reference.UNSEEN, dtype=np.uint32)
+        observed = backend.upload(np.zeros(shape, dtype=np.uint32))
+        valley, published = backend.upload(unseen), backend.upload(unseen)
+        field = backend.upload(np.zeros(shape, dtype=np.uint8))
+        table = backend.upload(pages)
+        wanted = backend.upload(np.zeros(1 + pages.size, dtype=np.int32))
+        for seed, quality in ((1, 1024), (2, 300), (3, 700)):
+            rule = slam_reference.BeamRule(half_blur, 2048, 819, 41, quality, is_mean)
+            beams = backend.upload(_beams(replace(sample, seed=sample.seed + seed)))
+            missing = backend.tiny_mark(observed, table, beams, rule, wanted)
+            if fold:
+                backend.tiny_fold(observed, valley, published, field, table, beams, rule)
+            else:
+                results.append(np.array([missing]))
+        results += _fetch(backend, [observed, wanted, valley, published, field])
+    return results
+
+
+def _tiny_mark(backend: Backend, sample: Sample) -> Arrays:
+    return _tiny_map(backend, sample, fold=False)
+
+
+def _tiny_fold(backend: Backend, sample: Sample) -> Arrays:
+    return _tiny_map(backend, sample, fold=True)
+
+
 CHECKS: dict[str, Check] = {
     "solid_walls": _solid_walls,
     "surface_walls": _surface_walls,
@@ -331,4 +424,9 @@ CHECKS: dict[str, Check] = {
     "vote_majority": _vote_majority,
     "vote_weighted": _vote_weighted,
     "vote_log_odds": _vote_log_odds,
+    "cast_rays": _cast_rays,
+    "extend": _extend,
+    "score_poses": _score_poses,
+    "tiny_mark": _tiny_mark,
+    "tiny_fold": _tiny_fold,
 }

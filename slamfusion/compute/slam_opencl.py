@@ -1,0 +1,111 @@
+"""The SLAMs' operations on an OpenCL device; ``slam_reference`` defines each of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
+
+from slamfusion.compute.arrays import DeviceArray, DeviceArrays
+from slamfusion.compute.slam_reference import BeamRule
+
+__all__ = ["SlamOperations"]
+
+
+class SlamOperations(DeviceArrays):
+    """Scoring of poses on tiled maps, pools that grow, and tinySLAM's map update."""
+
+    def extend(self, pool: DeviceArray, count: int, fill: int) -> DeviceArray:
+        """See ``Backend.extend``."""
+        grown = self.empty((count, *pool.shape[1:]), pool.dtype)
+        used = pool.size * pool.dtype.itemsize
+        total = grown.size * pool.dtype.itemsize
+        cl.enqueue_copy(self.queue, grown.buffer, pool.buffer, byte_count=used)
+        value = np.array([fill], dtype=pool.dtype)
+        cl.enqueue_fill_buffer(self.queue, grown.buffer, value, used, total - used)
+        return grown
+
+    def score_poses(
+        self,
+        field: DeviceArray,
+        pages: DeviceArray,
+        points: DeviceArray,
+        poses: npt.NDArray[np.float32],
+        *,
+        stride: int = 1,
+        reach: int = 0,
+    ) -> npt.NDArray[np.int64]:
+        """See ``slam_reference.score_poses``."""
+        n = len(poses)
+        sums = np.empty(n, dtype=np.int32)
+        out = self.lend(sums, writable=True)
+        height, width = pages.shape
+        arguments: list[Any] = [
+            field, pages, np.int32(width), np.int32(height), points, np.int32(points.shape[0]),
+            np.int32(stride), self.lend(poses), np.int32(n),
+        ]  # fmt: skip
+        if reach:
+            self._launch("score_wide", (n,), *arguments, np.int32(reach), out)
+        else:
+            self._launch("score_smooth", (n,), *arguments, out)
+        self.collect(out, sums)
+        return sums.astype(np.int64)
+
+    def tiny_mark(
+        self,
+        observed: DeviceArray,
+        pages: DeviceArray,
+        beams: DeviceArray,
+        rule: BeamRule,
+        wanted: DeviceArray,
+    ) -> bool:
+        """See ``slam_reference.tiny_mark``."""
+        height, width = pages.shape
+        count = beams.shape[0]
+        numbers = (rule.half_blur, rule.behind, rule.free)
+        self._launch(
+            "tiny_mark",
+            (count,),
+            observed,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            beams,
+            np.int32(count),
+            *(np.int32(number) for number in numbers),
+            wanted,
+        )
+        missing = np.empty(1, dtype=np.int32)
+        cl.enqueue_copy(self.queue, missing, wanted.buffer)
+        return bool(missing[0])
+
+    def tiny_fold(
+        self,
+        observed: DeviceArray,
+        valley: DeviceArray,
+        published: DeviceArray,
+        field: DeviceArray,
+        pages: DeviceArray,
+        beams: DeviceArray,
+        rule: BeamRule,
+    ) -> None:
+        """See ``slam_reference.tiny_fold``."""
+        height, width = pages.shape
+        count = beams.shape[0]
+        numbers = (rule.half_blur, rule.map_free, rule.quality, rule.is_mean)
+        self._launch(
+            "tiny_fold",
+            (count,),
+            observed,
+            valley,
+            published,
+            field,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            beams,
+            np.int32(count),
+            *(np.int32(number) for number in numbers),
+        )

@@ -1,0 +1,223 @@
+"""The NumPy twins of the SLAMs' kernels: scoring poses on tiled maps, and tinySLAM's map update.
+
+A tiled map is a window of pages (PH, PW) int32 and pools (T, TILE, TILE): a page holds the number
+of a tile, and tile 0 is the empty tile that every unused page shares. Positions are in cells of the
+window. All results are whole numbers and equal the kernels' exactly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "BEAM_ONE",
+    "HALF",
+    "MOST_OBSERVATIONS",
+    "TILE",
+    "UNSEEN",
+    "VALUE_ONE",
+    "BeamRule",
+    "score_poses",
+    "tiny_fold",
+    "tiny_mark",
+]
+
+U8 = npt.NDArray[np.uint8]
+U32 = npt.NDArray[np.uint32]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+F32 = npt.NDArray[np.float32]
+
+TILE = 32
+# Positions and lengths of beams count in 1/1024 cell, values of cells in 1/4095.
+BEAM_ONE = 1024
+VALUE_ONE = 4095
+# A cell's state: mean in 1/2^20 above 12 bits of observations.
+HALF = 1 << 19
+MOST_OBSERVATIONS = 4095
+UNSEEN = HALF << 12
+# A word of the observed pool: hit, value, in front of the hit; 0 is no word.
+HIT_SHIFT, VALUE_SHIFT = 13, 1
+SIXTEENTHS = np.float32(16.0)
+
+
+class BeamRule(NamedTuple):
+    """How beams of one scan write into the map.
+
+    Attributes:
+        half_blur: half width of the valley around a hit, 1/1024 cell.
+        behind: least value that is written behind a hit, 0 to 4095.
+        free: value of a passed cell for the matcher, 0 to 4095.
+        map_free: the same for the published map.
+        quality: how much of the scan is believed, in 1/1024.
+        is_mean: cell model ``mean``; otherwise ``base``.
+    """
+
+    half_blur: int
+    behind: int
+    free: int
+    map_free: int
+    quality: int
+    is_mean: bool
+
+
+def _cells(field: U8, pages: I32, cols: I64, rows: I64) -> I64:
+    """Return field values of cells; beyond the window, those of its empty border."""
+    height, width = pages.shape
+    col = np.clip(cols, 0, width * TILE - 1)
+    row = np.clip(rows, 0, height * TILE - 1)
+    tiles = pages[row // TILE, col // TILE]
+    return field[tiles, row % TILE, col % TILE].astype(np.int64)
+
+
+def score_poses(
+    field: U8, pages: I32, points: F32, poses: F32, *, stride: int = 1, reach: int = 0
+) -> I64:
+    """Sum the score field under a scan's points at each candidate pose.
+
+    Args:
+        field: (T, TILE, TILE) uint8 wall values.
+        pages: (PH, PW) int32, tile of each page of the window; the border is empty.
+        points: (P, 2) float32, cells, in the robot's frame.
+        poses: (N, 4) float32: x, y in cells of the window, cos, sin.
+        stride: every so many-th point counts.
+        reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of five
+            cells counts: the one under the point and four, ``reach`` cells away diagonally.
+
+    Returns:
+        (N,) int64 sums.
+    """
+    px, py = points[::stride, 0], points[::stride, 1]
+    x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
+    east = x + (cos * px - sin * py)
+    north = y + (sin * px + cos * py)
+    if reach:
+        col, row = east.astype(np.int64), north.astype(np.int64)
+        around = [(0, 0), (-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
+        found = [_cells(field, pages, col + dx, row + dy) for dx, dy in around]
+        return np.asarray(np.max(found, axis=0).sum(axis=1))
+    east, north = east - np.float32(0.5), north - np.float32(0.5)
+    col, row = east.astype(np.int64), north.astype(np.int64)
+    right = ((east - col.astype(np.float32)) * SIXTEENTHS).astype(np.int64)
+    up = ((north - row.astype(np.float32)) * SIXTEENTHS).astype(np.int64)
+    a, b = _cells(field, pages, col, row), _cells(field, pages, col + 1, row)
+    c, d = _cells(field, pages, col, row + 1), _cells(field, pages, col + 1, row + 1)
+    low, high = a * (16 - right) + b * right, c * (16 - right) + d * right
+    blended: I64 = np.asarray(low * (16 - up) + high * up, dtype=np.int64)
+    return np.asarray((blended >> 8).sum(axis=1))
+
+
+class _Walks(NamedTuple):
+    """Every step of every beam, flat: its beam, its number (0 at the hit) and its cell."""
+
+    beam: I64
+    i: I64
+    col: I64
+    row: I64
+    step: I64
+
+
+def _walks(beams: I32, half_blur: int) -> _Walks:
+    """Walk each beam from behind its hit to the laser, one cell of the longer axis a step."""
+    hit_x, hit_y, laser_x, laser_y, length, _ = beams.astype(np.int64).T
+    dx, dy = laser_x - hit_x, laser_y - hit_y
+    longest = np.maximum(np.abs(dx), np.abs(dy))
+    m = np.maximum(longest, 1)
+    step_x = np.abs(dx) * (1 << 20) // m * np.where(dx < 0, -1, 1)
+    step_y = np.abs(dy) * (1 << 20) // m * np.where(dy < 0, -1, 1)
+    step = length * (1 << 20) // m
+    reach = np.where(step > 0, (half_blur << 10) // np.maximum(step, 1), 0)
+    counts = reach + longest // BEAM_ONE + 1
+    beam = np.repeat(np.arange(len(beams)), counts)
+    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts) - reach[beam]
+    col = ((hit_x[beam] << 10) + i * step_x[beam]) >> 20
+    row = ((hit_y[beam] << 10) + i * step_y[beam]) >> 20
+    return _Walks(beam, i, col, row, step[beam])
+
+
+def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32) -> bool:
+    """Write into ``observed``, in place, what the beams of a scan say of their cells.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays: a hit over the
+            greatest value over in front over behind.
+        pages: (PH, PW) int32.
+        beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in 1/1024
+            cell, the value of the hit, 0 to 4095. All inside the window.
+        rule: see ``BeamRule``.
+        wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
+            tile yet; those cells are left out.
+
+    Returns:
+        Whether a page was missing: provide tiles and mark again, which changes nothing twice.
+    """
+    w = _walks(beams, rule.half_blur)
+    peak = beams[w.beam, 5].astype(np.int64)
+    away = (np.abs(w.i) * w.step) >> 10
+    half = max(1, rule.half_blur)
+    value = np.full(len(w.i), rule.free, dtype=np.int64)
+    near = (away < rule.half_blur) & (peak > rule.free)
+    value[near] += ((peak - rule.free) * (rule.half_blur - away) // half)[near]
+    keep = (w.i >= 0) | (value >= rule.behind)
+    value[w.i == 0] = peak[w.i == 0]
+    word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
+    tiles = pages[w.row // TILE, w.col // TILE]
+    missing = keep & (tiles == 0)
+    wanted[1 + (w.row // TILE * pages.shape[1] + w.col // TILE)[missing]] = 1
+    wanted[0] |= int(missing.any())
+    put = keep & (tiles != 0)
+    at = (tiles[put], w.row[put] % TILE, w.col[put] % TILE)
+    np.maximum.at(observed, at, word[put].astype(np.uint32))
+    return bool(wanted[0])
+
+
+def _joined(state: I64, value: I64, rule: BeamRule) -> I64:
+    """Join observations (0 to 4095) to the states of cells, by the cell model."""
+    mean, seen = state >> 12, state & MOST_OBSERVATIONS
+    told = value << 8
+    if rule.is_mean:
+        change = HALF + (((told - HALF) * rule.quality) >> 10) - mean
+        following = mean + np.sign(change) * (np.abs(change) // (seen + 1))
+    else:
+        following = mean + (((told - mean) * rule.quality) >> 10)
+    return np.asarray(following << 12 | np.minimum(seen + 1, MOST_OBSERVATIONS))
+
+
+def tiny_fold(
+    observed: U32,
+    valley: U32,
+    published: U32,
+    field: U8,
+    pages: I32,
+    beams: I32,
+    rule: BeamRule,
+) -> None:
+    """Fold, in place, what a scan marked into the cells; each cell learns once a scan.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, as ``tiny_mark`` left it; becomes 0.
+        valley: (T, TILE, TILE) uint32 states with the blur, for the matcher.
+        published: the same without the blur and without what lies behind hits.
+        field: (T, TILE, TILE) uint8: the valley's excess over one half, 0 to 255.
+        pages: (PH, PW) int32.
+        beams: as for ``tiny_mark``.
+        rule: as for ``tiny_mark``.
+    """
+    w = _walks(beams, rule.half_blur)
+    places = np.stack((pages[w.row // TILE, w.col // TILE], w.row % TILE, w.col % TILE), axis=-1)
+    places = np.unique(places, axis=0)
+    words = observed[tuple(places.T)].astype(np.int64)
+    places, words = (item[words > 0] for item in (places, words))
+    at = tuple(places.T)
+    observed[at] = 0
+    value = words >> VALUE_SHIFT & VALUE_ONE
+    state = _joined(valley[at].astype(np.int64), value, rule)
+    valley[at] = state.astype(np.uint32)
+    field[at] = np.clip(((state >> 12) - HALF) >> 11, 0, 255).astype(np.uint8)
+    front = (words & 1) == 1
+    at = tuple(places[front].T)
+    told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)
+    published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)

@@ -1,0 +1,267 @@
+"""Run one producer over the scans of a log, and keep what is worth knowing of the run."""
+
+from __future__ import annotations
+
+import copy
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io.log import LogScan, ScanLog, Skips
+from slamfusion.slam.base import Health, SlamBackend
+from slamfusion.slam.tinyslam import TinySlam
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["PRODUCERS", "LogRecord", "ProducerRun", "make_producer", "run_producer"]
+
+# Every producer; its name is also the section of its settings.
+PRODUCERS: dict[str, Callable[[RunConfig, Backend], SlamBackend]] = {
+    "tinyslam": lambda config, backend: TinySlam(config.tinyslam, backend, config.seed),
+}
+
+BYTES_PER_MB = 1e6
+# A robot on its way has a bad match now and then (a door, a crowd); a lost one has many.
+MANY_LOW_SHARE = 0.05
+# A log may hold blind moments; one that is blind for longer is hardly mapped.
+MANY_SKIPPED_SHARE = 0.2
+
+
+def make_producer(name: str, config: RunConfig, backend: Backend) -> SlamBackend:
+    """Return a producer of ``PRODUCERS`` with its settings and an empty map.
+
+    Raises:
+        SlamFusionError: there is none of this name; the known ones are named.
+    """
+    if name not in PRODUCERS:
+        message = f"no producer {name!r}; wanted one of {', '.join(PRODUCERS)}"
+        raise SlamFusionError(message)
+    return PRODUCERS[name](config, backend)
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """What a log said of itself while it was read.
+
+    Attributes:
+        path: where it lies.
+        skips: what was left out, by reason.
+        warnings: what was let through although it is odd, by reason.
+        notes: sentences for the user.
+        has_stamps: whether times are the log's own; else they are made from the scans' index.
+    """
+
+    path: Path
+    skips: Skips
+    warnings: Skips
+    notes: tuple[str, ...]
+    has_stamps: bool
+
+    @classmethod
+    def of(cls, log: ScanLog) -> LogRecord:
+        """Return the record of a log's last iteration."""
+        return cls(log.path, log.skips, log.warnings, tuple(log.notes), log.has_stamps)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the record for a JSON document."""
+        return {
+            "path": str(self.path),
+            "skipped": self.skips.to_json(),
+            "warnings": self.warnings.to_json(),
+            "notes": list(self.notes),
+            "has_stamps": self.has_stamps,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ProducerRun:
+    """What one producer made of a log, and what it took.
+
+    Attributes:
+        name: the producer.
+        trajectory: its pose at each scan, in the frame of the map.
+        odometry: raw odometry of the scans that have some; None where none has.
+        grid: its map.
+        health: its record.
+        log: the log's record; None where the scans are from no log.
+        time_s: from the first scan asked for to the finished map, reading included.
+        feed_s: (N,) float64, seconds that the producer took for each scan, nothing else in it.
+        peak_memory_bytes: of map and filter together, host and device.
+        process_peak_memory_bytes: of the whole process so far, as the system counts it.
+        is_complete: whether the scans came to their end before the deadline.
+    """
+
+    name: str
+    trajectory: Trajectory
+    odometry: Trajectory | None
+    grid: OccupancyGrid
+    health: Health
+    log: LogRecord | None
+    time_s: float
+    feed_s: npt.NDArray[np.float64]
+    peak_memory_bytes: int
+    process_peak_memory_bytes: int
+    is_complete: bool
+
+    @property
+    def scans(self) -> int:
+        """Scans that were fed."""
+        return self.health.scans
+
+    @property
+    def scans_used(self) -> int:
+        """Of these, the ones that were matched or mapped."""
+        return self.health.scans_used
+
+    def time_per_scan_ms(self) -> dict[str, float]:
+        """Return mean, median (p50) and 95th percentile (p95) of the time for a scan."""
+        feed_ms = 1e3 * self.feed_s
+        p50, p95 = np.percentile(feed_ms, (50.0, 95.0))
+        return {"mean": float(feed_ms.mean()), "p50": float(p50), "p95": float(p95)}
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return what speaks against the map, a sentence each; empty where nothing does."""
+        sentences = []
+        health = self.health
+        if health.low_scores > MANY_LOW_SHARE * health.scans_used:
+            share = 100.0 * health.low_scores / health.scans_used
+            sentences.append(
+                f"the robot may be lost: {health.low_scores} of {health.scans_used} scans "
+                f"({share:.0f} %) match the map less than half as well as usual; look at the map"
+            )
+        skipped = health.scans - health.scans_used
+        if skipped > MANY_SKIPPED_SHARE * health.scans:
+            sentences.append(
+                f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
+                f"({'; '.join(health.skips.sentences())}); there its pose is dead reckoning"
+            )
+        if not self.is_complete:
+            sentences.append(
+                f"stopped at the deadline after {health.scans} scans: the rest of the log is "
+                "not in the map"
+            )
+        return tuple(sentences)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the record for a JSON document; times in s and ms, memory in MB of 10^6 bytes."""
+        stamps_s = self.trajectory.stamps_s
+        return {
+            "name": self.name,
+            "scans": self.scans,
+            "scans_used": self.scans_used,
+            "time_s": self.time_s,
+            "time_per_scan_ms": self.time_per_scan_ms(),
+            "peak_memory_mb": self.peak_memory_bytes / BYTES_PER_MB,
+            "process_peak_memory_mb": self.process_peak_memory_bytes / BYTES_PER_MB,
+            "duration_s": float(stamps_s[-1] - stamps_s[0]),
+            "path_length_m": self.trajectory.path_length_m(),
+            "odometry_path_length_m": None
+            if self.odometry is None
+            else self.odometry.path_length_m(),
+            "map": {
+                "width": self.grid.width,
+                "height": self.grid.height,
+                "resolution": self.grid.resolution,
+            },
+            "health": self.health.to_json(),
+            "warnings": list(self.doubts()),
+            "complete": self.is_complete,
+            "log": None if self.log is None else self.log.to_json(),
+        }
+
+
+def run_producer(
+    backend: SlamBackend,
+    scans: Iterable[LogScan],
+    *,
+    log: ScanLog | None = None,
+    progress: Callable[[int], None] | None = None,
+    deadline_s: float | None = None,
+) -> ProducerRun:
+    """Feed scans to a producer and return its map, its path and its record.
+
+    Args:
+        backend: fresh; it keeps its map afterwards.
+        scans: in the order of time; one is enough.
+        log: where they come from: its counts join the record.
+        progress: told the number of scans that are done.
+        deadline_s: stop before the next scan when so many seconds have passed; default: never.
+
+    Raises:
+        SlamFusionError: no scan could be used; the counted reasons are named.
+        LogError: the log is damaged beyond a line.
+    """
+    feed_s: list[float] = []
+    stamps_s: list[float] = []
+    odometry: list[Pose2] = []
+    memory = 0
+    is_complete = True
+    begun_s = time.perf_counter()
+    for item in scans:
+        if deadline_s is not None and feed_s and time.perf_counter() - begun_s >= deadline_s:
+            is_complete = False
+            break
+        before_s = time.perf_counter()
+        backend.feed(item.scan, item.odometry)
+        feed_s.append(time.perf_counter() - before_s)
+        memory = max(memory, backend.memory_bytes())
+        if item.odometry is not None:
+            stamps_s.append(item.scan.stamp_s)
+            odometry.append(item.odometry)
+        if progress is not None:
+            progress(len(feed_s))
+    record = None if log is None else LogRecord.of(log)
+    if not backend.health.scans_used:
+        raise SlamFusionError(_nothing_used(backend, record))
+    grid = backend.grid()
+    return ProducerRun(
+        name=backend.name,
+        trajectory=backend.trajectory(),
+        odometry=_path(stamps_s, odometry),
+        grid=grid,
+        health=copy.deepcopy(backend.health),  # the producer may go on
+        log=record,
+        time_s=time.perf_counter() - begun_s,
+        feed_s=np.array(feed_s),
+        peak_memory_bytes=max(memory, backend.memory_bytes()),
+        process_peak_memory_bytes=_process_peak_bytes(),
+        is_complete=is_complete,
+    )
+
+
+def _path(stamps_s: list[float], poses: list[Pose2]) -> Trajectory | None:
+    """Return raw odometry as a trajectory; None for none."""
+    if not poses:
+        return None
+    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses])
+    return Trajectory(np.array(stamps_s), rows, "odometry")
+
+
+def _nothing_used(backend: SlamBackend, record: LogRecord | None) -> str:
+    """Say why there is no map."""
+    where = "" if record is None else f"{record.path}: "
+    reasons = list(backend.health.skips.sentences())
+    if record is not None:
+        reasons += [f"{sentence} in the log" for sentence in record.skips.sentences()]
+    why = f": {'; '.join(reasons)}" if reasons else ""
+    return (
+        f"{where}{backend.name} could use none of {backend.health.scans} scans{why}; "
+        "give a log whose scans see walls within the usable range"
+    )
+
+
+def _process_peak_bytes() -> int:
+    """Return the most memory that this process has held at once."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak

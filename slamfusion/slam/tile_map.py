@@ -1,0 +1,131 @@
+"""A map of tiles that grows where the robot goes: page table and allocation, on the host.
+
+Cells are counted from the map's anchor; the window of pages is the part of the plane that has a
+page table, and moves and grows with the map. See ``slamfusion.compute.slam_reference``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend, Handle
+from slamfusion.compute.slam_reference import TILE
+from slamfusion.errors import MemoryBudgetError
+
+__all__ = ["TileMap"]
+
+FIRST_TILES = 64
+# Growing by this keeps the number of copies logarithmic without holding much for nothing.
+GROWTH = 1.5
+# Empty pages that the window keeps between its content and its border.
+MARGIN = 2
+MOST_PAGES = 1 << 24
+
+
+class TileMap:
+    """Pools of tiles on the device behind one window of pages.
+
+    Attributes:
+        pools: by name, (T, TILE, TILE) handles.
+        pages: (PH, PW) int32, tile of each page of the window, 0 where there is none.
+        corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
+    """
+
+    def __init__(self, backend: Backend, pools: Mapping[str, tuple[npt.DTypeLike, int]]) -> None:
+        """Make pools with their empty tile.
+
+        Args:
+            backend: where they live.
+            pools: by name, the dtype and the value of an unseen cell.
+        """
+        self._backend = backend
+        self._fills = {name: fill for name, (_, fill) in pools.items()}
+        self._cell_bytes = sum(np.dtype(kind).itemsize for kind, _ in pools.values())
+        self.pools: dict[str, Handle] = {
+            name: backend.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
+            for name, (kind, fill) in pools.items()
+        }
+        self._capacity = FIRST_TILES
+        self.tiles = 1
+        size = 2 * MARGIN + 1
+        self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
+        self.pages = np.zeros((size, size), dtype=np.int32)
+        self.page_table: Handle = None
+        self.wanted: Handle = None
+        self._send_pages()
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of pools and page table on the device."""
+        return self._capacity * TILE * TILE * self._cell_bytes + 2 * self.pages.nbytes
+
+    @property
+    def origin(self) -> npt.NDArray[np.float64]:
+        """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
+        return np.asarray(self.corner * TILE, dtype=np.float64)
+
+    def cover(self, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> None:
+        """Move and grow the window until it holds a box of cells with a margin of empty pages.
+
+        Args:
+            low: (2,) x and y of the box, cells from the anchor.
+            high: (2,) its other corner.
+
+        Raises:
+            MemoryBudgetError: the page table alone would be absurdly large.
+        """
+        size = np.array(self.pages.shape[::-1], dtype=np.int64)
+        first = np.floor(low / TILE).astype(np.int64) - MARGIN
+        last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
+        if (first >= self.corner).all() and (last <= self.corner + size).all():
+            return
+        start = np.minimum(first, self.corner)
+        end = np.maximum(last, self.corner + size)
+        grown = (end - start) // 4
+        start = np.where(start < self.corner, start - grown, start)
+        end = np.where(end > self.corner + size, end + grown, end)
+        width, height = (int(value) for value in end - start)
+        if width * height > MOST_PAGES:
+            message = (
+                f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
+                f"or the log's units are wrong; use a coarser cell"
+            )
+            raise MemoryBudgetError(message)
+        pages = np.zeros((height, width), dtype=np.int32)
+        col, row = (int(value) for value in self.corner - start)
+        pages[row : row + self.pages.shape[0], col : col + self.pages.shape[1]] = self.pages
+        self.pages, self.corner = pages, start
+        self._send_pages()
+
+    def provide_wanted(self) -> None:
+        """Give a tile to every page that ``wanted`` names, and clear it."""
+        missing = np.flatnonzero(self._backend.download(self.wanted)[1:])
+        needed = self.tiles + len(missing)
+        if needed > self._capacity:
+            self._capacity = max(needed, int(self._capacity * GROWTH))
+            for name, pool in self.pools.items():
+                self.pools[name] = self._backend.extend(pool, self._capacity, self._fills[name])
+        self.pages.flat[missing] = np.arange(self.tiles, needed)
+        self.tiles = needed
+        self._send_pages()
+
+    def cells(self, name: str) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
+        """Return a pool as one array, cut to the pages in use.
+
+        Returns:
+            (H, W) values, and (2,) column and row of its first cell from the anchor.
+        """
+        rows, cols = np.nonzero(self.pages)
+        pool = self._backend.download(self.pools[name])
+        row0, col0 = int(rows.min(initial=0)), int(cols.min(initial=0))
+        height, width = int(rows.max(initial=0)) + 1 - row0, int(cols.max(initial=0)) + 1 - col0
+        blocks = pool[self.pages[row0 : row0 + height, col0 : col0 + width]]
+        values = blocks.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
+        return values, (self.corner + np.array([col0, row0])) * TILE
+
+    def _send_pages(self) -> None:
+        self.page_table = self._backend.upload(self.pages)
+        self.wanted = self._backend.upload(np.zeros(1 + self.pages.size, dtype=np.int32))

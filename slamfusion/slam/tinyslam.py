@@ -1,0 +1,333 @@
+"""tinySLAM [H16]: one map, a Monte-Carlo matcher, and cells that average what they are told.
+
+Each scan is matched against the whole map, starting from odometry, and then written into it. Two
+maps are kept cell by cell: the valley, with the blur around every hit, in which the matcher finds
+its way, and the published one, where a hit is one cell and what lies behind it stays unknown.
+
+Sources: Steux and El Hamzaoui, tinySLAM, ICARCV 2010; Huletski, Kartashov and Krinkin, [H16].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.compute.slam_reference import (
+    BEAM_ONE,
+    HALF,
+    MOST_OBSERVATIONS,
+    UNSEEN,
+    VALUE_ONE,
+    BeamRule,
+)
+from slamfusion.config import TinySlamConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.base import Health, Step
+from slamfusion.slam.cell_models import area_behind
+from slamfusion.slam.matcher import Guess, Match, Spread, search_pose
+from slamfusion.slam.tile_map import TileMap
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["TinySlam"]
+
+NAME = "tinyslam"
+# [H16], Table II: what a cell is told by a beam that ends in it and by one that passes it.
+OCCUPIED_VALUE = 0.95
+FREE_VALUE = 0.01
+DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
+# A match that has moved the pose by more spreads than this is doubted.
+FAR_MOVED = 2.0
+# Below this share of the usual score the search is done again, wider and with more draws.
+LOW_SHARE = 0.5
+SECOND_LOOK_SPREAD = 3.0
+SECOND_LOOK_POSES = 4
+# The wider search must find this much more, since it finds more by chance too.
+SECOND_LOOK_GAIN = 0.1
+# The usual score is a mean with this memory, in scans.
+SCORE_MEMORY = 50
+# A robot that does more between two scans has not driven: its odometry was set anew.
+JUMP_M = 5.0
+# A step is drawn out to at most this many times its length where scans are missing.
+MOST_ONWARD = 3.0
+# Without odometry the first look is this much wider.
+NO_ODOMETRY_SPREAD = 2.0
+# The first look takes the best of five cells, this many apart diagonally.
+WIDE_REACH = 3
+# Published percent at no wall, at the free limit, at the occupied one, and at a sure wall.
+PERCENTS = (0.0, 25.0, 65.0, 100.0)
+FREE_SHARE = 0.5
+
+
+class TinySlam:
+    """tinySLAM behind the ``SlamBackend`` protocol.
+
+    Attributes:
+        name: ``tinyslam``.
+        health: the record so far.
+    """
+
+    name = NAME
+
+    def __init__(self, config: TinySlamConfig, backend: Backend, seed: int = 0) -> None:
+        """Start with an empty map.
+
+        Args:
+            config: see ``TinySlamConfig``.
+            backend: where the map lives.
+            seed: of the matcher's draws.
+        """
+        self.health = Health()
+        self._config = config
+        self._backend = backend
+        self._rng = np.random.default_rng(seed)
+        self._map = TileMap(
+            backend,
+            {
+                "observed": (np.uint32, 0),
+                "valley": (np.uint32, UNSEEN),
+                "published": (np.uint32, UNSEEN),
+                "field": (np.uint8, 0),
+            },
+        )
+        self._anchor = np.zeros(2)
+        self._pose: Pose2 | None = None
+        self._odometry: Pose2 | None = None
+        self._step = IDENTITY
+        self._step_s = 0.0
+        self._stamps: list[float] = []
+        self._poses: list[tuple[float, float, float]] = []
+        self._mapped = 0
+        self._usual_score: float | None = None
+
+    # -- the protocol --------------------------------------------------------------------------
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        """Match a scan and write it into the map; see ``SlamBackend.feed``."""
+        self.health.scans += 1
+        guesses = self._guesses(scan.stamp_s, odometry)
+        x, y, yaw = (float(value) for value in guesses[0].pose)
+        predicted = Pose2(x, y, yaw)
+        if self._pose is None:  # the lattice of cells is that of the map frame
+            cell = self._config.resolution
+            self._anchor = np.floor(guesses[0].pose[:2] / cell) * cell
+        points = scan.points(scan.is_hit(self._config.usable_range_m))
+        if len(points) == 0:
+            step = self._skip("no reading within the usable range", predicted)
+        else:
+            step = self._use(scan, points, guesses)
+        if self._pose is not None:
+            self._step = self._pose.inverse().compose(step.pose_map_base)
+            self._step_s = scan.stamp_s - self._stamps[-1]
+        self._pose, self._odometry = step.pose_map_base, odometry
+        self._stamps.append(scan.stamp_s)
+        self._poses.append((step.pose_map_base.x, step.pose_map_base.y, step.pose_map_base.yaw_rad))
+        return step
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose at every scan, as it was found."""
+        return Trajectory(np.array(self._stamps), np.array(self._poses).reshape(-1, 3), self.name)
+
+    def grid(self) -> OccupancyGrid:
+        """Return the published map; see ``SlamBackend.grid``."""
+        if not self._mapped:
+            message = f"{self.name}: no scan could be used, so there is no map"
+            raise SlamFusionError(message)
+        states, first = self._map.cells("published")
+        percent = _percent(states.astype(np.uint32), self._config.occupied_share)
+        cell = self._config.resolution
+        corner = self._anchor + first * cell
+        grid = OccupancyGrid(percent, cell, Pose2(float(corner[0]), float(corner[1])), self.name)
+        box = grid.known_box()
+        return grid if box is None else grid.crop(box)
+
+    def memory_bytes(self) -> int:
+        """Return the bytes of the map, with what its pools hold in reserve."""
+        return self._map.memory_bytes
+
+    # -- one scan ------------------------------------------------------------------------------
+
+    def _guesses(self, stamp_s: float, odometry: Pose2 | None) -> list[Guess]:
+        """Return where the robot may be: by its odometry, and if it goes on as it went."""
+        if self._pose is None:
+            return [Guess(_vector(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
+        onward = self._onward(stamp_s - self._stamps[-1])
+        if odometry is None or self._odometry is None:
+            return [self._guess(onward, NO_ODOMETRY_SPREAD, 0.0)]
+        step = self._odometry.inverse().compose(odometry)
+        if math.hypot(step.x, step.y) > JUMP_M:
+            reason = f"odometry jumped by more than {JUMP_M:g} m: not believed"
+            self.health.skips.add(reason, self.health.scans)
+            return [self._guess(onward, NO_ODOMETRY_SPREAD, 0.0)]
+        # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
+        return [self._guess(step, 1.0, 0.0), self._guess(onward, 1.0, self._config.drift_loss)]
+
+    def _onward(self, duration_s: float) -> Pose2:
+        """Return the step of a robot that goes on as it went between the last two scans."""
+        if self._step_s <= 0.0:
+            return IDENTITY
+        times = min(duration_s / self._step_s, MOST_ONWARD)
+        step = self._step
+        return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
+
+    def _guess(self, step: Pose2, wider: float, loss: float) -> Guess:
+        start = self._pose or IDENTITY
+        return Guess(_vector(start.compose(step)), self._spread(step, wider), loss)
+
+    def _spread(self, step: Pose2, wider: float) -> Spread:
+        config = self._config
+        spread = Spread(
+            config.sigma_m + config.sigma_m_per_m * math.hypot(step.x, step.y),
+            config.sigma_rad + config.sigma_rad_per_rad * abs(step.yaw_rad),
+        )
+        return spread.wider(wider)
+
+    def _skip(self, reason: str, predicted: Pose2) -> Step:
+        self.health.skips.add(reason, self.health.scans)
+        return Step(predicted, used=False, match_score=None, reason=reason)
+
+    def _use(self, scan: LaserScan, points: npt.NDArray[np.float64], guesses: list[Guess]) -> Step:
+        """Match the hits of a scan, then map them."""
+        match = self._match(points, guesses) if self._mapped else None
+        found = guesses[0].pose if match is None else match.pose
+        x, y, yaw = (float(value) for value in found)
+        pose = Pose2(x, y, wrap_angle(yaw))
+        if match is not None:
+            self._remember(match.score)
+        self._write(scan, points, pose, self._quality(match))
+        self.health.scans_used += 1
+        return Step(pose, used=True, match_score=None if match is None else match.score)
+
+    def _match(self, points: npt.NDArray[np.float64], guesses: list[Guess]) -> Match:
+        """Search around the guesses; once more, wider, where little fits."""
+        config = self._config
+        stride = -(-len(points) // config.beams)
+        sparse = 2 * stride
+        device_points = self._backend.upload((points / config.resolution).astype(np.float32))
+        corner = self._anchor / config.resolution + self._map.origin
+        field, pages = self._map.pools["field"], self._map.page_table
+
+        def score(poses: npt.NDArray[np.float64], *, wide: bool) -> npt.NDArray[np.float64]:
+            table = np.empty((len(poses), 4), dtype=np.float32)
+            table[:, :2] = poses[:, :2] / config.resolution - corner
+            table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+            taken = sparse if wide else stride
+            reach = WIDE_REACH if wide else 0
+            sums = self._backend.score_poses(
+                field, pages, device_points, table, stride=taken, reach=reach
+            )
+            return np.asarray(sums / (255.0 * -(-len(points) // taken)))
+
+        match = search_pose(score, guesses, config, self._rng)
+        if self._usual_score is not None and match.score < LOW_SHARE * self._usual_score:
+            more = replace(config, first_poses=SECOND_LOOK_POSES * config.first_poses)
+            around = [replace(g, spread=g.spread.wider(SECOND_LOOK_SPREAD)) for g in guesses]
+            again = search_pose(score, around, more, self._rng)
+            if again.score > match.score + SECOND_LOOK_GAIN:
+                match = again
+        return match
+
+    def _remember(self, score: float) -> None:
+        """Keep the record of match scores."""
+        health = self.health
+        matched = health.scans_used  # the first scan was mapped without a match
+        mean = health.mean_match_score
+        if mean is not None and score < LOW_SHARE * mean:
+            health.low_scores += 1
+        health.match_score = score
+        health.mean_match_score = score if mean is None else mean + (score - mean) / matched
+        usual = self._usual_score
+        self._usual_score = score if usual is None else usual + (score - usual) / SCORE_MEMORY
+
+    def _quality(self, match: Match | None) -> float:
+        """Return how much of the scan the map believes."""
+        quality = self._config.quality or DEFAULT_QUALITY[self._config.cell_model]
+        if match is not None and match.moved > FAR_MOVED:
+            quality *= self._config.quality_moved
+        return quality
+
+    # -- the map -------------------------------------------------------------------------------
+
+    def _write(
+        self,
+        scan: LaserScan,
+        points: npt.NDArray[np.float64],
+        pose: Pose2,
+        quality: float,
+    ) -> None:
+        """Write a scan into the map at a pose."""
+        config, tiles = self._config, self._map
+        self._mapped += 1
+        cell = config.resolution
+        hits = (pose.transform(points) - self._anchor) / cell
+        laser = (pose.transform((scan.mount.x, scan.mount.y)) - self._anchor) / cell
+        reach = 0.5 * config.hole_width_m / cell + 1.0
+        tiles.cover(
+            np.minimum(hits.min(axis=0), laser) - reach, np.maximum(hits.max(axis=0), laser) + reach
+        )
+        beams = self._beams(hits - tiles.origin, laser - tiles.origin)
+        rule = BeamRule(
+            half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
+            behind=(VALUE_ONE + 1) // 2,
+            free=round(config.matcher_free_value * VALUE_ONE),
+            map_free=round(FREE_VALUE * VALUE_ONE),
+            quality=round(quality * 1024),
+            is_mean=config.cell_model == "mean",
+        )
+        pools, handle = tiles.pools, self._backend.upload(beams)
+        marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
+        if self._backend.tiny_mark(*marked):
+            tiles.provide_wanted()
+            pools = tiles.pools
+            self._backend.tiny_mark(pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
+        self._backend.tiny_fold(
+            pools["observed"],
+            pools["valley"],
+            pools["published"],
+            pools["field"],
+            tiles.page_table,
+            handle,
+            rule,
+        )
+
+    def _beams(
+        self, hits: npt.NDArray[np.float64], laser: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.int32]:
+        """Return the beams as the kernels take them; positions in cells of the window."""
+        away = hits - laser
+        peak = np.full(len(hits), OCCUPIED_VALUE)
+        if self._config.occupancy_estimator == "area":
+            offset = hits - np.floor(hits) - 0.5
+            angle = np.arctan2(away[:, 1], away[:, 0])
+            peak = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * area_behind(
+                offset[:, 0], offset[:, 1], angle
+            )
+        beams = np.empty((len(hits), 6), dtype=np.int32)
+        beams[:, 0:2] = hits * BEAM_ONE
+        beams[:, 2:4] = laser * BEAM_ONE
+        beams[:, 4] = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
+        beams[:, 5] = np.rint(peak * VALUE_ONE)
+        return beams
+
+
+def _vector(pose: Pose2) -> npt.NDArray[np.float64]:
+    return np.array([pose.x, pose.y, pose.yaw_rad])
+
+
+def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArray[np.int8]:
+    """Return published states as occupancy in percent.
+
+    The percent rises with the cell's mean so that ``occupied_share`` comes to lie at 65 and half of
+    it at 25, the limits of the map servers: a wall that some beams grazed stays a wall.
+    """
+    mean = (states >> 12).astype(np.float64) / (2 * HALF)
+    limits = (0.0, FREE_SHARE * occupied_share, occupied_share, 1.0)
+    percent = np.rint(np.interp(mean, limits, PERCENTS)).astype(np.int8)
+    percent[states & MOST_OBSERVATIONS == 0] = UNKNOWN
+    return percent
