@@ -22,15 +22,18 @@ from slamfusion.errors import ConfigError
 __all__ = [
     "ActionConfig",
     "AlignConfig",
+    "CellModelsConfig",
     "DeviceConfig",
     "DriveConfig",
     "EvaluateConfig",
+    "ExperimentConfig",
     "FieldInfo",
     "FusionConfig",
     "LidarConfig",
     "LogConfig",
     "NormalizeConfig",
     "ObstacleConfig",
+    "OccupancyEstimatorConfig",
     "PersonConfig",
     "RunConfig",
     "SimulateConfig",
@@ -329,18 +332,17 @@ class TinySlamConfig(_Checked):
     first_poses: int = option(
         256, "poses drawn in the matcher's first, wide look", low=16, high=65536, level="expert"
     )
-    poses: int = option(
-        128, "poses drawn in each round that refines", low=16, high=65536, level="expert"
+    climbers: int = option(
+        6, "poses of the first look from where a climb starts", low=1, high=64, level="expert"
     )
-    rounds: int = option(3, "rounds that refine", low=1, high=32, level="expert")
-    best_poses: int = option(
-        6, "poses of the first look that are refined", low=1, high=64, level="expert"
+    rounds: int = option(
+        4, "rounds of a climb, 16 steps tried each", low=1, high=32, level="expert"
     )
     sigma_m: float = option(
         0.1, "spread of the first look", unit="m", low=0.001, high=10.0, level="expert"
     )
     sigma_m_per_m: float = option(
-        0.3, "the same for each metre of odometry", low=0.0, high=10.0, level="expert"
+        0.15, "the same for each metre of odometry", low=0.0, high=10.0, level="expert"
     )
     sigma_rad: float = option(
         0.05, "spread of the first look", unit="rad", low=0.001, high=3.2, level="expert"
@@ -560,7 +562,9 @@ class ActionConfig(_Checked):
 class SimulateConfig(_Checked):
     """What a simulated drive changes of its course; unset, the course decides."""
 
-    world: str | None = option(None, "drawn place by name, or a map file")
+    world: str | None = option(
+        None, "drawn place (office, corridor, hall, atrium, yard), or a map file"
+    )
     world_seed: int | None = option(None, "seed of the drawn place; default: the run's seed", low=0)
     resolution: float | None = option(
         None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
@@ -576,6 +580,60 @@ class SimulateConfig(_Checked):
     glass_share: float | None = option(
         None, "share of the wall cells that are glass", low=0.0, high=1.0
     )
+
+
+@dataclass(frozen=True)
+class OccupancyEstimatorConfig(_Checked):
+    """The experiment on tinySLAM's occupancy estimator, [H16] Table III."""
+
+    seeds: int = option(20, "repetitions of every condition", low=1, high=1000)
+    resolutions: str = option(
+        "0.1..0.6", "cell sizes: first..last in steps of 0.1 m, or a list with commas", unit="m"
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse what is no list of cell sizes."""
+        super().__post_init__()
+        self.sizes_m()
+
+    def sizes_m(self) -> tuple[float, ...]:
+        """Return the cell sizes in metres, in the order given.
+
+        Raises:
+            ConfigError: no such list, or a size outside of what tinySLAM takes.
+        """
+        try:
+            if ".." in self.resolutions:
+                first, last = (float(part) for part in self.resolutions.split(".."))
+                steps = round((last - first) / 0.1) if 0.0 < first <= last <= 1.0 else -1
+                sizes = tuple(round(first + 0.1 * step, 6) for step in range(steps + 1))
+            else:
+                sizes = tuple(float(part) for part in self.resolutions.split(","))
+        except ValueError:
+            sizes = ()
+        if not sizes or not all(0.005 <= size <= 1.0 for size in sizes):
+            message = (
+                f"OccupancyEstimatorConfig.resolutions must be like 0.1..0.6 or 0.1,0.25, each in "
+                f"[0.005, 1] m, found {self.resolutions!r}"
+            )
+            raise ConfigError(message)
+        return sizes
+
+
+@dataclass(frozen=True)
+class CellModelsConfig(_Checked):
+    """The experiment on tinySLAM's cell models, [H16] Table I."""
+
+    seeds: int = option(10, "repetitions of every condition", low=1, high=1000)
+    floors: int = option(3, "simulated office floors, drawn by the seeds from 1", low=0, high=100)
+
+
+@dataclass(frozen=True)
+class ExperimentConfig(_Checked):
+    """How often the experiments of the papers are repeated, and on what."""
+
+    occupancy_estimator: OccupancyEstimatorConfig = OccupancyEstimatorConfig()
+    cell_models_trajectories: CellModelsConfig = CellModelsConfig()
 
 
 @dataclass(frozen=True)
@@ -597,6 +655,7 @@ class RunConfig(_Checked):
     evaluate: EvaluateConfig = EvaluateConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig()
     simulate: SimulateConfig = SimulateConfig()
+    experiment: ExperimentConfig = ExperimentConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
 

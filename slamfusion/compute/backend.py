@@ -176,6 +176,20 @@ class Backend(Protocol):
     ) -> npt.NDArray[np.int64]:
         """See ``slam_reference.score_poses``; the poses come from the host."""
 
+    def climb(
+        self,
+        field: Handle,
+        pages: Handle,
+        points: Handle,
+        guesses: npt.NDArray[np.float32],
+        starts: npt.NDArray[np.float32],
+        steps: npt.NDArray[np.float32],
+        *,
+        stride: int,
+        scale: float,
+    ) -> npt.NDArray[np.float32]:
+        """See ``slam_reference.climb``; guesses, starts and steps come from the host."""
+
     def tiny_mark(
         self, observed: Handle, pages: Handle, beams: Handle, rule: BeamRule, wanted: Handle
     ) -> bool:
@@ -220,6 +234,7 @@ class NumpyBackend:
     vote_weighted = staticmethod(reference.vote_weighted)
     vote_log_odds = staticmethod(reference.vote_log_odds)
     score_poses = staticmethod(slam_reference.score_poses)
+    climb = staticmethod(slam_reference.climb)
     tiny_mark = staticmethod(slam_reference.tiny_mark)
     tiny_fold = staticmethod(slam_reference.tiny_fold)
     cast_rays = staticmethod(reference.cast_rays)

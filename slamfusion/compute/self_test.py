@@ -343,11 +343,40 @@ def _window(sample: Sample) -> tuple[npt.NDArray[np.int32], int]:
     return np.pad(numbers, 1).astype(np.int32), int(used.sum()) + 1
 
 
-def _score_poses(backend: Backend, sample: Sample) -> Arrays:
+def _tiled_field(sample: Sample) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32]]:
+    """Return a random score field over the sample's window, and the window's pages."""
     pages, tiles = _window(sample)
     pool = sample.rng.integers(0, 256, (tiles, slam_reference.TILE, slam_reference.TILE))
     pool[0] = 0
-    field, table = backend.upload(pool.astype(np.uint8)), backend.upload(pages)
+    return pool.astype(np.uint8), pages
+
+
+def _climb(backend: Backend, sample: Sample) -> Arrays:
+    pool, pages = _tiled_field(sample)
+    field, table = backend.upload(pool), backend.upload(pages)
+    size = np.array([*pages.shape[::-1], 0.1]) * slam_reference.TILE
+    rng = sample.rng
+    points = backend.upload(rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    centres = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
+    losses = np.column_stack((centres, [[0.01, 0.02, 0.1, 0.0], [0.02, 0.01, 0.2, 0.05]]))
+    results = []
+    for groups, rounds, stride in ((1, 1, 1), (7, 3, 2)):
+        starts = centres[0] + rng.normal(0.0, 1.0, (groups, 3))
+        steps = rng.normal(0.0, 1.0, (rounds, groups, slam_reference.CLIMBERS, 3))
+        turned = [np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (starts[:, 2], steps[..., 2])]
+        tables = [
+            np.concatenate(pair, axis=-1) for pair in zip((starts, steps), turned, strict=True)
+        ]
+        climbed = [table.astype(np.float32) for table in (losses, *tables)]
+        results.append(
+            backend.climb(field, table, points, *climbed, stride=stride, scale=1.0 / 9000.0)
+        )
+    return results
+
+
+def _score_poses(backend: Backend, sample: Sample) -> Arrays:
+    pool, pages = _tiled_field(sample)
+    field, table = backend.upload(pool), backend.upload(pages)
     size = np.array(pages.shape[::-1]) * slam_reference.TILE
     points = backend.upload(sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
     yaw = sample.rng.uniform(-np.pi, np.pi, 37)
@@ -427,6 +456,7 @@ CHECKS: dict[str, Check] = {
     "cast_rays": _cast_rays,
     "extend": _extend,
     "score_poses": _score_poses,
+    "climb": _climb,
     "tiny_mark": _tiny_mark,
     "tiny_fold": _tiny_fold,
 }

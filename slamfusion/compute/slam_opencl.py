@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.arrays import DeviceArray, DeviceArrays
-from slamfusion.compute.slam_reference import BeamRule
+from slamfusion.compute.slam_reference import CLIMBERS, BeamRule
 
 __all__ = ["SlamOperations"]
 
@@ -52,6 +52,43 @@ class SlamOperations(DeviceArrays):
             self._launch("score_smooth", (n,), *arguments, out)
         self.collect(out, sums)
         return sums.astype(np.int64)
+
+    def climb(
+        self,
+        field: DeviceArray,
+        pages: DeviceArray,
+        points: DeviceArray,
+        guesses: npt.NDArray[np.float32],
+        starts: npt.NDArray[np.float32],
+        steps: npt.NDArray[np.float32],
+        *,
+        stride: int,
+        scale: float,
+    ) -> npt.NDArray[np.float32]:
+        """See ``slam_reference.climb``."""
+        found = np.empty((len(starts), 6), dtype=np.float32)
+        out = self.lend(found, writable=True)
+        height, width = pages.shape
+        self._launch(
+            "climb",
+            (len(starts) * CLIMBERS,),
+            field,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            points,
+            np.int32(points.shape[0]),
+            np.int32(stride),
+            self.lend(guesses),
+            np.int32(len(guesses)),
+            self.lend(starts),
+            self.lend(steps),
+            np.int32(len(steps)),
+            np.float32(scale),
+            out,
+        )
+        self.collect(out, found)
+        return found
 
     def tiny_mark(
         self,

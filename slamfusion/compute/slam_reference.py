@@ -14,12 +14,14 @@ import numpy.typing as npt
 
 __all__ = [
     "BEAM_ONE",
+    "CLIMBERS",
     "HALF",
     "MOST_OBSERVATIONS",
     "TILE",
     "UNSEEN",
     "VALUE_ONE",
     "BeamRule",
+    "climb",
     "score_poses",
     "tiny_fold",
     "tiny_mark",
@@ -32,6 +34,8 @@ I64 = npt.NDArray[np.int64]
 F32 = npt.NDArray[np.float32]
 
 TILE = 32
+# Poses that a climber tries in a round.
+CLIMBERS = 16
 # Positions and lengths of beams count in 1/1024 cell, values of cells in 1/4095.
 BEAM_ONE = 1024
 VALUE_ONE = 4095
@@ -108,6 +112,56 @@ def score_poses(
     low, high = a * (16 - right) + b * right, c * (16 - right) + d * right
     blended: I64 = np.asarray(low * (16 - up) + high * up, dtype=np.int64)
     return np.asarray((blended >> 8).sum(axis=1))
+
+
+def climb(
+    field: U8,
+    pages: I32,
+    points: F32,
+    guesses: F32,
+    starts: F32,
+    steps: F32,
+    *,
+    stride: int,
+    scale: float,
+) -> F32:
+    """Climb from some poses by rounds of random steps; every climber keeps to itself.
+
+    In each round ``CLIMBERS`` steps are tried from the climber's best pose, and the best of the
+    poses they lead to, the first of equals, is where its next round starts. What counts is the sum
+    of the smooth score field times ``scale``, less the least over the guesses of the weighted
+    squares of the distances from it plus its own loss.
+
+    Args:
+        field: (T, TILE, TILE) uint8 wall values.
+        pages: (PH, PW) int32.
+        points: (P, 2) float32, cells, in the robot's frame.
+        guesses: (K, 7) float32: x, y, yaw, the weights of their squares, the guess's own loss.
+        starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
+        steps: (R, G, CLIMBERS, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
+        stride: every so many-th point counts.
+        scale: from a sum to a score.
+
+    Returns:
+        (G, 6) float32: x, y, yaw, cos, sin and the value of where each climber ended.
+    """
+    best = starts.copy()
+    values = np.zeros(len(starts), dtype=np.float32)
+    for step in steps:
+        x, y, yaw, cos, sin = (best[:, None, k] for k in range(5))
+        turned = cos * step[..., 3] - sin * step[..., 4], sin * step[..., 3] + cos * step[..., 4]
+        tried = np.stack((x + step[..., 0], y + step[..., 1], yaw + step[..., 2], *turned), axis=-1)
+        poses = tried[..., [0, 1, 3, 4]].reshape(-1, 4)
+        sums = score_poses(field, pages, points, poses, stride=stride)
+        away = tried[:, :, None, :3] - guesses[:, :3]
+        squares = away * away * guesses[:, 3:6]
+        losses = ((squares[..., 0] + squares[..., 1]) + squares[..., 2]) + guesses[:, 6]
+        told = sums.reshape(tried.shape[:2]).astype(np.float32) * np.float32(scale)
+        value = told - losses.min(axis=-1)
+        winner = value.argmax(axis=1)
+        each = np.arange(len(starts))
+        best, values = tried[each, winner], value[each, winner]
+    return np.concatenate((best, values[:, None]), axis=1)
 
 
 class _Walks(NamedTuple):

@@ -1,9 +1,9 @@
 """A bounded Monte-Carlo search for the pose under which a scan fits the map best.
 
 The first look draws poses widely around each guess of where the robot went (what its odometry says;
-that it goes on as it went) and scores them on wide basins; the best are refined by rounds of ever
-narrower draws. All poses of a round are scored in one launch. The objective is the mean wall
-value under the hits less a small loss for leaving the nearest guess.
+that it goes on as it went) and scores them on wide basins, in one launch. From the best of them
+climbers go on by rounds of ever narrower random steps, all in one more launch. The objective is the
+mean wall value under the hits less a small loss for leaving the nearest guess.
 
 Source: [H16] (Monte-Carlo matcher with a bounded number of tries).
 """
@@ -12,28 +12,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute.backend import Backend
+from slamfusion.compute.slam_reference import CLIMBERS
 from slamfusion.config import TinySlamConfig
 from slamfusion.geometry import wrap_angles
+from slamfusion.slam.tile_map import TileMap
 
-__all__ = ["Guess", "Match", "Spread", "search_pose"]
+__all__ = ["Guess", "Match", "ScanOnTiles", "Spread", "search_pose"]
 
 F64 = npt.NDArray[np.float64]
 
+# The first look takes the best of five cells, this many apart diagonally.
+WIDE_REACH = 3
 # Draws narrow to this share of the spread after the first look, and again each round.
 FIRST_NARROWING = 0.4
 NARROWING = 0.5
-
-
-class Score(Protocol):
-    """How well poses fit."""
-
-    def __call__(self, poses: F64, *, wide: bool) -> F64:
-        """Return (N,) scores in 0..1 of poses (N, 3); wide: on the basins of the first look."""
 
 
 @dataclass(frozen=True)
@@ -89,49 +86,133 @@ class Match:
     moved: float
 
 
+class ScanOnTiles:
+    """One scan's hits over a tiled map: scores of poses, in metres and radians."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        tiles: TileMap,
+        points: F64,
+        *,
+        anchor: F64,
+        resolution: float,
+        most_points: int,
+    ) -> None:
+        """Bring the hits to the device.
+
+        Args:
+            backend: where the map lives.
+            tiles: with a pool ``field``.
+            points: (P, 2) hits in the robot's frame, metres.
+            anchor: (2,) the map's anchor in the map frame, metres.
+            resolution: metres per cell.
+            most_points: if there are more, every second (third, ...) counts.
+        """
+        self._backend = backend
+        self._map = (tiles.pools["field"], tiles.page_table)
+        self._cell = resolution
+        self._corner = anchor / resolution + tiles.origin
+        self._points = backend.upload((points / resolution).astype(np.float32))
+        self._count = len(points)
+        self._stride = -(-len(points) // most_points)
+
+    def wide_scores(self, poses: F64) -> F64:
+        """Return (N,) scores, 0 to 1, of poses (N, 3) on wide basins, by half of the points."""
+        table = np.empty((len(poses), 4), dtype=np.float32)
+        table[:, :2] = poses[:, :2] / self._cell - self._corner
+        table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        stride = 2 * self._stride
+        sums = self._backend.score_poses(
+            *self._map, self._points, table, stride=stride, reach=WIDE_REACH
+        )
+        return np.asarray(sums * self._scale(stride))
+
+    def climb(self, starts: F64, steps: F64, guesses: Sequence[Guess], weights: F64) -> F64:
+        """Climb from poses by rounds of random steps.
+
+        Args:
+            starts: (G, 3) poses.
+            steps: (R, G, CLIMBERS, 3) in metres and radians.
+            guesses: where leaving costs something.
+            weights: (3,) loss one spread beside a guess, along x, y and yaw.
+
+        Returns:
+            (G, 4): the pose where each ended and its score less its loss.
+        """
+        cell, yaw0 = self._cell, guesses[0].pose[2]
+
+        def rows(poses: F64) -> F64:
+            """In cells of the window, headings near 0: float32 is to carry them."""
+            yaw = wrap_angles(poses[:, 2] - yaw0)
+            return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
+
+        centres = rows(np.array([guess.pose for guess in guesses]))
+        sigmas = np.array([guess.spread.sigmas() for guess in guesses]) / (cell, cell, 1.0)
+        own = [guess.loss for guess in guesses]
+        losses = np.column_stack((centres, weights / sigmas**2, own)).astype(np.float32)
+        first = np.column_stack((rows(starts), np.cos(starts[:, 2]), np.sin(starts[:, 2])))
+        table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
+        table[..., :2], table[..., 2] = steps[..., :2] / cell, steps[..., 2]
+        table[..., 3], table[..., 4] = np.cos(steps[..., 2]), np.sin(steps[..., 2])
+        found = self._backend.climb(
+            *self._map,
+            self._points,
+            losses,
+            first.astype(np.float32),
+            table,
+            stride=self._stride,
+            scale=self._scale(self._stride),
+        ).astype(np.float64)
+        return np.column_stack(
+            ((found[:, :2] + self._corner) * cell, wrap_angles(found[:, 2] + yaw0), found[:, 5])
+        )
+
+    def _scale(self, stride: int) -> float:
+        """From a sum over the points taken to a mean of 0 to 1."""
+        return 1.0 / (255.0 * -(-self._count // stride))
+
+
 def search_pose(
-    score: Score, guesses: Sequence[Guess], config: TinySlamConfig, rng: np.random.Generator
+    scan: ScanOnTiles, guesses: Sequence[Guess], config: TinySlamConfig, rng: np.random.Generator
 ) -> Match:
     """Search around some guesses.
 
     Args:
-        score: how well poses (N, 3) fit.
+        scan: what is matched against what.
         guesses: at least one; the first look draws as many poses around each.
         config: numbers of draws and the weights of a guess.
         rng: where the draws come from.
     """
     centres = np.array([guess.pose for guess in guesses])
     sigmas = np.array([guess.spread.sigmas() for guess in guesses])
-    losses = np.array([guess.loss for guess in guesses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
 
     def loss(poses: F64) -> F64:
-        away = (poses[:, None, :] - centres) / sigmas
-        away[..., 2] = wrap_angles(poses[:, None, 2] - centres[:, 2]) / sigmas[:, 2]
-        return np.asarray((away**2 @ weights + losses).min(axis=1))
+        away = poses[:, None, :] - centres
+        away[..., 2] = wrap_angles(away[..., 2])
+        own = [guess.loss for guess in guesses]
+        return np.asarray(((away / sigmas) ** 2 @ weights + own).min(axis=1))
 
+    # The first look, and the guesses themselves.
     each = -(-config.first_poses // len(guesses))
     draws = rng.standard_normal((len(guesses), each, 3))
-    draws[:, 0] = 0.0
     poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
-    order = np.argsort(loss(poses) - score(poses, wide=True), kind="stable")
-    best = np.concatenate((poses[order[: config.best_poses]], centres))
-    width = sigmas.max(axis=0) * FIRST_NARROWING
-    objective = 0.0
-    for _ in range(config.rounds):
-        each = -(-config.poses // len(best))
-        draws = rng.standard_normal((len(best), each, 3)) * width
-        draws[:, 0] = 0.0
-        poses = (best[:, None, :] + draws).reshape(-1, 3)
-        values = score(poses, wide=False) - loss(poses)
-        order = np.argsort(-values, kind="stable")
-        best = poses[order[: max(1, len(best) // 2)]]
-        objective = float(values[order[0]])
-        width = width * NARROWING
-    away = (best[0] - centres[0]) / sigmas[0]
+    order = np.argsort(loss(poses) - scan.wide_scores(poses), kind="stable")
+    starts = np.concatenate((poses[order[: config.climbers]], centres))
+    # Climb; each round's first step is none, so that nothing found is lost.
+    widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(config.rounds)[:, None]
+    steps = rng.standard_normal((config.rounds, len(starts), CLIMBERS, 3))
+    steps *= widths[:, None, None, :]
+    steps[:, :, 0] = 0.0
+    found = scan.climb(starts, steps, guesses, weights)
+    best = found[int(found[:, 3].argmax())]
+    pose, objective = best[:3], float(best[3])
+    away = pose - centres[0]
+    away[2] = wrap_angles(away[2])
     return Match(
-        pose=best[0],
-        score=objective + float(loss(best[:1])[0]),
+        pose=pose,
+        score=objective + float(loss(pose[None])[0]),
         objective=objective,
-        moved=float(np.abs(away).max()),
+        moved=float(np.abs(away / sigmas[0]).max()),
     )

@@ -31,7 +31,7 @@ from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Step
 from slamfusion.slam.cell_models import area_behind
-from slamfusion.slam.matcher import Guess, Match, Spread, search_pose
+from slamfusion.slam.matcher import Guess, Match, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.tile_map import TileMap
 from slamfusion.trajectory import Trajectory
 
@@ -42,6 +42,9 @@ NAME = "tinyslam"
 OCCUPIED_VALUE = 0.95
 FREE_VALUE = 0.01
 DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
+# Wall value, of 255, of a cell that no scan has seen: were it 0, a scan that looks into new space
+# would rather fit where the robot has been.
+UNSEEN_WALL = 20
 # A match that has moved the pose by more spreads than this is doubted.
 FAR_MOVED = 2.0
 # Below this share of the usual score the search is done again, wider and with more draws.
@@ -58,8 +61,6 @@ JUMP_M = 5.0
 MOST_ONWARD = 3.0
 # Without odometry the first look is this much wider.
 NO_ODOMETRY_SPREAD = 2.0
-# The first look takes the best of five cells, this many apart diagonally.
-WIDE_REACH = 3
 # Published percent at no wall, at the free limit, at the occupied one, and at a sure wall.
 PERCENTS = (0.0, 25.0, 65.0, 100.0)
 FREE_SHARE = 0.5
@@ -93,7 +94,7 @@ class TinySlam:
                 "observed": (np.uint32, 0),
                 "valley": (np.uint32, UNSEEN),
                 "published": (np.uint32, UNSEEN),
-                "field": (np.uint8, 0),
+                "field": (np.uint8, UNSEEN_WALL),
             },
         )
         self._anchor = np.zeros(2)
@@ -207,28 +208,19 @@ class TinySlam:
     def _match(self, points: npt.NDArray[np.float64], guesses: list[Guess]) -> Match:
         """Search around the guesses; once more, wider, where little fits."""
         config = self._config
-        stride = -(-len(points) // config.beams)
-        sparse = 2 * stride
-        device_points = self._backend.upload((points / config.resolution).astype(np.float32))
-        corner = self._anchor / config.resolution + self._map.origin
-        field, pages = self._map.pools["field"], self._map.page_table
-
-        def score(poses: npt.NDArray[np.float64], *, wide: bool) -> npt.NDArray[np.float64]:
-            table = np.empty((len(poses), 4), dtype=np.float32)
-            table[:, :2] = poses[:, :2] / config.resolution - corner
-            table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-            taken = sparse if wide else stride
-            reach = WIDE_REACH if wide else 0
-            sums = self._backend.score_poses(
-                field, pages, device_points, table, stride=taken, reach=reach
-            )
-            return np.asarray(sums / (255.0 * -(-len(points) // taken)))
-
-        match = search_pose(score, guesses, config, self._rng)
+        scan = ScanOnTiles(
+            self._backend,
+            self._map,
+            points,
+            anchor=self._anchor,
+            resolution=config.resolution,
+            most_points=config.beams,
+        )
+        match = search_pose(scan, guesses, config, self._rng)
         if self._usual_score is not None and match.score < LOW_SHARE * self._usual_score:
             more = replace(config, first_poses=SECOND_LOOK_POSES * config.first_poses)
             around = [replace(g, spread=g.spread.wider(SECOND_LOOK_SPREAD)) for g in guesses]
-            again = search_pose(score, around, more, self._rng)
+            again = search_pose(scan, around, more, self._rng)
             if again.score > match.score + SECOND_LOOK_GAIN:
                 match = again
         return match
