@@ -14,6 +14,9 @@
 #include "tiles.h"
 
 #define HALF (1 << 19)
+/* The score field is 0 up to this mean (0.35) and 255 from 0.95 on. */
+#define WALL_FLOOR 367002
+#define WALL_GAIN 425
 #define MOST_OBSERVATIONS 4095
 #define MODEL_BASE 0
 
@@ -131,7 +134,7 @@ __kernel void tiny_fold(
     }
     const int value = (int)(word >> 1 & 4095);
     const uint next = joined(valley[at], value, quality, model);
-    const int wall = ((int)(next >> 12) - HALF) >> 11;
+    const int wall = ((int)(next >> 12) - WALL_FLOOR) * WALL_GAIN >> 20;
     valley[at] = next;
     field[at] = (uchar)(wall < 0 ? 0 : wall > 255 ? 255 : wall);
     if (word & 1u) {

@@ -315,7 +315,7 @@ class TinySlamConfig(_Checked):
         high=1.0,
     )
     quality_moved: float = option(
-        1.0,
+        0.5,
         "the quality is multiplied by this where the matcher moved the pose far",
         low=0.0,
         high=1.0,
@@ -475,7 +475,7 @@ class DriveConfig(_Checked):
         0.005, "error of the way in metres after a turn of a radian", low=0.0, high=1.0
     )
     turn_noise: float = option(
-        0.015, "error of a turn of a radian; grows with the square root", low=0.0, high=1.0
+        0.02, "error of a turn of a radian; grows with the square root", low=0.0, high=1.0
     )
     turn_travel_noise: float = option(
         0.01, "error of the heading in radians after a metre", low=0.0, high=1.0
@@ -484,7 +484,7 @@ class DriveConfig(_Checked):
         0.01, "share by which odometry reads the way too long", low=-0.5, high=0.5
     )
     turn_bias: float = option(
-        0.005, "share by which odometry reads turns too large", low=-0.5, high=0.5
+        0.01, "share by which odometry reads turns too large", low=-0.5, high=0.5
     )
     turn_travel_bias: float = option(
         0.001, "what odometry turns by itself in a metre", unit="rad/m", low=-0.5, high=0.5
@@ -590,6 +590,7 @@ class OccupancyEstimatorConfig(_Checked):
     resolutions: str = option(
         "0.1..0.6", "cell sizes: first..last in steps of 0.1 m, or a list with commas", unit="m"
     )
+    floors: int = option(1, "simulated office floors, drawn by the seeds from 1", low=0, high=100)
 
     def __post_init__(self) -> None:
         """Refuse what is no list of cell sizes."""

@@ -42,6 +42,9 @@ VALUE_ONE = 4095
 # A cell's state: mean in 1/2^20 above 12 bits of observations.
 HALF = 1 << 19
 MOST_OBSERVATIONS = 4095
+# The score field is 0 up to a mean of 0.35 and 255 from 0.95 on.
+WALL_FLOOR = 367002
+WALL_GAIN = 425
 UNSEEN = HALF << 12
 # A word of the observed pool: hit, value, in front of the hit; 0 is no word.
 HIT_SHIFT, VALUE_SHIFT = 13, 1
@@ -255,7 +258,7 @@ def tiny_fold(
         observed: (T, TILE, TILE) uint32, as ``tiny_mark`` left it; becomes 0.
         valley: (T, TILE, TILE) uint32 states with the blur, for the matcher.
         published: the same without the blur and without what lies behind hits.
-        field: (T, TILE, TILE) uint8: the valley's excess over one half, 0 to 255.
+        field: (T, TILE, TILE) uint8: how much of a wall the valley is, 0 to 255.
         pages: (PH, PW) int32.
         beams: as for ``tiny_mark``.
         rule: as for ``tiny_mark``.
@@ -270,7 +273,8 @@ def tiny_fold(
     value = words >> VALUE_SHIFT & VALUE_ONE
     state = _joined(valley[at].astype(np.int64), value, rule)
     valley[at] = state.astype(np.uint32)
-    field[at] = np.clip(((state >> 12) - HALF) >> 11, 0, 255).astype(np.uint8)
+    walls = ((state >> 12) - WALL_FLOOR) * WALL_GAIN >> 20
+    field[at] = np.clip(walls, 0, 255).astype(np.uint8)
     front = (words & 1) == 1
     at = tuple(places[front].T)
     told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)

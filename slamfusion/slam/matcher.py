@@ -26,8 +26,8 @@ __all__ = ["Guess", "Match", "ScanOnTiles", "Spread", "search_pose"]
 
 F64 = npt.NDArray[np.float64]
 
-# The first look takes the best of five cells, this many apart diagonally.
-WIDE_REACH = 3
+# The first look takes the best of five cells, this far apart along each axis.
+WIDE_REACH_M = 0.15
 # Draws narrow to this share of the spread after the first look, and again each round.
 FIRST_NARROWING = 0.4
 NARROWING = 0.5
@@ -116,6 +116,7 @@ class ScanOnTiles:
         self._points = backend.upload((points / resolution).astype(np.float32))
         self._count = len(points)
         self._stride = -(-len(points) // most_points)
+        self._reach = max(1, round(WIDE_REACH_M / resolution))
 
     def wide_scores(self, poses: F64) -> F64:
         """Return (N,) scores, 0 to 1, of poses (N, 3) on wide basins, by half of the points."""
@@ -124,7 +125,7 @@ class ScanOnTiles:
         table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         stride = 2 * self._stride
         sums = self._backend.score_poses(
-            *self._map, self._points, table, stride=stride, reach=WIDE_REACH
+            *self._map, self._points, table, stride=stride, reach=self._reach
         )
         return np.asarray(sums * self._scale(stride))
 
