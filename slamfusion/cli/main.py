@@ -17,7 +17,18 @@ from collections.abc import Sequence
 import click
 
 from slamfusion import __version__
-from slamfusion.cli import align, bench, devices, doctor, evaluate, fuse
+from slamfusion.cli import (
+    align,
+    bench,
+    devices,
+    doctor,
+    evaluate,
+    experiment,
+    fuse,
+    simulate,
+    slam,
+    trajectory,
+)
 from slamfusion.cli.output import Settings, one_line, print_json
 from slamfusion.errors import SlamFusionError
 
@@ -28,6 +39,10 @@ COMMANDS: tuple[click.Command, ...] = (
     fuse.command,
     align.command,
     evaluate.command,
+    simulate.command,
+    experiment.command,
+    slam.command,
+    trajectory.command,
     devices.command,
     doctor.command,
     bench.command,

@@ -1,4 +1,4 @@
-"""How good a map is: against the truth, against measured distances, and by its doubled walls.
+"""How good a map is, and a trajectory: against the truth, measured distances, known relations.
 
 Everything here is a pure function on value types; nothing is drawn, printed or written.
 """
@@ -29,6 +29,33 @@ from slamfusion.evaluation.map_error import (
     WallDistance,
     compare_to_truth,
 )
+from slamfusion.evaluation.odometry import (
+    DensePoses,
+    OdometryMatch,
+    match_odometry,
+    poses_by_odometry,
+    read_odometry,
+    subsample_to_scans,
+)
+from slamfusion.evaluation.relations import (
+    REVISIT_S,
+    RelationErrors,
+    Relations,
+    read_relations,
+    relation_errors,
+)
+from slamfusion.evaluation.statistics import (
+    Difference,
+    ErrorStatistics,
+    Summary,
+    compare_samples,
+)
+from slamfusion.evaluation.trajectory_error import (
+    TrajectoryErrors,
+    associate,
+    fit_motion,
+    trajectory_errors,
+)
 
 __all__ = [
     "AGREE_FREE",
@@ -38,15 +65,34 @@ __all__ = [
     "EXTRA_WALL",
     "MISSING_FREE",
     "MISSING_WALL",
+    "REVISIT_S",
+    "DensePoses",
+    "Difference",
     "DistanceComparison",
     "DistanceRow",
+    "ErrorStatistics",
     "MapError",
     "MeasuredDistance",
+    "OdometryMatch",
+    "RelationErrors",
+    "Relations",
+    "Summary",
+    "TrajectoryErrors",
     "WallDistance",
     "added_doubled_share",
+    "associate",
     "compare_distances",
+    "compare_samples",
     "compare_to_truth",
     "doubled_wall_cells",
     "doubled_wall_share",
+    "fit_motion",
     "load_distances",
+    "match_odometry",
+    "poses_by_odometry",
+    "read_odometry",
+    "read_relations",
+    "relation_errors",
+    "subsample_to_scans",
+    "trajectory_errors",
 ]

@@ -16,10 +16,17 @@ except ImportError as _error:
 
 from slamfusion.report.evaluation_report import write_difference_image, write_evaluation_report
 from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
+from slamfusion.report.page import Fact, Table
+from slamfusion.report.slam_report import write_slam_report
+from slamfusion.report.trajectory_report import write_trajectory_report
 
 __all__ = [
+    "Fact",
+    "Table",
     "write_difference_image",
     "write_evaluation_report",
     "write_failure_report",
     "write_fusion_report",
+    "write_slam_report",
+    "write_trajectory_report",
 ]

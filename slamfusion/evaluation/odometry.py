@@ -1,0 +1,442 @@
+"""Poses between the scans of an estimate: the nearest scan's pose, carried on by raw odometry.
+
+A producer works on some scans of a run; relations may speak of all of them. Between two scans the
+wheels know the motion well, so that the estimate can be asked at every row of the odometry.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.trajectory_error import associate, fit_motion
+from slamfusion.geometry import Pose2, compose_poses, invert_poses
+from slamfusion.grid import IDENTITY
+from slamfusion.io.lines import TextLines, read_head, strip_gz
+from slamfusion.io.trajectories import read_trajectory
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "DensePoses",
+    "OdometryMatch",
+    "match_odometry",
+    "poses_by_odometry",
+    "read_odometry",
+    "subsample_to_scans",
+]
+
+_LOGGER = logging.getLogger(__name__)
+_DEFAULT_CONFIG = LogConfig()
+
+# Scans that are tried with every row of their time, and scans that judge each trial. A trial turns
+# the far end of a path by the rounding of one heading, so that judges look further.
+_ANCHORS = 3
+_JUDGES = 64
+_ROUGHLY = 10.0
+# Stamps of scans may be estimates that are seconds off, but a row a minute away is another visit.
+_WINDOW_S = 60.0
+# The frames of two copies of one odometry are fitted anew until the pairs stay.
+_FITS = 10
+# Pairs worse than this times the median are no pairs: the scan's row is missing.
+_FIT_WITHIN = 4.0
+# What decides between rows of one stamp: less than any clock tells, more than rounding.
+_TIE_S = 1e-9
+_COLUMNS = "time x y theta"
+_NANOSECONDS_FROM = 1e14
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryMatch:
+    """Which row of an odometry file each scan was taken at.
+
+    Attributes:
+        rows: (N,) int64, row for each scan; -1 where none equals the scan's own odometry.
+        pose_scan_file: what takes the file's frame to that of the scans' odometry, fitted.
+        tolerance_m: rows further off than this (metres, and radians of heading) are not equal.
+    """
+
+    rows: npt.NDArray[np.int64]
+    pose_scan_file: Pose2
+    tolerance_m: float
+
+    @property
+    def matched(self) -> int:
+        """Scans that have a row."""
+        return int(np.count_nonzero(self.rows >= 0))
+
+
+@dataclass(frozen=True, eq=False)
+class DensePoses:
+    """An estimate at every row of an odometry file.
+
+    Attributes:
+        trajectory: the poses, at the stamps of the odometry; at a scan whose own stamp agrees
+            with its row's, at the scan's, which is the finer one.
+        by: how a scan's row was found: ``odometry``, or ``stamp`` where no log was given.
+        poses_total: poses of the estimate.
+        poses_used: of these, the ones that have a row.
+    """
+
+    trajectory: Trajectory
+    by: str
+    poses_total: int
+    poses_used: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return how the poses were composed, for a JSON document."""
+        return {
+            "rows": len(self.trajectory),
+            "rows_found_by": self.by,
+            "poses_used": self.poses_used,
+            "poses_without_row": self.poses_total - self.poses_used,
+        }
+
+
+def read_odometry(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Trajectory:
+    """Read raw odometry: rows of ``time x y theta``, or anything that holds a trajectory.
+
+    Unlike a trajectory, such a table may go back in time now and then: recorders write what comes
+    late where it comes. The rows are sorted by time, equal times in their own order; how many
+    went back is logged.
+
+    Args:
+        path: plain or gzip.
+        config: how logs and bags are read.
+
+    Raises:
+        TrajectoryError: a damaged line (its number is given), or no pose.
+        LogError: it is a log that cannot be read.
+        OSError: the file cannot be opened.
+    """
+    where = Path(path)
+    if where.is_dir() or not _is_table(where):
+        return read_trajectory(where, config)
+    lines = TextLines(where)
+    rows = []
+    number = 0
+    for number, line in lines:
+        fields = line.split()
+        if fields and not fields[0].startswith(b"#"):
+            rows.append(_row(fields, f"{where}: line {number}"))
+    if lines.is_cut_off:
+        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
+        raise TrajectoryError(message)
+    table = np.array(rows)
+    back = int(np.count_nonzero(np.diff(table[:, 0]) < 0.0))
+    if back:
+        _LOGGER.info("%s: %d of %d rows go back in time; sorted", where, back, len(table))
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    return Trajectory(table[:, 0], table[:, 1:], Path(strip_gz(where.name)).stem)
+
+
+def _is_table(where: Path) -> bool:
+    """Return whether the first line that says something has the four columns of a table."""
+    for line in read_head(where).splitlines():
+        fields = line.split()
+        if fields and not fields[0].startswith(b"#"):
+            return len(fields) == 4 and _numbers(fields) is not None
+    return False
+
+
+def _numbers(fields: list[bytes]) -> list[float] | None:
+    """Return finite numbers, or None."""
+    try:
+        row = [float(field) for field in fields]
+    except ValueError:
+        return None
+    return row if np.isfinite(row).all() else None
+
+
+def _row(fields: list[bytes], where: str) -> list[float]:
+    """Return time in seconds, x, y and yaw."""
+    row = _numbers(fields) if len(fields) == 4 else None
+    if row is None:
+        shown = b" ".join(fields)[:60].decode("ascii", "replace")
+        message = f"{where}: wanted '{_COLUMNS}', found {shown!r}; mend or remove the line"
+        raise TrajectoryError(message)
+    if abs(row[0]) >= _NANOSECONDS_FROM:
+        row[0] *= 1e-9
+    return row
+
+
+def match_odometry(
+    scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float
+) -> OdometryMatch:
+    """Find the row of an odometry file that each scan was taken at, by its pose and not its stamp.
+
+    Copies of one odometry may lie in frames that differ by a fixed motion, and be rounded; the
+    motion is fitted. A robot that stands repeats its odometry: scans with one candidate
+    tell the order, and between them each scan takes the candidate nearest to its turn.
+
+    Args:
+        scan_odometry: raw odometry of the scans of a log; the stamps may be off by seconds.
+        odometry: every row of the file, at least one.
+        tolerance_m: a row is equal within this, metres and, of the heading, radians.
+
+    Raises:
+        TrajectoryError: no scan has a row.
+    """
+    frame = _fit_frame(scan_odometry, odometry, tolerance_m)
+    tree = KDTree(_features(compose_poses(_array(frame), odometry.poses)))
+    near = tree.query_ball_point(_features(scan_odometry.poses), tolerance_m, return_sorted=True)
+    candidates = [
+        rows[np.abs(odometry.stamps_s[rows] - stamp_s) <= _WINDOW_S]
+        for rows, stamp_s in zip(
+            (np.array(found, dtype=np.int64) for found in near),
+            scan_odometry.stamps_s,
+            strict=True,
+        )
+    ]
+    sure = np.array([len(rows) == 1 for rows in candidates])
+    if not any(len(rows) for rows in candidates):
+        message = (
+            f"{odometry.name}: no row equals the odometry of a scan of {scan_odometry.name} to "
+            f"{tolerance_m:g} m; give the odometry of the same run, or leave out --log"
+        )
+        raise TrajectoryError(message)
+    turns = np.arange(len(candidates))
+    if sure.any():
+        known = [int(candidates[turn][0]) for turn in np.flatnonzero(sure)]
+        expected = np.interp(turns, np.flatnonzero(sure), known)
+    else:
+        expected = odometry.nearest(scan_odometry.stamps_s).astype(np.float64)
+    rows = np.array(
+        [
+            own[np.argmin(np.abs(own - turn))] if len(own) else -1
+            for own, turn in zip(candidates, expected, strict=True)
+        ],
+        dtype=np.int64,
+    )
+    return OdometryMatch(rows, frame, tolerance_m)
+
+
+def poses_by_odometry(
+    estimate: Trajectory,
+    scan_odometry: Trajectory | None,
+    odometry: Trajectory,
+    *,
+    tolerance_s: float,
+    tolerance_m: float,
+) -> DensePoses:
+    """Return an estimate's poses at every row of an odometry file.
+
+    The pose at a row is that of the nearest scan, counted in rows (of two equally near the
+    earlier), composed with the odometry's motion from the scan's row to this one. Of an estimate's
+    pose the row is found by the scan's own odometry where it is known, because its stamp may be an
+    estimate; else by its stamp.
+
+    Args:
+        estimate: poses at scans, in any frame.
+        scan_odometry: raw odometry of the scans of the estimate's log; None where it is unknown.
+        odometry: every row of the raw odometry of the run.
+        tolerance_s: an estimated pose belongs to a scan (or row) of that time within this.
+        tolerance_m: see ``match_odometry``.
+
+    Raises:
+        TrajectoryError: no pose of the estimate has a row.
+    """
+    if scan_odometry is None:
+        used, rows = _rows_by_stamp(estimate, odometry, tolerance_s)
+        _refuse_none(used, estimate, odometry, tolerance_s)
+    else:
+        used, scans = associate(estimate, scan_odometry, tolerance_s)
+        _refuse_none(used, estimate, scan_odometry, tolerance_s)
+        rows = match_odometry(scan_odometry, odometry, tolerance_m).rows[scans]
+        used, rows = used[rows >= 0], rows[rows >= 0]
+        _refuse_none(used, estimate, odometry, tolerance_s)
+    by_row = np.argsort(rows, kind="stable")
+    used, rows = used[by_row], rows[by_row]
+    nearest = _nearest_in_rows(rows, len(odometry))
+    increment = compose_poses(invert_poses(odometry.poses[rows[nearest]]), odometry.poses)
+    poses = compose_poses(estimate.poses[used[nearest]], increment)
+    stamps_s = _refined_stamps(odometry.stamps_s, rows, estimate.stamps_s[used], tolerance_s)
+    by_time = np.argsort(stamps_s, kind="stable")
+    return DensePoses(
+        trajectory=Trajectory(stamps_s[by_time], poses[by_time], estimate.name),
+        by="stamp" if scan_odometry is None else "odometry",
+        poses_total=len(estimate),
+        poses_used=len(used),
+    )
+
+
+def subsample_to_scans(
+    best: Trajectory,
+    scan_odometry: Trajectory,
+    odometry: Trajectory,
+    *,
+    tolerance_s: float,
+    tolerance_m: float,
+) -> Trajectory:
+    """Return the best known trajectory of a run at the scans of a log: the floor of its errors.
+
+    Scored as an estimate is, it tells what error even good poses at these scans would have, from
+    the odometry between them.
+
+    Args:
+        best: poses at (nearly) every row of the odometry, by exact stamps.
+        scan_odometry: raw odometry of the log's scans.
+        odometry: every row of the raw odometry of the run.
+        tolerance_s: a pose belongs to a row of that time within this.
+        tolerance_m: see ``match_odometry``.
+
+    Raises:
+        TrajectoryError: no scan has a row with a pose.
+    """
+    match = match_odometry(scan_odometry, odometry, tolerance_m)
+    stamps_s = odometry.stamps_s[match.rows]
+    nearest = best.nearest(stamps_s)
+    known = (match.rows >= 0) & (np.abs(best.stamps_s[nearest] - stamps_s) <= tolerance_s)
+    if not known.any():
+        message = f"{best.name}: has no pose at a scan of {scan_odometry.name}; is it of that run?"
+        raise TrajectoryError(message)
+    return Trajectory(scan_odometry.stamps_s[known], best.poses[nearest[known]], best.name)
+
+
+def _rows_by_stamp(
+    estimate: Trajectory, odometry: Trajectory, tolerance_s: float
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return which poses of the estimate have a row of (nearly) their stamp, and which row.
+
+    Odometry that was written with rounded stamps has several rows of one stamp, so the nearest row
+    alone would send several poses to one. The poses take rows in order, one each, with the least
+    sum of differences, where a pose that is left out costs the tolerance: dynamic programming over
+    the rows within it. Of rows with one stamp a lone pose takes the one on its side.
+    """
+    stamps_s = odometry.stamps_s
+    lows = np.searchsorted(stamps_s, estimate.stamps_s - tolerance_s, "left")
+    highs = np.searchsorted(stamps_s, estimate.stamps_s + tolerance_s, "right")
+    nearest = odometry.nearest(estimate.stamps_s)
+    leave = tolerance_s + _TIE_S * len(odometry)
+
+    # costs[k]: least cost of the poses so far when all rows they take are below row low + k.
+    costs, low = np.zeros(1), 0
+    choices = []
+    for stamp_s, new_low, high, wanted in zip(estimate.stamps_s, lows, highs, nearest, strict=True):
+        window = np.arange(new_low, high + 1)
+        before = costs[np.minimum(window - low, len(costs) - 1)]
+        rows = window[:-1]
+        take = np.abs(stamps_s[rows] - stamp_s) + _TIE_S * np.abs(rows - wanted) + before[:-1]
+        best = np.minimum.accumulate(take)
+        costs = before + leave
+        takes = np.concatenate(([False], best < costs[1:]))
+        costs[1:] = np.minimum(costs[1:], best)
+        # The row behind each running minimum is the last place where the minimum fell.
+        fell = np.concatenate(([True], take[1:] < best[:-1])) if len(take) else np.zeros(0, bool)
+        behind = np.maximum.accumulate(np.where(fell, rows, new_low)) if len(take) else rows
+        choices.append(np.where(takes, np.concatenate(([-1], behind)), -1))
+        low = new_low
+
+    chosen = np.full(len(estimate), -1, dtype=np.int64)
+    limit = len(odometry)
+    for index in range(len(estimate) - 1, -1, -1):
+        place = min(limit, highs[index]) - lows[index]
+        if place > 0 and choices[index][place] >= 0:
+            chosen[index] = limit = choices[index][place]
+    used = np.flatnonzero(chosen >= 0)
+    return used, chosen[used]
+
+
+def _refined_stamps(
+    stamps_s: npt.NDArray[np.float64],
+    rows: npt.NDArray[np.int64],
+    exact_s: npt.NDArray[np.float64],
+    tolerance_s: float,
+) -> npt.NDArray[np.float64]:
+    """Return the rows' stamps with those of the scans put in where both agree.
+
+    The scans' stamps are the finer ones, and the rows between keep their side of them.
+
+    Args:
+        stamps_s: (N,) of the rows, rising.
+        rows: (M,) the rows of scans, rising.
+        exact_s: (M,) the scans' own stamps.
+        tolerance_s: a scan's stamp further off than this is not believed.
+    """
+    agree = np.abs(stamps_s[rows] - exact_s) <= tolerance_s
+    low, high = np.full(len(stamps_s), -np.inf), np.full(len(stamps_s), np.inf)
+    low[rows[agree]] = exact_s[agree]
+    high[rows[agree]] = exact_s[agree]
+    low = np.maximum.accumulate(low)
+    high = np.minimum.accumulate(high[::-1])[::-1]
+    refined = np.clip(stamps_s, low, high)
+    refined[rows[agree]] = exact_s[agree]
+    return np.asarray(refined)
+
+
+def _refuse_none(
+    used: npt.NDArray[np.int64], estimate: Trajectory, other: Trajectory, tolerance_s: float
+) -> None:
+    """Say that no pose of the estimate belongs to the other file, with both ranges of time."""
+    if len(used):
+        return
+    message = (
+        f"{estimate.name}: no pose belongs to one of {other.name} within {tolerance_s:g} s; the "
+        f"first is from {estimate.stamps_s[0]:.3f} to {estimate.stamps_s[-1]:.3f} s, the other "
+        f"from {other.stamps_s[0]:.3f} to {other.stamps_s[-1]:.3f} s; give the files of one run"
+    )
+    raise TrajectoryError(message)
+
+
+def _nearest_in_rows(rows: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:
+    """Return for each of ``count`` rows which of the sorted ``rows`` is nearest; the earlier."""
+    wanted = np.arange(count)
+    after = np.clip(np.searchsorted(rows, wanted), 0, len(rows) - 1)
+    before = np.maximum(after - 1, 0)
+    later_is_nearer = np.abs(rows[after] - wanted) < np.abs(wanted - rows[before])
+    return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
+
+
+def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: float) -> Pose2:
+    """Return the rigid motion from the frame of ``odometry`` to that of ``scan_odometry``.
+
+    A scan and its row give it at once, so a few scans are paired with every row of about their
+    time, and the pair wins under which the scans lie nearest to rows (of equals the nearest in
+    time); a scan without a row nearby costs the same wherever it is. Then each scan is paired with
+    the row whose pose is nearest, and the motion fitted to the good pairs.
+    """
+    scans, rows = scan_odometry.poses, odometry.poses
+    tree = KDTree(_features(rows))
+    judges = scans[np.linspace(0, len(scans) - 1, min(len(scans), _JUDGES)).astype(int)]
+    reach = _ROUGHLY * tolerance_m
+    best = (math.inf, math.inf)
+    frame = IDENTITY
+    for anchor in np.unique(np.linspace(0, len(scans) - 1, _ANCHORS + 2).astype(int)[1:-1]):
+        apart_s = np.abs(odometry.stamps_s - scan_odometry.stamps_s[anchor])
+        near = np.flatnonzero(apart_s <= _WINDOW_S)
+        frames = compose_poses(scans[anchor], invert_poses(rows[near]))
+        moved = compose_poses(invert_poses(frames)[:, None], judges)
+        distance = np.asarray(tree.query(_features(moved), distance_upper_bound=reach)[0])
+        costs = np.minimum(distance, reach).sum(axis=1)
+        for cost, row, candidate in zip(costs, near, frames, strict=True):
+            if (float(cost), float(apart_s[row])) < best:
+                best = (float(cost), float(apart_s[row]))
+                frame = Pose2(*(float(value) for value in candidate))
+    last: npt.NDArray[np.int64] = np.full(len(scans), -1, dtype=np.int64)
+    for _ in range(_FITS):
+        found = tree.query(_features(compose_poses(_array(frame.inverse()), scans)))
+        distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+        if np.array_equal(nearest, last):
+            break
+        last = nearest
+        good = distance <= _FIT_WITHIN * np.median(distance)
+        frame = fit_motion(rows[nearest[good]], scans[good])
+    return frame
+
+
+def _features(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return poses as points whose distance adds metres and radians (small angles)."""
+    yaw_rad = poses[..., 2:]
+    return np.concatenate((poses[..., :2], np.cos(yaw_rad), np.sin(yaw_rad)), axis=-1)
+
+
+def _array(pose: Pose2) -> npt.NDArray[np.float64]:
+    return np.array((pose.x, pose.y, pose.yaw_rad))

@@ -1,0 +1,230 @@
+"""The relations metric [K09]: how well a trajectory keeps known motions between pairs of times.
+
+Source: Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27(4),
+2009. No common frame is needed, and a slip counts once, not ever after.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.io.lines import TextLines, strip_gz
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["REVISIT_S", "RelationErrors", "Relations", "read_relations", "relation_errors"]
+
+# A relation over more than this joins two visits of one place, not two moments of one visit.
+REVISIT_S = 30.0
+
+_COLUMNS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
+_X, _Y, _YAW = (_COLUMNS.index(name) for name in ("x", "y", "yaw"))
+
+
+@dataclass(frozen=True, eq=False)
+class Relations:
+    """Known motions between pairs of times; immutable.
+
+    Attributes:
+        stamps_s: (N, 2) float64, first and second time, seconds; in no particular order.
+        motions: (N, 3) float64, pose of the robot at the second time seen from the robot at the
+            first; x and y in metres, yaw in radians.
+        name: what tables and messages call them.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, or values that are not finite.
+    """
+
+    stamps_s: npt.NDArray[np.float64]
+    motions: npt.NDArray[np.float64]
+    name: str = "relations"
+
+    def __post_init__(self) -> None:
+        """Check once, then freeze."""
+        stamps = np.array(self.stamps_s, dtype=np.float64).reshape(-1, 2)
+        motions = np.array(self.motions, dtype=np.float64).reshape(-1, 3)
+        if len(stamps) != len(motions):
+            message = f"{self.name}: {len(stamps)} pairs of times for {len(motions)} motions"
+            raise TrajectoryError(message)
+        if not (np.isfinite(stamps).all() and np.isfinite(motions).all()):
+            message = f"{self.name}: times and motions must be finite"
+            raise TrajectoryError(message)
+        stamps.flags.writeable = False
+        motions.flags.writeable = False
+        object.__setattr__(self, "stamps_s", stamps)
+        object.__setattr__(self, "motions", motions)
+
+    def __len__(self) -> int:
+        """Relations."""
+        return len(self.stamps_s)
+
+    def span_s(self) -> tuple[float, float]:
+        """Return the first and the last time; NaN for no relations."""
+        if len(self) == 0:
+            return math.nan, math.nan
+        return float(self.stamps_s.min()), float(self.stamps_s.max())
+
+
+@dataclass(frozen=True, eq=False)
+class RelationErrors:
+    """What is left of each relation after the trajectory's own motion is taken off.
+
+    Attributes:
+        name: the trajectory.
+        relations: name of the relations.
+        stamps_s: (M, 2) float64, the times of the relations used.
+        translation_m: (M,) float64, length of the remaining translation.
+        rotation_rad: (M,) float64, size of the remaining rotation, 0 to pi.
+        relations_total: how many relations there were; M of them could be used.
+        tolerance_s: a pose further than this from a relation's time was not used for it.
+        poses: poses of the trajectory.
+    """
+
+    name: str
+    relations: str
+    stamps_s: npt.NDArray[np.float64]
+    translation_m: npt.NDArray[np.float64]
+    rotation_rad: npt.NDArray[np.float64]
+    relations_total: int
+    tolerance_s: float
+    poses: int
+
+    @property
+    def relations_used(self) -> int:
+        """Relations whose two times met a pose."""
+        return len(self.translation_m)
+
+    @property
+    def translation(self) -> ErrorStatistics:
+        """Figures of the remaining translations, metres."""
+        return ErrorStatistics.of(self.translation_m)
+
+    @property
+    def rotation_deg(self) -> ErrorStatistics:
+        """Figures of the remaining rotations, degrees."""
+        return ErrorStatistics.of(np.rad2deg(self.rotation_rad))
+
+    def is_revisit(self) -> npt.NDArray[np.bool_]:
+        """Return which relations join two visits of one place, (M,): over ``REVISIT_S`` apart."""
+        return np.asarray(np.abs(self.stamps_s[:, 1] - self.stamps_s[:, 0]) > REVISIT_S)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for a JSON document; metres and degrees."""
+        return {
+            "translation": self.translation.to_json(),
+            "rotation_deg": self.rotation_deg.to_json(),
+            "relations_used": self.relations_used,
+            "relations_total": self.relations_total,
+            "tolerance_s": self.tolerance_s,
+            "poses": self.poses,
+        }
+
+
+def read_relations(path: str | Path) -> Relations:
+    """Read a relations file: ``t1 t2 x y z roll pitch yaw`` a line, blank-separated.
+
+    Lines that start with ``#`` and empty lines are passed over. The motion is planar: z, roll and
+    pitch are dropped.
+
+    Args:
+        path: plain or gzip.
+
+    Returns:
+        The relations in the order of the file, named after it.
+
+    Raises:
+        TrajectoryError: a line is not a relation (its number is given), or there is none.
+        OSError: the file cannot be opened.
+    """
+    where = Path(path)
+    lines = TextLines(where)
+    rows = []
+    number = 0
+    for number, line in lines:
+        fields = line.split()
+        if fields and not fields[0].startswith(b"#"):
+            rows.append(_row(fields, f"{where}: line {number}"))
+    if lines.is_cut_off:
+        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
+        raise TrajectoryError(message)
+    if not rows:
+        message = f"{where}: wanted lines '{' '.join(_COLUMNS)}', found none; check the file"
+        raise TrajectoryError(message)
+    table = np.array(rows)
+    name = Path(strip_gz(where.name)).stem or where.name
+    return Relations(table[:, :2], table[:, (_X, _Y, _YAW)], name)
+
+
+def _row(fields: list[bytes], where: str) -> list[float]:
+    """Return the numbers of one line."""
+    wanted = f"'{' '.join(_COLUMNS)}'"
+    if len(fields) != len(_COLUMNS):
+        message = f"{where}: wanted {wanted}, found {len(fields)} columns; mend or remove the line"
+        raise TrajectoryError(message)
+    try:
+        row = [float(field) for field in fields]
+    except ValueError:
+        row = [math.nan]
+    if not all(map(math.isfinite, row)):
+        message = f"{where}: wanted finite numbers {wanted}; mend or remove the line"
+        raise TrajectoryError(message)
+    return row
+
+
+def relation_errors(
+    trajectory: Trajectory, relations: Relations, tolerance_s: float
+) -> RelationErrors:
+    """Measure a trajectory by the motions that it should have made.
+
+    The pose at a time is the one nearest in time; nothing is interpolated. A relation counts when
+    both of its times have a pose within the tolerance.
+
+    Args:
+        trajectory: the estimate, in any frame.
+        relations: the known motions.
+        tolerance_s: seconds.
+
+    Returns:
+        The error of every relation that could be used.
+
+    Raises:
+        TrajectoryError: no relation could be used; both ranges of time are named.
+    """
+    nearest = trajectory.nearest(relations.stamps_s)
+    distance_s = np.abs(trajectory.stamps_s[nearest] - relations.stamps_s)
+    used = (distance_s <= tolerance_s).all(axis=1)
+    if not used.any():
+        raise TrajectoryError(_no_relation(trajectory, relations, tolerance_s))
+    first, second = trajectory.poses[nearest[used, 0]], trajectory.poses[nearest[used, 1]]
+    made = compose_poses(invert_poses(first), second)
+    left = compose_poses(invert_poses(relations.motions[used]), made)
+    return RelationErrors(
+        name=trajectory.name,
+        relations=relations.name,
+        stamps_s=relations.stamps_s[used],
+        translation_m=np.hypot(left[:, 0], left[:, 1]),
+        rotation_rad=np.abs(wrap_angles(left[:, 2])),
+        relations_total=len(relations),
+        tolerance_s=tolerance_s,
+        poses=len(trajectory),
+    )
+
+
+def _no_relation(trajectory: Trajectory, relations: Relations, tolerance_s: float) -> str:
+    """Say why no relation met the trajectory."""
+    low_s, high_s = relations.span_s()
+    return (
+        f"{trajectory.name}: none of the {len(relations)} relations of {relations.name} has a "
+        f"pose within {tolerance_s:g} s of both its times; the poses are from "
+        f"{trajectory.stamps_s[0]:.3f} to {trajectory.stamps_s[-1]:.3f} s, the relations from "
+        f"{low_s:.3f} to {high_s:.3f} s; give the trajectory of the same run, or a larger "
+        "--tolerance-s"
+    )

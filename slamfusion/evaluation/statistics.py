@@ -1,0 +1,153 @@
+"""Figures that stand for many: of the errors along a path, and of repetitions of an experiment."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Difference", "ErrorStatistics", "Summary", "compare_samples"]
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """The errors of one run, all of them: a population, not a sample.
+
+    Attributes:
+        mean: of the absolute errors; this and all others in the unit of the errors.
+        std: population standard deviation (divided by N).
+        rmse: root of the mean square.
+        median: the middle one.
+        min: the smallest.
+        max: the largest.
+    """
+
+    mean: float
+    std: float
+    rmse: float
+    median: float
+    min: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: npt.ArrayLike) -> ErrorStatistics:
+        """Return the figures of at least one error; the sign of an error does not count.
+
+        Raises:
+            ValueError: there is no error, or one is not finite.
+        """
+        values = np.abs(_checked(errors))
+        return cls(
+            mean=float(values.mean()),
+            std=float(values.std()),
+            rmse=float(np.sqrt(np.mean(values**2))),
+            median=float(np.median(values)),
+            min=float(values.min()),
+            max=float(values.max()),
+        )
+
+    def scaled(self, factor: float) -> ErrorStatistics:
+        """Return the same figures in another unit (radians to degrees)."""
+        return ErrorStatistics(**{name: factor * value for name, value in asdict(self).items()})
+
+    def to_json(self) -> dict[str, float]:
+        """Return the figures by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a table says of one figure over repetitions; smaller is better.
+
+    Attributes:
+        count: repetitions.
+        mean: their mean.
+        std: sample standard deviation (divided by N - 1); None for one repetition.
+        median: the middle one.
+        worst: the largest.
+    """
+
+    count: int
+    mean: float
+    std: float | None
+    median: float
+    worst: float
+
+    @classmethod
+    def of(cls, values: npt.ArrayLike) -> Summary:
+        """Return the summary of at least one value.
+
+        Raises:
+            ValueError: there is no value, or one is not finite.
+        """
+        known = _checked(values)
+        return cls(
+            count=len(known),
+            mean=float(known.mean()),
+            std=float(known.std(ddof=1)) if len(known) > 1 else None,
+            median=float(np.median(known)),
+            worst=float(known.max()),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How likely two methods are to differ this much by chance alone; two-sided p-values.
+
+    Attributes:
+        welch: of Welch's t-test: do the means differ?
+        mann_whitney: of the Mann-Whitney U test: does one tend to larger values? Needs no
+            normal distribution, but with few repetitions it cannot be small (4 and 4: 0.029).
+    """
+
+    welch: float
+    mann_whitney: float
+
+    def to_json(self) -> dict[str, float]:
+        """Return both p-values by name."""
+        return asdict(self)
+
+
+def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> Difference | None:
+    """Test whether the repetitions of two methods differ.
+
+    Args:
+        first: (N,) one figure of each repetition of one method.
+        second: (M,) the same of the other; the repetitions are not paired.
+
+    Returns:
+        The p-values; None where a method has fewer than two repetitions. Methods that do not vary
+        at all have a Welch p-value of 1 when their values are equal, else 0.
+
+    Raises:
+        ValueError: there is no value, or one is not finite.
+    """
+    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
+
+    a, b = _checked(first), _checked(second)
+    if min(len(a), len(b)) < 2:
+        return None
+    u_test = stats.mannwhitneyu(a, b, alternative="two-sided")
+    if np.ptp(a) == 0.0 and np.ptp(b) == 0.0:
+        # Without any spread the t statistic is 0 / 0 or infinite.
+        welch = 1.0 if a[0] == b[0] else 0.0
+    else:
+        # From the moments: a method that does not vary is no reason for a warning here.
+        moments = (a.mean(), a.std(ddof=1), len(a), b.mean(), b.std(ddof=1), len(b))
+        welch = float(stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
+    return Difference(welch, float(u_test.pvalue))
+
+
+def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the values as a row, refusing what has no statistics."""
+    row = np.asarray(values, dtype=np.float64).ravel()
+    if row.size == 0 or not np.isfinite(row).all():
+        message = f"statistics need at least one value, all finite; found {row.size} values"
+        raise ValueError(message)
+    return row

@@ -1,0 +1,247 @@
+"""Trajectory against truth: absolute error after alignment (ATE), and relative error (RPE).
+
+Source: Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012 (both
+errors); Umeyama, PAMI 13(4), 1991 (the alignment, here in the plane and without scale).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import TrajectoryConfig
+from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
+from slamfusion.grid import IDENTITY
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["TrajectoryErrors", "associate", "fit_motion", "trajectory_errors"]
+
+_DEFAULT_CONFIG = TrajectoryConfig()
+
+# Places closer together than this have no direction to turn by.
+_NO_SPREAD_M = 1e-9
+# Sums of equal steps fall short of a whole delta by rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryErrors:
+    """How far an estimate is from the truth.
+
+    Attributes:
+        name: the estimate.
+        truth: the true trajectory.
+        aligned: (M, 3) float64, the estimate's matched poses in the frame of the truth.
+        stamps_s: (M,) float64, their times.
+        travelled_m: (M,) float64, true path from the first matched pose to each.
+        translation_m: (M,) float64, absolute error of each place.
+        rotation_rad: (M,) float64, absolute error of each heading, 0 to pi.
+        pose_truth_estimate: the alignment: takes the estimate's frame to the truth's.
+        relative_translation_m: (K,) float64, error of the motion between the poses of each pair.
+        relative_rotation_rad: (K,) float64, the same of the turn, 0 to pi.
+        relative_travelled_m: (K,) float64, true path up to the end of each pair.
+        config: tolerance, alignment, and the length of a pair.
+        poses_total: poses of the estimate; M of them met a true pose.
+    """
+
+    name: str
+    truth: str
+    aligned: npt.NDArray[np.float64]
+    stamps_s: npt.NDArray[np.float64]
+    travelled_m: npt.NDArray[np.float64]
+    translation_m: npt.NDArray[np.float64]
+    rotation_rad: npt.NDArray[np.float64]
+    pose_truth_estimate: Pose2
+    relative_translation_m: npt.NDArray[np.float64]
+    relative_rotation_rad: npt.NDArray[np.float64]
+    relative_travelled_m: npt.NDArray[np.float64]
+    config: TrajectoryConfig
+    poses_total: int
+
+    @property
+    def poses_matched(self) -> int:
+        """Poses that were compared."""
+        return len(self.translation_m)
+
+    @property
+    def ate(self) -> ErrorStatistics:
+        """Absolute errors of place, metres."""
+        return ErrorStatistics.of(self.translation_m)
+
+    @property
+    def ate_rotation_deg(self) -> ErrorStatistics:
+        """Absolute errors of heading, degrees."""
+        return ErrorStatistics.of(np.rad2deg(self.rotation_rad))
+
+    @property
+    def rpe(self) -> ErrorStatistics | None:
+        """Relative errors, metres a pair; None where the path is too short for any pair."""
+        pairs = self.relative_translation_m
+        return ErrorStatistics.of(pairs) if len(pairs) else None
+
+    @property
+    def rpe_rotation_deg(self) -> ErrorStatistics | None:
+        """Relative errors of the turns, degrees a pair; None where there is no pair."""
+        pairs = self.relative_rotation_rad
+        return ErrorStatistics.of(np.rad2deg(pairs)) if len(pairs) else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for a JSON document; metres and degrees."""
+        motion = self.pose_truth_estimate
+        rpe, turns = self.rpe, self.rpe_rotation_deg
+        return {
+            "ate": self.ate.to_json(),
+            "ate_rotation_deg": self.ate_rotation_deg.to_json(),
+            "rpe": None if rpe is None else rpe.to_json(),
+            "rpe_rotation_deg": None if turns is None else turns.to_json(),
+            "rpe_pairs": len(self.relative_translation_m),
+            "rpe_delta": self.config.rpe_delta,
+            "rpe_unit": self.config.rpe_unit,
+            "alignment": {
+                "kind": self.config.alignment,
+                "dx_m": motion.x,
+                "dy_m": motion.y,
+                "yaw_rad": motion.yaw_rad,
+            },
+            "poses": self.poses_total,
+            "poses_matched": self.poses_matched,
+            "tolerance_s": self.config.tolerance_s,
+        }
+
+
+def trajectory_errors(
+    estimate: Trajectory, truth: Trajectory, config: TrajectoryConfig = _DEFAULT_CONFIG
+) -> TrajectoryErrors:
+    """Compare an estimate with the truth.
+
+    Args:
+        estimate: poses of the robot's base.
+        truth: poses of the same body.
+        config: tolerance, alignment, and what one pair of the relative error spans. Pairs follow
+            each other without overlap from the first matched pose on; metres are counted along
+            the truth.
+
+    Raises:
+        TrajectoryError: fewer than two poses meet in time; both ranges of time are named.
+    """
+    own, true = associate(estimate, truth, config.tolerance_s)
+    if len(own) < 2:
+        raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
+    poses, true_poses = estimate.poses[own], truth.poses[true]
+    motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
+    aligned = compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
+    steps = np.diff(true_poses[:, :2], axis=0)
+    travelled_m = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
+    stamps_s = estimate.stamps_s[own]
+
+    # Absolute: of each pose by itself.
+    apart = aligned[:, :2] - true_poses[:, :2]
+
+    # Relative: of the motion between two poses, each seen from the first, so in no frame at all.
+    progress = {
+        "frames": np.arange(len(own), dtype=np.float64),
+        "m": travelled_m,
+        "s": stamps_s - stamps_s[0],
+    }[config.rpe_unit]
+    first, second = _pairs(progress, config.rpe_delta)
+    made = compose_poses(invert_poses(poses[first]), poses[second])
+    wanted = compose_poses(invert_poses(true_poses[first]), true_poses[second])
+    left = compose_poses(invert_poses(wanted), made)
+    return TrajectoryErrors(
+        name=estimate.name,
+        truth=truth.name,
+        aligned=aligned,
+        stamps_s=stamps_s,
+        travelled_m=travelled_m,
+        translation_m=np.hypot(apart[:, 0], apart[:, 1]),
+        rotation_rad=np.abs(wrap_angles(aligned[:, 2] - true_poses[:, 2])),
+        pose_truth_estimate=motion,
+        relative_translation_m=np.hypot(left[:, 0], left[:, 1]),
+        relative_rotation_rad=np.abs(wrap_angles(left[:, 2])),
+        relative_travelled_m=travelled_m[second],
+        config=config,
+        poses_total=len(estimate),
+    )
+
+
+def associate(
+    first: Trajectory, second: Trajectory, tolerance_s: float
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Pair poses that are each other's nearest in time; no pose is used twice.
+
+    Args:
+        first: with at least one pose, like ``second``.
+        second: the other one.
+        tolerance_s: pairs further apart do not count.
+
+    Returns:
+        (M,) indices into ``first``, rising, and (M,) into ``second``; both may be empty.
+    """
+    there = second.nearest(first.stamps_s)
+    back = first.nearest(second.stamps_s)
+    own = np.arange(len(first), dtype=np.int64)
+    apart_s = np.abs(second.stamps_s[there] - first.stamps_s)
+    # Of poses with one stamp only the first is anybody's nearest; that is a pair as well.
+    paired = (back[there] == own) & (apart_s <= tolerance_s)
+    return own[paired], there[paired]
+
+
+def fit_motion(moving: npt.NDArray[np.float64], still: npt.NDArray[np.float64]) -> Pose2:
+    """Return the rigid motion that brings paired poses together: least squares of their places.
+
+    Args:
+        moving: (N, 3) float64, N at least 1; x and y in metres, yaw in radians.
+        still: (N, 3) float64, where the same poses should be.
+
+    Returns:
+        The motion from the frame of ``moving`` to that of ``still``. Where the places are all one
+        they say nothing of the turn; then it is the mean difference of the headings.
+
+    Source: Umeyama 1991, equations 40 to 42 with c = 1; in the plane R is one angle.
+    """
+    middle, goal = moving[:, :2].mean(axis=0), still[:, :2].mean(axis=0)
+    a, b = moving[:, :2] - middle, still[:, :2] - goal
+    along = float((a * b).sum())
+    across = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    if math.hypot(along, across) <= len(a) * _NO_SPREAD_M**2:
+        turns = np.exp(1j * (still[:, 2] - moving[:, 2]))
+        yaw_rad = float(np.angle(turns.mean()))
+    else:
+        yaw_rad = math.atan2(across, along)
+    x, y = goal - Pose2(0.0, 0.0, yaw_rad).transform(middle)
+    return Pose2(float(x), float(y), yaw_rad)
+
+
+def _pairs(
+    progress: npt.NDArray[np.float64], delta: float
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the ends of the pairs: each ends where at least ``delta`` was made since its start.
+
+    Args:
+        progress: (M,) float64, never falling.
+        delta: same unit, above 0.
+    """
+    ends = [0]
+    for index, value in enumerate(progress):
+        if value - progress[ends[-1]] >= delta * (1.0 - _ROUNDING):
+            ends.append(index)
+    return np.array(ends[:-1], dtype=np.int64), np.array(ends[1:], dtype=np.int64)
+
+
+def _no_match(estimate: Trajectory, truth: Trajectory, met: int, tolerance_s: float) -> str:
+    """Say why two trajectories cannot be compared."""
+    ranges = [
+        f"{item.name} has {len(item)} poses from {item.stamps_s[0]:.3f} to "
+        f"{item.stamps_s[-1]:.3f} s"
+        for item in (estimate, truth)
+    ]
+    return (
+        f"wanted at least two poses within {tolerance_s:g} s of a true one, found {met}; "
+        f"{ranges[0]}, {ranges[1]}; give trajectories of one run, or a larger --tolerance-s"
+    )

@@ -1,0 +1,399 @@
+"""The pictures of trajectories: where they went, and how large their errors were on the way.
+
+As in ``plots``: no name is ever drawn, backgrounds are transparent, lettering is mid-grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps  # noqa: TID251
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.collections import LineCollection  # noqa: TID251
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+from matplotlib.ticker import FuncFormatter, MaxNLocator  # noqa: TID251
+from matplotlib.transforms import Affine2D  # noqa: TID251
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
+from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.report.page import LegendEntry
+from slamfusion.report.plots import (
+    _DPI,
+    _FREE_RGB,
+    _INK,
+    _UNKNOWN_RGB,
+    _WALL_RGB,
+    _WIDTH_IN,
+    Rgb,
+    _corner,
+    _cut,
+    _png,
+    _pool,
+    _style,
+    crop_box,
+)
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "END_COLOUR",
+    "ESTIMATE_COLOUR",
+    "ODOMETRY_COLOUR",
+    "REVISIT_COLOUR",
+    "START_COLOUR",
+    "TRUTH_COLOUR",
+    "error_picture",
+    "mark_legend",
+    "path_picture",
+    "paths_legend",
+    "paths_picture",
+    "relations_picture",
+    "revisit_legend",
+]
+
+_NORMALIZE = NormalizeConfig()
+
+ESTIMATE_COLOUR: Rgb = (232, 89, 12)
+TRUTH_COLOUR: Rgb = (28, 126, 214)
+ODOMETRY_COLOUR: Rgb = (104, 112, 122)
+REVISIT_COLOUR: Rgb = (232, 89, 12)
+START_COLOUR: Rgb = (47, 158, 68)
+END_COLOUR: Rgb = (201, 42, 42)
+
+# Ends of both colour scales that would vanish on white are cut off.
+_TIME_SPAN = (0.15, 0.82)
+_ERROR_SPAN = (0.30, 1.0)
+# What odometry may add to the picture on each side: drift over the edge is cut off.
+_DRIFT_SHARE = 0.25
+_LEAST_DRIFT_M = 1.0
+_LONGEST = 1.25 * _WIDTH_IN
+_POINTS = 4000
+# Errors below this are drawn here: a logarithmic axis has no zero.
+_LEAST_M, _LEAST_DEG = 1e-4, 1e-3
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """A box in the map frame, metres."""
+
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+
+    @property
+    def size(self) -> npt.NDArray[np.float64]:
+        return np.asarray(self.high - self.low)
+
+    def grown(self, other: _Extent, most: float | None = None) -> _Extent:
+        """Return the box with another taken in, by at most ``most`` of its size a side."""
+        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        if most is not None:
+            limit = max(most * float(self.size.max()), _LEAST_DRIFT_M)
+            low, high = np.maximum(low, self.low - limit), np.minimum(high, self.high + limit)
+        return _Extent(low, high)
+
+
+def path_picture(
+    trajectory: Trajectory,
+    *,
+    grid: OccupancyGrid | None = None,
+    normalize: NormalizeConfig = _NORMALIZE,
+    values: npt.NDArray[np.float64] | None = None,
+    label: str = "error in m",
+) -> bytes:
+    """Draw a path over the map that it belongs to, coloured by time or by an error.
+
+    Args:
+        trajectory: the path, in the frame of the map; at least one pose.
+        grid: the map; default: none.
+        normalize: what counts as wall and as free in it.
+        values: (N,) float64, one for each pose, at least 0; default: the time since the first.
+        label: what the values are, with their unit.
+    """
+    poses = trajectory.poses
+    extent = _extent_of(poses)
+    if grid is not None:
+        extent = extent.grown(_grid_extent(grid, normalize))
+    if values is None:
+        label = "seconds since the start"
+        shown = trajectory.stamps_s - trajectory.stamps_s[0]
+        colours = _part(colormaps["plasma"], _TIME_SPAN)
+    else:
+        shown = np.asarray(values, dtype=np.float64)
+        colours = _part(colormaps["YlOrRd"], _ERROR_SPAN)
+    figure, axes = _map_axes(extent, bar=True)
+    if grid is not None:
+        _draw_grid(axes, grid, normalize)
+    top = float(shown.max()) or 1.0
+    lines = LineCollection(
+        list(_segments(poses[:, :2])),
+        cmap=colours,
+        norm=Normalize(0.0, top),
+        linewidths=1.3,
+        capstyle="round",
+    )
+    lines.set_array((shown[:-1] + shown[1:]) / 2.0)
+    axes.add_collection(lines, autolim=False)
+    _draw_marks(axes, poses)
+    # The bar stands in a strip of its own, so that the map keeps its shape.
+    box = axes.get_position()
+    strip = figure.add_axes((box.x1 + 0.025, box.y0, 0.022, box.height))
+    bar = figure.colorbar(lines, cax=strip)
+    bar.set_label(label, color=_INK, fontsize=7.5)
+    bar.outline.set_edgecolor(_INK)
+    strip.tick_params(colors=_INK, labelsize=7.5, width=0.7, length=3)
+    return _png(figure)
+
+
+def paths_picture(
+    trajectory: Trajectory,
+    *,
+    truth: Trajectory | None = None,
+    odometry: Trajectory | None = None,
+    grid: OccupancyGrid | None = None,
+    normalize: NormalizeConfig = _NORMALIZE,
+) -> bytes:
+    """Draw several paths of one run: the estimate, the truth dashed, raw odometry in grey.
+
+    Args:
+        trajectory: the estimate; like all others in one frame.
+        truth: the true path.
+        odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
+        grid: a map to draw under them.
+        normalize: what counts as wall and as free in it.
+    """
+    extent = _extent_of(trajectory.poses)
+    if grid is not None:
+        extent = extent.grown(_grid_extent(grid, normalize))
+    if truth is not None:
+        extent = extent.grown(_extent_of(truth.poses))
+    if odometry is not None:
+        extent = extent.grown(_extent_of(odometry.poses), _DRIFT_SHARE)
+    figure, axes = _map_axes(extent)
+    if grid is not None:
+        _draw_grid(axes, grid, normalize)
+    layers = (
+        (odometry, ODOMETRY_COLOUR, 0.9, "-"),
+        (trajectory, ESTIMATE_COLOUR, 1.3, "-"),
+        (truth, TRUTH_COLOUR, 1.0, (0, (3.0, 2.0))),
+    )
+    for path, colour, width, style in layers:
+        if path is not None:
+            x, y = path.poses[:, 0], path.poses[:, 1]
+            axes.plot(x, y, color=_unit(colour), lw=width, ls=style, scalex=False, scaley=False)
+    _draw_marks(axes, trajectory.poses)
+    return _png(figure)
+
+
+def error_picture(errors: TrajectoryErrors) -> bytes:
+    """Draw the absolute errors over travelled metres: of the place above, of the heading below."""
+    figure, (upper, lower) = _stacked()
+    travelled = errors.travelled_m
+    for axes, values, label in (
+        (upper, errors.translation_m, "error in m"),
+        (lower, np.rad2deg(errors.rotation_rad), "error in degrees"),
+    ):
+        x, y = _thinned(travelled, values)
+        axes.fill_between(x, y, color=_unit(ESTIMATE_COLOUR), alpha=0.16, lw=0)
+        axes.plot(x, y, color=_unit(ESTIMATE_COLOUR), lw=1.0)
+        rmse = float(np.sqrt(np.mean(values**2)))
+        axes.axhline(rmse, color=_INK, lw=0.8, ls=":")
+        _note(axes, f"root mean square {rmse:.3g}")
+        axes.set_ylabel(label, color=_INK, fontsize=7.5)
+        axes.set_ylim(0.0, 1.08 * float(values.max()) + 1e-9)
+        axes.margins(x=0)
+        _style(axes)
+    lower.set_xlabel("travelled metres", color=_INK, fontsize=7.5)
+    return _png(figure)
+
+
+def relations_picture(errors: RelationErrors) -> bytes:
+    """Draw what is left of each relation over time, revisits marked, on logarithmic axes."""
+    figure, (upper, lower) = _stacked()
+    since = errors.stamps_s.min(axis=1)
+    since = since - since.min()
+    revisit = errors.is_revisit()
+    for axes, values, least, label in (
+        (upper, errors.translation_m, _LEAST_M, "error in m"),
+        (lower, np.rad2deg(errors.rotation_rad), _LEAST_DEG, "error in degrees"),
+    ):
+        shown = np.maximum(values, least)
+        _style(axes)
+        axes.set_yscale("log")
+        axes.minorticks_off()
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        for chosen, colour, marker, size in (
+            (~revisit, ODOMETRY_COLOUR, "o", 3.0),
+            (revisit, REVISIT_COLOUR, "D", 5.0),
+        ):
+            axes.scatter(
+                since[chosen],
+                shown[chosen],
+                s=size,
+                marker=marker,
+                color=_unit(colour),
+                alpha=0.75,
+                linewidths=0,
+            )
+        mean = max(float(values.mean()), least)
+        axes.axhline(mean, color=_INK, lw=0.8, ls=":")
+        _note(axes, f"mean {values.mean():.3g}")
+        axes.set_ylabel(label, color=_INK, fontsize=7.5)
+        axes.set_ylim(shown.min() / 1.6, shown.max() * 1.8)
+    lower.set_xlabel("seconds since the first relation", color=_INK, fontsize=7.5)
+    return _png(figure)
+
+
+def paths_legend(*, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``paths_picture`` mean."""
+    entries = [LegendEntry("estimate", ESTIMATE_COLOUR)]
+    if truth:
+        entries.append(LegendEntry("truth, dashed", TRUTH_COLOUR))
+    if odometry:
+        entries.append(LegendEntry("raw odometry", ODOMETRY_COLOUR))
+    return (*entries, *mark_legend())
+
+
+def mark_legend() -> tuple[LegendEntry, ...]:
+    """Return what the marks on a path mean."""
+    return LegendEntry("start (circle)", START_COLOUR), LegendEntry("end (square)", END_COLOUR)
+
+
+def revisit_legend() -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``relations_picture`` mean."""
+    return (
+        LegendEntry("moments of one visit", ODOMETRY_COLOUR),
+        LegendEntry(f"revisit, over {REVISIT_S:g} s apart", REVISIT_COLOUR),
+    )
+
+
+# --- parts ---------------------------------------------------------------------------------------
+
+
+def _map_axes(extent: _Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
+    """Return axes of the shape of a place, in metres, with room for a colour bar beside them."""
+    margin = 0.03 * float(extent.size.max()) + 0.2
+    low, high = extent.low - margin, extent.high + margin
+    wide, tall = (float(side) for side in high - low)
+    left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.08
+    width = _WIDTH_IN - left - right
+    height = width * tall / wide
+    if height > _LONGEST:
+        width, height = max(_LONGEST * wide / tall, 1.0), _LONGEST
+    height = max(height, 0.6)
+    size = (width + left + right, height + bottom + top)
+    figure = Figure(figsize=size, dpi=_DPI)
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    # Where a side was widened for the lettering, the place shows more around it.
+    scale = max(wide / width, tall / height)
+    middle = (low + high) / 2.0
+    axes.set_xlim(middle[0] - scale * width / 2, middle[0] + scale * width / 2)
+    axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
+    for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
+    axes.set_xlabel("x in m", color=_INK, fontsize=7.5, labelpad=2)
+    axes.set_ylabel("y in m", color=_INK, fontsize=7.5, labelpad=2)
+    _style(axes)
+    return figure, axes
+
+
+def _stacked() -> tuple[Figure, Sequence[Axes]]:
+    """Return two axes above each other with one x axis."""
+    figure = Figure(figsize=(_WIDTH_IN, 3.2), dpi=_DPI)
+    upper = figure.add_axes((0.155, 0.57, 0.825, 0.37))
+    lower = figure.add_axes((0.155, 0.125, 0.825, 0.37), sharex=upper)
+    upper.tick_params(labelbottom=False)
+    return figure, (upper, lower)
+
+
+def _note(axes: Axes, text: str) -> None:
+    """Say in words what the dotted line of the axes is."""
+    axes.set_title(text, loc="right", color=_INK, fontsize=7, pad=2.5)
+
+
+def _draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:
+    """Draw a map in the colours of ``plots.map_picture`` where it lies."""
+    cells = trinary_cells(grid.cells, normalize)
+    box = crop_box(cells != -1)
+    pooled, factor = _pool(_cut(cells, box), grid.origin)
+    palette = np.array((_UNKNOWN_RGB, _FREE_RGB, _WALL_RGB), dtype=np.uint8)
+    # Unknown cells have no colour here: around the map there is nothing either.
+    rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
+    corner = _corner(grid.origin, box, grid.resolution)
+    side = factor * grid.resolution
+    turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
+    limits = axes.get_xlim(), axes.get_ylim()
+    axes.imshow(
+        rgba,
+        origin="lower",
+        interpolation="nearest",
+        extent=(0.0, pooled.shape[1] * side, 0.0, pooled.shape[0] * side),
+        transform=turned + axes.transData,
+        aspect="auto",
+    )
+    axes.set_facecolor(_unit(_UNKNOWN_RGB))
+    axes.set_xlim(limits[0])
+    axes.set_ylim(limits[1])
+
+
+def _draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
+    """Mark the first and the last pose; where they are one place both are seen."""
+    for pose, colour, marker, size in (
+        (poses[0], START_COLOUR, "o", 8.5),
+        (poses[-1], END_COLOUR, "s", 4.0),
+    ):
+        axes.plot(
+            [pose[0]],
+            [pose[1]],
+            marker=marker,
+            ms=size,
+            color=_unit(colour),
+            markeredgecolor="white",
+            markeredgewidth=0.7,
+            ls="none",
+            scalex=False,
+            scaley=False,
+        )
+
+
+def _extent_of(poses: npt.NDArray[np.float64]) -> _Extent:
+    return _Extent(poses[:, :2].min(axis=0), poses[:, :2].max(axis=0))
+
+
+def _grid_extent(grid: OccupancyGrid, normalize: NormalizeConfig) -> _Extent:
+    """Return the box of what the map knows."""
+    box = crop_box(trinary_cells(grid.cells, normalize) != -1)
+    corner = _corner(grid.origin, box, grid.resolution)
+    wide, tall = box.width * grid.resolution, box.height * grid.resolution
+    corners = corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)])
+    return _Extent(corners.min(axis=0), corners.max(axis=0))
+
+
+def _segments(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the lines between neighbouring places, (N - 1, 2, 2)."""
+    return np.stack((places[:-1], places[1:]), axis=1)
+
+
+def _thinned(
+    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return at most ``_POINTS`` points; of each run of them the largest."""
+    step = -(-len(x) // _POINTS)
+    if step == 1:
+        return x, y
+    starts = np.arange(0, len(x), step)
+    return x[starts], np.maximum.reduceat(y, starts)
+
+
+def _part(colours: Colormap, span: tuple[float, float]) -> Colormap:
+    """Return a part of a colour scale as a whole one."""
+    return LinearSegmentedColormap.from_list("part", colours(np.linspace(*span, 256)))
+
+
+def _unit(rgb: Rgb) -> tuple[float, float, float]:
+    """Return a colour as matplotlib has it."""
+    r, g, b = (value / 255.0 for value in rgb)
+    return r, g, b

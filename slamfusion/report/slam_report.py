@@ -1,0 +1,95 @@
+"""The report of one producer's run: its map, its path, how well it did, and its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import RelationErrors, trajectory_errors
+from slamfusion.grid import OccupancyGrid
+from slamfusion.report.maps import input_picture, statistics_table
+from slamfusion.report.page import (
+    Banner,
+    Fact,
+    Page,
+    Section,
+    Table,
+    circumstances,
+    write_page,
+)
+from slamfusion.report.trajectory_report import (
+    error_facts,
+    path_pictures,
+    relations_section,
+    truth_section,
+)
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["write_slam_report"]
+
+
+def write_slam_report(
+    directory: str | Path,
+    *,
+    name: str,
+    grid: OccupancyGrid,
+    trajectory: Trajectory,
+    config: RunConfig,
+    facts: Sequence[Fact] = (),
+    warnings: Sequence[tuple[str, str]] = (),
+    tables: Sequence[Table] = (),
+    odometry: Trajectory | None = None,
+    truth: Trajectory | None = None,
+    relations: RelationErrors | None = None,
+    device: str = "",
+) -> Path:
+    """Write the report of a producer's run as one self-contained page with its pictures beside it.
+
+    Args:
+        directory: for ``report.html`` and the PNG files; made when missing.
+        name: the producer.
+        grid: its map.
+        trajectory: its pose at each scan, in the frame of the map; at least one.
+        config: the effective configuration, written out in full.
+        facts: health and timing, for the headline, in this order.
+        warnings: what the user must see first, each a subject and a sentence: scans that were
+            skipped, a producer that may be lost.
+        tables: more of health and timing.
+        odometry: raw odometry of the scans, laid on the start of the path.
+        truth: the true path; its errors are computed as ``config.trajectory`` says.
+        relations: the trajectory's errors on known relations.
+        device: the device that computed, in words.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        TrajectoryError: the truth does not meet the trajectory in time.
+        SlamFusionError: the directory cannot be written.
+    """
+    normalize = config.fusion.normalize
+    errors = None
+    if truth is not None:
+        errors = trajectory_errors(trajectory, truth, config.trajectory)
+    pictures = [
+        input_picture(grid, normalize),
+        *path_pictures(
+            trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
+        ),
+    ]
+    sections = [Section("Map and path", "map", "", pictures, [statistics_table([grid], normalize)])]
+    if errors is not None:
+        sections.append(truth_section(errors, config=config, grid=grid))
+    if relations is not None:
+        sections.append(relations_section(relations))
+    if tables:
+        sections.append(Section("Health and time", "health", tables=tables))
+    sections.append(circumstances(config, device))
+    banner = Banner(
+        "warn" if warnings else "good",
+        f"{name}: {len(trajectory)} poses, {trajectory.path_length_m():.1f} m",
+        warnings,
+    )
+    shown = [*facts, *error_facts(relations, errors)]
+    return write_page(Page("SLAMfusion run", banner, shown, sections), directory)

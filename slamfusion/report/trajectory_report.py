@@ -1,0 +1,276 @@
+"""The report of a trajectory against the truth or known relations, and its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import ErrorStatistics, RelationErrors, TrajectoryErrors
+from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.grid import OccupancyGrid
+from slamfusion.report import paths
+from slamfusion.report.page import (
+    Banner,
+    Cell,
+    Fact,
+    Page,
+    Picture,
+    Section,
+    Table,
+    circumstances,
+    number,
+    write_page,
+)
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "error_facts",
+    "path_pictures",
+    "relations_section",
+    "truth_section",
+    "write_trajectory_report",
+]
+
+_FIGURES = ("mean", "std", "rmse", "median", "min", "max")
+
+
+def write_trajectory_report(
+    directory: str | Path,
+    *,
+    trajectory: Trajectory,
+    config: RunConfig,
+    relations: RelationErrors | None = None,
+    errors: TrajectoryErrors | None = None,
+    truth: Trajectory | None = None,
+    odometry: Trajectory | None = None,
+    grid: OccupancyGrid | None = None,
+) -> Path:
+    """Write the errors of a trajectory as one self-contained page with its pictures beside it.
+
+    Args:
+        directory: for ``report.html`` and the PNG files; made when missing.
+        trajectory: the estimate, at least one pose.
+        config: the effective configuration, written out in full.
+        relations: its errors on known relations.
+        errors: its errors against ``truth``.
+        truth: the true path, drawn dashed where ``errors`` says how it lies to the estimate.
+        odometry: where the wheels alone would have gone, laid on the estimate's start.
+        grid: a map in the frame of the estimate, drawn under it.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: the directory cannot be written.
+    """
+    shown = path_pictures(
+        trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
+    )
+    sections = [Section("Path", "path", "", shown)]
+    if errors is not None:
+        sections.append(truth_section(errors, config=config, grid=grid))
+    if relations is not None:
+        sections.append(relations_section(relations))
+    sections.append(circumstances(config, "none needed"))
+    facts = [
+        *error_facts(relations, errors),
+        Fact(f"{len(trajectory)}", "poses"),
+        Fact(f"{trajectory.path_length_m():.1f} m", "travelled by the estimate"),
+    ]
+    banner = Banner("good", f"{trajectory.name}: its errors", _how_counted(relations, errors))
+    return write_page(Page("SLAMfusion trajectory", banner, facts, sections), directory)
+
+
+def path_pictures(
+    trajectory: Trajectory,
+    *,
+    config: RunConfig,
+    grid: OccupancyGrid | None = None,
+    errors: TrajectoryErrors | None = None,
+    truth: Trajectory | None = None,
+    odometry: Trajectory | None = None,
+) -> list[Picture]:
+    """Return the path by time, and where there are others, beside them.
+
+    Args:
+        trajectory: the estimate, in the frame of ``grid``.
+        config: what counts as wall and as free in the map.
+        grid: the map; None: none.
+        errors: says how the truth lies to the estimate; without it the truth is left out.
+        truth: the true path, in its own frame.
+        odometry: raw odometry, in its own frame; it is laid on the estimate's start.
+    """
+    normalize = config.fusion.normalize
+    pictures = [
+        Picture(
+            "path",
+            paths.path_picture(trajectory, grid=grid, normalize=normalize),
+            "The path over the map" if grid is not None else "The path",
+            f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m.",
+            legend=paths.mark_legend(),
+        )
+    ]
+    true = None
+    if truth is not None and errors is not None:
+        true = _moved(truth, errors.pose_truth_estimate.inverse())
+    wheels = None
+    if odometry is not None and len(odometry):
+        start = odometry.pose(int(odometry.nearest(trajectory.stamps_s[0])))
+        wheels = _moved(odometry, trajectory.pose(0).compose(start.inverse()))
+    if true is not None or wheels is not None:
+        png = paths.paths_picture(
+            trajectory, truth=true, odometry=wheels, grid=grid, normalize=normalize
+        )
+        pictures.append(
+            Picture(
+                "paths",
+                png,
+                "The path beside the others",
+                "The truth is laid on the estimate as a whole, raw odometry on its start; drift "
+                "far beyond the picture is cut off.",
+                legend=paths.paths_legend(truth=true is not None, odometry=wheels is not None),
+            )
+        )
+    return pictures
+
+
+def truth_section(
+    errors: TrajectoryErrors, *, config: RunConfig, grid: OccupancyGrid | None = None
+) -> Section:
+    """Return the errors against the truth: along the path, on the map, and as a table."""
+    back = errors.pose_truth_estimate.inverse()
+    matched = Trajectory(errors.stamps_s, compose_poses(_array(back), errors.aligned), errors.name)
+    pictures = [
+        Picture(
+            "error-along-path",
+            paths.error_picture(errors),
+            "Error along the path",
+            "Distance of each place from the true one, and difference of the headings, over the "
+            "metres that were truly travelled.",
+        ),
+        Picture(
+            "error-on-path",
+            paths.path_picture(
+                matched,
+                grid=grid,
+                normalize=config.fusion.normalize,
+                values=errors.translation_m,
+            ),
+            "Where the error is",
+            "The estimated path, coloured by the distance from the true place.",
+            legend=paths.mark_legend(),
+        ),
+    ]
+    pair = f"{errors.config.rpe_delta:g} {errors.config.rpe_unit}"
+    rows = [
+        ("ATE, place, m", errors.ate, 4),
+        ("ATE, heading, deg", errors.ate_rotation_deg, 3),
+        (f"RPE over {pair}, place, m", errors.rpe, 4),
+        (f"RPE over {pair}, heading, deg", errors.rpe_rotation_deg, 3),
+    ]
+    return Section(
+        "Error against the truth",
+        "truth",
+        "ATE: of each pose by itself, after the best rigid motion of the whole (where asked for). "
+        "RPE: of the motion between two poses, whatever came before.",
+        pictures,
+        [_table(f"Against {errors.truth}", rows)],
+    )
+
+
+def relations_section(errors: RelationErrors) -> Section:
+    """Return what is left of each relation, over time and as a table."""
+    revisits = errors.is_revisit()
+    picture = Picture(
+        "relations",
+        paths.relations_picture(errors),
+        "Error of each relation",
+        f"{errors.relations_used} of {errors.relations_total} relations, "
+        f"{int(revisits.sum())} of them revisits. A slip shows at the relations across it and "
+        "nowhere else.",
+        legend=paths.revisit_legend(),
+    )
+    rows: list[tuple[str, ErrorStatistics | None, int]] = [
+        ("translation, m", errors.translation, 4),
+        ("rotation, deg", errors.rotation_deg, 3),
+    ]
+    if revisits.any():
+        rows.append(
+            ("translation of revisits, m", ErrorStatistics.of(errors.translation_m[revisits]), 4)
+        )
+    return Section(
+        "Error on known relations",
+        "relations",
+        "The motion between two times, as it should be, taken off the motion that the trajectory "
+        "made between them [K09]. No common frame is needed.",
+        [picture],
+        [_table(f"On {errors.relations}", rows)],
+    )
+
+
+def error_facts(relations: RelationErrors | None, errors: TrajectoryErrors | None) -> list[Fact]:
+    """Return the numbers of the headline."""
+    facts = []
+    if relations is not None:
+        part = f"{relations.relations_used} of {relations.relations_total}"
+        facts += [
+            Fact(f"{relations.translation.mean:.4f} m", f"mean error of {part} relations"),
+            Fact(f"{relations.rotation_deg.mean:.2f}°", "mean rotation error of the relations"),
+        ]
+    if errors is not None:
+        facts.append(Fact(f"{errors.ate.rmse:.4f} m", "ATE, root mean square"))
+        if errors.rpe is not None:
+            pair = f"{errors.config.rpe_delta:g} {errors.config.rpe_unit}"
+            facts.append(Fact(f"{errors.rpe.rmse:.4f} m", f"RPE over {pair}, root mean square"))
+    return facts
+
+
+def _how_counted(
+    relations: RelationErrors | None, errors: TrajectoryErrors | None
+) -> Sequence[tuple[str, str]]:
+    """Say what the numbers rest on."""
+    lines = []
+    if relations is not None:
+        counted = (
+            f"{relations.relations_used} of {relations.relations_total} of "
+            f"{relations.relations}, poses within {relations.tolerance_s:g} s of both times."
+        )
+        lines.append(("Relations:", counted))
+    if errors is not None:
+        aligned = "aligned" if errors.config.alignment == "se2" else "not aligned"
+        counted = (
+            f"{errors.poses_matched} of {errors.poses_total} poses met one of {errors.truth} "
+            f"within {errors.config.tolerance_s:g} s; {aligned}."
+        )
+        lines.append(("Truth:", counted))
+    return lines
+
+
+def _table(title: str, rows: Sequence[tuple[str, ErrorStatistics | None, int]]) -> Table:
+    """Return a table of figures, dashes where there are none."""
+    return Table(
+        title,
+        ("error", *_FIGURES),
+        [
+            [
+                Cell(name),
+                *(
+                    number(None if figures is None else getattr(figures, figure), digits)
+                    for figure in _FIGURES
+                ),
+            ]
+            for name, figures, digits in rows
+        ],
+        "std is that of the population; min and max are the best and the worst.",
+    )
+
+
+def _moved(trajectory: Trajectory, motion: Pose2) -> Trajectory:
+    """Return a trajectory in another frame."""
+    poses = compose_poses(_array(motion), trajectory.poses)
+    return Trajectory(trajectory.stamps_s, poses, trajectory.name)
+
+
+def _array(pose: Pose2) -> tuple[float, float, float]:
+    return pose.x, pose.y, pose.yaw_rad

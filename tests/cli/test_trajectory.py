@@ -1,0 +1,253 @@
+"""``slamfusion trajectory`` as a user starts it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.support.datasets import ABSENT, DATASETS
+
+CSAIL = DATASETS / "mit-csail"
+INTEL = DATASETS / "intel"
+PUBLIC = DATASETS / "maps" / "multi-slam" / "mit-csail"
+
+# Four poses along a bend, a second apart; the estimate's last place is 0.2 m off to its left.
+TRUTH = [(0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), (2.0, 2.0, 0.0, 0.0), (3.0, 3.0, 0.0, 0.0)]
+ESTIMATE = [*TRUTH[:3], (3.0, 3.0, 0.2, 0.0)]
+FIGURES = {"mean", "std", "rmse", "median", "min", "max"}
+
+
+def tum(path: Path, rows: list[tuple[float, float, float, float]]) -> Path:
+    lines = [
+        f"{t} {x} {y} 0 0 0 {math.sin(yaw_rad / 2)} {math.cos(yaw_rad / 2)}"
+        for t, x, y, yaw_rad in rows
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
+def table(path: Path, rows: list[tuple[float, ...]]) -> Path:
+    lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, Path]:
+    """An estimate, the truth, relations, and odometry with a row every half second."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    relations = [(0, 1, 1, 0, 0, 0, 0, 0), (0, 3, 3, 0, 0, 0, 0, 0), (0, 2.5, 2.5, 0, 0, 0, 0, 0)]
+    odometry = [(0.5 * index, 0.6 * index, 7.0, 0.0) for index in range(7)]
+    return {
+        "estimate": tum(folder / "slam.tum", ESTIMATE),
+        "truth": tum(folder / "true.tum", TRUTH),
+        "relations": table(folder / "run.relations", relations),
+        "odometry": table(folder / "wheels.txt", odometry),
+        "log": table(folder / "scans.txt", [odometry[index] for index in (0, 2, 4, 6)]),
+    }
+
+
+def options(files: dict[str, Path], *names: str) -> list[str | Path]:
+    return [part for name in names for part in (f"--{name}", files[name])]
+
+
+def test_relations_give_the_promised_keys(files: dict[str, Path]) -> None:
+    done = run("trajectory", files["estimate"], *options(files, "relations"), "--json")
+    assert done.returncode == 0, done.stderr
+    document = json_of(done)
+    assert set(document["translation"]) == set(document["rotation_deg"]) == FIGURES
+    assert document["translation"]["mean"] == pytest.approx(0.1)
+    assert document["translation"]["max"] == pytest.approx(0.2)
+    assert (document["relations_used"], document["relations_total"]) == (2, 3)
+    assert (document["tolerance_s"], document["poses"]) == (0.01, 4)
+    assert document["odometry"] is None
+    assert document["config"]["trajectory"]["tolerance_s"] == 0.01
+    assert document["versions"]["numpy"] == np.__version__
+    assert document["path_length_m"] == pytest.approx(2.0 + math.hypot(1.0, 0.2))
+
+
+@pytest.mark.parametrize(("names", "by"), [(("log",), "odometry"), ((), "stamp")])
+def test_odometry_lets_every_relation_count(
+    files: dict[str, Path], names: tuple[str, ...], by: str
+) -> None:
+    asked = options(files, "relations", "odometry", *names)
+    document = json_of(run("trajectory", files["estimate"], *asked, "--json"))
+    assert (document["relations_used"], document["relations_total"]) == (3, 3)
+    # At 2.5 s: the pose of 2 s (of two equally near the earlier), 0.6 m further by the wheels.
+    assert document["translation"]["mean"] == pytest.approx((0.0 + 0.2 + 0.1) / 3)
+    assert document["odometry"] == {
+        "rows": 7,
+        "rows_found_by": by,
+        "poses_used": 4,
+        "poses_without_row": 0,
+    }
+    assert document["poses"] == 4
+
+
+def test_truth_gives_absolute_and_relative_errors(files: dict[str, Path]) -> None:
+    asked = [*options(files, "truth"), "--alignment", "none", "--json"]
+    document = json_of(run("trajectory", files["estimate"], *asked))
+    assert set(document["ate"]) == set(document["rpe"]) == FIGURES
+    assert document["ate"]["rmse"] == pytest.approx(0.1)
+    assert document["ate"]["max"] == pytest.approx(0.2)
+    assert document["rpe"]["mean"] == pytest.approx(0.2 / 3)
+    assert (document["rpe_pairs"], document["rpe_unit"]) == (3, "frames")
+    assert (document["poses"], document["poses_matched"]) == (4, 4)
+
+
+def test_options_decide_how_errors_are_counted(files: dict[str, Path]) -> None:
+    asked = [*options(files, "truth"), "--rpe-unit", "m", "--rpe-delta", "1.5", "--json"]
+    document = json_of(run("trajectory", files["estimate"], *asked))
+    assert document["rpe_pairs"] == 1
+    assert document["ate"]["rmse"] < 0.1
+    assert document["alignment"]["kind"] == "se2"
+    assert document["config"]["trajectory"]["rpe_unit"] == "m"
+
+
+def test_both_may_be_asked_at_once_and_tables_say_how(files: dict[str, Path]) -> None:
+    done = run("trajectory", files["estimate"], *options(files, "relations", "odometry", "truth"))
+    assert done.returncode == 0
+    assert done.stderr == ""
+    for words in (
+        "slam: 4 poses",
+        "relations, translation m",
+        "ATE, translation m",
+        "RPE over 1 frames",
+        "3 of 3 relations used",
+        "found by stamp",
+        "4 of 4 poses met one of true within 0.01 s, aligned; 3 pairs",
+    ):
+        assert words in done.stdout
+
+
+def test_the_report_has_every_picture(files: dict[str, Path], tmp_path: Path) -> None:
+    report = tmp_path / "report"
+    asked = options(files, "relations", "odometry", "log", "truth")
+    done = run("trajectory", files["estimate"], *asked, "--report", report)
+    assert done.returncode == 0, done.stderr
+    assert sorted(tree(report)) == [
+        "01-path.png",
+        "02-paths.png",
+        "03-error-along-path.png",
+        "04-error-on-path.png",
+        "05-relations.png",
+        "report.html",
+    ]
+    page = (report / "report.html").read_text(encoding="utf-8")
+    assert "3 of 3" in page
+    assert "raw odometry" in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "--relations FILE, --truth FILE, or both"),
+        (("--odometry", "x", "--truth", "x"), "give --relations FILE"),
+        (("--log", "x", "--relations", "x"), "give --odometry FILE"),
+        (("--map", "x", "--truth", "x"), "give --report DIR"),
+        (("--truth", "x", "--rpe-delta", "0"), "rpe_delta must lie in"),
+    ],
+)
+def test_wrong_usage_is_said(
+    files: dict[str, Path], arguments: tuple[str, ...], words: str
+) -> None:
+    done = run("trajectory", files["estimate"], *arguments)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+
+
+def spoil(path: Path, text: str) -> None:
+    path.write_text(text, encoding="ascii")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("relations", "1 2 3\n", ("run.relations", "line 1", "3 columns")),
+        ("relations", "", ("run.relations", "found none")),
+        ("relations", "70 80 0 0 0 0 0 0\n", ("none of the 1 relations", "0.000", "80.000")),
+        ("odometry", "0 0 0 0\n1 0 x 0\n", ("wheels.txt", "line 2")),
+        ("odometry", "900 0 0 0\n", ("slam", "900.000", "one run")),
+        ("estimate", "nothing\n", ("slam.tum",)),
+        ("truth", "50 0 0 0 0 0 0 1\n51 0 0 0 0 0 0 1\n", ("at least two", "50.000", "0.000")),
+    ],
+)
+def test_bad_input_is_one_line(
+    files: dict[str, Path], tmp_path: Path, name: str, text: str, words: tuple[str, ...]
+) -> None:
+    spoil(files[name], text)
+    asked = options(files, "relations", "odometry", "truth")
+    done = run("trajectory", files["estimate"], *asked, "--report", tmp_path / "report")
+    assert_one_line_failure(done, *words)
+    assert not (tmp_path / "report").exists()
+
+
+def test_a_missing_file_is_one_line(files: dict[str, Path], tmp_path: Path) -> None:
+    done = run("trajectory", files["estimate"], "--relations", tmp_path / "none.relations")
+    assert_one_line_failure(done, "none.relations", "check the path")
+
+
+# --- recordings ----------------------------------------------------------------------------------
+
+
+def measured(estimate: Path, relations: Path, *more: str | Path) -> dict[str, Any]:
+    done = run("trajectory", estimate, "--relations", relations, *more, "--json")
+    assert done.returncode == 0, done.stderr
+    return json_of(done)
+
+
+@pytest.mark.datasets
+@pytest.mark.skipif(not CSAIL.is_dir(), reason=ABSENT)
+@pytest.mark.parametrize(
+    ("file", "translation", "rotation"),
+    [
+        ("mit-csail.clf.gz", (1.6815, 5.2922), (5.07, 8.24)),
+        ("mit-csail-reference-graph.log.gz", (0.0045, 0.0093), (0.046, 0.087)),
+    ],
+)
+def test_csail_has_its_known_errors(
+    file: str, translation: tuple[float, float], rotation: tuple[float, float]
+) -> None:
+    document = measured(CSAIL / file, CSAIL / "mit-csail.relations")
+    assert (document["relations_used"], document["relations_total"]) == (1172, 1172)
+    place, turn = document["translation"], document["rotation_deg"]
+    assert (place["mean"], place["std"]) == pytest.approx(translation, abs=5.1e-5)
+    assert (turn["mean"], turn["std"]) == pytest.approx(rotation, abs=5.1e-3)
+
+
+@pytest.mark.datasets
+@pytest.mark.skipif(not PUBLIC.is_dir(), reason=ABSENT)
+@pytest.mark.parametrize(
+    ("name", "mean", "slack"), [("karto", 0.038, 0.001), ("tinyslam-lost", 3.6, 0.15)]
+)
+def test_public_programs_have_their_known_errors(name: str, mean: float, slack: float) -> None:
+    log = CSAIL / "mit-csail.clf.gz"
+    document = measured(
+        PUBLIC / f"{name}.tum", CSAIL / "mit-csail.relations", "--odometry", log, "--log", log
+    )
+    assert document["relations_used"] == 1172
+    assert document["translation"]["mean"] == pytest.approx(mean, abs=slack)
+
+
+@pytest.mark.datasets
+@pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT)
+def test_all_relations_of_intel_count() -> None:
+    document = measured(
+        INTEL / "intel-910-corrected.poses.csv.gz",
+        INTEL / "intel.relations",
+        "--odometry",
+        INTEL / "intel-odometry-13631.txt.gz",
+        "--log",
+        INTEL / "intel-910-raw.log.gz",
+    )
+    assert (document["relations_used"], document["relations_total"]) == (2984, 2984)
+    found = document["translation"]
+    assert (found["mean"], found["std"]) == pytest.approx((0.0507, 0.047), abs=5e-4)
+    assert document["odometry"]["rows_found_by"] == "odometry"
+    assert document["odometry"]["poses_without_row"] == 0

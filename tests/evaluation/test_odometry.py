@@ -1,0 +1,377 @@
+"""Poses between scans: composed with raw odometry, whose rows are found by pose, not by stamp."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import logging
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation import (
+    Relations,
+    match_odometry,
+    poses_by_odometry,
+    read_odometry,
+    read_relations,
+    relation_errors,
+    subsample_to_scans,
+)
+from slamfusion.evaluation.odometry import _rows_by_stamp
+from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.io.trajectories import read_trajectory
+from slamfusion.trajectory import Trajectory
+from tests.support.datasets import ABSENT, DATASETS
+
+INTEL = DATASETS / "intel"
+TOLERANCE_S = 0.01
+TOLERANCE_M = 0.005
+START_S = 1000.0
+
+
+def chain(steps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Poses from the motions between them, starting at the identity."""
+    poses = [np.zeros(3)]
+    for step in steps:
+        poses.append(compose_poses(poses[-1], step))
+    return np.array(poses)
+
+
+def run(count: int = 400, seed: int = 3) -> tuple[Trajectory, Trajectory]:
+    """The truth of a run, and its odometry: drifting, at rest for a while, five rows a second."""
+    rng = np.random.default_rng(seed)
+    steps = rng.normal((0.1, 0.0, 0.02), (0.03, 0.0, 0.1), (count - 1, 3))
+    steps[100:130] = 0.0
+    slip = 1.0 + rng.normal(0.0, 0.05, steps.shape) + (0.0, 0.0, 0.1)
+    stamps = START_S + 0.2 * np.arange(count)
+    truth = Trajectory(stamps, chain(steps), "truth")
+    return truth, Trajectory(stamps, chain(steps * slip), "odometry")
+
+
+def part(path: Trajectory, rows: npt.NDArray[np.int64], late_s: npt.ArrayLike = 0.0) -> Trajectory:
+    """Some poses of a path, with other stamps."""
+    stamps = np.maximum.accumulate(path.stamps_s[rows] + np.asarray(late_s))
+    return Trajectory(stamps, path.poses[rows], f"part of {path.name}")
+
+
+def own_relations(path: Trajectory, count: int = 300) -> Relations:
+    pairs = np.random.default_rng(5).integers(0, len(path), (count, 2))
+    made = compose_poses(invert_poses(path.poses[pairs[:, 0]]), path.poses[pairs[:, 1]])
+    return Relations(path.stamps_s[pairs], made, "own")
+
+
+def test_at_every_row_the_estimate_is_kept() -> None:
+    truth, odometry = run()
+    for scans in (None, odometry):
+        dense = poses_by_odometry(
+            truth, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+        )
+        found = relation_errors(dense.trajectory, own_relations(truth), TOLERANCE_S)
+        assert found.relations_used == 300
+        assert found.translation.mean < 0.002
+        # Where the robot stands, any of the equal rows may be taken for a scan's.
+        np.testing.assert_allclose(dense.trajectory.poses, truth.poses, atol=1e-12)
+
+
+def test_between_scans_the_wheels_carry_the_pose_on() -> None:
+    truth, odometry = run()
+    every_tenth = np.arange(0, 400, 10)
+    estimate = part(truth, every_tenth)
+    dense = poses_by_odometry(
+        estimate, None, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+    )
+    # Row 13 belongs to scan 10, row 17 to scan 20, row 15 to the earlier of the two.
+    for row, scan in ((13, 10), (17, 20), (15, 10)):
+        step = odometry.pose(scan).inverse().compose(odometry.pose(row))
+        wanted = truth.pose(scan).compose(step)
+        found = dense.trajectory.pose(row)
+        assert (found.x, found.y) == pytest.approx((wanted.x, wanted.y), abs=1e-12)
+    assert dense.to_json() == {
+        "rows": 400,
+        "rows_found_by": "stamp",
+        "poses_used": 40,
+        "poses_without_row": 0,
+    }
+    relations = own_relations(truth)
+    carried = relation_errors(dense.trajectory, relations, TOLERANCE_S)
+    assert carried.relations_used == 300
+    drifted = relation_errors(odometry, relations, TOLERANCE_S)
+    assert carried.translation.mean < 0.1 * drifted.translation.mean
+
+
+@settings(max_examples=25)
+@given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3), st.integers(0, 1000))
+def test_rows_are_found_in_another_frame_and_with_wrong_stamps(
+    x: float, y: float, yaw_rad: float, seed: int
+) -> None:
+    _, odometry = run()
+    rows = np.sort(np.random.default_rng(seed).choice(400, 150, replace=False))
+    late = np.random.default_rng(seed).uniform(-3.0, 3.0, 150)
+    exact = part(odometry, rows, late)
+    poses = compose_poses((x, y, yaw_rad), exact.poses)
+    match = match_odometry(Trajectory(exact.stamps_s, poses), odometry, TOLERANCE_M)
+    assert match.matched == 150
+    found = odometry.poses[match.rows]
+    np.testing.assert_allclose(found, odometry.poses[rows], atol=1e-9)
+    moved = match.pose_scan_file
+    assert (moved.x, moved.y) == pytest.approx((x, y), abs=1e-6)
+
+
+def test_stamps_that_are_off_do_no_harm_where_the_log_is_known() -> None:
+    truth, odometry = run()
+    rows = np.arange(0, 400, 4)
+    # Each scan has the stamp of a row, as a rule of a wrong one.
+    stamps = truth.stamps_s[np.sort(np.random.default_rng(8).choice(400, 100, replace=False))]
+    estimate, scans = (
+        Trajectory(stamps, path.poses[rows], path.name) for path in (truth, odometry)
+    )
+    relations = own_relations(truth)
+    means = {}
+    for known in (scans, None):
+        dense = poses_by_odometry(
+            estimate, known, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+        )
+        found = relation_errors(dense.trajectory, relations, TOLERANCE_S)
+        means[dense.by] = found.translation.mean
+    assert means["odometry"] < 0.05
+    assert means["stamp"] > 10.0 * means["odometry"]
+
+
+def test_repeated_odometry_is_taken_in_order() -> None:
+    # At rest from row 100 to 130; scans of every third row keep their order there.
+    _, odometry = run()
+    rows = np.arange(0, 400, 3)
+    match = match_odometry(part(odometry, rows), odometry, TOLERANCE_M)
+    assert (np.diff(match.rows) > 0).all()
+    np.testing.assert_allclose(match.rows, rows, atol=2)
+
+
+def test_a_place_that_is_met_again_minutes_later_is_another_row() -> None:
+    # Twice round one closed curve without drift: every pose comes twice, 100 s apart.
+    turn = np.linspace(0.0, 4.0 * np.pi, 1001)[:-1]
+    radius = 5.0 + np.sin(turn) + 0.5 * np.cos(3.0 * turn)
+    poses = np.column_stack((radius * np.cos(turn), radius * np.sin(turn), turn))
+    odometry = Trajectory(0.2 * np.arange(1000), poses, "laps")
+    rows = np.arange(0, 1000, 7)
+    match = match_odometry(part(odometry, rows, 0.3), odometry, TOLERANCE_M)
+    assert match.rows.tolist() == rows.tolist()
+
+
+def test_scans_without_a_row_are_counted_and_left_out() -> None:
+    truth, odometry = run()
+    rows = np.arange(0, 400, 10)
+    scans = part(odometry, rows)
+    wrong = scans.poses.copy()
+    wrong[7] += (0.02, 0.0, 0.0)
+    scans = Trajectory(scans.stamps_s, wrong, "scans")
+    assert match_odometry(scans, odometry, TOLERANCE_M).rows[7] == -1
+    dense = poses_by_odometry(
+        part(truth, rows), scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+    )
+    assert dense.to_json()["poses_without_row"] == 1
+    assert dense.to_json()["rows_found_by"] == "odometry"
+
+
+def test_odometry_of_another_run_is_refused() -> None:
+    truth, odometry = run()
+    _, other = run(seed=4)
+    late = Trajectory(other.stamps_s + 5000.0, other.poses, "other")
+    with pytest.raises(TrajectoryError, match=r"other: no row equals the odometry of a scan"):
+        match_odometry(odometry, late, TOLERANCE_M)
+    with pytest.raises(TrajectoryError, match=r"truth: no pose .* 1000\.000 .* 6000\.000"):
+        poses_by_odometry(truth, None, late, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
+    with pytest.raises(TrajectoryError, match=r"truth: no pose .* of other .* 6000\.000"):
+        poses_by_odometry(truth, late, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
+
+
+def test_rounded_stamps_are_made_fine_again_by_the_scans() -> None:
+    # Bursts of three rows within 3 ms; the file has all three at one stamp.
+    truth, odometry = run()
+    burst = np.repeat(np.arange(134), 3)[:400]
+    fine_s = START_S + 0.6 * burst + 0.001 * (np.arange(400) % 3)
+    exact = Trajectory(fine_s, truth.poses, "exact")
+    coarse = Trajectory(START_S + 0.6 * burst + 0.001, odometry.poses, "coarse")
+    relations = own_relations(exact)
+    for scans in (None, Trajectory(fine_s, odometry.poses, "scans")):
+        dense = poses_by_odometry(
+            exact, scans, coarse, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+        )
+        assert relation_errors(dense.trajectory, relations, TOLERANCE_S).translation.max < 1e-9
+
+
+def least_cost(poses_s: list[float], rows_s: list[float], tolerance_s: float) -> float:
+    """The least cost of giving poses rows in order, by trying all; left out costs the tolerance."""
+    best = tolerance_s * len(poses_s)
+    for count in range(1, min(len(poses_s), len(rows_s)) + 1):
+        for poses in itertools.combinations(poses_s, count):
+            for rows in itertools.combinations(rows_s, count):
+                apart = [abs(a - b) for a, b in zip(poses, rows, strict=True)]
+                if max(apart) <= tolerance_s:
+                    cost = sum(apart) + tolerance_s * (len(poses_s) - count)
+                    best = min(best, cost)
+    return best
+
+
+@given(
+    st.lists(st.integers(0, 60), min_size=1, max_size=5),
+    st.lists(st.integers(0, 6), min_size=1, max_size=6),
+    st.sampled_from([0.4, 1.0, 2.5]),
+)
+def test_rows_by_stamp_are_the_best_in_order(
+    tenths: list[int], whole: list[int], tolerance_s: float
+) -> None:
+    poses_s, rows_s = sorted(value / 10.0 for value in tenths), sorted(float(v) for v in whole)
+    paths = [Trajectory(np.array(s), np.zeros((len(s), 3))) for s in (poses_s, rows_s)]
+    used, rows = _rows_by_stamp(*paths, tolerance_s)
+    assert (np.diff(used) > 0).all()
+    assert (np.diff(rows) > 0).all()
+    apart = np.abs(np.array(poses_s)[used] - np.array(rows_s)[rows])
+    assert (apart <= tolerance_s + 1e-9).all()
+    cost = float(apart.sum()) + tolerance_s * (len(poses_s) - len(used))
+    assert cost == pytest.approx(least_cost(poses_s, rows_s, tolerance_s), abs=1e-6)
+
+
+def test_of_rows_with_one_stamp_a_lone_pose_takes_the_one_on_its_side() -> None:
+    rows = Trajectory(np.array([0.0, 1.0, 1.0, 1.0, 2.0]), np.zeros((5, 3)))
+    for stamp_s, row in ((0.95, 1), (1.05, 3)):
+        _, found = _rows_by_stamp(Trajectory(np.array([stamp_s]), np.zeros((1, 3))), rows, 0.1)
+        assert found.tolist() == [row]
+
+
+def test_the_floor_is_the_best_path_at_the_scans() -> None:
+    truth, odometry = run()
+    rows = np.arange(2, 400, 9)
+    scans = part(odometry, rows, 0.05)
+    floor = subsample_to_scans(
+        truth, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+    )
+    assert floor.stamps_s.tolist() == scans.stamps_s.tolist()
+    np.testing.assert_allclose(floor.poses, truth.poses[rows], atol=1e-12)
+    late = Trajectory(truth.stamps_s + 900.0, truth.poses, "late")
+    with pytest.raises(TrajectoryError, match="late: has no pose at a scan"):
+        subsample_to_scans(late, scans, odometry, tolerance_s=0.01, tolerance_m=TOLERANCE_M)
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_late_rows_are_sorted_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "wheels.txt.gz"
+    path.write_bytes(gzip.compress(b"# t x y theta\n1 0 0 0\n3 2 0 0\n2 1 0 0\n3 2.5 0 0\n\n"))
+    with caplog.at_level(logging.INFO, logger="slamfusion"):
+        found = read_odometry(path)
+    assert found.name == "wheels"
+    assert found.stamps_s.tolist() == [1.0, 2.0, 3.0, 3.0]
+    assert found.poses[:, 0].tolist() == [0.0, 1.0, 2.0, 2.5]
+    assert "1 of 4 rows go back in time" in caplog.text
+
+
+def test_nanoseconds_are_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "wheels.txt"
+    path.write_text("976052857337530016 1 2 3\n", encoding="ascii")
+    assert read_odometry(path).stamps_s[0] == pytest.approx(976052857.33753, abs=1e-6)
+
+
+def test_other_files_are_read_as_trajectories(tmp_path: Path) -> None:
+    path = tmp_path / "wheels.tum"
+    path.write_text("1.0 2.0 3.0 0 0 0 0 1\n2.0 3.0 3.0 0 0 0 0 1\n", encoding="ascii")
+    assert read_odometry(path).poses[:, 0].tolist() == [2.0, 3.0]
+
+
+@pytest.mark.parametrize("line", ["1 2 3", "1 2 3 4 5", "1 2 x 4", "1 nan 3 4"])
+def test_a_bad_row_is_named(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "wheels.txt"
+    path.write_text(f"0 0 0 0\n\n{line}\n", encoding="ascii")
+    with pytest.raises(TrajectoryError, match=r"line 3: wanted 'time x y theta', found"):
+        read_odometry(path)
+
+
+def test_a_packed_file_that_ends_early_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "wheels.txt.gz"
+    lines = "".join(f"{index} 0.{index} 0 0\n" for index in range(5000))
+    path.write_bytes(gzip.compress(lines.encode())[:-200])
+    with pytest.raises(TrajectoryError, match="ends early"):
+        read_odometry(path)
+
+
+# --- the Intel run -------------------------------------------------------------------------------
+
+recorded = [
+    pytest.mark.datasets,
+    pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT),
+]
+
+
+def intel(log: str) -> tuple[Trajectory, Trajectory, Relations]:
+    """The odometry of a log's scans, of the whole run, and the relations."""
+    return (
+        read_trajectory(INTEL / f"intel-{log}-raw.log.gz"),
+        read_odometry(INTEL / "intel-odometry-13631.txt.gz"),
+        read_relations(INTEL / "intel.relations"),
+    )
+
+
+def score(
+    estimate: Trajectory, scans: Trajectory | None, odometry: Trajectory, relations: Relations
+) -> tuple[float, float]:
+    """Mean and deviation of the translation error; all relations must count."""
+    dense = poses_by_odometry(
+        estimate, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+    )
+    found = relation_errors(dense.trajectory, relations, TOLERANCE_S)
+    assert found.relations_used == len(relations)
+    return found.translation.mean, found.translation.std
+
+
+def inside(relations: Relations, best: Trajectory) -> Relations:
+    """The relations with exact poses in a trajectory that ends before the run does."""
+    nearest = best.nearest(relations.stamps_s)
+    near = (np.abs(best.stamps_s[nearest] - relations.stamps_s) < TOLERANCE_S).all(axis=1)
+    return Relations(relations.stamps_s[near], relations.motions[near], "inside")
+
+
+class TestIntel:
+    pytestmark = recorded
+
+    @pytest.mark.parametrize(("log", "scans_in_it"), [("910", 910), ("2726", 2726)])
+    def test_every_scan_has_its_row_and_raw_odometry_its_error(
+        self, log: str, scans_in_it: int
+    ) -> None:
+        scans, odometry, relations = intel(log)
+        match = match_odometry(scans, odometry, TOLERANCE_M)
+        assert match.matched == scans_in_it
+        # The logs were turned by one fixed angle, as their description says.
+        assert match.pose_scan_file.yaw_rad == pytest.approx(-0.00245, abs=1e-4)
+        assert len(relations) == 2984
+        assert score(scans, scans, odometry, relations)[0] == pytest.approx(7.39, abs=0.02)
+
+    def test_gmappings_path_has_its_known_error(self) -> None:
+        scans, odometry, relations = intel("910")
+        gmapping = read_trajectory(INTEL / "intel-910-corrected.poses.csv.gz")
+        found = score(gmapping, scans, odometry, relations)
+        assert found == pytest.approx((0.0507, 0.047), abs=5e-4)
+
+    @pytest.mark.parametrize("log", ["910", "2726"])
+    def test_the_floor(self, log: str) -> None:
+        scans, odometry, relations = intel(log)
+        best = read_trajectory(INTEL / "intel-estimate-11439.txt.gz")
+        floor = subsample_to_scans(
+            best, scans, odometry, tolerance_s=TOLERANCE_S, tolerance_m=TOLERANCE_M
+        )
+        mean, _ = score(floor, scans, odometry, inside(relations, best))
+        assert 0.038 < mean < 0.044
+
+    def test_at_full_density_a_path_keeps_its_own_relations(self) -> None:
+        _, odometry, relations = intel("910")
+        best = read_trajectory(INTEL / "intel-estimate-11439.txt.gz")
+        stamps = inside(relations, best).stamps_s
+        ends = best.poses[best.nearest(stamps)]
+        own = Relations(stamps, compose_poses(invert_poses(ends[:, 0]), ends[:, 1]), "own")
+        assert len(own) == 2518
+        assert score(best, None, odometry, own)[0] < 0.002

@@ -1,0 +1,98 @@
+"""Figures of errors and of repetitions, checked by hand and against SciPy's definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from slamfusion.evaluation import ErrorStatistics, Summary, compare_samples
+
+FINITE = st.floats(-1e6, 1e6)
+# Steps that no difference of nearly equal values can lose.
+STEPS = st.integers(-1000, 1000).map(lambda value: value / 16)
+
+
+def test_error_statistics_of_a_worked_example() -> None:
+    found = ErrorStatistics.of([1.0, -2.0, 3.0, 6.0])
+    assert found.mean == 3.0
+    assert found.std == pytest.approx(np.sqrt(3.5))
+    assert found.rmse == pytest.approx(np.sqrt(12.5))
+    assert (found.median, found.min, found.max) == (2.5, 1.0, 6.0)
+    assert list(found.to_json()) == ["mean", "std", "rmse", "median", "min", "max"]
+
+
+@given(st.lists(FINITE, min_size=1, max_size=20))
+def test_mean_and_deviation_make_the_root_mean_square(errors: list[float]) -> None:
+    found = ErrorStatistics.of(errors)
+    assert found.rmse**2 == pytest.approx(found.mean**2 + found.std**2, rel=1e-6, abs=1e-9)
+    # A sum of equal numbers may be rounded.
+    slack = 1e-9 * (1.0 + found.max)
+    assert found.min - slack <= found.mean <= found.max + slack
+    assert found.min <= found.median <= found.max
+
+
+def test_scaled_changes_the_unit_of_every_figure() -> None:
+    errors = np.array([0.1, 0.2, 0.4])
+    degrees = ErrorStatistics.of(np.rad2deg(errors)).to_json()
+    scaled = ErrorStatistics.of(errors).scaled(np.rad2deg(1.0)).to_json()
+    assert scaled == pytest.approx(degrees)
+
+
+def test_summary_of_a_worked_example() -> None:
+    found = Summary.of([2.0, 4.0, 9.0])
+    assert (found.count, found.mean, found.median, found.worst) == (3, 5.0, 4.0, 9.0)
+    assert found.std == pytest.approx(np.sqrt(13.0))  # (9 + 1 + 16) / 2
+
+
+def test_one_repetition_has_no_deviation() -> None:
+    assert Summary.of([0.3]).to_json() == {
+        "count": 1,
+        "mean": 0.3,
+        "std": None,
+        "median": 0.3,
+        "worst": 0.3,
+    }
+
+
+@pytest.mark.parametrize("values", [[], [np.nan], [1.0, np.inf]])
+def test_what_has_no_statistics_is_refused(values: list[float]) -> None:
+    with pytest.raises(ValueError, match="at least one value, all finite"):
+        Summary.of(values)
+    with pytest.raises(ValueError, match="at least one value, all finite"):
+        ErrorStatistics.of(values)
+    with pytest.raises(ValueError, match="at least one value, all finite"):
+        compare_samples(values, [1.0, 2.0])
+
+
+def test_p_values_of_a_worked_example() -> None:
+    # No value of one exceeds the other's: 2 of the C(10, 5) = 252 orders are as extreme.
+    found = compare_samples([1.0, 2.0, 3.0, 4.0, 5.0], [11.0, 12.0, 13.0, 14.0, 15.5])
+    assert found is not None
+    assert found.mann_whitney == pytest.approx(2 / 252)
+    # Welch: t = 10.1 / sqrt(2.5 / 5 + 3.05 / 5) = 9.59 at 7.92 degrees of freedom.
+    assert found.welch == pytest.approx(2.0 * stats.t.sf(10.1 / np.sqrt(1.11), 7.9219), rel=1e-3)
+
+
+@given(st.lists(STEPS, min_size=2, max_size=8), st.lists(STEPS, min_size=2, max_size=8))
+def test_p_values_are_symmetric_probabilities(first: list[float], second: list[float]) -> None:
+    found, swapped = compare_samples(first, second), compare_samples(second, first)
+    assert found is not None
+    assert swapped is not None
+    assert found.to_json() == pytest.approx(swapped.to_json(), nan_ok=False)
+    assert all(0.0 <= value <= 1.0 for value in found.to_json().values())
+
+
+def test_methods_that_never_vary_are_equal_or_not() -> None:
+    same, other = compare_samples([2.0] * 4, [2.0] * 3), compare_samples([2.0] * 4, [3.0] * 4)
+    assert same is not None
+    assert other is not None
+    assert (same.welch, same.mann_whitney) == (1.0, 1.0)
+    assert other.welch == 0.0
+    assert other.mann_whitney < 0.05
+
+
+def test_one_repetition_cannot_be_compared() -> None:
+    assert compare_samples([1.0], [2.0, 3.0]) is None

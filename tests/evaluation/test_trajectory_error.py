@@ -1,0 +1,283 @@
+"""ATE and RPE: by hand, in any frame, and the same as evo's to a millionth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.config import TrajectoryConfig
+from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation import ErrorStatistics, associate, fit_motion, trajectory_errors
+from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.io.trajectories import read_trajectory
+from slamfusion.trajectory import Trajectory
+from tests.support.datasets import ABSENT, DATASETS
+
+CSAIL = DATASETS / "mit-csail"
+CONFIG = TrajectoryConfig()
+AS_IT_LIES = TrajectoryConfig(alignment="none")
+
+
+def line(count: int = 11, step_m: float = 0.5) -> Trajectory:
+    """Straight along x, a pose a second."""
+    poses = np.zeros((count, 3))
+    poses[:, 0] = step_m * np.arange(count)
+    return Trajectory(np.arange(count, dtype=np.float64), poses, "line")
+
+
+def drive(count: int = 200, seed: int = 1, noise: float = 0.0) -> Trajectory:
+    """A path of random steps, ten poses a second; ``noise`` is added to each pose."""
+    rng = np.random.default_rng(seed)
+    poses = [np.array([3.0, -2.0, 0.4])]
+    for step in rng.normal((0.1, 0.0, 0.0), (0.05, 0.02, 0.2), (count - 1, 3)):
+        poses.append(compose_poses(poses[-1], step))
+    wrong = np.random.default_rng(seed + 1000).normal(0.0, noise, (count, 3))
+    return Trajectory(1e9 + 0.1 * np.arange(count), np.array(poses) + wrong, f"drive-{seed}")
+
+
+def moved(path: Trajectory, motion: Pose2) -> Trajectory:
+    poses = compose_poses((motion.x, motion.y, motion.yaw_rad), path.poses)
+    return Trajectory(path.stamps_s, poses, path.name)
+
+
+def rotations(errors: Any) -> tuple[float, float]:
+    return float(errors.rotation_rad.max()), float(errors.relative_rotation_rad.max())
+
+
+@given(st.floats(-900, 900), st.floats(-900, 900), st.floats(-4, 4))
+def test_a_path_in_another_frame_has_no_error(x: float, y: float, yaw_rad: float) -> None:
+    motion = Pose2(x, y, yaw_rad)
+    found = trajectory_errors(moved(drive(), motion), drive())
+    assert found.translation_m.max() < 1e-8
+    assert found.relative_translation_m.max() < 1e-8
+    assert max(rotations(found)) < 1e-8
+    back = found.pose_truth_estimate.compose(motion)
+    assert (back.x, back.y) == pytest.approx((0.0, 0.0), abs=1e-6)
+    assert math.remainder(back.yaw_rad, math.tau) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_alignment_the_shift_is_the_error() -> None:
+    found = trajectory_errors(moved(line(), Pose2(3.0, 4.0, 0.0)), line(), AS_IT_LIES)
+    assert found.translation_m == pytest.approx(np.full(11, 5.0))
+    assert found.relative_translation_m.max() < 1e-12
+    assert found.pose_truth_estimate == Pose2()
+
+
+def test_the_absolute_error_after_alignment_by_hand() -> None:
+    # One of four places is 0.4 m off to the left; the best motion shifts by 0.1 m (the places lie
+    # on top of the turn's centre by symmetry, so it turns by nothing).
+    truth = Trajectory(
+        np.arange(5.0), np.array([[-2.0, 0, 0], [-1.0, 0, 0], [0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]])
+    )
+    wrong = truth.poses.copy()
+    wrong[2, 1] = 0.5
+    found = trajectory_errors(Trajectory(truth.stamps_s, wrong), truth)
+    assert found.translation_m == pytest.approx([0.1, 0.1, 0.4, 0.1, 0.1])
+    assert found.ate.rmse == pytest.approx(math.sqrt(0.2 / 5))
+    assert found.travelled_m == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])
+
+
+def test_scale_is_never_taken_off() -> None:
+    longer = Trajectory(line().stamps_s, line().poses * (1.1, 1.0, 1.0))
+    found = trajectory_errors(longer, line())
+    assert found.translation_m.max() == pytest.approx(0.25)
+    assert found.relative_translation_m == pytest.approx(np.full(10, 0.05))
+
+
+@pytest.mark.parametrize(
+    ("delta", "unit", "pairs", "error_m"),
+    [(1.0, "frames", 10, 0.05), (3.0, "frames", 3, 0.15), (1.0, "m", 5, 0.1), (2.5, "s", 3, 0.15)],
+)
+def test_a_pair_spans_what_was_asked(delta: float, unit: str, pairs: int, error_m: float) -> None:
+    longer = Trajectory(line().stamps_s, line().poses * (1.1, 1.0, 1.0))
+    config = replace(CONFIG, rpe_delta=delta, rpe_unit=unit)
+    found = trajectory_errors(longer, line(), config)
+    assert found.relative_translation_m == pytest.approx(np.full(pairs, error_m))
+    assert len(found.relative_travelled_m) == pairs
+
+
+def test_steps_of_a_tenth_make_a_metre_of_ten() -> None:
+    path = line(101, 0.1)
+    found = trajectory_errors(path, path, replace(CONFIG, rpe_unit="m"))
+    assert found.relative_travelled_m == pytest.approx(np.arange(1, 11))
+
+
+def test_a_jump_is_one_relative_error_and_turns_what_follows() -> None:
+    truth = drive()
+    wrong = truth.poses.copy()
+    wrong[100:] = compose_poses((0.3, 0.0, 0.2), wrong[100:])
+    found = trajectory_errors(Trajectory(truth.stamps_s, wrong), truth)
+    assert np.flatnonzero(found.relative_rotation_rad > 1e-9).tolist() == [99]
+    assert found.relative_rotation_rad[99] == pytest.approx(0.2)
+
+
+def test_a_path_too_short_for_a_pair_has_no_relative_error() -> None:
+    config = replace(CONFIG, rpe_delta=100.0, rpe_unit="m")
+    document = trajectory_errors(line(), line(), config).to_json()
+    assert document["rpe"] is None
+    assert document["rpe_rotation_deg"] is None
+    assert document["rpe_pairs"] == 0
+    assert document["ate"]["max"] == 0.0
+
+
+def test_the_document_says_how_it_was_counted() -> None:
+    truth = Trajectory(line().stamps_s[2:8], line().poses[2:8], "truth")
+    document = trajectory_errors(moved(line(), Pose2(0.0, 1.0)), truth).to_json()
+    assert set(document["ate"]) == {"rmse", "mean", "median", "std", "min", "max"}
+    assert set(document["rpe"]) == set(document["ate"])
+    assert (document["poses"], document["poses_matched"], document["rpe_pairs"]) == (11, 6, 5)
+    assert document["alignment"]["kind"] == "se2"
+    assert document["alignment"]["dy_m"] == pytest.approx(-1.0)
+
+
+def test_poses_are_paired_once_by_the_nearest_time() -> None:
+    dense = Trajectory(np.array([0.0, 0.09, 0.1, 0.11, 0.2, 0.5]), np.zeros((6, 3)))
+    rare = Trajectory(np.array([0.001, 0.102, 0.3, 0.5]), np.zeros((4, 3)))
+    first, second = associate(dense, rare, 0.01)
+    assert first.tolist() == [0, 2, 5]
+    assert second.tolist() == [0, 1, 3]
+    second, first = associate(rare, dense, 0.01)
+    assert first.tolist() == [0, 2, 5]
+    assert second.tolist() == [0, 1, 3]
+
+
+def test_poses_of_one_stamp_are_paired_once() -> None:
+    path = Trajectory(np.array([0.0, 1.0, 1.0, 2.0]), np.zeros((4, 3)))
+    first, second = associate(path, path, 0.01)
+    assert first.tolist() == [0, 1, 3]
+    assert second.tolist() == [0, 1, 3]
+
+
+@pytest.mark.parametrize("shift_s", [100.0, 9.995])
+def test_paths_that_do_not_meet_name_both_ranges(shift_s: float) -> None:
+    late = Trajectory(line().stamps_s + shift_s, line().poses, "late")
+    with pytest.raises(TrajectoryError) as caught:
+        trajectory_errors(late, line())
+    message = str(caught.value)
+    for word in ("at least two", "late", "line", "0.000 to 10.000", f"{shift_s:.3f} to"):
+        assert word in message
+
+
+def test_a_robot_that_stands_is_aligned_by_its_heading() -> None:
+    still = Trajectory(np.arange(4.0), np.tile([1.0, 2.0, 0.5], (4, 1)))
+    found = trajectory_errors(moved(still, Pose2(5.0, 6.0, 2.0)), still)
+    assert found.translation_m.max() < 1e-12
+    assert found.rotation_rad.max() < 1e-12
+
+
+@given(st.integers(0, 10_000))
+def test_no_other_motion_fits_better(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    moving, still = rng.normal(0.0, 3.0, (2, 6, 3))
+    best = fit_motion(moving, still)
+
+    def cost(motion: Pose2) -> float:
+        return float(((motion.transform(moving[:, :2]) - still[:, :2]) ** 2).sum())
+
+    for dx, dy, dyaw in rng.normal(0.0, 0.1, (20, 3)):
+        other = Pose2(best.x + dx, best.y + dy, best.yaw_rad + dyaw)
+        assert cost(best) <= cost(other) + 1e-9
+
+
+# --- evo as the judge ----------------------------------------------------------------------------
+
+
+def evo_path(trajectory: Trajectory) -> Any:
+    """Return a trajectory as evo has it."""
+    core = pytest.importorskip("evo.core.trajectory", reason="evo comes with the test extra")
+    half = trajectory.poses[:, 2] / 2.0
+    zero = np.zeros(len(trajectory))
+    return core.PoseTrajectory3D(
+        positions_xyz=np.column_stack((trajectory.poses[:, :2], zero)),
+        orientations_quat_wxyz=np.column_stack((np.cos(half), zero, zero, np.sin(half))),
+        timestamps=trajectory.stamps_s,
+    )
+
+
+def evo_errors(
+    estimate: Trajectory, truth: Trajectory, config: TrajectoryConfig
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Return evo's errors of each pose and each pair: metres and radians."""
+    from evo.core import metrics, sync  # noqa: PLC0415
+
+    reference, found = sync.associate_trajectories(
+        evo_path(truth), evo_path(estimate), max_diff=config.tolerance_s
+    )
+    if config.alignment == "se2":
+        found.align(reference)
+    unit = {"frames": metrics.Unit.frames, "m": metrics.Unit.meters}[config.rpe_unit]
+    pairs = {"delta": config.rpe_delta, "delta_unit": unit, "pairs_from_reference": True}
+    place, angle = metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_rad
+    wanted = {
+        "ate": metrics.APE(place),
+        "ate_rotation": metrics.APE(angle),
+        "rpe": metrics.RPE(place, **pairs),
+        "rpe_rotation": metrics.RPE(angle, **pairs),
+    }
+    for metric in wanted.values():
+        metric.process_data((reference, found))
+    return {name: np.asarray(metric.error) for name, metric in wanted.items()}
+
+
+def assert_as_evo(estimate: Trajectory, truth: Trajectory, config: TrajectoryConfig) -> None:
+    """Every single error is evo's, and so are the six figures of them."""
+    judge = evo_errors(estimate, truth, config)
+    found = trajectory_errors(estimate, truth, config)
+    for name, ours in (
+        ("ate", found.translation_m),
+        ("ate_rotation", found.rotation_rad),
+        ("rpe", found.relative_translation_m),
+        ("rpe_rotation", found.relative_rotation_rad),
+    ):
+        assert len(ours) == len(judge[name]) > 0, name
+        # evo has angles from 3 x 3 matrices: near 0 they keep half of the digits.
+        np.testing.assert_allclose(ours, judge[name], rtol=0.0, atol=1e-6, err_msg=name)
+        figures = ErrorStatistics.of(ours).to_json()
+        assert figures == pytest.approx(ErrorStatistics.of(judge[name]).to_json(), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("alignment", ["se2", "none"])
+@pytest.mark.parametrize(("delta", "unit"), [(1.0, "frames"), (7.0, "frames"), (1.0, "m")])
+def test_drawn_paths_have_evos_errors(seed: int, alignment: str, delta: float, unit: str) -> None:
+    pytest.importorskip("evo", reason="evo comes with the test extra")
+    truth = drive(seed=seed)
+    noisy = moved(drive(seed=seed, noise=0.05), Pose2(4.0, -1.0, 2.5))
+    config = TrajectoryConfig(alignment=alignment, rpe_delta=delta, rpe_unit=unit)
+    assert_as_evo(noisy, truth, config)
+
+
+def test_paths_of_different_rates_have_evos_errors() -> None:
+    pytest.importorskip("evo", reason="evo comes with the test extra")
+    truth = drive()
+    noisy = drive(noise=0.03)
+    rare = Trajectory(noisy.stamps_s[::3] + 0.004, noisy.poses[::3], "rare")
+    assert_as_evo(rare, truth, CONFIG)
+
+
+def test_the_six_figures_are_evos() -> None:
+    pytest.importorskip("evo", reason="evo comes with the test extra")
+    from evo.core import metrics  # noqa: PLC0415
+
+    metric = metrics.APE(metrics.PoseRelation.translation_part)
+    metric.process_data((evo_path(drive()), evo_path(drive(noise=0.1))))
+    ours = trajectory_errors(drive(noise=0.1), drive(), AS_IT_LIES).ate.to_json()
+    judge = metric.get_all_statistics()
+    assert ours == pytest.approx({name: judge[name] for name in ours}, abs=1e-9)
+
+
+@pytest.mark.datasets
+@pytest.mark.skipif(not CSAIL.is_dir(), reason=ABSENT)
+@pytest.mark.parametrize("unit", ["frames", "m"])
+@pytest.mark.parametrize("file", ["mit-csail-estimate-1592.txt.gz", "mit-csail.clf.gz"])
+def test_recorded_paths_have_evos_errors(file: str, unit: str) -> None:
+    pytest.importorskip("evo", reason="evo comes with the test extra")
+    truth = read_trajectory(CSAIL / "mit-csail-reference-graph.log.gz")
+    assert_as_evo(read_trajectory(CSAIL / file), truth, replace(CONFIG, rpe_unit=unit))

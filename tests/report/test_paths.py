@@ -1,0 +1,293 @@
+"""The pictures of paths: what lies where, in which colour, and that odd paths can be drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.evaluation import RelationErrors, TrajectoryErrors, trajectory_errors
+from slamfusion.geometry import compose_poses
+from slamfusion.grid import OccupancyGrid
+from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
+from slamfusion.report.page import Cell, Table
+from slamfusion.report.plots import Rgb
+from slamfusion.trajectory import Trajectory
+from tests.report.drawn import NASTY, room
+
+CONFIG = RunConfig()
+
+
+def pixels(png: bytes) -> npt.NDArray[np.uint8]:
+    """RGB of a picture on white, (H, W, 3), row 0 at the top."""
+    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    opacity = image[..., 3:] / 255.0
+    return np.asarray(
+        np.rint(image[..., 2::-1] * opacity + 255.0 * (1.0 - opacity)), dtype=np.uint8
+    )
+
+
+def near(image: npt.NDArray[np.uint8], rgb: Rgb, slack: int = 12) -> npt.NDArray[np.bool_]:
+    return np.asarray((np.abs(image.astype(int) - rgb) <= slack).all(axis=2))
+
+
+def centre(image: npt.NDArray[np.uint8], rgb: Rgb) -> tuple[float, float]:
+    """Mean column and row of a colour, as shares of the picture."""
+    rows, cols = np.nonzero(near(image, rgb))
+    assert rows.size, f"no pixel of colour {rgb}"
+    return float(cols.mean()) / image.shape[1], float(rows.mean()) / image.shape[0]
+
+
+def path_of(places: list[tuple[float, float]], name: str = "path") -> Trajectory:
+    poses = np.column_stack((np.array(places), np.zeros(len(places))))
+    return Trajectory(np.arange(len(places), dtype=np.float64), poses, name)
+
+
+def corner() -> Trajectory:
+    """Ten metres to the right, then ten up."""
+    right = [(float(x), 0.0) for x in range(11)]
+    return path_of([*right, *[(10.0, float(y)) for y in range(1, 11)]])
+
+
+def own_map() -> OccupancyGrid:
+    """A room of 3 m x 2 m whose corner is at (-3, 500)."""
+    return room("room", 1)
+
+
+def in_room(count: int = 60, wrong: float = 0.0) -> Trajectory:
+    """A round in the room of ``own_map``."""
+    turn = np.linspace(0.0, 2.0 * np.pi, count)
+    errors = wrong * np.sin(5.0 * turn)
+    poses = np.column_stack(
+        (-1.5 + np.cos(turn) + errors, 501.0 + 0.5 * np.sin(turn) - errors, turn + np.pi / 2)
+    )
+    return Trajectory(np.arange(count, dtype=np.float64), poses, "round")
+
+
+def relation_values(translation_m: Any, stamps_s: Any) -> RelationErrors:
+    values = np.asarray(translation_m, dtype=np.float64)
+    return RelationErrors("a", "b", np.asarray(stamps_s), values, values / 10, 99, 0.01, 9)
+
+
+def truth_errors() -> TrajectoryErrors:
+    return trajectory_errors(in_room(wrong=0.1), in_room())
+
+
+def test_up_is_up_and_both_ends_are_marked() -> None:
+    image = pixels(paths.path_picture(corner()))
+    start, end = centre(image, paths.START_COLOUR), centre(image, paths.END_COLOUR)
+    assert start[0] < 0.3
+    assert end[0] > 0.6
+    assert end[1] < 0.3
+    assert start[1] > 0.6
+
+
+def test_one_metre_is_as_long_up_as_along() -> None:
+    wide = path_of([(0.0, 0.0), (40.0, 0.0), (40.0, 10.0)])
+    tall = path_of([(0.0, 0.0), (0.0, 40.0), (10.0, 40.0)])
+    for path, ratio in ((wide, 4.0), (tall, 0.25), (corner(), 1.0)):
+        image = pixels(paths.paths_picture(path))
+        rows, cols = np.nonzero(near(image, paths.ESTIMATE_COLOUR))
+        found = np.ptp(cols) / np.ptp(rows)
+        assert found == pytest.approx(ratio, rel=0.05)
+
+
+def test_the_path_lies_on_the_map() -> None:
+    image = pixels(paths.paths_picture(in_room(), grid=own_map()))
+    free = near(image, (255, 255, 255), 2)
+    line = near(image, paths.ESTIMATE_COLOUR, 40)
+    # Everything of the path is inside the walls of the room.
+    rows, cols = np.nonzero(near(image, (18, 22, 28), 2))
+    inside = np.zeros_like(line)
+    inside[rows.min() : rows.max(), cols.min() : cols.max()] = True
+    assert line.sum() > 500
+    assert line[inside].sum() == line.sum()
+    assert free[inside].mean() > 0.5
+
+
+def test_a_turned_map_is_turned_with_its_path() -> None:
+    grid = own_map()
+    turned = OccupancyGrid(
+        grid.cells, grid.resolution, replace(grid.origin, yaw_rad=np.pi / 2), grid.name
+    )
+    image = pixels(paths.path_picture(in_room(), grid=turned))
+    rows, cols = np.nonzero(near(image, (18, 22, 28), 2))
+    assert np.ptp(rows) > np.ptp(cols)
+
+
+def test_time_and_error_colour_the_path() -> None:
+    by_time = pixels(paths.path_picture(corner()))
+    errors = np.zeros(21)
+    errors[:5] = 3.0
+    by_error = pixels(paths.path_picture(corner(), values=errors))
+    assert (by_time != by_error).any(axis=2).mean() > 0.01
+    # The largest error is dark red, and stands where it was: at the lower left.
+    dark = near(by_error[:, : int(0.8 * by_error.shape[1])], (128, 0, 38), 20)
+    rows, cols = np.nonzero(dark)
+    assert cols.mean() / by_error.shape[1] < 0.4
+    assert rows.mean() / by_error.shape[0] > 0.5
+
+
+def test_every_path_has_its_colour() -> None:
+    truth = Trajectory(corner().stamps_s, compose_poses((0.0, 2.0, 0.0), corner().poses))
+    wheels = Trajectory(corner().stamps_s, compose_poses((0.0, -2.0, 0.0), corner().poses))
+    image = pixels(paths.paths_picture(corner(), truth=truth, odometry=wheels))
+    heights = [
+        centre(image, colour)[1]
+        for colour in (paths.TRUTH_COLOUR, paths.ESTIMATE_COLOUR, paths.ODOMETRY_COLOUR)
+    ]
+    assert heights == sorted(heights)
+    # Dashed: of the same path less is drawn.
+    assert near(image, paths.TRUTH_COLOUR).sum() < 0.75 * near(image, paths.ESTIMATE_COLOUR).sum()
+    legend = [entry.text for entry in paths.paths_legend(truth=True, odometry=True)]
+    assert legend[:3] == ["estimate", "truth, dashed", "raw odometry"]
+
+
+def test_drift_does_not_make_the_rest_small() -> None:
+    far = Trajectory(corner().stamps_s, corner().poses * (500.0, 500.0, 1.0))
+    image = pixels(paths.paths_picture(corner(), odometry=far))
+    rows, _ = np.nonzero(near(image, paths.ESTIMATE_COLOUR))
+    assert np.ptp(rows) > 0.4 * image.shape[0]
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        [(7.0, 8.0)],
+        [(7.0, 8.0)] * 5,
+        [(0.0, 0.0), (1000.0, 0.0)],
+        [(0.0, 0.0), (0.0, 1000.0)],
+        [(1e6, -1e6), (1e6 + 1.0, -1e6)],
+    ],
+)
+def test_odd_paths_can_be_drawn(places: list[tuple[float, float]]) -> None:
+    for png in (
+        paths.path_picture(path_of(places)),
+        paths.path_picture(path_of(places), values=np.zeros(len(places))),
+        paths.paths_picture(path_of(places), truth=path_of(places)),
+    ):
+        assert max(pixels(png).shape) < 2000
+
+
+def test_the_largest_error_is_the_highest_point() -> None:
+    values = np.full(60, 0.1)
+    values[45] = 2.0
+    errors = replace(truth_errors(), translation_m=values)
+    image = pixels(paths.error_picture(errors))
+    rows, cols = np.nonzero(near(image, paths.ESTIMATE_COLOUR)[: image.shape[0] // 2])
+    share = (float(cols[rows == rows.min()].mean()) - cols.min()) / np.ptp(cols)
+    assert share == pytest.approx(errors.travelled_m[45] / errors.travelled_m[-1], abs=0.02)
+
+
+def test_a_long_path_keeps_its_worst_error_in_the_picture() -> None:
+    errors = truth_errors()
+    count = 50_000
+    values = np.full(count, 0.01)
+    values[31_337] = 5.0
+    long = replace(
+        errors,
+        travelled_m=np.linspace(0.0, 900.0, count),
+        translation_m=values,
+        rotation_rad=values,
+    )
+    image = pixels(paths.error_picture(long))
+    column = near(image, paths.ESTIMATE_COLOUR)[: image.shape[0] // 2].sum(axis=0)
+    tall = np.flatnonzero(column > 0.5 * column.max())
+    assert 0 < len(tall) < 20
+
+
+def test_revisits_are_marked() -> None:
+    quick = relation_values([0.01, 0.02, 0.03], [[0.0, 1.0], [5.0, 6.0], [9.0, 10.0]])
+    assert not near(pixels(paths.relations_picture(quick)), paths.REVISIT_COLOUR, 75).any()
+    slow = relation_values([0.01, 0.02, 0.03], [[0.0, 1.0], [5.0, 90.0], [9.0, 10.0]])
+    assert near(pixels(paths.relations_picture(slow)), paths.REVISIT_COLOUR, 75).any()
+    assert "30 s" in paths.revisit_legend()[1].text
+
+
+@pytest.mark.parametrize("values", [[0.0], [0.0, 0.0], [1e-12, 1e3], [5.0]])
+def test_odd_errors_can_be_drawn(values: list[float]) -> None:
+    stamps = [[float(index), float(index) + 1.0] for index in range(len(values))]
+    assert pixels(paths.relations_picture(relation_values(values, stamps))).size
+
+
+def test_a_perfect_path_can_be_drawn() -> None:
+    assert pixels(paths.error_picture(trajectory_errors(corner(), corner()))).size
+
+
+# --- pages ---------------------------------------------------------------------------------------
+
+
+def relations_of_round() -> RelationErrors:
+    return relation_values([0.1, 0.2], [[0.0, 1.0], [2.0, 50.0]])
+
+
+def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
+    truth = Trajectory(in_room().stamps_s, compose_poses((5.0, 6.0, 1.0), in_room().poses), "true")
+    page = write_slam_report(
+        tmp_path,
+        name=NASTY,
+        grid=own_map(),
+        trajectory=in_room(wrong=0.1),
+        config=CONFIG,
+        facts=[Fact("1.25 ms", "mean time a scan")],
+        warnings=[("12 scans were skipped:", "two scans of one stamp")],
+        tables=[Table("Health", ("what", "value"), [[Cell("low scores"), Cell("3")]])],
+        odometry=in_room(wrong=0.3),
+        truth=truth,
+        relations=relations_of_round(),
+        device="a device",
+    ).read_text(encoding="utf-8")
+    for words in (
+        "1.25 ms",
+        "12 scans were skipped:",
+        "low scores",
+        "The path over the map",
+        "The path beside the others",
+        "Error along the path",
+        "Where the error is",
+        "Error of each relation",
+        "ATE, root mean square",
+        "2 of 99 relations",
+        "a device",
+        "60 poses",
+    ):
+        assert words in page
+    assert "<script>alert" not in page
+    assert page.index("12 scans were skipped:") < page.index("1.25 ms") < page.index("ATE")
+
+
+def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Path) -> None:
+    page = write_slam_report(
+        tmp_path, name="tinyslam", grid=own_map(), trajectory=in_room(), config=CONFIG
+    ).read_text(encoding="utf-8")
+    assert "The path over the map" in page
+    for words in ("Error", "ATE", "beside the others", "Health"):
+        assert words not in page
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "01-input-room.png",
+        "02-path.png",
+        "report.html",
+    ]
+
+
+def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:
+    errors = trajectory_errors(in_room(wrong=0.1), in_room(), TrajectoryConfig(alignment="none"))
+    page = write_trajectory_report(
+        tmp_path,
+        trajectory=in_room(wrong=0.1),
+        config=CONFIG,
+        relations=relations_of_round(),
+        errors=errors,
+        truth=in_room(),
+    ).read_text(encoding="utf-8")
+    assert "60 of 60 poses met one of round within 0.01 s; not aligned." in page
+    assert "2 of 99 of b, poses within 0.01 s of both times." in page
+    assert "translation of revisits, m" in page
+    assert "raw odometry" not in page.split("How it was made")[0].replace("raw odometry on its", "")
