@@ -1,11 +1,28 @@
-"""Drawn places and drawn faults: buildings whose truth is known, and what a SLAM makes of them.
+"""Places whose truth is known: drawn, driven through with a robot, or damaged as a SLAM would.
 
-Everything here is seeded by an explicit ``numpy.random.Generator``: same seed, same bytes.
+``simulate`` drives a ``Course`` and gives the scans, the odometry and the truth;
+``degrade_map`` makes of a true map what another SLAM would have saved. Everything here is seeded:
+same seed, same bytes.
 """
 
 from __future__ import annotations
 
 from slamfusion.sim.building import draw_building
+from slamfusion.sim.courses import COURSES, Course, load_course, named_course, with_overrides
 from slamfusion.sim.degrade import Degradation, degrade_map, draw_degradation
+from slamfusion.sim.simulate import Recording, simulate, write_recording
 
-__all__ = ["Degradation", "degrade_map", "draw_building", "draw_degradation"]
+__all__ = [
+    "COURSES",
+    "Course",
+    "Degradation",
+    "Recording",
+    "degrade_map",
+    "draw_building",
+    "draw_degradation",
+    "load_course",
+    "named_course",
+    "simulate",
+    "with_overrides",
+    "write_recording",
+]

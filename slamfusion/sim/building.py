@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.sim.canvas import Canvas, Rect
 
 __all__ = ["draw_building"]
 
 MIN_SIDE_M = 6.0
-WALL_M = 0.1
 DOOR_M = 0.9
-# A rectangle as x0, y0, x1, y1 in metres from the building's lower-left corner.
-Rect = tuple[float, float, float, float]
 
 
 def draw_building(
@@ -41,7 +38,7 @@ def draw_building(
     if min(width_m, height_m) < MIN_SIDE_M:
         message = f"a building needs sides of at least {MIN_SIDE_M} m, asked {width_m} x {height_m}"
         raise ValueError(message)
-    canvas = _Canvas(width_m, height_m, resolution)
+    canvas = Canvas(width_m, height_m, resolution)
     outline = (0.0, 0.0, width_m, height_m)
     canvas.fill(outline, FREE)
     canvas.outline(outline)
@@ -64,43 +61,12 @@ def draw_building(
     )
 
 
-class _Canvas:
-    """Cells to draw on in metres from the lower-left corner."""
-
-    def __init__(self, width_m: float, height_m: float, resolution: float) -> None:
-        self.resolution = resolution
-        shape = (self.cell(height_m), self.cell(width_m))
-        self.cells: npt.NDArray[np.int8] = np.full(shape, UNKNOWN, dtype=np.int8)
-        self.wall_m = max(WALL_M, resolution)
-
-    def cell(self, length_m: float) -> int:
-        """Return the nearest whole number of cells."""
-        return int(length_m / self.resolution + 0.5)
-
-    def fill(self, rect: Rect, value: int) -> None:
-        """Set every cell of a rectangle, clipped to the canvas."""
-        x0, y0, x1, y1 = (max(self.cell(length), 0) for length in rect)
-        self.cells[y0:y1, x0:x1] = value
-
-    def outline(self, rect: Rect) -> None:
-        """Draw the walls just inside the edges of a rectangle."""
-        x0, y0, x1, y1 = rect
-        wall = self.wall_m
-        for side in (
-            (x0, y0, x1, y0 + wall),
-            (x0, y1 - wall, x1, y1),
-            (x0, y0, x0 + wall, y1),
-            (x1 - wall, y0, x1, y1),
-        ):
-            self.fill(side, OCCUPIED)
-
-
 def _area(rect: Rect) -> float:
     return (rect[2] - rect[0]) * (rect[3] - rect[1])
 
 
 def _row_of_rooms(
-    rng: np.random.Generator, canvas: _Canvas, rect: Rect, door_y: float
+    rng: np.random.Generator, canvas: Canvas, rect: Rect, door_y: float
 ) -> list[Rect]:
     """Divide one side of the corridor into rooms and open a door of each at ``door_y``."""
     x0, y0, x1, y1 = rect
@@ -125,7 +91,7 @@ def _row_of_rooms(
     return rooms
 
 
-def _furnish(rng: np.random.Generator, canvas: _Canvas, room: Rect) -> None:
+def _furnish(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
     """Put cupboards (outlines, unknown inside) and table legs into a room."""
     x0, y0, x1, y1 = room
     wall = canvas.wall_m
@@ -144,7 +110,7 @@ def _furnish(rng: np.random.Generator, canvas: _Canvas, room: Rect) -> None:
                     canvas.fill((x, y, x + leg, y + leg), OCCUPIED)
 
 
-def _slanted_wall(canvas: _Canvas, room: Rect) -> None:
+def _slanted_wall(canvas: Canvas, room: Rect) -> None:
     """Close off the upper left corner of a room by a wall at 30 degrees or so."""
     x0, y0, x1, y1 = room
     reach_x, reach_y = 0.6 * (x1 - x0), 0.35 * (y1 - y0)
@@ -159,7 +125,7 @@ def _slanted_wall(canvas: _Canvas, room: Rect) -> None:
     canvas.cells[inside & (distance > 0) & (distance <= canvas.wall_m)] = OCCUPIED
 
 
-def _cut_corner(rng: np.random.Generator, canvas: _Canvas, room: Rect) -> None:
+def _cut_corner(rng: np.random.Generator, canvas: Canvas, room: Rect) -> None:
     """Take the outer part of the corner room away, so that the outline is an L."""
     x0, y0, x1, y1 = room
     cut = y1 - (y1 - y0) * rng.uniform(0.35, 0.6)

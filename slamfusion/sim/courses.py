@@ -1,0 +1,362 @@
+"""Courses: which robot drives where. Some have a name; others are written in a YAML file.
+
+A course file holds ``name``, ``seed``, ``world``, ``lidar``, ``drive``, ``start`` ([x, y, yaw] in
+m, m, rad), ``people`` (how many, or a list), ``obstacles`` (yes, no, or a list), and ``waypoints``
+([x, y] in m each) or a ``script``. ``world``, ``lidar`` and ``drive`` are a name, or a mapping of
+the fields of ``WorldConfig``, ``LidarConfig`` and ``DriveConfig``. All but ``world`` may be left
+out: waypoints, people and obstacles are then chosen by the seed.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from slamfusion.config import (
+    ActionConfig,
+    DriveConfig,
+    LidarConfig,
+    ObstacleConfig,
+    PersonConfig,
+    SimulateConfig,
+    WorldConfig,
+    from_mapping,
+    to_mapping,
+)
+from slamfusion.errors import ConfigError, SimulationError
+from slamfusion.geometry import Pose2
+from slamfusion.sim.drive import DRIVES
+from slamfusion.sim.lidar import LIDARS
+from slamfusion.sim.world import Person
+
+__all__ = [
+    "COURSES",
+    "Course",
+    "course_to_mapping",
+    "load_course",
+    "named_course",
+    "with_overrides",
+]
+
+T = TypeVar("T")
+Point = tuple[float, float]
+
+WORLD_NAMES = ("office", "corridor", "hall", "atrium", "yard")
+KEYS = (
+    "name",
+    "seed",
+    "world",
+    "lidar",
+    "drive",
+    "start",
+    "waypoints",
+    "script",
+    "people",
+    "obstacles",
+)
+
+# Name: what it is, and its course file.
+COURSES: dict[str, tuple[str, dict[str, Any]]] = {
+    "office": (
+        "a floor of rooms: every room, through its doors",
+        {"world": {"name": "office", "glass_share": 0.02}, "people": 2},
+    ),
+    "corridor": ("a corridor loop with few features, once around and on", {"world": "corridor"}),
+    "hall": ("a large hall with clutter", {"world": "hall", "people": 3}),
+    "atrium": ("a small atrium with pillars and benches", {"world": "atrium", "lidar": "kinect"}),
+    "yard": (
+        "a yard of barricades outdoors [B16]",
+        {
+            "world": {"name": "yard", "wall_height_m": 1.0},
+            "lidar": "rplidar",
+            "drive": "bicycle",
+            "people": 1,
+        },
+    ),
+    "f16": (
+        "turn 360 deg at 90 deg/s, 5 m forward at 0.5 m/s over an obstacle, turn 360 deg [F16]",
+        {
+            "world": "atrium",
+            "lidar": "kinect",
+            "obstacles": True,
+            "script": [
+                {"turn_deg": 360.0, "speed_deg_s": 90.0},
+                {"forward_m": 5.0, "speed_mps": 0.5},
+                {"turn_deg": 360.0, "speed_deg_s": 90.0},
+            ],
+        },
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Course:
+    """Everything that decides a simulated drive.
+
+    Attributes:
+        name: of the log; a plain file name.
+        seed: of every random number, beside those of a world with its own.
+        world: where.
+        lidar: the laser.
+        drive: the robot.
+        start: first pose, map frame; None: the world's.
+        waypoints: x and y in metres, map frame; None: planned.
+        script: what the wheels do; empty: drive along the waypoints.
+        people: who walks about, or how many.
+        obstacles: cables on the floor, or whether there is one on the way.
+        folder: a relative map file of the world lies here.
+
+    Raises:
+        SimulationError: a name that is no plain file name, or waypoints beside a script.
+    """
+
+    name: str
+    seed: int
+    world: WorldConfig
+    lidar: LidarConfig
+    drive: DriveConfig
+    start: Pose2 | None = None
+    waypoints: tuple[Point, ...] | None = None
+    script: tuple[ActionConfig, ...] = ()
+    people: int | tuple[Person, ...] = 0
+    obstacles: bool | tuple[ObstacleConfig, ...] = False
+    folder: Path = Path()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be driven or written."""
+        if not self.name or self.name.startswith(".") or set(self.name) & set("/\\\0\n"):
+            message = f"a course's name must be a plain file name, found {self.name!r}; change it"
+            raise SimulationError(message)
+        if self.script and self.waypoints is not None:
+            message = f"{self.name}: give waypoints or a script, not both"
+            raise SimulationError(message)
+
+
+def named_course(name: str, seed: int) -> Course:
+    """Return one of ``COURSES``.
+
+    Raises:
+        SimulationError: there is no such course; the nearest is named.
+    """
+    if name not in COURSES:
+        near = difflib.get_close_matches(name, COURSES, n=1, cutoff=0.0)[0]
+        message = (
+            f"{name}: no course file and no course of that name; the nearest one is {near!r}, "
+            f"the others are {', '.join(known for known in COURSES if known != near)}"
+        )
+        raise SimulationError(message)
+    return _course({"name": name, "seed": seed, **COURSES[name][1]}, name, Path())
+
+
+def load_course(path: str | Path, seed: int = 0) -> Course:
+    """Read a course file.
+
+    Args:
+        path: the YAML.
+        seed: where the file has none.
+
+    Raises:
+        ConfigError: what is no YAML, an unknown key (the nearest is named), a wrong type or range.
+        SimulationError: settings that contradict each other.
+    """
+    path = Path(path)
+    text = path.read_text(encoding="utf-8", errors="replace")
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
+        raise ConfigError(message) from None
+    if not isinstance(values, dict):
+        message = f"{path}: wanted a mapping of settings, found {type(values).__name__}"
+        raise ConfigError(message)
+    return _course({"name": path.stem, "seed": seed, **values}, str(path), path.parent)
+
+
+def with_overrides(course: Course, changes: SimulateConfig) -> Course:
+    """Return a course with the settings of a run put in.
+
+    A world by file is taken relative to the current folder. A course that is named after its world
+    is then named after the new one.
+
+    Raises:
+        SimulationError: a cell size for a map file, which has its own.
+    """
+    name, world = course.name, course.world
+    if changes.world is not None:
+        is_drawn = changes.world in WORLD_NAMES
+        if name in WORLD_NAMES:
+            name = changes.world if is_drawn else Path(changes.world).stem
+        world = replace(
+            world,
+            name=changes.world if is_drawn else "map",
+            map=None if is_drawn else str(Path(changes.world).absolute()),
+        )
+    if changes.resolution is not None:
+        if world.map is not None:
+            message = f"{world.map}: a map file has its own cell size; leave --resolution out"
+            raise SimulationError(message)
+        world = replace(world, resolution=changes.resolution)
+    if changes.world_seed is not None:
+        world = replace(world, seed=changes.world_seed)
+    if changes.glass_share is not None:
+        world = replace(world, glass_share=changes.glass_share)
+    return replace(
+        course,
+        name=name,
+        world=world,
+        lidar=course.lidar if changes.lidar is None else LIDARS[changes.lidar],
+        drive=course.drive if changes.drive is None else DRIVES[changes.drive],
+        people=course.people if changes.people is None else changes.people,
+        obstacles=course.obstacles if changes.obstacle is None else changes.obstacle,
+    )
+
+
+def course_to_mapping(course: Course) -> dict[str, Any]:
+    """Return a course as its file holds it; ``load_course`` gives the same course back."""
+    people, obstacles = course.people, course.obstacles
+    values: dict[str, Any] = {
+        "name": course.name,
+        "seed": course.seed,
+        "world": to_mapping(course.world),
+        "lidar": to_mapping(course.lidar),
+        "drive": to_mapping(course.drive),
+        "people": people
+        if isinstance(people, int)
+        else [
+            {"waypoints": [list(point) for point in person.waypoints]} | to_mapping(person.settings)
+            for person in people
+        ],
+        "obstacles": obstacles
+        if isinstance(obstacles, bool)
+        else [to_mapping(obstacle) for obstacle in obstacles],
+    }
+    if course.start is not None:
+        values["start"] = [course.start.x, course.start.y, course.start.yaw_rad]
+    if course.waypoints is not None:
+        values["waypoints"] = [list(point) for point in course.waypoints]
+    if course.script:
+        values["script"] = [to_mapping(action) for action in course.script]
+    return values
+
+
+# --- from the file -------------------------------------------------------------------------------
+
+
+def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
+    """Build a course from a file's values."""
+    _check_keys(values, KEYS, where)
+    if "world" not in values:
+        message = f"{where}: 'world' is missing; give one of {', '.join(WORLD_NAMES)} or a map file"
+        raise ConfigError(message)
+    people, obstacles = values.get("people", 0), values.get("obstacles", False)
+    waypoints = values.get("waypoints")
+    return Course(
+        name=_of_type(values["name"], str, f"{where}: name"),
+        seed=_count(values["seed"], f"{where}: seed"),
+        world=_world(values["world"], f"{where}: world"),
+        lidar=_modelled(values.get("lidar", {}), LIDARS, "hokuyo", f"{where}: lidar"),
+        drive=_modelled(values.get("drive", {}), DRIVES, "differential", f"{where}: drive"),
+        start=_start(values.get("start"), f"{where}: start"),
+        waypoints=None if waypoints is None else _points(waypoints, f"{where}: waypoints"),
+        script=tuple(
+            from_mapping(ActionConfig, item, f"{where}: script {number}")
+            for number, item in enumerate(_list(values.get("script"), f"{where}: script"), 1)
+        ),
+        people=_people(people, f"{where}: people"),
+        obstacles=obstacles
+        if isinstance(obstacles, bool)
+        else tuple(
+            from_mapping(ObstacleConfig, item, f"{where}: obstacle {number}")
+            for number, item in enumerate(_list(obstacles, f"{where}: obstacles"), 1)
+        ),
+        folder=folder,
+    )
+
+
+def _check_keys(values: dict[str, Any], known: Collection[str], where: str) -> None:
+    for key in values:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)[0]
+            message = f"{where}: unknown key {key!r}; the nearest known one is {near!r}"
+            raise ConfigError(message)
+
+
+def _world(value: Any, where: str) -> WorldConfig:
+    """Read a world: a drawn one's name, a map file, or a mapping."""
+    if isinstance(value, str):
+        value = {"name": value} if value in WORLD_NAMES else {"name": "map", "map": value}
+    return from_mapping(WorldConfig, value, where)
+
+
+def _modelled(value: Any, models: Mapping[str, T], default: str, where: str) -> T:
+    """Read a laser or drive: a model's name, or a mapping that changes some of a model's fields."""
+    if isinstance(value, str):
+        value = {"model": value}
+    if isinstance(value, dict):
+        model = value.get("model", default)
+        if isinstance(model, str) and model in models:
+            value = {**to_mapping(models[model]), **value}
+    return from_mapping(type(models[default]), value, where)
+
+
+def _start(value: Any, where: str) -> Pose2 | None:
+    if value is None:
+        return None
+    return Pose2(*_numbers(value, 3, where))
+
+
+def _people(value: Any, where: str) -> int | tuple[Person, ...]:
+    """Read how many people, or who."""
+    if not isinstance(value, list):
+        return _count(value, where)
+    people = []
+    for number, item in enumerate(value, start=1):
+        place = f"{where}: person {number}"
+        settings = dict(_of_type(item, dict, place))
+        waypoints = _points(settings.pop("waypoints", []), f"{place}: waypoints")
+        if not waypoints:
+            message = f"{place}: 'waypoints' is missing; give at least one [x, y] in metres"
+            raise ConfigError(message)
+        people.append(Person(waypoints, from_mapping(PersonConfig, settings, place)))
+    return tuple(people)
+
+
+def _points(value: Any, where: str) -> tuple[Point, ...]:
+    points = []
+    for number, item in enumerate(_list(value, where), start=1):
+        x, y = _numbers(item, 2, f"{where}: number {number}")
+        points.append((x, y))
+    return tuple(points)
+
+
+def _numbers(value: Any, count: int, where: str) -> tuple[float, ...]:
+    """Read a row of finite numbers."""
+    row = value if isinstance(value, list) else []
+    numbers = [item for item in row if isinstance(item, (int, float)) and abs(item) < 1e7]
+    if len(row) != count or len(numbers) != count:
+        message = f"{where}: wanted {count} numbers in metres and radians, found {value!r}"
+        raise ConfigError(message)
+    return tuple(float(item) for item in numbers)
+
+
+def _count(value: Any, where: str) -> int:
+    if type(value) is not int or value < 0:
+        message = f"{where}: wanted a whole number from 0, found {value!r}"
+        raise ConfigError(message)
+    return value
+
+
+def _list(value: Any, where: str) -> list[Any]:
+    return [] if value is None else _of_type(value, list, where)
+
+
+def _of_type(value: Any, kind: type[T], where: str) -> T:
+    if not isinstance(value, kind):
+        message = f"{where}: wanted a {kind.__name__}, found {value!r}"
+        raise ConfigError(message)
+    return value

@@ -1,0 +1,130 @@
+"""People who walk to and fro, as the laser meets them: discs at the height of its plane."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import PersonConfig
+from slamfusion.sim.route import FreeSpace
+from slamfusion.sim.world import Person
+
+__all__ = ["PERSON_RADIUS_M", "draw_people", "walk"]
+
+F64 = npt.NDArray[np.float64]
+Point = tuple[float, float]
+
+# What a walker needs beside walls, and the discs that a laser meets at knee height or at the chest.
+PERSON_RADIUS_M = 0.25
+LEG_RADIUS_M = 0.07
+LEG_APART_M = 0.22
+BODY_RADIUS_M = 0.22
+STRIDE_M = 1.4
+SWING_M = 0.25
+# Two places of one person lie at least so far apart.
+WALK_M = 3.0
+
+
+def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[Person, ...]:
+    """Draw people with two places each between which they walk.
+
+    Args:
+        space: of a disc of ``PERSON_RADIUS_M``.
+        count: people.
+        rng: source of every random choice.
+
+    Raises:
+        SimulationError: there is no room for anyone.
+    """
+    people = []
+    for _ in range(count):
+        pairs = [(space.any_place(rng), space.any_place(rng)) for _ in range(8)]
+        far = [pair for pair in pairs if math.dist(*pair) >= WALK_M]
+        settings = PersonConfig(speed_mps=round(float(rng.uniform(0.7, 1.3)), 3))
+        people.append(Person((far or pairs)[0], settings))
+    return tuple(people)
+
+
+def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) -> tuple[F64, F64]:
+    """Walk people along their ways while a robot drives by.
+
+    Args:
+        people: their waypoints are joined by the shortest ways around walls.
+        space: of a disc of ``PERSON_RADIUS_M``.
+        robot: (N, 2) where the robot is, metres, one row a step; nobody steps nearer to it than
+            their distance, so that who is in its way waits.
+        step_s: seconds from row to row.
+
+    Returns:
+        (N, D, 2) centres of the discs, metres, map frame; (D,) their radii.
+
+    Raises:
+        SimulationError: a waypoint is no place to be, or cannot be reached.
+    """
+    discs, radii = [], []
+    for number, person in enumerate(people, start=1):
+        way = _there_and_back(person, space, f"waypoint of person {number}")
+        along = _paced(way, person.settings, robot, step_s)
+        centre, heading = _on(way, along)
+        if person.settings.body == "disc":
+            discs.append(centre)
+            radii.append(BODY_RADIUS_M)
+            continue
+        ahead = np.stack((np.cos(heading), np.sin(heading)), axis=1)
+        left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1)
+        swing = SWING_M * np.sin(along * math.tau / STRIDE_M)[:, None]
+        for side in (1.0, -1.0):
+            discs.append(centre + side * (left * LEG_APART_M / 2.0 + ahead * swing))
+            radii.append(LEG_RADIUS_M)
+    if not discs:
+        return np.empty((len(robot), 0, 2)), np.empty(0)
+    return np.stack(discs, axis=1), np.array(radii)
+
+
+def _there_and_back(person: Person, space: FreeSpace, what: str) -> F64:
+    """Return the way through all waypoints and back to the first, (N, 2)."""
+    stops = person.waypoints
+    if len(stops) == 1:
+        space.place(stops[0], what)
+        return np.array([stops[0]])
+    ways = [space.way(a, b, what) for a, b in itertools.pairwise(stops)]
+    there = np.concatenate([ways[0], *(way[1:] for way in ways[1:])])
+    return np.concatenate((there, there[-2::-1]))
+
+
+def _paced(way: F64, settings: PersonConfig, robot: F64, step_s: float) -> F64:
+    """Return how far someone has walked at each step, (N,) metres."""
+    walked = np.zeros(len(robot))
+    if len(way) < 2:
+        return walked
+    lengths = _lengths(way)
+    along, pace_m = 0.0, settings.speed_mps * step_s
+    for n in range(1, len(robot)):
+        at = (along + pace_m) % float(lengths[-1])
+        x, y = (float(np.interp(at, lengths, way[:, axis])) for axis in (0, 1))
+        if math.hypot(x - robot[n, 0], y - robot[n, 1]) >= settings.distance_m:
+            along += pace_m
+        walked[n] = along
+    return walked
+
+
+def _on(way: F64, along: F64) -> tuple[F64, F64]:
+    """Return place (N, 2) and heading (N,) at walked lengths on a way that is gone round."""
+    if len(way) < 2:
+        return np.repeat(way, len(along), axis=0), np.zeros(len(along))
+    lengths = _lengths(way)
+    at = along % lengths[-1]
+    centre = np.stack([np.interp(at, lengths, way[:, axis]) for axis in (0, 1)], axis=1)
+    piece = np.clip(np.searchsorted(lengths, at, side="right") - 1, 0, len(way) - 2)
+    step = way[piece + 1] - way[piece]
+    return centre, np.asarray(np.arctan2(step[:, 1], step[:, 0]))
+
+
+def _lengths(way: F64) -> F64:
+    """Return the way's length up to each of its points, (N,) metres."""
+    steps = np.hypot(*np.diff(way, axis=0).T)
+    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -1,0 +1,256 @@
+"""Where a disc may stand in a place, the shortest ways between such places, and a tour of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from slamfusion.errors import SimulationError
+from slamfusion.grid import FREE, OccupancyGrid
+
+__all__ = ["MARGIN_M", "FreeSpace"]
+
+Point = tuple[float, float]
+F64 = npt.NDArray[np.float64]
+
+# Ways are searched on a lattice of about this step.
+STEP_M = 0.1
+# Ways keep this much more than the radius from walls, so that a driver may leave them a little;
+# one with a steering wheel leaves them more.
+MARGIN_M = {"differential": 0.08, "tracks": 0.08, "bicycle": 0.16}
+# Nearer than the radius and this, a metre costs up to COST times as much.
+COMFORT_M = 0.35
+COST = 4.0
+# Half the diagonal of a cell: what the place within a cell adds to a distance between centres.
+DIAGONAL = 0.7072
+SMOOTHINGS = 60
+
+
+class FreeSpace:
+    """The free cells of a place, as a disc that keeps off everything else may use them.
+
+    Unknown cells and the outside of the grid are no place to be.
+
+    Args:
+        grid: trinary.
+        radius_m: of the disc.
+        margin_m: what ways keep from walls beside the radius.
+    """
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        radius_m: float,
+        margin_m: float = MARGIN_M["differential"],
+    ) -> None:
+        self.grid = grid
+        self.radius_m, self.margin_m = radius_m, margin_m
+        free = np.pad(grid.cells == FREE, 1)
+        distance = ndimage.distance_transform_edt(free)[1:-1, 1:-1] * grid.resolution
+        # To the wall's nearest edge, from the worst place in the cell.
+        self._clearance_m: F64 = np.asarray(distance - 2.0 * DIAGONAL * grid.resolution)
+        self._make_graph()
+
+    def clearance_m(self, points: npt.ArrayLike) -> F64:
+        """Return a distance to the nearest wall that is never too large; negative off the grid.
+
+        Args:
+            points: (..., 2) metres, map frame.
+        """
+        rows, cols = self.grid.cell_indices(np.asarray(points, dtype=np.float64))
+        height, width = self._clearance_m.shape
+        inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+        found = self._clearance_m[np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)]
+        return np.asarray(np.where(inside, found, -1.0))
+
+    def _make_graph(self) -> None:
+        """Join the usable places of a coarse lattice with their eight neighbours."""
+        stride = max(1, round(STEP_M / self.grid.resolution))
+        half = stride // 2
+        clearance = self._clearance_m[half::stride, half::stride]
+        usable = clearance >= self.radius_m + self.margin_m
+        numbers = np.full(usable.shape, -1, dtype=np.int32)  # csgraph takes no wider index
+        numbers[usable] = np.arange(np.count_nonzero(usable))
+        rows, cols = np.nonzero(usable)
+        self._places: F64 = self.grid.cell_centres(rows * stride + half, cols * stride + half)
+
+        narrow = np.clip((self.radius_m + COMFORT_M - clearance) / COMFORT_M, 0.0, 1.0)
+        price = 1.0 + (COST - 1.0) * narrow**2
+        starts, ends, costs = [], [], []
+        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            here = np.s_[: usable.shape[0] - down, max(-right, 0) : usable.shape[1] - max(right, 0)]
+            there = np.s_[down:, max(right, 0) : usable.shape[1] + min(right, 0)]
+            both = usable[here] & usable[there]
+            starts.append(numbers[here][both])
+            ends.append(numbers[there][both])
+            length_m = np.hypot(down, right) * stride * self.grid.resolution
+            costs.append(length_m * (price[here][both] + price[there][both]) / 2.0)
+        count = len(self._places)
+        edges = (np.concatenate(starts), np.concatenate(ends))
+        self._graph = sparse.csr_array((np.concatenate(costs), edges), shape=(count, count))
+
+    def place(self, point: Point, what: str) -> int:
+        """Return the lattice place nearest to a point.
+
+        Args:
+            point: metres, map frame.
+            what: what the message calls it.
+
+        Raises:
+            SimulationError: the disc cannot stand there.
+        """
+        if len(self._places) and float(self.clearance_m(point)) >= self.radius_m:
+            away = np.hypot(*(self._places - point).T)
+            nearest = int(away.argmin())
+            if away[nearest] <= 3.0 * STEP_M:
+                return nearest
+        message = (
+            f"{self.grid.name}: {what} at ({point[0]:.2f}, {point[1]:.2f}) m is no place for a "
+            f"disc of radius {self.radius_m:g} m; move it at least "
+            f"{self.radius_m + self.margin_m:.2f} m away from walls and unknown cells"
+        )
+        raise SimulationError(message)
+
+    def any_place(self, rng: np.random.Generator) -> Point:
+        """Draw a place from the largest connected part.
+
+        Raises:
+            SimulationError: there is none.
+        """
+        _, parts = csgraph.connected_components(self._graph, directed=False)
+        if not parts.size:
+            message = (
+                f"{self.grid.name}: no free place for a disc of radius {self.radius_m:g} m; "
+                "use a smaller robot or another map"
+            )
+            raise SimulationError(message)
+        largest = np.flatnonzero(parts == np.bincount(parts).argmax())
+        x, y = self._places[rng.choice(largest)]
+        return float(x), float(y)
+
+    def way(self, start: Point, end: Point, what: str = "waypoint") -> F64:
+        """Return a smooth short way that keeps off walls.
+
+        Args:
+            start: metres, map frame.
+            end: metres, map frame.
+            what: what messages call the end.
+
+        Returns:
+            (N, 2) points about 0.05 m apart, from start to end.
+
+        Raises:
+            SimulationError: an end is no place to be, or nothing leads there.
+        """
+        first, last = self.place(start, "the start"), self.place(end, what)
+        costs, befores = csgraph.dijkstra(
+            self._graph, directed=False, indices=[first], return_predecessors=True
+        )
+        cost, before = costs[0], befores[0]
+        if not np.isfinite(cost[last]):
+            message = (
+                f"{self.grid.name}: no way from ({start[0]:.2f}, {start[1]:.2f}) to {what} at "
+                f"({end[0]:.2f}, {end[1]:.2f}) m for a disc of radius {self.radius_m:g} m; "
+                "move it, or use a smaller robot"
+            )
+            raise SimulationError(message)
+        chain = [last]
+        while chain[-1] != first:
+            chain.append(int(before[chain[-1]]))
+        points = np.concatenate(([start], self._places[chain[::-1]][1:-1], [end]))
+        return self._smooth(_respaced(points, STEP_M / 2.0))
+
+    def _smooth(self, points: F64) -> F64:
+        """Straighten a way where that keeps the margin, its ends fixed."""
+        least = np.minimum(self.clearance_m(points), self.radius_m + self.margin_m)
+        points = points.copy()
+        for _ in range(SMOOTHINGS):
+            moved = points.copy()
+            moved[1:-1] = (points[:-2] + points[2:]) / 2.0
+            kept = self.clearance_m(moved) >= least
+            points[kept] = moved[kept]
+        return _respaced(points, STEP_M / 2.0)
+
+    def tour(self, start: Point, spacing_m: float, most: int) -> list[Point]:
+        """Return stops from which the whole reachable place is near, in a short order.
+
+        The stop farthest on foot from all others is added until none is farther than
+        ``spacing_m``; then the round trip is shortened by turning parts of it around (2-opt).
+
+        Args:
+            start: where the tour begins and ends; metres, map frame.
+            spacing_m: no place is farther on foot from a stop.
+            most: stops at most.
+
+        Returns:
+            The stops in order, the last of them the start.
+        """
+        chosen = [self.place(start, "the start")]
+        costs = []
+        while True:
+            costs.append(csgraph.dijkstra(self._graph, directed=False, indices=chosen[-1:])[0])
+            nearest = np.min(costs, axis=0)
+            nearest[~np.isfinite(nearest)] = -1.0
+            if len(chosen) > most or nearest.max() < spacing_m:
+                break
+            chosen.append(int(nearest.argmax()))
+        order = _short_round_trip(np.stack(costs)[:, chosen])
+        reachable = np.isfinite(costs[0])
+        stops = [self._roomy(chosen[index], reachable) for index in order[1:]]
+        return [*stops, (float(start[0]), float(start[1]))]
+
+    def _roomy(self, place: int, reachable: npt.NDArray[np.bool_]) -> Point:
+        """Return the roomiest place near one: a robot turns better away from a corner."""
+        away = np.hypot(*(self._places - self._places[place]).T)
+        near = np.flatnonzero((away <= 6.0 * STEP_M) & reachable)
+        best = max(
+            (n for n in near if self._sees(place, int(n))),
+            key=lambda n: float(self.clearance_m(self._places[n])),
+        )
+        x, y = self._places[best]
+        return float(x), float(y)
+
+    def _sees(self, a: int, b: int) -> bool:
+        """Whether the disc can go straight from one place to the other."""
+        line = self._places[a] + np.linspace(0.0, 1.0, 9)[:, None] * (
+            self._places[b] - self._places[a]
+        )
+        return bool((self.clearance_m(line) >= self.radius_m).all())
+
+
+def _respaced(points: F64, step_m: float) -> F64:
+    """Return points along a line of points at even distances, its ends kept."""
+    lengths = np.hypot(*np.diff(points, axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(lengths)))
+    count = max(1, round(float(along[-1]) / step_m))
+    at = np.linspace(0.0, float(along[-1]), count + 1)
+    return np.stack([np.interp(at, along, points[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _short_round_trip(costs: F64) -> Sequence[int]:
+    """Order places into a short round trip from place 0: nearest neighbour, then 2-opt.
+
+    Args:
+        costs: (N, N) from place to place.
+    """
+    left = set(range(1, len(costs)))
+    order = [0]
+    while left:
+        following = min(left, key=lambda n: (costs[order[-1], n], n))
+        order.append(following)
+        left.remove(following)
+    better = True
+    while better:
+        better = False
+        for i in range(1, len(order) - 1):
+            for k in range(i + 1, len(order)):
+                a, b, c = order[i - 1], order[i], order[k]
+                d = order[(k + 1) % len(order)]
+                if costs[a, c] + costs[b, d] < costs[a, b] + costs[c, d] - 1e-9:
+                    order[i : k + 1] = reversed(order[i : k + 1])
+                    better = True
+    return order

@@ -1,0 +1,272 @@
+"""Drive a course, read the laser and the odometry, and write both with the truth."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from slamfusion.compute import Backend
+from slamfusion.config import ObstacleConfig
+from slamfusion.errors import SimulationError
+from slamfusion.geometry import Pose2
+from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.carmen import write_carmen
+from slamfusion.io.log import LogScan
+from slamfusion.io.map_server import save_map
+from slamfusion.io.tum import write_tum
+from slamfusion.scan import LaserScan
+from slamfusion.sim.courses import Course, course_to_mapping
+from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
+from slamfusion.sim.lidar import beam_angles, mount_of, sweep_ranges
+from slamfusion.sim.people import PERSON_RADIUS_M, draw_people, walk
+from slamfusion.sim.route import MARGIN_M, FreeSpace
+from slamfusion.sim.world import Person, World
+from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["Recording", "simulate", "write_recording"]
+
+F64 = npt.NDArray[np.float64]
+Point = tuple[float, float]
+Progress = Callable[[str, int, int], None]
+
+# Each use of chance has its own stream, so that changing one thing leaves the others as they were.
+WORLD_STREAM, GLASS_STREAM, START_STREAM, PEOPLE_STREAM, ODOMETRY_STREAM, LASER_STREAM = range(6)
+# A planned tour has stops this share of the place's width apart, within limits; a short one is
+# driven back again, so that every course sees places a second time.
+SPACING_SHARE, SPACING_LEAST_M, SPACING_MOST_M = 1.0 / 3.0, 1.5, 8.0
+MOST_STOPS = 30
+SHORT_TOUR_M = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a simulated drive gave; all poses in the map frame of the truth.
+
+    Attributes:
+        course: with every choice made: running it gives the same recording.
+        world: the truth, and who walked in it.
+        scans: in the order of time, with the odometry of each.
+        truth: the true pose of the robot's base at each scan; the first is the first odometry.
+        left_out: planned waypoints that this robot could not drive to.
+    """
+
+    course: Course
+    world: World
+    scans: tuple[LogScan, ...]
+    truth: Trajectory
+    left_out: tuple[Point, ...] = ()
+
+    def duration_s(self) -> float:
+        """Return the time from the first to the last scan."""
+        return float(self.truth.stamps_s[-1] - self.truth.stamps_s[0])
+
+    def odometry(self) -> Trajectory:
+        """Return what the wheels say where the robot was at each scan."""
+        poses = [(p.x, p.y, p.yaw_rad) for scan in self.scans if (p := scan.odometry) is not None]
+        return Trajectory(self.truth.stamps_s, np.array(poses), "odometry")
+
+
+def simulate(course: Course, backend: Backend, progress: Progress | None = None) -> Recording:
+    """Drive a course and record it. Same course, same recording, on every device.
+
+    Args:
+        course: what the seed may choose is chosen here.
+        backend: casts the rays.
+        progress: told the scans that are done.
+
+    Raises:
+        SimulationError: the course cannot be driven: a wall, no way, a robot too large.
+        MapFileError: the map file of the world cannot be read.
+    """
+    floor = draw_floor(course.world, _chance(course, WORLD_STREAM), course.folder)
+    glass_rng = _chance(course, GLASS_STREAM)
+    glass = pick_glass(floor.grid, course.world.glass_share, glass_rng)
+    drive = course.drive
+    space = FreeSpace(floor.grid, drive.radius_m, MARGIN_M[drive.model])
+    start = course.start or floor.start or Pose2(*space.any_place(_chance(course, START_STREAM)))
+    walkers = FreeSpace(floor.grid, PERSON_RADIUS_M)
+    people = course.people
+    if isinstance(people, int):
+        people = draw_people(walkers, people, _chance(course, PEOPLE_STREAM))
+    world = World(floor.grid, glass, course.world.wall_height_m, people)
+
+    stops, left_out = _stops(course, floor, space, start), []
+    while True:
+        ways = _ways(space, start, stops)
+        world = replace(world, obstacles=_obstacles(course, start, ways))
+        try:
+            motion = _drive(course, world, space, start, ways)
+            break
+        except StuckError as error:
+            if course.waypoints is not None or len(stops) == 1:
+                raise
+            worst = max(error.waypoint - (2 if error.is_trapped else 1), 0)
+            left_out.append(stops[worst])
+            stops = (*stops[:worst], *stops[worst + 1 :])
+    chosen = replace(
+        course,
+        start=start,
+        waypoints=None if course.script else stops,
+        people=people,
+        obstacles=world.obstacles,
+    )
+    scans, truth = _record(chosen, world, motion, walkers, backend, progress)
+    return Recording(chosen, world, scans, truth, tuple(left_out))
+
+
+def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
+    """Write the log, the truth map, the true trajectory and the course; all of them or none.
+
+    Args:
+        recording: same recording, same bytes.
+        folder: made where it is missing; old files of the same names are replaced.
+
+    Returns:
+        The files: ``<name>.log.gz`` (CARMEN), ``truth.yaml``, ``truth.pgm``, ``truth.tum`` and
+        ``course.yaml``.
+
+    Raises:
+        MapFileError: a file cannot be written; nothing was changed.
+    """
+    folder = Path(folder)
+    course = recording.course
+    log, tum = folder / f"{course.name}.log.gz", folder / "truth.tum"
+    settings = folder / "course.yaml"
+    if course.world.map is not None:  # the truth is that map, and lies beside the course
+        world = replace(course.world, map="truth.yaml")
+        course = replace(course, world=world)
+    text = yaml.safe_dump(course_to_mapping(course), sort_keys=False)
+    with tempfile.TemporaryDirectory() as scratch, AtomicFiles() as files:
+        write_carmen(log, recording.scans, files=files)
+        maps = save_map(recording.world.grid, Path(scratch) / "truth")
+        for path in maps:
+            files.add(folder / path.name, path.read_bytes())
+        write_tum(tum, recording.truth, files=files)
+        files.add(settings, text.encode())
+    return [log, *(folder / path.name for path in maps), tum, settings]
+
+
+def _chance(course: Course, stream: int) -> np.random.Generator:
+    """Return the random numbers of one use."""
+    seed = course.seed
+    if stream in {WORLD_STREAM, GLASS_STREAM} and course.world.seed is not None:
+        seed = course.world.seed
+    return np.random.default_rng([seed, stream])
+
+
+def _stops(course: Course, floor: Floor, space: FreeSpace, start: Pose2) -> tuple[Point, ...]:
+    """Return where the robot drives: as asked, as the world proposes, or on a planned tour."""
+    if course.script:
+        return ()
+    if course.waypoints is not None:
+        return course.waypoints
+    if floor.stops:
+        return floor.stops
+    area_m2 = np.count_nonzero(floor.grid.cells == 0) * floor.grid.resolution**2
+    spacing_m = min(max(SPACING_SHARE * math.sqrt(area_m2), SPACING_LEAST_M), SPACING_MOST_M)
+    tour = space.tour((start.x, start.y), spacing_m, MOST_STOPS)
+    if len(tour) > 1 and sum(_length(way) for way in _ways(space, start, tour)) < SHORT_TOUR_M:
+        tour += [*tour[-2::-1], tour[-1]]
+    return tuple(tour)
+
+
+def _ways(space: FreeSpace, start: Pose2, stops: tuple[Point, ...] | list[Point]) -> list[F64]:
+    """Return the way to each stop from the one before."""
+    ways: list[F64] = []
+    here = (start.x, start.y)
+    for number, stop in enumerate(stops, start=1):
+        ways.append(space.way(here, stop, f"waypoint {number}"))
+        here = stop
+    return ways
+
+
+def _length(way: F64) -> float:
+    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+
+
+def _drive(course: Course, world: World, space: FreeSpace, start: Pose2, ways: list[F64]) -> Motion:
+    """Do what the script says, or follow the ways."""
+    period_s = 1.0 / course.lidar.rate_hz
+    if course.script:
+        return run_script(world, space, course.drive, start, course.script, period_s)
+    return follow_ways(world, space, course.drive, start, ways, period_s)
+
+
+def _obstacles(course: Course, start: Pose2, ways: list[F64]) -> tuple[ObstacleConfig, ...]:
+    """Return the ground obstacles asked for: a list, none, or one across the middle of the way."""
+    if not isinstance(course.obstacles, bool):
+        return course.obstacles
+    if not course.obstacles:
+        return ()
+    way = (
+        _script_way(course, start) if course.script else np.concatenate(ways or [np.zeros((1, 2))])
+    )
+    steps = np.hypot(*np.diff(way, axis=0).T)
+    if not steps.sum():
+        message = f"{course.name}: the robot stays where it is, so no obstacle lies on its way"
+        raise SimulationError(message)
+    middle = int(np.searchsorted(np.cumsum(steps), steps.sum() / 2.0))
+    (x0, y0), (x1, y1) = way[middle], way[middle + 1]
+    yaw_rad = math.atan2(y1 - y0, x1 - x0)
+    return (
+        ObstacleConfig(x_m=round(float(x0), 3), y_m=round(float(y0), 3), yaw_rad=round(yaw_rad, 4)),
+    )
+
+
+def _script_way(course: Course, start: Pose2) -> F64:
+    """Return where a script would lead if no wheel slipped, (N, 2) points 0.05 m apart."""
+    pose, points = start, [(start.x, start.y)]
+    for action in course.script:
+        pose = pose.compose(Pose2(0.0, 0.0, math.radians(action.turn_deg)))
+        pieces = max(1, math.ceil(abs(action.forward_m) / 0.05))
+        for _ in range(pieces):
+            pose = pose.compose(Pose2(action.forward_m / pieces))
+            points.append((pose.x, pose.y))
+    return np.array(points)
+
+
+def _record(
+    course: Course,
+    world: World,
+    motion: Motion,
+    walkers: FreeSpace,
+    backend: Backend,
+    progress: Progress | None,
+) -> tuple[tuple[LogScan, ...], Trajectory]:
+    """Read laser and odometry along a motion."""
+    lidar = course.lidar
+    period_s = 1.0 / lidar.rate_hz
+    every = round(period_s / motion.step_s)
+    poses = motion.poses[::every]
+    odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
+    stamps_s = np.arange(len(poses)) / lidar.rate_hz
+    people: tuple[Person, ...] = world.people
+    discs = walk(people, walkers, poses[:, :2], period_s)
+    ranges = sweep_ranges(world, lidar, poses, discs, backend, _chance(course, LASER_STREAM))
+    angle_min_rad, step_rad = beam_angles(lidar)
+    mount = mount_of(lidar)
+    scans = []
+    for index, (row, pose) in enumerate(zip(ranges, odometry.tolist(), strict=True)):
+        scan = LaserScan(
+            float(stamps_s[index]),
+            row,
+            angle_min_rad,
+            step_rad,
+            lidar.range_min_m,
+            lidar.range_max_m,
+            mount,
+        )
+        scans.append(LogScan(scan, Pose2(*pose), index + 1))
+        if progress is not None and index % 256 == 0:
+            progress("scans", index, len(poses))
+    if progress is not None:
+        progress("scans", len(poses), len(poses))
+    return tuple(scans), Trajectory(stamps_s, poses, "truth")

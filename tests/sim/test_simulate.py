@@ -1,0 +1,295 @@
+"""Simulated drives: the truth is true, the laser sees it, same seed, same bytes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.config import SimulateConfig
+from slamfusion.errors import MapFileError, SimulationError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OCCUPIED
+from slamfusion.io import load_map, open_log, save_map
+from slamfusion.sim import Course, Recording, load_course, named_course, simulate, with_overrides
+from slamfusion.sim import write_recording as write
+from slamfusion.sim.world import tilt_of
+from tests.sim.places import clearance_m, room
+from tests.support.datasets import MAPS
+
+WORLDS = ("office", "corridor", "hall", "atrium", "yard")
+
+
+@cache
+def backend() -> Backend:
+    return open_backend("auto")
+
+
+def short(name: str, seed: int = 1) -> Course:
+    """A named course with few beams, for tests that look at the drive."""
+    course = named_course(name, seed)
+    return replace(course, lidar=replace(course.lidar, beams=31))
+
+
+@cache
+def recorded(name: str) -> Recording:
+    return simulate(short(name), backend())
+
+
+def bare(grid_folder: Path, *waypoints: tuple[float, float], name: str = "drive") -> Course:
+    """A course with waypoints in an empty room of 8 m x 6 m."""
+    save_map(room(8.0, 6.0), grid_folder / "room")
+    text = "world: room.yaml\nstart: [-3, 0, 0]\nlidar: {model: hokuyo, beams: 31, rate_hz: 5}\n"
+    path = grid_folder / f"{name}.yaml"
+    path.write_text(text + f"waypoints: {[list(p) for p in waypoints]}\n", encoding="utf-8")
+    return load_course(path)
+
+
+def wall_distance(recording: Recording, index: int) -> np.ndarray:
+    """Distance in metres from a scan's points, at its true pose, to true walls; 9 off the map."""
+    grid = recording.world.grid
+    points = recording.truth.pose(index).transform(recording.scans[index].scan.points())
+    away = ndimage.distance_transform_edt(grid.cells != OCCUPIED) * grid.resolution
+    rows, cols = grid.cell_indices(points)
+    inside = (rows >= 0) & (cols >= 0) & (rows < grid.height) & (cols < grid.width)
+    found = away[rows.clip(0, grid.height - 1), cols.clip(0, grid.width - 1)]
+    return np.where(inside, found, 9.0)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_the_robot_keeps_its_radius_from_every_wall(name: str) -> None:
+    recording = recorded(name)
+    assert clearance_m(recording.world.grid, recording.truth.poses[:, :2]) >= 0.2 - 1e-9
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_drive_takes_minutes_and_reaches_its_stops(name: str) -> None:
+    recording = recorded(name)
+    assert 60.0 < recording.duration_s() < 480.0
+    for stop in recording.course.waypoints:
+        away = np.hypot(*(recording.truth.poses[:, :2] - stop).T)
+        assert away.min() < 0.4
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_places_are_seen_again(name: str) -> None:
+    recording = recorded(name)
+    poses, stamps = recording.truth.poses[:, :2], recording.truth.stamps_s
+    late = poses[stamps > 0.8 * stamps[-1]]
+    early = poses[stamps < 0.5 * stamps[-1]]
+    nearest = np.hypot(*(late[:, None] - early[None]).transpose(2, 0, 1)).min()
+    assert nearest < 1.0
+
+
+def test_the_office_is_covered_through_its_doors() -> None:
+    recording = recorded("office")
+    grid = recording.world.grid
+    seen = np.zeros(grid.cells.shape, dtype=bool)
+    rows, cols = grid.cell_indices(recording.truth.poses[:, :2])
+    seen[rows, cols] = True
+    away = ndimage.distance_transform_edt(~seen) * grid.resolution
+    free = away[grid.cells == 0]
+    assert np.mean(free < 4.0) > 0.98
+
+
+@pytest.mark.parametrize("name", [*WORLDS, "f16"])
+def test_odometry_starts_at_the_truth_and_drifts_by_a_few_percent(name: str) -> None:
+    recording = recorded(name)
+    odometry, truth = recording.odometry(), recording.truth
+    assert odometry.poses[0].tolist() == truth.poses[0].tolist()
+    away = np.hypot(*(odometry.poses - truth.poses)[:, :2].T).max()
+    assert 0.002 < away / truth.path_length_m() < 0.12
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_scans_at_true_poses_lie_on_true_walls(name: str) -> None:
+    course = short(name)
+    clean = replace(course.lidar, outlier_share=0.0, mixed_share=0.0)
+    clear = replace(course.world, glass_share=0.0)
+    recording = simulate(replace(course, people=0, world=clear, lidar=clean), backend())
+    away = [wall_distance(recording, n) for n in range(0, len(recording.scans), 20)]
+    assert np.mean(np.concatenate(away) < 0.15) > 0.98
+
+
+def test_people_are_seen_by_the_laser_and_absent_from_the_truth() -> None:
+    empty = replace(short("hall"), people=0)
+    crowded = replace(short("hall"), people=6)
+    without, with_people = (simulate(course, backend()) for course in (empty, crowded))
+    assert with_people.world.grid.cells.tobytes() == without.world.grid.cells.tobytes()
+    assert with_people.truth.poses.tobytes() == without.truth.poses.tobytes()
+    nearer = sum(
+        int((a.scan.ranges < b.scan.ranges - 0.3).sum())
+        for a, b in zip(with_people.scans, without.scans, strict=True)
+    )
+    assert nearer > 100
+
+
+def test_an_rplidar_misses_far_returns() -> None:
+    recording = simulate(with_overrides(short("hall"), SimulateConfig(lidar="rplidar")), backend())
+    perfect = replace(
+        recording.course,
+        lidar=replace(
+            recording.course.lidar, dropout_share=0.0, dropout_far_share=0.0, noise_per_m=0.0
+        ),
+    )
+    true = simulate(perfect, backend())
+    read = np.stack([item.scan.ranges for item in recording.scans])
+    there = np.stack([item.scan.ranges for item in true.scans])
+    missing = [
+        np.mean(np.isposinf(read[(there > low) & (there <= low + 1.0)])) for low in (0.5, 2.5, 4.8)
+    ]
+    assert missing == sorted(missing)
+    assert missing[0] < 0.06
+    assert missing[2] > 0.3
+
+
+def test_f16_turns_drives_over_the_obstacle_and_turns() -> None:
+    recording = recorded("f16")
+    assert recording.duration_s() == pytest.approx(18.0, abs=0.11)
+    (cable,) = recording.world.obstacles
+    poses = recording.truth.poses
+    assert np.abs(poses[:40, :2]).max() < 1e-9
+    assert np.abs(poses[-40:, :2] - poses[-1, :2]).max() < 1e-9
+    assert poses[-1, 0] > cable.x_m + 1.0
+    tilt = np.abs(tilt_of(recording.world, poses)).max(axis=1)
+    assert tilt.max() > 0.07
+    # The wheels made 5 m, of which the cable took its share.
+    lost = cable.across_m * (1.0 / (1.0 - cable.slip_share) - 1.0)
+    assert recording.truth.path_length_m() == pytest.approx(5.0 - lost, abs=0.05)
+
+
+def test_without_the_obstacle_f16_drives_its_five_metres() -> None:
+    course = with_overrides(short("f16"), SimulateConfig(obstacle=False))
+    recording = simulate(course, backend())
+    assert recording.world.obstacles == ()
+    assert recording.truth.poses[-1] == pytest.approx([5.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_the_obstacle_spoils_scans_only_while_it_is_crossed() -> None:
+    course = with_overrides(named_course("f16", 0), SimulateConfig(lidar="hokuyo"))
+    recording = simulate(course, backend())
+    tilt = tilt_of(recording.world, recording.truth.poses)
+    shares = [
+        np.mean(np.concatenate([wall_distance(recording, n) < 0.15 for n in some]))
+        for some in (np.flatnonzero(~tilt.any(axis=1))[::10], np.flatnonzero(tilt[:, 0] < -0.06))
+    ]
+    assert shares[0] > 0.97
+    assert shares[1] < 0.85
+
+
+def test_same_seed_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+    for seed, folder in ((1, "a"), (1, "b"), (2, "c")):
+        write(simulate(short("yard", seed), backend()), tmp_path / folder)
+    names = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert names == ["course.yaml", "truth.pgm", "truth.tum", "truth.yaml", "yard.log.gz"]
+    for name in names:
+        first = (tmp_path / "a" / name).read_bytes()
+        assert (tmp_path / "b" / name).read_bytes() == first
+        if name != "truth.yaml":
+            assert (tmp_path / "c" / name).read_bytes() != first
+
+
+@pytest.mark.parametrize("name", ["f16", "atrium"])
+def test_the_written_course_gives_the_same_files_again(tmp_path: Path, name: str) -> None:
+    course = with_overrides(short(name), SimulateConfig(people=1, glass_share=0.1))
+    files = write(simulate(course, backend()), tmp_path / "first")
+    again = simulate(load_course(tmp_path / "first" / "course.yaml"), backend())
+    for path, other in zip(files, write(again, tmp_path / "second"), strict=True):
+        assert path.read_bytes() == other.read_bytes(), path.name
+
+
+def test_a_map_course_travels_with_its_map(tmp_path: Path) -> None:
+    course = bare(tmp_path, (2.0, 2.0), (2.0, -2.0))
+    files = write(simulate(course, backend()), tmp_path / "first")
+    (tmp_path / "room.yaml").unlink()
+    again = simulate(load_course(tmp_path / "first" / "course.yaml"), backend())
+    for path, other in zip(files, write(again, tmp_path / "second"), strict=True):
+        assert path.read_bytes() == other.read_bytes(), path.name
+    truth = load_map(tmp_path / "first" / "truth.yaml")
+    assert truth.cells.tobytes() == room(8.0, 6.0).cells.tobytes()
+
+
+def test_a_map_without_waypoints_is_toured_from_a_place_of_the_seed(tmp_path: Path) -> None:
+    course = replace(bare(tmp_path), waypoints=None, start=None)
+    recording = simulate(course, backend())
+    assert len(recording.course.waypoints) > 3
+    assert clearance_m(recording.world.grid, recording.truth.poses[:, :2]) >= 0.2
+    other = simulate(replace(course, seed=5), backend())
+    assert other.course.start != recording.course.start
+
+
+@pytest.mark.datasets
+def test_a_recorded_map_is_toured() -> None:
+    changes = SimulateConfig(world=str(MAPS / "multi-slam" / "mit-csail" / "karto.yaml"))
+    recording = simulate(with_overrides(short("atrium"), changes), backend())
+    assert recording.course.name == "karto"
+    assert recording.truth.path_length_m() > 100.0
+    assert clearance_m(recording.world.grid, recording.truth.poses[::10, :2]) >= 0.2 - 1e-9
+
+
+def test_the_log_reads_back_as_what_was_simulated(tmp_path: Path) -> None:
+    recording = simulate(short("yard"), backend())
+    log, *_ = write(recording, tmp_path)
+    found = list(open_log(log))
+    assert len(found) == len(recording.scans)
+    lidar = recording.course.lidar
+    for own, read in zip(recording.scans[::50], found[::50], strict=True):
+        assert read.scan.stamp_s == pytest.approx(own.scan.stamp_s, abs=1e-6)
+        assert read.scan.angle_increment_rad == pytest.approx(own.scan.angle_increment_rad)
+        assert read.scan.range_max_m == pytest.approx(lidar.range_max_m)
+        assert (read.scan.is_clear() == own.scan.is_clear()).all()
+        hit = own.scan.is_hit()
+        assert read.scan.ranges[hit] == pytest.approx(own.scan.ranges[hit], abs=2e-3)
+        assert read.odometry.x == pytest.approx(own.odometry.x, abs=1e-5)
+
+
+def test_a_device_and_the_twins_give_the_same_recording(tmp_path: Path) -> None:
+    course = bare(tmp_path, (2.0, 2.0))
+    device, twins = (simulate(course, some) for some in (backend(), NumpyBackend()))
+    for a, b in zip(device.scans, twins.scans, strict=True):
+        assert a.scan.ranges.tobytes() == b.scan.ranges.tobytes()
+
+
+def test_changing_the_laser_leaves_drive_and_odometry_as_they_were(tmp_path: Path) -> None:
+    course = bare(tmp_path, (2.0, 2.0))
+    other = replace(course, lidar=replace(course.lidar, noise_m=0.2))
+    first, second = (simulate(some, backend()) for some in (course, other))
+    assert first.truth.poses.tobytes() == second.truth.poses.tobytes()
+    assert first.odometry().poses.tobytes() == second.odometry().poses.tobytes()
+
+
+def test_nothing_to_drive_is_one_scan(tmp_path: Path) -> None:
+    recording = simulate(bare(tmp_path), backend())
+    assert len(recording.scans) == 1
+    assert recording.truth.pose(0) == Pose2(-3.0, 0.0, 0.0)
+
+
+def test_an_obstacle_on_no_way_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match="no obstacle lies on its way"):
+        simulate(replace(bare(tmp_path), obstacles=True), backend())
+
+
+def test_a_waypoint_in_a_wall_is_refused_by_number(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match="waypoint 2 at"):
+        simulate(bare(tmp_path, (1.0, 1.0), (4.0, 0.0)), backend())
+
+
+def test_a_bicycle_leaves_out_only_planned_waypoints_that_it_cannot_reach() -> None:
+    course = with_overrides(short("office", 1), SimulateConfig(drive="bicycle"))
+    recording = simulate(course, backend())
+    assert 0 < len(recording.left_out) < len(recording.course.waypoints)
+    assert not set(recording.left_out) & set(recording.course.waypoints)
+
+
+def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
+    recording = simulate(bare(tmp_path, (1.0, 1.0)), backend())
+    folder = tmp_path / "out"
+    (folder / "truth.tum").mkdir(parents=True)
+    with pytest.raises(MapFileError, match=r"truth\.tum: cannot write"):
+        write(recording, folder)
+    assert [path.name for path in folder.iterdir()] == ["truth.tum"]

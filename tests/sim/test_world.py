@@ -1,0 +1,118 @@
+"""Worlds: what beams meet, glass among the walls, and how a cable tilts a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import ObstacleConfig, WorldConfig
+from slamfusion.errors import SimulationError
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.io import save_map
+from slamfusion.sim.world import GLASS, OPEN, WALL, World, tilt_of, zone_place
+from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
+from tests.sim.places import room, world_of
+
+DRAWN = ("office", "corridor", "hall", "atrium", "yard")
+
+
+def floor_of(name: str, seed: int = 0, resolution: float = 0.05) -> Floor:
+    config = WorldConfig(name=name, resolution=resolution)
+    return draw_floor(config, np.random.default_rng(seed), Path())
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_same_seed_same_place_and_another_seed_another(name: str) -> None:
+    first, again, other = floor_of(name, 3), floor_of(name, 3), floor_of(name, 4)
+    assert first.grid.cells.tobytes() == again.grid.cells.tobytes()
+    assert first.grid.cells.tobytes() != other.grid.cells.tobytes()
+
+
+@pytest.mark.parametrize("resolution", [0.04, 0.1])
+@pytest.mark.parametrize("name", DRAWN)
+def test_start_is_free_and_the_cells_have_the_asked_size(name: str, resolution: float) -> None:
+    floor = floor_of(name, 1, resolution)
+    row, col = floor.grid.cell_indices(np.array([floor.start.x, floor.start.y]))
+    assert floor.grid.resolution == resolution
+    assert (floor.grid.cells[row - 3 : row + 4, col - 3 : col + 4] == FREE).all()
+
+
+@pytest.mark.parametrize("name", ["office", "corridor", "hall", "atrium"])
+def test_what_is_inside_is_closed(name: str) -> None:
+    cells = np.pad(floor_of(name, 2).grid.cells, 1, mode="edge")
+    assert not np.any(cells[[0, -1]] == FREE)
+    assert not np.any(cells[:, [0, -1]] == FREE)
+
+
+def test_yard_has_gaps_through_which_beams_leave() -> None:
+    cells = floor_of("yard", 1).grid.cells
+    free_beside_unknown = (cells[:, :-1] == FREE) & (cells[:, 1:] == UNKNOWN)
+    assert free_beside_unknown.any()
+
+
+def test_classes_are_open_wall_and_glass() -> None:
+    cells = np.array([[UNKNOWN, FREE, OCCUPIED, OCCUPIED]], dtype=np.int8)
+    glass = np.array([[False, False, False, True]])
+    world = World(OccupancyGrid(cells, 0.05), glass)
+    assert world.classes().tolist() == [[OPEN, OPEN, WALL, GLASS]]
+
+
+def test_glass_without_a_wall_is_refused() -> None:
+    grid = OccupancyGrid(np.zeros((1, 2), dtype=np.int8), 0.05)
+    with pytest.raises(SimulationError, match="glass must be occupied cells"):
+        World(grid, np.array([[True, False]]))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4])
+def test_glass_is_a_share_of_the_walls(share: float) -> None:
+    grid = floor_of("office").grid
+    glass = pick_glass(grid, share, np.random.default_rng(5))
+    assert not (glass & (grid.cells != OCCUPIED)).any()
+    found = np.count_nonzero(glass) / np.count_nonzero(grid.cells == OCCUPIED)
+    assert share <= found <= share + 0.02
+
+
+def test_a_saved_map_is_a_world(tmp_path: Path) -> None:
+    grid = room(4.0, 3.0)
+    save_map(grid, tmp_path / "drawn")
+    config = WorldConfig(name="map", map="drawn.yaml")
+    floor = draw_floor(config, np.random.default_rng(0), tmp_path)
+    assert floor.grid.cells.tobytes() == grid.cells.tobytes()
+    assert floor.grid.origin == grid.origin
+    assert floor.start is None
+
+
+def test_a_map_world_needs_its_map_and_no_other_has_one(tmp_path: Path) -> None:
+    for config in (WorldConfig(name="map"), WorldConfig(name="hall", map="drawn.yaml")):
+        with pytest.raises(SimulationError, match="give both or neither"):
+            draw_floor(config, np.random.default_rng(0), tmp_path)
+
+
+CABLE = ObstacleConfig(x_m=1.0, y_m=2.0, yaw_rad=np.pi / 2, across_m=0.4, along_m=2.0)
+
+
+def test_zone_is_a_turned_rectangle() -> None:
+    points = np.array([(1.0, 2.0), (1.9, 2.1), (1.0, 2.19), (1.0, 2.21), (2.1, 2.0)])
+    across, on = zone_place(CABLE, points)
+    assert on.tolist() == [True, True, True, False, False]
+    assert across[:3] == pytest.approx([0.0, 0.25, 0.475])
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi])
+def test_nose_goes_up_then_down_whichever_way_it_is_crossed(turn: float) -> None:
+    yaw = np.pi / 2 + turn
+    ahead = 0.1 * np.array((np.cos(yaw), np.sin(yaw)))
+    poses = np.array([(1.0 - ahead[0], 2.0 - ahead[1], yaw), (1.0 + ahead[0], 2.0 + ahead[1], yaw)])
+    tilt = tilt_of(world_of(room(9.0, 9.0), obstacles=(CABLE,)), poses)
+    assert tilt[:, 0] == pytest.approx([CABLE.pitch_rad, -CABLE.pitch_rad])
+    assert tilt[:, 1] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_driving_along_a_cable_rolls() -> None:
+    world = world_of(room(9.0, 9.0), obstacles=(CABLE,))
+    # On the near side the ground rises along +y, which is to the left of a robot that looks at +x.
+    tilt = tilt_of(world, np.array([(1.0, 1.9, 0.0), (1.0, 1.0, 0.0)]))
+    assert tilt[0] == pytest.approx([0.0, CABLE.pitch_rad], abs=1e-12)
+    assert tilt[1].tolist() == [0.0, 0.0]
