@@ -28,6 +28,10 @@ F64 = npt.NDArray[np.float64]
 
 # The first look takes the best of five cells, this far apart along each axis.
 WIDE_REACH_M = 0.15
+# A scan whose hits fall into fewer cells than this tells less than the guesses' weights assume.
+TELLING_CELLS = 150.0
+# Beyond any column: makes one number of a cell.
+_ROW_STRIDE = 1 << 32
 # Draws narrow to this share of the spread after the first look, and again each round.
 FIRST_NARROWING = 0.4
 NARROWING = 0.5
@@ -87,7 +91,11 @@ class Match:
 
 
 class ScanOnTiles:
-    """One scan's hits over a tiled map: scores of poses, in metres and radians."""
+    """One scan's hits over a tiled map: scores of poses, in metres and radians.
+
+    Attributes:
+        cells: different cells that the hits fall into: how much the scan can tell.
+    """
 
     def __init__(
         self,
@@ -116,6 +124,8 @@ class ScanOnTiles:
         self._points = backend.upload((points / resolution).astype(np.float32))
         self._count = len(points)
         self._stride = -(-len(points) // most_points)
+        col, row = np.floor(points / resolution).astype(np.int64).T
+        self.cells = len(np.unique(col * _ROW_STRIDE + row))
         self._reach = max(1, round(WIDE_REACH_M / resolution))
 
     def wide_scores(self, poses: F64) -> F64:
@@ -188,6 +198,8 @@ def search_pose(
     centres = np.array([guess.pose for guess in guesses])
     sigmas = np.array([guess.spread.sigmas() for guess in guesses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
+    # The score is a mean: of few cells it is worth less against the guesses.
+    weights *= max(1.0, TELLING_CELLS / scan.cells)
 
     def loss(poses: F64) -> F64:
         away = poses[:, None, :] - centres

@@ -20,11 +20,18 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan, ScanLog, Skips
-from slamfusion.slam.base import Health, SlamBackend
+from slamfusion.slam.base import Health, SlamBackend, Step
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["PRODUCERS", "LogRecord", "ProducerRun", "make_producer", "run_producer"]
+__all__ = [
+    "PRODUCERS",
+    "LogRecord",
+    "ProducerRun",
+    "make_producer",
+    "run_producer",
+    "skipped_scans",
+]
 
 # Every producer; its name is also the section of its settings.
 PRODUCERS: dict[str, Callable[[RunConfig, Backend], SlamBackend]] = {
@@ -34,6 +41,9 @@ PRODUCERS: dict[str, Callable[[RunConfig, Backend], SlamBackend]] = {
 BYTES_PER_MB = 1e6
 # A robot on its way has a bad match now and then (a door, a crowd); a lost one has many.
 MANY_LOW_SHARE = 0.05
+MANY_LOW_IN_A_ROW = 8
+# The same limit as that of ``Health.low_scores``.
+LOW_SHARE = 0.5
 # A log may hold blind moments; one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2
 
@@ -97,6 +107,7 @@ class ProducerRun:
         log: the log's record; None where the scans are from no log.
         time_s: from the first scan asked for to the finished map, reading included.
         feed_s: (N,) float64, seconds that the producer took for each scan, nothing else in it.
+        low_in_a_row: most matches one after the other whose score was below half of the mean.
         peak_memory_bytes: of map and filter together, host and device.
         process_peak_memory_bytes: of the whole process so far, as the system counts it.
         is_complete: whether the scans came to their end before the deadline.
@@ -110,6 +121,7 @@ class ProducerRun:
     log: LogRecord | None
     time_s: float
     feed_s: npt.NDArray[np.float64]
+    low_in_a_row: int
     peak_memory_bytes: int
     process_peak_memory_bytes: int
     is_complete: bool
@@ -134,17 +146,19 @@ class ProducerRun:
         """Return what speaks against the map, a sentence each; empty where nothing does."""
         sentences = []
         health = self.health
-        if health.low_scores > MANY_LOW_SHARE * health.scans_used:
+        is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used
+        if is_often_low or self.low_in_a_row >= MANY_LOW_IN_A_ROW:
             share = 100.0 * health.low_scores / health.scans_used
             sentences.append(
                 f"the robot may be lost: {health.low_scores} of {health.scans_used} scans "
-                f"({share:.0f} %) match the map less than half as well as usual; look at the map"
+                f"({share:.1f} %), up to {self.low_in_a_row} in a row, match the map less than "
+                "half as well as usual; look at the map"
             )
         skipped = health.scans - health.scans_used
         if skipped > MANY_SKIPPED_SHARE * health.scans:
             sentences.append(
                 f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
-                f"({'; '.join(health.skips.sentences())}); there its pose is dead reckoning"
+                f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
             )
         if not self.is_complete:
             sentences.append(
@@ -175,6 +189,7 @@ class ProducerRun:
                 "resolution": self.grid.resolution,
             },
             "health": self.health.to_json(),
+            "low_scores_in_a_row": self.low_in_a_row,
             "warnings": list(self.doubts()),
             "complete": self.is_complete,
             "log": None if self.log is None else self.log.to_json(),
@@ -205,7 +220,7 @@ def run_producer(
     feed_s: list[float] = []
     stamps_s: list[float] = []
     odometry: list[Pose2] = []
-    memory = 0
+    memory = row = longest_row = 0
     is_complete = True
     begun_s = time.perf_counter()
     for item in scans:
@@ -213,8 +228,10 @@ def run_producer(
             is_complete = False
             break
         before_s = time.perf_counter()
-        backend.feed(item.scan, item.odometry)
+        step = backend.feed(item.scan, item.odometry)
         feed_s.append(time.perf_counter() - before_s)
+        row = row + 1 if _is_low(step, backend.health) else 0
+        longest_row = max(longest_row, row)
         memory = max(memory, backend.memory_bytes())
         if item.odometry is not None:
             stamps_s.append(item.scan.stamp_s)
@@ -234,10 +251,27 @@ def run_producer(
         log=record,
         time_s=time.perf_counter() - begun_s,
         feed_s=np.array(feed_s),
+        low_in_a_row=longest_row,
         peak_memory_bytes=max(memory, backend.memory_bytes()),
         process_peak_memory_bytes=_process_peak_bytes(),
         is_complete=is_complete,
     )
+
+
+def skipped_scans(health: Health) -> tuple[str, ...]:
+    """Return a sentence for each reason for which a producer left scans out, with the first."""
+    skips = health.skips
+    return tuple(
+        f"{count} x {reason} (scan {', '.join(map(str, skips.lines[reason]))}"
+        f"{', ...' if count > len(skips.lines[reason]) else ''})"
+        for reason, count in sorted(skips.counts.items())
+    )
+
+
+def _is_low(step: Step, health: Health) -> bool:
+    """Return whether a scan was matched badly, by the record up to it."""
+    score, mean = step.match_score, health.mean_match_score
+    return score is not None and mean is not None and score < LOW_SHARE * mean
 
 
 def _path(stamps_s: list[float], poses: list[Pose2]) -> Trajectory | None:
@@ -251,7 +285,7 @@ def _path(stamps_s: list[float], poses: list[Pose2]) -> Trajectory | None:
 def _nothing_used(backend: SlamBackend, record: LogRecord | None) -> str:
     """Say why there is no map."""
     where = "" if record is None else f"{record.path}: "
-    reasons = list(backend.health.skips.sentences())
+    reasons = list(skipped_scans(backend.health))
     if record is not None:
         reasons += [f"{sentence} in the log" for sentence in record.skips.sentences()]
     why = f": {'; '.join(reasons)}" if reasons else ""

@@ -1,0 +1,87 @@
+"""Drives through a drawn L-shaped flat with two pillars, whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import NumpyBackend
+from slamfusion.geometry import Pose2
+from slamfusion.io.log import LogScan
+from slamfusion.scan import LaserScan
+
+CELL_M = 0.05
+BEAMS = 181
+REACH_M = 8.0
+
+
+def draw_flat() -> npt.NDArray[np.uint8]:
+    """Return (H, W) classes, 1 wall: an L of 8 m by 6 m with thick outer walls."""
+    cells = np.ones((140, 180), dtype=np.uint8)
+    cells[10:60, 10:170] = 0
+    cells[60:130, 10:80] = 0
+    cells[35:39, 60:64] = 1
+    cells[90:96, 40:44] = 1
+    cells[20:30, 130:134] = 1
+    return cells
+
+
+def true_poses(count: int) -> list[Pose2]:
+    """A way along the long side and around the corner, 0.06 m a step at most."""
+    marks = np.array([(1.2, 1.0), (5.5, 1.0), (7.5, 2.2), (5.0, 2.4), (2.2, 2.4), (1.2, 4.0)])
+    steps = np.hypot(*np.diff(marks, axis=0).T)
+    along = np.linspace(0.0, min(steps.sum(), 0.06 * count), count)
+    passed = np.concatenate(([0.0], np.cumsum(steps)))
+    x, y = (np.interp(along, passed, marks[:, axis]) for axis in (0, 1))
+    yaw = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))) if count > 1 else np.zeros(1)
+    smooth = np.convolve(np.pad(yaw, 4, mode="edge"), np.ones(9) / 9.0, mode="valid")
+    return [Pose2(*(float(v) for v in row)) for row in zip(x, y, smooth, strict=True)]
+
+
+def scan_at(
+    pose: Pose2, stamp_s: float, *, mount: Pose2 | None = None, clockwise: bool = False
+) -> LaserScan:
+    """What a laser of 270 degrees reads there."""
+    mount = mount or Pose2()
+    first, step = math.radians(-135.0), math.radians(270.0) / (BEAMS - 1)
+    if clockwise:
+        first, step = -first, -step
+    laser = pose.compose(mount)
+    angles = first + step * np.arange(BEAMS) + laser.yaw_rad
+    places = np.broadcast_to(np.array([laser.x, laser.y]) / CELL_M, (BEAMS, 2))
+    rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
+    ranges = NumpyBackend.cast_rays(draw_flat(), rays, REACH_M / CELL_M)[:, 0] * CELL_M
+    return LaserScan(stamp_s, ranges, first, step, 0.02, REACH_M, mount)
+
+
+def drive(
+    count: int = 100,
+    *,
+    start: Pose2 | None = None,
+    turn_bias: float = 0.0,
+    mount: Pose2 | None = None,
+    clockwise: bool = False,
+) -> tuple[list[LogScan], list[Pose2]]:
+    """Return scans with odometry, and the true poses in the odometry's frame.
+
+    Args:
+        count: scans.
+        start: the first odometry pose; default: the true one.
+        turn_bias: radians that odometry turns too much with every step.
+        mount: of the laser.
+        clockwise: direction of the beams.
+    """
+    truth = true_poses(count)
+    begin = start or truth[0]
+    moved = begin.compose(truth[0].inverse())
+    odometry = begin
+    scans = []
+    for index, pose in enumerate(truth):
+        if index:
+            step = truth[index - 1].inverse().compose(pose)
+            odometry = odometry.compose(Pose2(step.x, step.y, step.yaw_rad + turn_bias))
+        scan = scan_at(pose, 0.1 * index, mount=mount, clockwise=clockwise)
+        scans.append(LogScan(scan, odometry, index + 1))
+    return scans, [moved.compose(pose) for pose in truth]

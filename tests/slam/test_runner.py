@@ -1,0 +1,160 @@
+"""What a run records: counts, times, memory, doubts, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from slamfusion.cli.slam import NAMES
+from slamfusion.compute import NumpyBackend
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.io.log import LogScan
+from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from tests.support.producers import DeadReckoning, ListLog, room_drive
+
+
+def test_a_run_counts_what_it_did() -> None:
+    seen: list[int] = []
+    run = run_producer(DeadReckoning(), room_drive(20), progress=seen.append)
+    assert seen == list(range(1, 21))
+    assert (run.name, run.scans, run.scans_used) == ("dead-reckoning", 20, 20)
+    assert len(run.trajectory) == len(run.feed_s) == 20
+    assert run.odometry is not None
+    np.testing.assert_allclose(run.odometry.poses, run.trajectory.poses)
+    assert run.trajectory.path_length_m() == pytest.approx(19 * 0.05)
+    assert run.peak_memory_bytes == 20_000
+    assert run.process_peak_memory_bytes > 10_000_000  # an interpreter with NumPy
+    assert run.is_complete
+    assert run.doubts() == ()
+    assert run.log is None
+    assert 0.0 < run.feed_s.sum() <= run.time_s
+
+
+def test_the_record_has_the_promised_keys_and_is_json() -> None:
+    document = run_producer(DeadReckoning(), room_drive(8)).to_json()
+    promised = {"name", "scans", "scans_used", "time_s", "time_per_scan_ms", "peak_memory_mb"}
+    assert promised <= document.keys()
+    assert document["time_per_scan_ms"].keys() == {"mean", "p50", "p95"}
+    assert document["peak_memory_mb"] == 0.008
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+
+
+def test_time_per_scan_is_that_of_the_feeds() -> None:
+    run = run_producer(DeadReckoning(), room_drive(5))
+    milliseconds = 1e3 * run.feed_s
+    figures = run.time_per_scan_ms()
+    assert figures["mean"] == pytest.approx(milliseconds.mean())
+    assert figures["p50"] == pytest.approx(np.sort(milliseconds)[2])
+    assert figures["p50"] <= figures["p95"] <= milliseconds.max()
+
+
+def test_one_scan_makes_a_map() -> None:
+    run = run_producer(DeadReckoning(), room_drive(1))
+    assert len(run.trajectory) == 1
+    assert (run.grid.cells == 100).any()
+    assert run.to_json()["path_length_m"] == 0.0
+
+
+def test_the_log_s_own_counts_are_kept() -> None:
+    log = ListLog(room_drive(3))
+    log.skips.add("cut-off line", 17)
+    log.warnings.add("no scan for an hour or more", 3)
+    log.notes.append("stamps are broken")
+    document = run_producer(DeadReckoning(), log, log=log).to_json()["log"]
+    assert document["skipped"] == [{"reason": "cut-off line", "count": 1, "first_lines": [17]}]
+    assert document["warnings"][0]["count"] == 1
+    assert document["notes"] == ["stamps are broken"]
+
+
+def test_no_usable_scan_is_one_line_with_the_reasons() -> None:
+    log = ListLog(room_drive(4, blind=True))
+    log.skips.add("cut-off line", 17)
+    with pytest.raises(SlamFusionError) as caught:
+        run_producer(DeadReckoning(), log, log=log)
+    message = str(caught.value)
+    for part in (
+        "drive.log",
+        "none of 4 scans",
+        "4 x nothing seen (scan 1, 2, 3, 4)",
+        "1 x cut-off line (line 17)",
+    ):
+        assert part in message
+    assert "\n" not in message
+
+
+def test_no_scan_at_all_is_the_same_error() -> None:
+    with pytest.raises(SlamFusionError, match="none of 0 scans"):
+        run_producer(DeadReckoning(), [])
+
+
+def test_scans_without_odometry_have_no_odometry_path() -> None:
+    scans = [LogScan(item.scan, None, item.line) for item in room_drive(3)]
+    run = run_producer(DeadReckoning(), scans)
+    assert run.odometry is None
+    assert run.to_json()["odometry_path_length_m"] is None
+
+
+def test_a_deadline_stops_and_says_so() -> None:
+    run = run_producer(DeadReckoning(), room_drive(9), deadline_s=0.0)
+    assert run.scans == 1
+    assert not run.is_complete
+    assert any("deadline" in sentence for sentence in run.doubts())
+
+
+def test_many_blind_scans_are_a_doubt() -> None:
+    scans = room_drive(10)
+    blind = room_drive(14, blind=True)[10:]
+    run = run_producer(DeadReckoning(), scans + blind)
+    (sentence,) = run.doubts()
+    assert "4 of 14 scans could not be used" in sentence
+    assert "4 x nothing seen" in sentence
+
+
+@pytest.mark.parametrize(
+    ("low", "in_a_row", "is_doubted"),
+    [
+        (range(0, 100, 20), 1, False),  # 5 %
+        (range(0, 100, 16), 1, True),  # 7 %
+        (range(30, 37), 7, False),
+        (range(30, 38), 8, True),
+    ],
+)
+def test_many_bad_matches_or_many_in_a_row_are_a_doubt(
+    low: range, in_a_row: int, is_doubted: bool
+) -> None:
+    # Long enough that what comes in a row is a small share.
+    count = 100 if in_a_row == 1 else 200
+    backend = DeadReckoning(dict.fromkeys(low, 0.3))
+    run = run_producer(backend, room_drive(count))
+    assert run.low_in_a_row == in_a_row
+    assert bool(run.doubts()) == is_doubted
+    if is_doubted:
+        assert f"{len(low)} of {count} scans" in run.doubts()[0]
+
+
+def test_the_record_does_not_change_when_the_producer_goes_on() -> None:
+    backend = DeadReckoning()
+    run = run_producer(backend, room_drive(2))
+    backend.feed(room_drive(3)[2].scan)
+    assert run.scans == 2
+
+
+def test_the_command_line_offers_every_producer() -> None:
+    assert tuple(PRODUCERS) == NAMES
+
+
+def test_an_unknown_producer_is_named() -> None:
+    with pytest.raises(SlamFusionError, match=r"'hector'.*tinyslam"):
+        make_producer("hector", RunConfig(), NumpyBackend())
+
+
+def test_tinyslam_makes_a_map_of_the_room() -> None:
+    run = run_producer(make_producer("tinyslam", RunConfig(), NumpyBackend()), room_drive(6))
+    assert run.scans_used == 6
+    truth = np.array([0.05 * 5 - 0.5, 0.1, 0.1])
+    np.testing.assert_allclose(run.trajectory.poses[-1], truth, atol=0.1)
+    # The room is 6 m wide; each wall is a cell or two.
+    assert run.grid.width * run.grid.resolution == pytest.approx(6.0, abs=0.3)

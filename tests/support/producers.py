@@ -1,0 +1,105 @@
+"""A producer that believes its odometry, and scans for it: what runs a producer is tested so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.io.log import LogScan, Skips
+from slamfusion.scan import LaserScan
+from slamfusion.slam.base import Health, Step
+from slamfusion.trajectory import Trajectory
+
+BEAMS = 720
+
+
+class DeadReckoning:
+    """A ``SlamBackend`` that marks hits where odometry says they are."""
+
+    name = "dead-reckoning"
+
+    def __init__(self, scores: dict[int, float] | None = None) -> None:
+        """Match scores by number of the scan, from 0; the others are 0.8."""
+        self.scores = scores or {}
+        self.health = Health(mean_match_score=0.8)
+        self.rows: list[tuple[float, float, float, float]] = []
+        self.hits: list[np.ndarray] = []
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        pose = odometry or Pose2()
+        self.health.scans += 1
+        self.rows.append((scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
+        if not scan.is_hit().any():
+            self.health.skips.add("nothing seen", self.health.scans)
+            return Step(pose, used=False, match_score=None, reason="nothing seen")
+        self.health.scans_used += 1
+        self.hits.append(pose.transform(scan.points()))
+        score = self.scores.get(self.health.scans - 1, 0.8)
+        self.health.low_scores += score < 0.4
+        return Step(pose, used=True, match_score=score)
+
+    def trajectory(self) -> Trajectory:
+        table = np.array(self.rows)
+        return Trajectory(table[:, 0], table[:, 1:], self.name)
+
+    def grid(self) -> OccupancyGrid:
+        if not self.hits:
+            message = "no map"
+            raise SlamFusionError(message)
+        cells = np.floor(np.concatenate(self.hits) / 0.1).astype(np.int64)
+        low = cells.min(axis=0)
+        width, height = cells.max(axis=0) - low + 1
+        grid = np.full((height, width), UNKNOWN, dtype=np.int8)
+        grid[(cells - low)[:, 1], (cells - low)[:, 0]] = OCCUPIED
+        grid[grid == UNKNOWN] = FREE
+        return OccupancyGrid(grid, 0.1, Pose2(*(0.1 * low)), self.name)
+
+    def memory_bytes(self) -> int:
+        return 1000 * len(self.hits)
+
+
+class ListLog:
+    """A ``ScanLog`` over scans in memory."""
+
+    def __init__(self, scans: list[LogScan], path: str = "drive.log") -> None:
+        self.path = Path(path)
+        self.skips, self.warnings = Skips(), Skips()
+        self.notes: list[str] = []
+        self.has_stamps = True
+        self.fraction_read = 0.0
+        self._scans = scans
+
+    def __iter__(self) -> Iterator[LogScan]:
+        return iter(self._scans)
+
+
+def room_scan(pose: Pose2, stamp_s: float, half_m: float = 3.0) -> LaserScan:
+    """What a laser that sees all around reads in a square room around the origin."""
+    angles = -math.pi + 2.0 * math.pi / BEAMS * np.arange(BEAMS) + pose.yaw_rad
+    cos, sin = np.cos(angles), np.sin(angles)
+    with np.errstate(divide="ignore"):
+        ways = [
+            np.where(cos > 0, half_m - pose.x, -half_m - pose.x) / cos,
+            np.where(sin > 0, half_m - pose.y, -half_m - pose.y) / sin,
+        ]
+    ranges = np.min(ways, axis=0).astype(np.float32)
+    return LaserScan(stamp_s, ranges, -math.pi, 2.0 * math.pi / BEAMS, 0.05, 30.0)
+
+
+def room_drive(count: int, *, blind: bool = False) -> list[LogScan]:
+    """A slow drive along x in that room, 0.05 m a scan; blind: no beam ever comes back."""
+    scans = []
+    for index in range(count):
+        pose = Pose2(0.05 * index - 0.5, 0.1, 0.02 * index)
+        scan = room_scan(pose, 0.1 * index)
+        if blind:
+            nothing = np.full(BEAMS, np.inf, dtype=np.float32)
+            scan = LaserScan(0.1 * index, nothing, -math.pi, 2.0 * math.pi / BEAMS, 0.05, 30.0)
+        scans.append(LogScan(scan, pose, index + 1))
+    return scans
