@@ -606,7 +606,7 @@ class OccupancyEstimatorConfig(_Checked):
         try:
             if ".." in self.resolutions:
                 first, last = (float(part) for part in self.resolutions.split(".."))
-                steps = round((last - first) / 0.1) if 0.0 < first <= last <= 1.0 else -1
+                steps = int((last - first) / 0.1 + 1e-6) if 0.0 < first <= last <= 1.0 else -1
                 sizes = tuple(round(first + 0.1 * step, 6) for step in range(steps + 1))
             else:
                 sizes = tuple(float(part) for part in self.resolutions.split(","))

@@ -23,8 +23,10 @@ LAYERS = {  # what a package may not import, directly
     "evaluation": ("cli", "report", "ros", "fusion"),
     "compute": ("cli", "report", "ros", "evaluation", "fusion", "io"),
     "io": ("cli", "report", "ros", "evaluation", "fusion", "compute"),
-    "sim": ("cli", "report", "ros", "fusion"),
-    "report": ("cli", "ros"),
+    "sim": ("cli", "report", "ros", "fusion", "experiments"),
+    "slam": ("cli", "report", "ros", "fusion", "evaluation", "sim", "experiments"),
+    "report": ("cli", "ros", "experiments"),
+    "experiments": ("cli", "ros", "report"),
 }
 
 

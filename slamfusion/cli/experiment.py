@@ -1,0 +1,418 @@
+"""``slamfusion experiment``: the tables of the papers, computed here, repeated and tested."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slamfusion.cli.inputs import check_writable
+from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.output import (
+    Progress,
+    plain,
+    print_json,
+    print_table,
+    progress_bar,
+    versions,
+)
+from slamfusion.config import RunConfig, to_mapping
+from slamfusion.errors import SlamFusionError
+
+if TYPE_CHECKING:
+    from slamfusion.compute import Backend
+    from slamfusion.experiments import CellModelRow, Drive, DriveFiles, Results
+    from slamfusion.report.experiment_report import Panel
+
+__all__ = ["command"]
+
+FIRST_FLOOR = 1
+OUTPUT = click.option(
+    "-o",
+    "--output",
+    "folder",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder for the tables and pictures; made where it is missing.",
+)
+
+
+@click.group("experiment")
+def command() -> None:
+    """Repeat an experiment of the papers, with deviations and p-values.
+
+    Writes every single run as CSV, the table as Markdown and JSON, and pictures. What was run
+    before an interruption is kept.
+    """
+
+
+# --- Table II ------------------------------------------------------------------------------------
+
+
+@command.command("cell-models")
+@OUTPUT
+@common_options
+def cell_models(folder: Path, as_json: bool) -> int:
+    """Compute Table II of [H16]: a cell told 12 values in two orders.
+
+    Exit code 1 when a value differs from the paper's in its three decimals.
+    """
+    import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+    from slamfusion.experiments import table_two  # noqa: PLC0415
+
+    check_writable(folder)
+    rows = table_two()
+    files = _write_cell_models(folder, rows)
+    if as_json:
+        print_json(
+            {
+                "rows": [row.to_json() for row in rows],
+                "equal": all(row.is_equal for row in rows),
+                "files": files,
+                "versions": versions(),
+            }
+        )
+    else:
+        heading, cells = _cell_model_table(rows)
+        columns = [f"{heading[0]} ", f"{heading[1]} ", *heading[2:-1], f"{heading[-1]} "]
+        print_table(columns, cells, title="A cell after 12 observations ([H16], Table II)")
+        _print_files(files)
+    different = [row for row in rows if not row.is_equal]
+    if different:
+        where = ", ".join(f"{row.model} {row.order} {row.occupied}" for row in different)
+        message = f"{len(different)} of {len(rows)} values differ from Table II of [H16]: {where}"
+        raise SlamFusionError(message)
+    return 0
+
+
+def _cell_model_table(rows: Sequence[CellModelRow]) -> tuple[list[str], list[list[str]]]:
+    """Return the table in the shape of the paper's: a row for model and order."""
+    counts = list(dict.fromkeys(row.occupied for row in rows))
+    heading = [
+        "model",
+        "order",
+        *(f"{count} occupied" for count in counts),
+        *(f"paper, {count}" for count in counts),
+        "equal",
+    ]
+    cells = []
+    for model, order in dict.fromkeys((row.model, row.order) for row in rows):
+        own = [row for row in rows if (row.model, row.order) == (model, order)]
+        is_equal = all(row.is_equal for row in own)
+        cells.append(
+            [
+                model,
+                order,
+                *(f"{row.value:.3f}" for row in own),
+                *(f"{row.paper:.3f}" for row in own),
+                "yes" if is_equal else "NO",
+            ]
+        )
+    return heading, cells
+
+
+def _write_cell_models(folder: Path, rows: Sequence[CellModelRow]) -> list[Path]:
+    """Write the table as CSV, Markdown and JSON, and the picture; all or none."""
+    import json  # noqa: PLC0415
+
+    from slamfusion.experiments.table import markdown_table  # noqa: PLC0415
+    from slamfusion.io import AtomicFiles  # noqa: PLC0415
+    from slamfusion.report.experiment_report import (  # noqa: PLC0415
+        Line,
+        Panel,
+        cell_values_picture,
+    )
+
+    heading, cells = _cell_model_table(rows)
+    panels = [
+        Panel(
+            f"{count} of 12 observations are occupied",
+            [
+                Line(f"{row.model}, {row.order}", range(len(row.values)), row.values)
+                for row in rows
+                if row.occupied == count
+            ],
+        )
+        for count in dict.fromkeys(row.occupied for row in rows)
+    ]
+    markdown = [
+        "# A cell after 12 observations ([H16], Table II)",
+        "",
+        "Start 0.5; occupied 0.95, free 0.01. Base with quality 0.2, mean (the paper's modified",
+        "model) with quality 1. Forward: the occupied observations first; backward: the free ones.",
+        "",
+        *markdown_table(heading, cells),
+        "",
+        "![value of the cell after each observation](cell-models.png)",
+        "",
+    ]
+    table = [heading, *cells]
+    contents = {
+        "cell-models.csv": "".join(",".join(f'"{cell}"' for cell in line) + "\n" for line in table),
+        "cell-models.md": "\n".join(markdown),
+        "cell-models.json": json.dumps([row.to_json() for row in rows], indent=2) + "\n",
+    }
+    with AtomicFiles() as files:
+        for name, text in contents.items():
+            files.add(folder / name, text.encode())
+        files.add(folder / "cell-models.png", cell_values_picture(panels))
+    return [folder / name for name in (*contents, "cell-models.png")]
+
+
+# --- Table III -----------------------------------------------------------------------------------
+
+
+@command.command("occupancy-estimator")
+@OUTPUT
+@click.option(
+    "--log",
+    "log_path",
+    type=click.Path(path_type=Path),
+    metavar="LOG",
+    help="A recorded drive, besides the simulated floors.",
+)
+@click.option(
+    "--relations",
+    "relations_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Known motions of the recorded drive [K09].",
+)
+@click.option(
+    "--odometry",
+    "odometry_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Raw odometry of its whole run, to carry poses on to the times of the relations.",
+)
+@click.option(
+    "--reference",
+    "reference_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="The best known trajectory of the recorded drive.",
+)
+@with_config("experiment.occupancy_estimator", "device", "")
+@common_options
+def occupancy_estimator(
+    folder: Path,
+    log_path: Path | None,
+    relations_path: Path | None,
+    odometry_path: Path | None,
+    reference_path: Path | None,
+    config: RunConfig,
+    as_json: bool,
+) -> int:
+    """Sweep tinySLAM's cell size with both occupancy estimators: Table III of [H16].
+
+    On simulated office floors, whose truth is known, and on a log where one is given.
+    """
+    from slamfusion.experiments import DriveFiles, sweep_estimators, verdicts  # noqa: PLC0415
+    from slamfusion.experiments.occupancy_estimator import NAME  # noqa: PLC0415
+
+    others = (relations_path, odometry_path, reference_path)
+    if log_path is None and any(path is not None for path in others):
+        message = "--relations, --odometry and --reference belong to a recorded drive; give --log"
+        raise click.UsageError(message)
+    recorded = [] if log_path is None else [DriveFiles(log_path, *others)]
+    floors = _floors(config.experiment.occupancy_estimator.floors, recorded)
+    backend = _prepare(folder, config)
+    keep = _keeper(folder, NAME, config, backend)
+    with progress_bar() as progress:
+        drives = _drives(recorded, floors, config, backend, progress)
+        results = sweep_estimators(drives, config, backend, keep=keep, progress=progress)
+    found = verdicts(results)
+    sentences = [verdict.sentence() for verdict in found]
+    document = {"verdicts": [verdict.to_json() for verdict in found]}
+    pictures = _sweep_pictures(results, NAME)
+    _finish(folder, NAME, results, sentences, document, pictures, config, backend, as_json)
+    return 0
+
+
+def _sweep_pictures(results: Results, stem: str) -> dict[str, bytes]:
+    """Return a picture for each error: against cell size, a line for each estimator."""
+    from slamfusion.experiments.drives import TIME  # noqa: PLC0415
+    from slamfusion.experiments.table import measure_label  # noqa: PLC0415
+    from slamfusion.report.experiment_report import sweep_picture  # noqa: PLC0415
+
+    pictures = {}
+    for measure in results.measures():
+        if measure != TIME:
+            name = measure.rpartition("_")[0].replace("_", "-")
+            pictures[f"{stem}-{name}.png"] = sweep_picture(
+                _sweep_panels(results, measure),
+                x_label="cell size in m",
+                y_label=measure_label(measure),
+            )
+    return pictures
+
+
+def _sweep_panels(results: Results, measure: str) -> list[Panel]:
+    """Return a panel for each drive that has the error."""
+    from slamfusion.report.experiment_report import Line, Panel  # noqa: PLC0415
+
+    panels = []
+    for drive in results.levels(0):
+        lines = []
+        for method in results.levels(2):
+            points = [
+                (float(size), summary)
+                for size in results.levels(1)
+                if (summary := results.summary((drive, size, method), measure)) is not None
+            ]
+            if points:
+                sizes, summaries = zip(*points, strict=True)
+                means = [summary.mean for summary in summaries]
+                deviations = [summary.std or 0.0 for summary in summaries]
+                lines.append(Line(str(method), sizes, means, deviations))
+        if lines:
+            panels.append(Panel(str(drive), lines))
+    return panels
+
+
+# --- Table I -------------------------------------------------------------------------------------
+
+
+@command.command("cell-models-trajectories")
+@OUTPUT
+@click.option(
+    "--log",
+    "logs",
+    multiple=True,
+    metavar="LOG:RELATIONS[:ODOMETRY]",
+    help="A recorded drive with known motions [K09], and raw odometry of its whole run; may be "
+    "given several times.",
+)
+@with_config("experiment.cell_models_trajectories", "device", "")
+@common_options
+def cell_models_trajectories(
+    folder: Path, logs: tuple[str, ...], config: RunConfig, as_json: bool
+) -> int:
+    """Compare tinySLAM's cell models by the errors of the trajectory: Table I of [H16].
+
+    On simulated office floors, whose truth is known, and on the logs given.
+    """
+    from slamfusion.experiments import compare_models, model_sentences  # noqa: PLC0415
+    from slamfusion.experiments.cell_models_trajectories import NAME  # noqa: PLC0415
+
+    recorded = [_drive_files(text) for text in logs]
+    floors = _floors(config.experiment.cell_models_trajectories.floors, recorded)
+    backend = _prepare(folder, config)
+    keep = _keeper(folder, NAME, config, backend)
+    with progress_bar() as progress:
+        drives = _drives(recorded, floors, config, backend, progress)
+        results = compare_models(drives, config, backend, keep=keep, progress=progress)
+    _finish(folder, NAME, results, model_sentences(results), {}, {}, config, backend, as_json)
+    return 0
+
+
+def _drive_files(text: str) -> DriveFiles:
+    """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
+    from slamfusion.experiments import DriveFiles  # noqa: PLC0415
+
+    parts = text.split(":")
+    if len(parts) not in {2, 3} or not all(parts):
+        message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found {text!r}"
+        raise click.UsageError(message)
+    return DriveFiles(*map(Path, parts))
+
+
+# --- what the repeated ones share ----------------------------------------------------------------
+
+
+def _prepare(folder: Path, config: RunConfig) -> Backend:
+    """Refuse what cannot end well before any work, and open the device."""
+    import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+    from slamfusion.compute import open_backend  # noqa: PLC0415
+
+    check_writable(folder)
+    return open_backend(config.device.device)
+
+
+def _floors(count: int, recorded: Sequence[DriveFiles]) -> range:
+    """Return the seeds of the simulated floors; there must be something to run on."""
+    if not recorded and not count:
+        message = "nothing to run on: give --log, or --floors of at least 1"
+        raise click.UsageError(message)
+    return range(FIRST_FLOOR, FIRST_FLOOR + count)
+
+
+def _drives(
+    recorded: Sequence[DriveFiles],
+    floors: Sequence[int],
+    config: RunConfig,
+    backend: Backend,
+    progress: Progress | None,
+) -> list[Drive]:
+    """Return the recorded drives, then the simulated ones; their names differ."""
+    from dataclasses import replace  # noqa: PLC0415
+
+    from slamfusion.experiments import read_drive, simulated_office  # noqa: PLC0415
+
+    drives: list[Drive] = []
+    for files in recorded:
+        drive = read_drive(files, config)
+        twins = sum(other.name.split("#")[0] == drive.name for other in drives)
+        drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
+    return drives + [simulated_office(seed, backend, progress) for seed in floors]
+
+
+def _keeper(
+    folder: Path, stem: str, config: RunConfig, backend: Backend
+) -> Callable[[Results], None]:
+    """Return what writes the tables so far: an interruption then loses one condition at most."""
+    from slamfusion.experiments import write_results  # noqa: PLC0415
+
+    def keep(results: Results) -> None:
+        write_results(folder, stem, results, document=_circumstances(config, backend))
+
+    return keep
+
+
+def _finish(
+    folder: Path,
+    stem: str,
+    results: Results,
+    sentences: Sequence[str],
+    document: Mapping[str, Any],
+    pictures: Mapping[str, bytes],
+    config: RunConfig,
+    backend: Backend,
+    as_json: bool,
+) -> None:
+    """Write everything, and print it."""
+    from slamfusion.experiments import write_results  # noqa: PLC0415
+    from slamfusion.experiments.table import measure_label  # noqa: PLC0415
+
+    full = {**document, "sentences": list(sentences), **_circumstances(config, backend)}
+    text = "\n".join(["## In words", "", *(f"- {sentence}" for sentence in sentences)])
+    files = write_results(folder, stem, results, text=text, document=full, pictures=pictures)
+    if as_json:
+        print_json({**results.to_json(), **full, "files": files})
+        return
+    print(results.title)
+    for measure in results.measures():
+        heading, rows = results.rows(measure)
+        columns = [f"{heading[0]} ", *heading[1:]]
+        print_table(columns, rows, title=measure_label(measure))
+    for sentence in sentences:
+        print(sentence)
+    _print_files(files)
+
+
+def _circumstances(config: RunConfig, backend: Backend) -> dict[str, Any]:
+    found = {
+        "device": backend.name,
+        "seed": config.seed,
+        "config": to_mapping(config),
+        "versions": versions(),
+    }
+    return {name: plain(value) for name, value in found.items()}
+
+
+def _print_files(files: Sequence[Path]) -> None:
+    for path in files:
+        print(path)

@@ -1,0 +1,371 @@
+"""``slamfusion slam``: one producer of maps on a recorded or simulated drive."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
+from slamfusion.cli.inputs import check_writable, load_maps
+from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.output import (
+    notice,
+    number,
+    plain,
+    print_json,
+    print_table,
+    progress_bar,
+    versions,
+)
+from slamfusion.cli.trajectory import Measures, measure_trajectory, print_measures
+from slamfusion.config import RunConfig, to_mapping
+from slamfusion.errors import MapFileError
+
+if TYPE_CHECKING:
+    from slamfusion.compute import Backend
+    from slamfusion.slam.runner import ProducerRun
+    from slamfusion.trajectory import Trajectory
+
+__all__ = ["NAMES", "command"]
+
+# Every producer of ``slamfusion.slam.runner``, whose import would slow down every other command.
+NAMES = ("tinyslam",)
+
+PROGRESS_STEPS = 1000
+SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
+
+
+@click.group("slam")
+def command() -> None:
+    """Run one producer of maps on a log or bag."""
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What a run is asked for beside its settings."""
+
+    log: Path
+    stem: Path
+    relations: Path | None
+    odometry: Path | None
+    truth: Path | None
+    truth_map: Path | None
+    report: Path | None
+
+    def check(self) -> None:
+        """Refuse what cannot end well before any work."""
+        if self.odometry is not None and self.relations is None:
+            message = "--odometry carries poses to the times of relations; give --relations FILE"
+            raise click.UsageError(message)
+        given = (self.log, self.relations, self.odometry, self.truth, self.truth_map)
+        inputs = {path.absolute() for path in given if path is not None}
+        for path in self.outputs():
+            if path.absolute() in inputs:
+                message = f"-o {self.stem} would replace the input {path}; choose another name"
+                raise click.UsageError(message)
+        check_writable(self.stem.parent)
+        if self.report is not None:
+            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+
+            check_writable(self.report)
+
+    def outputs(self) -> list[Path]:
+        """Return the files that are written."""
+        return [self.stem.with_name(self.stem.name + suffix) for suffix in SUFFIXES]
+
+
+def _stem(out: Path) -> Path:
+    """Take ``OUT`` as a stem; a suffix of its files written out by the user is dropped."""
+    if out.name in {"", ".."} or out.is_dir():
+        message = f"-o {out}: name the map too, e.g. -o {out / 'map'}"
+        raise click.UsageError(message)
+    return out.with_suffix("") if out.suffix in SUFFIXES else out
+
+
+def _file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[Any], Any]:
+    kind = click.Path(path_type=Path)
+    return click.option(name, parameter, type=kind, metavar=metavar, help=text)
+
+
+def _make_command(name: str) -> click.Command:
+    """Return the command of one producer; its settings become options."""
+
+    @click.command(name)
+    @click.argument("log", type=click.Path(path_type=Path))
+    @click.option(
+        "-o",
+        "--output",
+        "out",
+        required=True,
+        type=click.Path(path_type=Path),
+        metavar="OUT",
+        help="Write the map OUT.yaml and OUT.pgm, the path OUT.tum and the record OUT.json.",
+    )
+    @_file_option(
+        "--relations",
+        "relations",
+        "FILE",
+        "Known motions between pairs of times [K09]: errors of the path.",
+    )
+    @_file_option(
+        "--odometry",
+        "odometry",
+        "FILE",
+        "Raw odometry of the whole run, to carry poses on to the times of the relations.",
+    )
+    @_file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
+    @_file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
+    @_file_option(
+        "--report",
+        "report",
+        "DIR",
+        "Write a self-contained HTML report with its pictures here.",
+    )
+    @with_config(name, "log", "trajectory", "device", "")
+    @common_options
+    def run(
+        log: Path,
+        out: Path,
+        relations: Path | None,
+        odometry: Path | None,
+        truth: Path | None,
+        truth_map: Path | None,
+        report: Path | None,
+        config: RunConfig,
+        as_json: bool,
+    ) -> int:
+        request = _Request(log, _stem(out), relations, odometry, truth, truth_map, report)
+        request.check()
+        return _run(name, request, config, as_json=as_json)
+
+    run.help = (
+        f"Make a map of the scans in LOG with {name}: a CARMEN or tinySLAM log, or a ROS bag.\n\n"
+        "Where LOG has no odometry, the robot is expected to go on as it went."
+    )
+    return run
+
+
+for _name in NAMES:
+    command.add_command(_make_command(_name))
+
+
+@dataclass(frozen=True)
+class _Result:
+    """A run and everything that was measured of it."""
+
+    run: ProducerRun
+    measures: Measures
+    relations: Path | None
+    evaluation: Evaluation | None
+    device: str
+
+    def record(self, outputs: list[Path]) -> dict[str, Any]:
+        """Return the run's record with its errors and files."""
+        return {
+            **self.run.to_json(),
+            **self.measures.to_json(),
+            "map_error": None if self.evaluation is None else self.evaluation.to_json(),
+            "files": outputs,
+        }
+
+
+def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> int:
+    """Run, measure, write, print."""
+    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
+    from slamfusion.io import read_trajectory  # noqa: PLC0415
+
+    relations = None if request.relations is None else read_relations(request.relations)
+    odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
+    truth = None if request.truth is None else read_trajectory(request.truth, config.log)
+    truth_map = None if request.truth_map is None else load_maps([request.truth_map], None)[0]
+    backend = open_backend(config.device.device)
+    found = _produce(name, request.log, config, backend)
+    measures = measure_trajectory(
+        found.trajectory,
+        config.trajectory,
+        relations=relations,
+        odometry=odometry,
+        scans=found.odometry,
+        truth=truth,
+    )
+    evaluation = None
+    if truth_map is not None:
+        evaluation = evaluate_maps([found.grid], truth_map, config, backend)[0]
+    result = _Result(found, measures, request.relations, evaluation, backend.name)
+    document = {
+        "producers": [result.record(request.outputs())],
+        "log": request.log,
+        "relations": request.relations,
+        "odometry_file": request.odometry,
+        "truth": request.truth,
+        "truth_map": request.truth_map,
+        "device": backend.name,
+        "seed": config.seed,
+        "config": to_mapping(config),
+        "versions": versions(),
+    }
+    _save(found, document, request)
+    if request.report is not None:
+        _report(result, request.report, config, truth)
+    for sentence in found.doubts():
+        notice(f"{name}: {sentence}")
+    if as_json:
+        print_json(document)
+    else:
+        _print(result, request)
+    return 0
+
+
+def _produce(name: str, path: Path, config: RunConfig, backend: Backend) -> ProducerRun:
+    """Run the producer over the log, with a bar that follows the file."""
+    from slamfusion.io import open_log  # noqa: PLC0415
+    from slamfusion.slam.runner import make_producer, run_producer  # noqa: PLC0415
+
+    log = open_log(path, config.log)
+    producer = make_producer(name, config, backend)
+    with progress_bar() as bar:
+
+        def tell(_: int) -> None:
+            if bar is not None:
+                bar(name, round(PROGRESS_STEPS * log.fraction_read), PROGRESS_STEPS)
+
+        return run_producer(producer, log, log=log, progress=tell)
+
+
+def _save(run: ProducerRun, document: dict[str, Any], request: _Request) -> None:
+    """Write map, path and record; all of them or none."""
+    from slamfusion.io import AtomicFiles, save_map, write_tum  # noqa: PLC0415
+
+    map_yaml, map_pgm, tum, record = request.outputs()
+    text = json.dumps(plain(document), indent=2, allow_nan=False) + "\n"
+    folder = request.stem.parent
+    with TemporaryDirectory(prefix="slamfusion-") as name, AtomicFiles() as files:
+        try:
+            made = save_map(run.grid, Path(name) / request.stem.name)
+        except MapFileError as error:  # name the file that was wanted, not its draft
+            raise MapFileError(str(error).replace(name, str(folder))) from None
+        for target, draft in zip((map_yaml, map_pgm), made, strict=True):
+            files.add(target, draft.read_bytes())
+        write_tum(tum, run.trajectory, files=files)
+        files.add(record, text.encode())
+
+
+def _report(result: _Result, directory: Path, config: RunConfig, truth: Trajectory | None) -> None:
+    """Write the report: map, path, errors, health."""
+    from slamfusion.report import Fact, Table, write_slam_report  # noqa: PLC0415
+    from slamfusion.report.page import Cell  # noqa: PLC0415
+
+    run = result.run
+    time_ms = run.time_per_scan_ms()
+    facts = [
+        Fact(f"{run.scans_used} of {run.scans}", "scans used"),
+        Fact(f"{time_ms['mean']:.2f} ms", "a scan"),
+        Fact(f"{run.peak_memory_bytes / 1e6:.1f} MB", "map and filter"),
+    ]
+    if run.health.mean_match_score is not None:
+        facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
+    rows = [[Cell(name), Cell(value)] for name, value in _figures(result)]
+    remarks = [[Cell(where), Cell(sentence)] for where, sentence in _remarks(run)]
+    tables = [Table("The run", ("what", "value"), rows)]
+    if remarks:
+        tables.append(Table("Said of the log and its scans", ("where", "what"), remarks))
+    write_slam_report(
+        directory,
+        name=run.name,
+        grid=run.grid,
+        trajectory=run.trajectory,
+        config=config,
+        facts=facts,
+        warnings=[(f"{run.name}:", sentence) for sentence in run.doubts()],
+        tables=tables,
+        odometry=run.odometry,
+        truth=truth,
+        relations=result.measures.relations,
+        device=result.device,
+    )
+
+
+def _figures(result: _Result) -> list[tuple[str, str]]:
+    """Return the run's numbers with their names."""
+    run = result.run
+    time_ms, health = run.time_per_scan_ms(), run.health
+    stamps_s = run.trajectory.stamps_s
+    return [
+        ("scans", f"{run.scans}, {run.scans_used} of them used"),
+        ("duration of the drive", f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s"),
+        ("path length", f"{number(run.trajectory.path_length_m(), 1)} m"),
+        (
+            "path length by odometry",
+            "no odometry"
+            if run.odometry is None
+            else f"{number(run.odometry.path_length_m(), 1)} m",
+        ),
+        (
+            "time per scan",
+            (
+                f"mean {number(time_ms['mean'], 2)} ms, median {number(time_ms['p50'], 2)} ms, "
+                f"95 % within {number(time_ms['p95'], 2)} ms"
+            ),
+        ),
+        ("time in all", f"{number(run.time_s, 1)} s, reading included"),
+        (
+            "peak memory",
+            (
+                f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
+                f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process"
+            ),
+        ),
+        (
+            "match score",
+            (
+                f"mean {number(health.mean_match_score)}, last {number(health.match_score)}, "
+                f"{health.low_scores} below half of the mean, {run.low_in_a_row} of them in a row"
+            ),
+        ),
+        *([("effective particles", number(health.n_eff, 1))] if health.n_eff is not None else []),
+        (
+            "map",
+            f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
+        ),
+        ("device", result.device),
+    ]
+
+
+def _remarks(run: ProducerRun) -> list[tuple[str, str]]:
+    """Return what was left out, what is odd, and what the log says, each with its place."""
+    from slamfusion.slam.runner import skipped_scans  # noqa: PLC0415
+
+    remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
+    if run.log is not None:
+        remarks += [("left out of the log", item) for item in run.log.skips.sentences()]
+        remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]
+        remarks += [("the log", item) for item in run.log.notes]
+    return remarks
+
+
+def _print(result: _Result, request: _Request) -> None:
+    """Print the numbers, the remarks and the errors."""
+    run = result.run
+    print_table(
+        ("what ", "value "),
+        [[name, value] for name, value in _figures(result)],
+        title=f"{run.name} on {request.log}",
+        header=False,
+    )
+    for where, sentence in _remarks(run):
+        print(f"{where}: {sentence}")
+    if result.measures.relations is not None or result.measures.truth is not None:
+        print_measures(run.trajectory, result.measures)
+    if result.evaluation is not None:
+        print_evaluations([result.evaluation])
+    for path in request.outputs():
+        print(path)
+    if request.report is not None:
+        print(request.report / "report.html")

@@ -1,0 +1,171 @@
+"""The pictures of the experiments: errors against cell size, and a cell's value as it is told.
+
+Colours and line styles tell the lines apart; their meaning stands in a legend, because these
+pictures are looked at without a page around them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+from matplotlib.ticker import MaxNLocator  # noqa: TID251
+
+from slamfusion.report.plots import _DPI, _INK, _WIDTH_IN, _png, _style
+
+__all__ = ["Line", "Panel", "cell_values_picture", "sweep_picture"]
+
+_COLOURS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
+_MARKERS = ("o", "D", "s", "^")
+_STYLES = ("-", "--", ":", "-.")
+# Bars at one place on the x axis stand this share of its step apart.
+_BESIDE = 0.06
+_LEGEND_COLUMNS = 2
+# Heights of a row of the legend, and of the name of the x axis below the last panel.
+_LEGEND_IN = 0.155
+_LABEL_IN = 0.12
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a panel.
+
+    Attributes:
+        label: its name in the legend; plain text.
+        x: where its points lie.
+        y: their values, as many.
+        spread: half length of each point's bar; empty: no bars.
+    """
+
+    label: str
+    x: Sequence[float]
+    y: Sequence[float]
+    spread: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes with its lines.
+
+    Attributes:
+        title: above it; plain text.
+        lines: at least one.
+    """
+
+    title: str
+    lines: Sequence[Line]
+
+
+def sweep_picture(panels: Sequence[Panel], *, x_label: str, y_label: str) -> bytes:
+    """Draw means with deviation bars against a setting, a panel above the other.
+
+    Args:
+        panels: at least one.
+        x_label: what the setting is, with its unit.
+        y_label: what the values are, with their unit.
+
+    Returns:
+        The bytes of a PNG file.
+    """
+    figure, all_axes = _figure(panels, 2.0)
+    for panel, axes in zip(panels, all_axes, strict=True):
+        places = sorted({float(x) for line in panel.lines for x in line.x})
+        step = min(np.diff(places), default=1.0)
+        for number, line in enumerate(panel.lines):
+            beside = _BESIDE * step * (number - (len(panel.lines) - 1) / 2.0)
+            axes.errorbar(
+                np.asarray(line.x) + beside,
+                line.y,
+                yerr=line.spread or None,
+                color=_COLOURS[number % len(_COLOURS)],
+                marker=_MARKERS[number % len(_MARKERS)],
+                ls=_STYLES[number % len(_STYLES)],
+                label=_plain(line.label),
+                ms=3.5,
+                lw=1.1,
+                elinewidth=0.8,
+                capsize=2.5,
+            )
+        top = max(float(np.max(np.asarray(line.y) + (line.spread or 0.0))) for line in panel.lines)
+        # Bars that reach below zero are cut: no error is negative.
+        axes.set_ylim(0.0, 1.06 * top + 1e-9)
+        axes.set_xticks(places)
+        _finish(axes, panel, y_label)
+    all_axes[-1].set_xlabel(x_label, color=_INK, fontsize=7.5)
+    return _png(figure)
+
+
+def cell_values_picture(panels: Sequence[Panel]) -> bytes:
+    """Draw what a cell says, 0 free to 1 occupied, after each of its observations.
+
+    Args:
+        panels: at least one; ``x`` counts observations from 0.
+
+    Returns:
+        The bytes of a PNG file.
+    """
+    figure, all_axes = _figure(panels, 1.6)
+    for panel, axes in zip(panels, all_axes, strict=True):
+        axes.axhline(0.5, color=_INK, lw=0.7, ls=":")
+        for number, line in enumerate(panel.lines):
+            axes.plot(
+                line.x,
+                line.y,
+                color=_COLOURS[number % len(_COLOURS)],
+                marker=_MARKERS[number % len(_MARKERS)],
+                ls=_STYLES[number % len(_STYLES)],
+                label=_plain(line.label),
+                ms=3.0,
+                lw=1.1,
+                clip_on=False,
+            )
+        axes.set_ylim(0.0, 1.0)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.margins(x=0.02)
+        _finish(axes, panel, "value of the cell")
+    all_axes[-1].set_xlabel("observations", color=_INK, fontsize=7.5)
+    return _png(figure)
+
+
+def _figure(panels: Sequence[Panel], height_in: float) -> tuple[Figure, list[Axes]]:
+    """Return axes above each other with room for a title and a legend above each."""
+    lines = max(len(panel.lines) for panel in panels)
+    head_in, foot_in = 0.3 + _LEGEND_IN * -(-lines // _LEGEND_COLUMNS), 0.3
+    row_in = head_in + height_in + foot_in
+    figure = Figure(figsize=(_WIDTH_IN, len(panels) * row_in + _LABEL_IN), dpi=_DPI)
+    tall_in = figure.get_size_inches()[1]
+    bottoms_in = [_LABEL_IN + foot_in + row_in * row for row in reversed(range(len(panels)))]
+    boxes = [(0.13, bottom_in / tall_in, 0.85, height_in / tall_in) for bottom_in in bottoms_in]
+    return figure, [figure.add_axes(box) for box in boxes]
+
+
+def _finish(axes: Axes, panel: Panel, y_label: str) -> None:
+    """Give a panel its lettering."""
+    legend_rows = -(-len(panel.lines) // _LEGEND_COLUMNS)
+    axes.set_ylabel(y_label, color=_INK, fontsize=7.5)
+    axes.set_title(
+        _plain(panel.title),
+        loc="left",
+        color=_INK,
+        fontsize=8,
+        pad=5 + 72 * _LEGEND_IN * legend_rows,
+    )
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=_LEGEND_COLUMNS,
+        frameon=False,
+        fontsize=7,
+        labelcolor=_INK,
+        borderaxespad=0.1,
+        handlelength=2.6,
+    )
+    _style(axes)
+
+
+def _plain(text: str) -> str:
+    """Return text that matplotlib draws as it is written: a ``$`` starts no formula."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,149 @@
+"""Run a producer on every recorded and simulated drive, over several seeds.
+
+    python -m tests.benchmarks.bench_slam --seeds 5 --maps out/bench_slam
+
+Per drive: the error of the raw odometry and of the best trajectory in the folder (the floor), the
+producer's error over the seeds (mean, deviation, worst), the time a scan takes, and the memory of
+the map. Errors are the mean translation over the relations where there are some [K09], or else the
+root mean square of the absolute trajectory error against the simulated truth. With --maps the map
+of the first seed of each drive is written, to be looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from slamfusion.compute import Backend, open_backend
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import Summary, subsample_to_scans
+from slamfusion.experiments.drives import ATE, RELATIONS, Drive, DriveFiles, read_drive
+from slamfusion.io import open_log, read_trajectory, save_map
+from slamfusion.sim.courses import named_course, with_overrides
+from slamfusion.sim.simulate import simulate
+from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from slamfusion.trajectory import Trajectory
+from tests.support.datasets import DATASETS
+
+CSAIL, INTEL = DATASETS / "mit-csail", DATASETS / "intel"
+MEASURED = (
+    DriveFiles(CSAIL / "mit-csail.clf.gz", CSAIL / "mit-csail.relations"),
+    *(
+        DriveFiles(
+            INTEL / f"intel-{count}-raw.log.gz",
+            INTEL / "intel.relations",
+            INTEL / "intel-odometry-13631.txt.gz",
+        )
+        for count in (2726, 910)
+    ),
+)
+BEST = {
+    "mit-csail": CSAIL / "mit-csail-reference-graph.log.gz",
+    "intel-2726-raw": INTEL / "intel-estimate-11439.txt.gz",
+    "intel-910-raw": INTEL / "intel-estimate-11439.txt.gz",
+}
+UNMEASURED = (
+    "tinyslam/exp1.dat.gz",
+    "tinyslam/exp2.dat.gz",
+    "rosbags/test_turtlebot.bag",
+)
+SIMULATED = tuple((world, lidar) for world in ("office", "hall") for lidar in ("hokuyo", "rplidar"))
+SIMULATED_KINECT = (("office", "kinect"), ("f16", "kinect"))
+
+
+def drives(config: RunConfig, backend: Backend) -> Iterator[Drive]:
+    """Yield every drive; recorded ones first."""
+    for files in MEASURED:
+        if files.log.exists():
+            yield read_drive(files, config)
+    for name in UNMEASURED:
+        if (DATASETS / name).exists():
+            scans = tuple(open_log(DATASETS / name, config.log))
+            yield Drive(Path(name).name.split(".")[0], scans)
+    for world, lidar in SIMULATED + SIMULATED_KINECT:
+        course = named_course(world, config.seed)
+        if world != "f16":
+            course = with_overrides(course, replace(config.simulate, lidar=lidar))
+        recording = simulate(course, backend)
+        yield Drive(f"{world}, {lidar}", recording.scans, reference=recording.truth)
+
+
+def floor(drive: Drive, config: RunConfig) -> Trajectory | None:
+    """Return the best trajectory in the folder, at the drive's scans."""
+    if drive.name not in BEST:
+        return None
+    best = read_trajectory(BEST[drive.name], config.log)
+    if drive.odometry is None:
+        return best
+    own = config.trajectory
+    return subsample_to_scans(
+        best,
+        drive.scan_odometry(),
+        drive.odometry,
+        tolerance_s=own.tolerance_s,
+        tolerance_m=own.odometry_tolerance_m,
+    )
+
+
+def error(drive: Drive, trajectory: Trajectory | None, config: RunConfig) -> float | None:
+    """Return the drive's own measure of a trajectory."""
+    if trajectory is None or len(trajectory) == 0:
+        return None
+    found = drive.errors(trajectory, config.trajectory)
+    return found.get(RELATIONS, found.get(ATE))
+
+
+def shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--producer", choices=tuple(PRODUCERS), default="tinyslam")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--maps", type=Path)
+    options = parser.parse_args()
+    config, backend = RunConfig(), open_backend(options.device)
+    columns = "scans, beams, odometry m, floor m, mean m, dev. m, worst m, ms, p95 ms, map MB"
+    table = Table(title=f"{options.producer}, {options.seeds} seeds, {backend.name}")
+    for column in ("drive", *columns.split(", ")):
+        table.add_column(column)
+    for drive in drives(config, backend):
+        runs = [
+            run_producer(
+                make_producer(options.producer, replace(config, seed=seed), backend), drive.scans
+            )
+            for seed in range(options.seeds)
+        ]
+        errors = [error(drive, run.trajectory, config) for run in runs]
+        known = [value for value in errors if value is not None]
+        summary = Summary.of(known) if known else None
+        times = [run.time_per_scan_ms() for run in runs]
+        table.add_row(
+            drive.name,
+            str(len(drive.scans)),
+            str(len(drive.scans[0].scan)),
+            shown(error(drive, drive.scan_odometry(), config)),
+            shown(error(drive, floor(drive, config), config)),
+            shown(summary.mean if summary else None),
+            shown(summary.std if summary else None),
+            shown(summary.worst if summary else None),
+            f"{np.median([time['mean'] for time in times]):.2f}",
+            f"{np.median([time['p95'] for time in times]):.2f}",
+            f"{max(run.peak_memory_bytes for run in runs) / 1e6:.1f}",
+        )
+        if options.maps is not None:
+            options.maps.mkdir(parents=True, exist_ok=True)
+            save_map(runs[0].grid, options.maps / drive.name.replace(", ", "-"))
+    Console(width=160).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""``experiment`` as a user starts it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from slamfusion.io import write_carmen, write_tum
+from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.experiments.drives import room
+
+NUMPY = ("--device", "numpy")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a short log, its relations and its truth."""
+    folder = tmp_path_factory.mktemp("drive")
+    made = room(drift=0.3)
+    assert made.relations is not None
+    assert made.reference is not None
+    write_carmen(folder / "room.log", made.scans)
+    write_tum(folder / "truth.tum", made.reference)
+    ((first, second),), ((x, y, yaw),) = made.relations.stamps_s, made.relations.motions
+    line = f"{first} {second} {x} {y} 0 0 0 {yaw}\n"
+    (folder / "room.relations").write_text(line, encoding="utf-8")
+    return folder
+
+
+def test_cell_models_prints_table_two(tmp_path: Path) -> None:
+    done = run("experiment", "cell-models", "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    for wanted in (
+        "base forward 0.105 0.225 0.460 0.105 0.225 0.460 yes",
+        "base backward 0.502 0.737 0.858 0.502 0.737 0.858 yes",
+        "mean forward 0.245 0.480 0.715 0.245 0.480 0.715 yes",
+        "mean backward 0.245 0.480 0.715 0.245 0.480 0.715 yes",
+    ):
+        assert wanted.split() in lines
+
+
+def test_cell_models_writes_table_and_picture(tmp_path: Path) -> None:
+    done = run("experiment", "cell-models", "-o", tmp_path, "--json")
+    document = json_of(done)
+    assert document["equal"] is True
+    assert len(document["rows"]) == 12
+    assert set(tree(tmp_path)) == {f"cell-models.{kind}" for kind in ("csv", "md", "json", "png")}
+    with (tmp_path / "cell-models.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert table[1]["9 occupied"] == "0.858"
+    assert (tmp_path / "cell-models.png").read_bytes().startswith(b"\x89PNG")
+    assert "cell-models.png" in (tmp_path / "cell-models.md").read_text(encoding="utf-8")
+
+
+def test_occupancy_estimator_on_a_log_alone(drive: Path, tmp_path: Path) -> None:
+    done = run(
+        "experiment", "occupancy-estimator", "-o", tmp_path, *NUMPY,
+        "--log", drive / "room.log", "--relations", drive / "room.relations",
+        "--reference", drive / "truth.tum",
+        "--floors", "0", "--seeds", "2", "--resolutions", "0.1,0.4", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    document = json_of(done)
+    assert document["complete"] is True
+    assert document["runs_made"] == 8
+    assert {item["measure"] for item in document["verdicts"]} == {
+        "relations_mean_m",
+        "ate_rmse_m",
+    }
+    assert document["config"]["experiment"]["occupancy_estimator"]["seeds"] == 2
+    names = {
+        *(f"occupancy-estimator.{kind}" for kind in ("csv", "md", "json")),
+        "occupancy-estimator-relations-mean.png",
+        "occupancy-estimator-ate-rmse.png",
+    }
+    assert set(tree(tmp_path)) == names
+    saved = json.loads((tmp_path / "occupancy-estimator.json").read_text(encoding="utf-8"))
+    assert saved["runs"] == document["runs"]
+    text = (tmp_path / "occupancy-estimator.md").read_text(encoding="utf-8")
+    assert "## In words" in text
+    assert "Unfinished" not in text
+
+
+def test_cell_models_trajectories_on_logs(drive: Path, tmp_path: Path) -> None:
+    log = f"{drive / 'room.log'}:{drive / 'room.relations'}"
+    done = run(
+        "experiment", "cell-models-trajectories", "-o", tmp_path, *NUMPY,
+        "--log", log, "--log", f"{log}:{drive / 'room.log'}",
+        "--floors", "0", "--seeds", "2",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "tinyslam base" in done.stdout
+    assert "room#2, relations mean in m: " in done.stdout
+    with (tmp_path / "cell-models-trajectories.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["drive"] for row in rows] == ["room"] * 4 + ["room#2"] * 4
+
+
+@pytest.mark.full
+def test_simulated_floor_is_the_default(tmp_path: Path) -> None:
+    done = run(
+        "experiment", "occupancy-estimator", "-o", tmp_path,
+        "--seeds", "2", "--resolutions", "0.5", "--json", timeout=600.0,
+    )  # fmt: skip
+    document = json_of(done)
+    assert [item["drive"] for item in document["verdicts"]] == ["office-1"]
+    constant = document["conditions"][0]["ate_rmse_m"]
+    assert constant["worst"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("occupancy-estimator", "--relations", "x"), "give --log"),
+        (("occupancy-estimator", "--floors", "0"), "nothing to run on"),
+        (("cell-models-trajectories", "--floors", "0"), "nothing to run on"),
+        (("cell-models-trajectories", "--log", "only.log"), "wanted LOG:RELATIONS"),
+        (("cell-models-trajectories", "--log", "a:b:c:d"), "wanted LOG:RELATIONS"),
+        (("occupancy-estimator", "--resolutions", "0.6..0.1"), "must be like 0.1..0.6"),
+        (("no-such",), "No such command"),
+    ],
+)
+def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> None:
+    out = () if arguments == ("no-such",) else ("-o", str(tmp_path / "out"))
+    done = run("experiment", *arguments, *out)
+    assert done.returncode == 2
+    assert word in " ".join(done.stderr.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    done = run(
+        "experiment", "cell-models-trajectories", "-o", tmp_path / "out", *NUMPY,
+        "--log", "gone.log:gone.relations",
+    )  # fmt: skip
+    assert_one_line_failure(done, "gone.log")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,231 @@
+"""``slam`` as a user starts it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
+from slamfusion.io.log import LogScan
+from slamfusion.scan import LaserScan
+from tests.cli.command import assert_one_line_failure, json_of, run, tree
+from tests.support.datasets import ABSENT, DATASETS
+from tests.support.producers import room_drive
+
+NUMPY = ("--device", "numpy")
+SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
+CSAIL = DATASETS / "mit-csail"
+
+
+def write_log(path: Path, scans: Sequence[LogScan]) -> Path:
+    write_carmen(path, scans)
+    return path
+
+
+def unseeing(item: LogScan) -> LogScan:
+    """The same scan with no reading that could be used."""
+    scan = item.scan
+    nothing = np.full(len(scan), np.inf, dtype=np.float32)
+    step = scan.angle_increment_rad
+    blind = LaserScan(scan.stamp_s, nothing, scan.angle_min_rad, step, 0.05, 30.0)
+    return LogScan(blind, item.odometry, item.line)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """A run with everything asked for: its folder and its JSON document."""
+    folder = tmp_path_factory.mktemp("slam")
+    scans = room_drive(12)
+    log = write_log(folder / "room.log.gz", scans)
+    write_tum(folder / "truth.tum", read_trajectory(log))
+    first, last = (item.odometry for item in (scans[0], scans[-1]))
+    assert first is not None
+    assert last is not None
+    motion = first.inverse().compose(last)
+    line = f"0.0 1.1 {motion.x} {motion.y} 0 0 0 {motion.yaw_rad}\n"
+    (folder / "room.relations").write_text(line, encoding="utf-8")
+    arguments = ("slam", "tinyslam", log, *NUMPY, "--seed", "3", "--json")
+    plain = json_of(run(*arguments, "-o", folder / "plain" / "room"))
+    save_map(load_map(folder / "plain" / "room.yaml"), folder / "truth_map")
+    done = run(
+        *arguments, "-o", folder / "out" / "room",
+        "--relations", folder / "room.relations", "--odometry", log,
+        "--truth", folder / "truth.tum", "--truth-map", folder / "truth_map.yaml",
+        "--report", folder / "report", "--cell-model", "base",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert plain["producers"][0]["scans"] == 12
+    return folder, json_of(done)
+
+
+def test_the_record_has_the_promised_keys(made: tuple[Path, dict]) -> None:
+    _, document = made
+    (record,) = document["producers"]
+    assert record["name"] == "tinyslam"
+    assert (record["scans"], record["scans_used"]) == (12, 12)
+    assert record["time_per_scan_ms"].keys() == {"mean", "p50", "p95"}
+    assert record["peak_memory_mb"] > 0.0
+    assert record["process_peak_memory_mb"] > record["peak_memory_mb"]
+    assert record["warnings"] == []
+    assert document["seed"] == 3
+    assert document["config"]["tinyslam"]["cell_model"] == "base"
+    assert document["versions"]["numpy"] == np.__version__
+
+
+def test_map_path_and_record_are_written_and_nothing_else(made: tuple[Path, dict]) -> None:
+    folder, document = made
+    assert sorted(tree(folder / "out")) == [f"room{suffix}" for suffix in SUFFIXES]
+    grid = load_map(folder / "out" / "room.yaml")
+    assert grid.width * grid.resolution == pytest.approx(6.0, abs=0.4)
+    path = read_trajectory(folder / "out" / "room.tum")
+    assert len(path) == 12
+    assert path.stamps_s[-1] == pytest.approx(1.1)
+    saved = json.loads((folder / "out" / "room.json").read_text(encoding="utf-8"))
+    assert saved == document
+
+
+def test_errors_are_measured(made: tuple[Path, dict]) -> None:
+    _, document = made
+    (record,) = document["producers"]
+    assert record["relations_used"] == 1
+    assert record["translation"]["mean"] < 0.1
+    assert record["odometry"]["rows"] == 12
+    assert record["poses_matched"] == 12
+    assert record["ate"]["rmse"] < 0.1
+    assert record["map_error"]["error"] >= 0.0
+
+
+def test_report_shows_the_run(made: tuple[Path, dict]) -> None:
+    folder, _ = made
+    html = (folder / "report" / "report.html").read_text(encoding="utf-8")
+    for text in ("tinyslam", "12 of 12", "time per scan", "map and filter"):
+        assert text in html
+
+
+def test_one_seed_gives_the_same_bytes(made: tuple[Path, dict], tmp_path: Path) -> None:
+    folder, _ = made
+    log = folder / "room.log.gz"
+    done = run("slam", "tinyslam", log, *NUMPY, "--seed", "3", "-o", tmp_path / "again")
+    assert done.returncode == 0, done.stderr
+    for suffix in (".pgm", ".tum"):
+        first = (folder / "plain" / f"room{suffix}").read_bytes()
+        assert (tmp_path / f"again{suffix}").read_bytes() == first
+
+
+def test_the_table_says_what_was_left_out(tmp_path: Path) -> None:
+    scans = room_drive(12)
+    scans[4] = unseeing(scans[4])
+    log = write_log(tmp_path / "room.log", scans)
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(b"".join([*lines, b"ROBOTLASER1 0 -1.57 3.14\n"]))
+    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    assert done.returncode == 0, done.stderr
+    assert "12, 11 of them used" in done.stdout
+    assert "left out by tinyslam: 1 x no reading within the usable range (scan 5)" in done.stdout
+    assert f"(line {len(lines) + 1})" in done.stdout
+    assert str(tmp_path / "map.yaml") in done.stdout
+
+
+def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
+    scans = room_drive(12)
+    scans[6:] = [unseeing(item) for item in scans[6:]]
+    log = write_log(tmp_path / "room.log", scans)
+    done = run(
+        "slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map",
+        "--report", tmp_path / "report", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0
+    (notice,) = done.stderr.splitlines()
+    assert "the robot may be lost: 6 of 12 scans could not be used" in notice
+    (warning,) = json_of(done)["producers"][0]["warnings"]
+    assert warning in notice
+    html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "the robot may be lost" in html
+
+
+def test_one_scan_makes_a_map(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "one.log", room_drive(1))
+    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    assert done.returncode == 0, done.stderr
+    assert (load_map(tmp_path / "map.yaml").cells == 100).any()
+    assert len(read_trajectory(tmp_path / "map.tum")) == 1
+
+
+def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "blind.log", [unseeing(item) for item in room_drive(3)])
+    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    assert_one_line_failure(done, "blind.log", "none of 3 scans", "3 x no reading")
+    assert set(tree(tmp_path)) == {"blind.log"}
+
+
+def test_a_failed_run_leaves_old_files_as_they_were(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "room.log", room_drive(3))
+    for suffix in SUFFIXES:
+        (tmp_path / f"map{suffix}").write_text("old", encoding="utf-8")
+    (tmp_path / "far.relations").write_text("900 901 0 0 0 0 0 0\n", encoding="utf-8")
+    before = tree(tmp_path)
+    done = run(
+        "slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map",
+        "--relations", tmp_path / "far.relations",
+    )  # fmt: skip
+    assert_one_line_failure(done, "none of the 1 relations")
+    assert tree(tmp_path) == before
+
+
+def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "room.log", room_drive(3))
+    (tmp_path / "map.tum").mkdir()
+    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    assert_one_line_failure(done, "map.tum", "a folder")
+    assert set(tree(tmp_path)) == {"room.log", "map.tum"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("-o", "room.log"), "would replace the input"),
+        (("-o", "."), "name the map too"),
+        (("-o", "map", "--odometry", "room.log"), "give --relations"),
+        (("-o", "map", "--cell-model", "sum"), "is not one of"),
+        (("-o", "map", "--resolution", "0"), "must lie in"),
+    ],
+)
+def test_wrong_usage(tmp_path: Path, arguments: tuple[str, ...], word: str) -> None:
+    write_log(tmp_path / "room.log", room_drive(2))
+    # The path that a run writes is also a log's name: OUT.tum may not be the input either.
+    name = "room.log"
+    if arguments == ("-o", "room.log"):
+        name, arguments = "room.tum", ("-o", "room.tum")
+        (tmp_path / "room.log").rename(tmp_path / name)
+    done = run("slam", "tinyslam", name, *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert word in " ".join(done.stderr.split())
+    assert set(tree(tmp_path)) == {name}
+
+
+def test_an_unknown_producer_is_wrong_usage() -> None:
+    done = run("slam", "hector", "a.log", "-o", "map")
+    assert done.returncode == 2
+    assert "hector" in done.stderr
+
+
+@pytest.mark.full
+@pytest.mark.datasets
+@pytest.mark.skipif(not CSAIL.exists(), reason=ABSENT)
+def test_a_recorded_drive_end_to_end(tmp_path: Path) -> None:
+    done = run(
+        "slam", "tinyslam", CSAIL / "mit-csail.clf.gz", "-o", tmp_path / "csail",
+        "--relations", CSAIL / "mit-csail.relations", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (record,) = json_of(done)["producers"]
+    assert (record["scans"], record["relations_used"]) == (1988, 1172)
+    assert record["translation"]["mean"] < 0.5
+    assert record["duration_s"] == pytest.approx(424.0, abs=0.1)
+    assert math.isclose(record["odometry_path_length_m"], 373.6, abs_tol=0.1)

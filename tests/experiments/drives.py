@@ -1,0 +1,29 @@
+"""A short drive whose truth and relations are known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamfusion.evaluation import Relations
+from slamfusion.experiments import Drive
+from slamfusion.geometry import Pose2
+from slamfusion.io import LogScan
+from slamfusion.trajectory import Trajectory
+from tests.support.producers import room_drive
+
+
+def room(name: str = "room", *, drift: float = 0.0, relations: bool = True) -> Drive:
+    """The square room; its odometry is the truth, but reads by this share too long."""
+    items = room_drive(12)
+    poses = [item.odometry for item in items if item.odometry is not None]
+    stamps = np.array([item.scan.stamp_s for item in items])
+    truth = Trajectory(stamps, np.array([(p.x, p.y, p.yaw_rad) for p in poses]), "truth")
+    motion = poses[0].inverse().compose(poses[-1])
+    known = Relations(
+        np.array([[stamps[0], stamps[-1]]]), np.array([[motion.x, motion.y, motion.yaw_rad]])
+    )
+    items = [
+        LogScan(item.scan, Pose2(pose.x * (1.0 + drift), pose.y, pose.yaw_rad), item.line)
+        for item, pose in zip(items, poses, strict=True)
+    ]
+    return Drive(name, tuple(items), known if relations else None, None, truth)

@@ -1,0 +1,124 @@
+"""Drives: what is measured of a run, and reading one from files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import NumpyBackend
+from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.errors import LogError
+from slamfusion.evaluation import read_relations, relation_errors
+from slamfusion.experiments import DriveFiles, read_drive, simulated_office
+from slamfusion.experiments.drives import ATE, RELATIONS, TIME, run_errors
+from slamfusion.io import read_trajectory, write_carmen, write_tum
+from slamfusion.trajectory import Trajectory
+from tests.experiments.drives import room
+from tests.support.datasets import ABSENT, DATASETS
+from tests.support.producers import DeadReckoning
+
+CONFIG = TrajectoryConfig(alignment="none")
+CSAIL = DATASETS / "mit-csail"
+
+
+def shifted(drive_name: str = "room") -> Trajectory:
+    """The truth of the room with its last pose 0.3 m off."""
+    truth = room(drive_name).reference
+    assert truth is not None
+    poses = truth.poses.copy()
+    poses[-1, 0] += 0.3
+    return Trajectory(truth.stamps_s, poses)
+
+
+def test_errors_by_hand() -> None:
+    errors = room().errors(shifted(), CONFIG)
+    assert errors == {
+        RELATIONS: pytest.approx(0.3),
+        ATE: pytest.approx(np.sqrt(0.3**2 / 12)),
+    }
+
+
+def test_only_what_is_known_is_measured() -> None:
+    drive = room(relations=False)
+    assert set(drive.errors(shifted(), CONFIG)) == {ATE}
+    assert set(replace(room(), reference=None).errors(shifted(), CONFIG)) == {RELATIONS}
+
+
+def test_odometry_carries_poses_to_relations_between_the_scans() -> None:
+    drive = room()
+    whole = drive.scan_odometry()
+    every_third = replace(drive, scans=drive.scans[::3], odometry=whole)
+    stamps = whole.stamps_s[::3]
+    estimate = Trajectory(stamps, whole.poses[::3])
+    # The relation ends at the last scan of the whole drive, which the estimate does not have.
+    assert whole.stamps_s[-1] not in stamps
+    assert every_third.errors(estimate, CONFIG)[RELATIONS] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_run_is_measured_and_timed() -> None:
+    errors = run_errors(room(), DeadReckoning(), CONFIG)
+    assert errors[RELATIONS] == pytest.approx(0.0, abs=1e-9)
+    assert errors[ATE] == pytest.approx(0.0, abs=1e-9)
+    assert errors[TIME] > 0.0
+
+
+def test_a_drive_is_read_from_its_files(tmp_path: Path) -> None:
+    drive = room()
+    assert drive.reference is not None
+    write_carmen(tmp_path / "room.log.gz", drive.scans)
+    write_tum(tmp_path / "truth.tum", drive.reference)
+    (tmp_path / "room.relations").write_text("0.0 1.1 0.5 0 0 0 0 0.2\n", encoding="utf-8")
+    found = read_drive(
+        DriveFiles(
+            tmp_path / "room.log.gz",
+            tmp_path / "room.relations",
+            tmp_path / "room.log.gz",
+            tmp_path / "truth.tum",
+        ),
+        RunConfig(),
+    )
+    assert found.name == "room"
+    assert len(found.scans) == 12
+    assert found.relations is not None
+    assert len(found.relations) == 1
+    assert found.reference is not None
+    np.testing.assert_allclose(found.reference.poses, drive.reference.poses, atol=1e-8)
+    assert found.odometry is not None
+    assert len(found.odometry) == 12
+
+
+def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="nothing to measure it by"):
+        read_drive(DriveFiles(tmp_path / "a.log"), RunConfig())
+
+
+@pytest.mark.full
+def test_an_office_is_the_same_for_one_seed_and_another_for_the_next() -> None:
+    first, again, other = (simulated_office(seed, NumpyBackend()) for seed in (1, 1, 2))
+    assert first.name == "office-1"
+    assert first.reference is not None
+    assert again.reference is not None
+    assert other.reference is not None
+    np.testing.assert_array_equal(first.reference.poses, again.reference.poses)
+    assert len(first.reference) != len(other.reference)
+    assert len(first.scans) == len(first.reference)
+
+
+@pytest.mark.datasets
+@pytest.mark.skipif(not CSAIL.exists(), reason=ABSENT)
+def test_odometry_and_reference_of_a_recorded_drive_have_their_known_errors() -> None:
+    files = DriveFiles(
+        CSAIL / "mit-csail.clf.gz",
+        relations=CSAIL / "mit-csail.relations",
+        reference=CSAIL / "mit-csail-reference-graph.log.gz",
+    )
+    drive = read_drive(files, RunConfig())
+    errors = drive.errors(drive.scan_odometry(), TrajectoryConfig())
+    assert errors[RELATIONS] == pytest.approx(1.6815, abs=5e-5)
+    reference = read_trajectory(files.reference or Path())
+    relations = read_relations(files.relations or Path())
+    found = relation_errors(reference, relations, 0.01).translation
+    assert found.mean == pytest.approx(0.0045, abs=5e-5)
