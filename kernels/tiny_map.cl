@@ -45,8 +45,9 @@ inline walk walk_of(__global const int *beam) {
  *
  * observed   uint pool
  * pages      int, width x height
- * beams      six ints per beam, see above; the last is the hit's value, 0 to 4095
+ * beams      six ints per beam, see above; the last is the value of the hit's own cell, 0 to 4095
  * half_blur  half width of the valley, 1/1024 cell
+ * peak       value at the ridge of the valley, 0 to 4095
  * behind     least value that is written behind the hit
  * free       value of a cell that the beam passed, 0 to 4095
  * wanted     int: [0] whether a page was missing, [1 + page] which
@@ -54,26 +55,25 @@ inline walk walk_of(__global const int *beam) {
 __kernel void tiny_mark(
     __global uint *observed, __global const int *pages, const int width, const int height,
     __global const int *beams, const int count, const int half_blur,
-    const int behind, const int free, __global int *wanted) {
+    const int peak, const int behind, const int free, __global int *wanted) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
   }
   __global const int *beam = beams + 6 * item;
   const walk w = walk_of(beam);
-  const int peak = beam[5];
   const long reach = w.step > 0 ? ((long)half_blur << 10) / w.step : 0;
   for (long i = -reach; i <= w.steps; i++) {
     const long away = ((i < 0 ? -i : i) * w.step) >> 10;
     int value = free;
-    if (away < half_blur && peak > free) {
+    if (away < half_blur) {
       value = free + (int)((peak - free) * (half_blur - away) / half_blur);
     }
     if (i < 0 && value < behind) {
       continue;
     }
     if (i == 0) {
-      value = peak;
+      value = beam[5];
     }
     const int x = (int)((w.x + i * w.step_x) >> 20), y = (int)((w.y + i * w.step_y) >> 20);
     const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);

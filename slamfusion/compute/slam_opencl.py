@@ -101,7 +101,7 @@ class SlamOperations(DeviceArrays):
         """See ``slam_reference.tiny_mark``."""
         height, width = pages.shape
         count = beams.shape[0]
-        numbers = (rule.half_blur, rule.behind, rule.free)
+        numbers = (rule.half_blur, rule.peak, rule.behind, rule.free)
         self._launch(
             "tiny_mark",
             (count,),

@@ -56,6 +56,7 @@ class BeamRule(NamedTuple):
 
     Attributes:
         half_blur: half width of the valley around a hit, 1/1024 cell.
+        peak: value at the ridge of the valley, 0 to 4095.
         behind: least value that is written behind a hit, 0 to 4095.
         free: value of a passed cell for the matcher, 0 to 4095.
         map_free: the same for the published map.
@@ -64,6 +65,7 @@ class BeamRule(NamedTuple):
     """
 
     half_blur: int
+    peak: int
     behind: int
     free: int
     map_free: int
@@ -203,7 +205,7 @@ def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32
             greatest value over in front over behind.
         pages: (PH, PW) int32.
         beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in 1/1024
-            cell, the value of the hit, 0 to 4095. All inside the window.
+            cell, the value of the hit's own cell, 0 to 4095. All inside the window.
         rule: see ``BeamRule``.
         wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
             tile yet; those cells are left out.
@@ -212,14 +214,13 @@ def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32
         Whether a page was missing: provide tiles and mark again, which changes nothing twice.
     """
     w = _walks(beams, rule.half_blur)
-    peak = beams[w.beam, 5].astype(np.int64)
     away = (np.abs(w.i) * w.step) >> 10
     half = max(1, rule.half_blur)
     value = np.full(len(w.i), rule.free, dtype=np.int64)
-    near = (away < rule.half_blur) & (peak > rule.free)
-    value[near] += ((peak - rule.free) * (rule.half_blur - away) // half)[near]
+    near = away < rule.half_blur
+    value[near] += ((rule.peak - rule.free) * (rule.half_blur - away) // half)[near]
     keep = (w.i >= 0) | (value >= rule.behind)
-    value[w.i == 0] = peak[w.i == 0]
+    value[w.i == 0] = beams[w.beam[w.i == 0], 5]
     word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
     tiles = pages[w.row // TILE, w.col // TILE]
     missing = keep & (tiles == 0)

@@ -29,7 +29,7 @@ F64 = npt.NDArray[np.float64]
 # The first look takes the best of five cells, this far apart along each axis.
 WIDE_REACH_M = 0.15
 # A scan whose hits fall into fewer cells than this tells less than the guesses' weights assume.
-TELLING_CELLS = 150.0
+TELLING_CELLS = 100.0
 # Beyond any column: makes one number of a cell.
 _ROW_STRIDE = 1 << 32
 # Draws narrow to this share of the spread after the first look, and again each round.

@@ -266,6 +266,7 @@ class TinySlam:
         beams = self._beams(hits - tiles.origin, laser - tiles.origin)
         rule = BeamRule(
             half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
+            peak=round(OCCUPIED_VALUE * VALUE_ONE),
             behind=(VALUE_ONE + 1) // 2,
             free=round(config.matcher_free_value * VALUE_ONE),
             map_free=round(FREE_VALUE * VALUE_ONE),
@@ -293,18 +294,18 @@ class TinySlam:
     ) -> npt.NDArray[np.int32]:
         """Return the beams as the kernels take them; positions in cells of the window."""
         away = hits - laser
-        peak = np.full(len(hits), OCCUPIED_VALUE)
+        told = np.full(len(hits), OCCUPIED_VALUE)
         if self._config.occupancy_estimator == "area":
             offset = hits - np.floor(hits) - 0.5
             angle = np.arctan2(away[:, 1], away[:, 0])
-            peak = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * area_behind(
+            told = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * area_behind(
                 offset[:, 0], offset[:, 1], angle
             )
         beams = np.empty((len(hits), 6), dtype=np.int32)
         beams[:, 0:2] = hits * BEAM_ONE
         beams[:, 2:4] = laser * BEAM_ONE
         beams[:, 4] = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
-        beams[:, 5] = np.rint(peak * VALUE_ONE)
+        beams[:, 5] = np.rint(told * VALUE_ONE)
         return beams
 
 

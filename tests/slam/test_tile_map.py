@@ -17,7 +17,9 @@ POOLS = {
     "published": (np.uint32, UNSEEN),
     "field": (np.uint8, 7),
 }
-RULE = BeamRule(half_blur=0, behind=2048, free=41, map_free=41, quality=1024, is_mean=True)
+RULE = BeamRule(
+    half_blur=0, peak=3890, behind=2048, free=41, map_free=41, quality=1024, is_mean=True
+)
 
 
 @pytest.fixture(params=["numpy", "auto"])
