@@ -17,11 +17,13 @@ from tests.cli.command import ROOT, run
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def commands() -> list[str]:
-    """Every ``slamfusion ...`` of the bash blocks, continued lines joined."""
-    blocks = re.findall(r"```bash\n(.*?)```", README, flags=re.DOTALL)
-    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    return [line for line in lines if line.startswith("slamfusion ")]
+def blocks() -> list[list[str]]:
+    """The ``slamfusion ...`` commands of each bash block, continued lines joined."""
+    found = re.findall(r"```bash\n(.*?)```", README, flags=re.DOTALL)
+    return [
+        [line for line in block.replace("\\\n", " ").splitlines() if line.startswith("slamfusion ")]
+        for block in found
+    ]
 
 
 def test_parameter_table_is_up_to_date() -> None:
@@ -29,16 +31,18 @@ def test_parameter_table_is_up_to_date() -> None:
 
 
 def test_there_are_commands_to_run() -> None:
-    assert len(commands()) >= 3
+    assert sum(map(len, blocks())) >= 8
+    assert all(blocks())
 
 
-@pytest.mark.parametrize("command", commands())
-def test_command_runs_on_the_bundled_data(tmp_path: Path, command: str) -> None:
+@pytest.mark.parametrize("block", blocks(), ids=lambda block: block[0].split()[1])
+def test_commands_run_on_the_bundled_data(tmp_path: Path, block: list[str]) -> None:
     shutil.copytree(ROOT / "data", tmp_path / "data")
-    done = run(*shlex.split(command)[1:], cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert done.stdout
+    for command in block:
+        done = run(*shlex.split(command)[1:], cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stderr == ""
+        assert done.stdout
 
 
 def test_every_command_and_driver_is_listed() -> None:
