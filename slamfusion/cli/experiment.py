@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,8 +118,6 @@ def _cell_model_table(rows: Sequence[CellModelRow]) -> tuple[list[str], list[lis
 
 def _write_cell_models(folder: Path, rows: Sequence[CellModelRow]) -> list[Path]:
     """Write the table as CSV, Markdown and JSON, and the picture; all or none."""
-    import json  # noqa: PLC0415
-
     from slamfusion.experiments.table import markdown_table  # noqa: PLC0415
     from slamfusion.io import AtomicFiles  # noqa: PLC0415
     from slamfusion.report.experiment_report import (  # noqa: PLC0415
@@ -348,8 +348,6 @@ def _drives(
     progress: Progress | None,
 ) -> list[Drive]:
     """Return the recorded drives, then the simulated ones; their names differ."""
-    from dataclasses import replace  # noqa: PLC0415
-
     from slamfusion.experiments import read_drive, simulated_office  # noqa: PLC0415
 
     drives: list[Drive] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,8 +90,6 @@ def command(
 
 def _course(name: str, config: RunConfig, *, is_seed_given: bool) -> Course:
     """Return the course of a file or name, changed as the options say."""
-    from dataclasses import replace  # noqa: PLC0415
-
     from slamfusion.sim import load_course, named_course, with_overrides  # noqa: PLC0415
 
     path = Path(name)

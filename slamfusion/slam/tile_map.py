@@ -23,6 +23,8 @@ GROWTH = 1.5
 # Empty pages that the window keeps between its content and its border.
 MARGIN = 2
 MOST_PAGES = 1 << 24
+# Beams count in 1/1024 cell in 32 bits: pages on a side that they can cross.
+MOST_SIDE = 1 << 15
 
 
 class TileMap:
@@ -88,7 +90,7 @@ class TileMap:
         start = np.where(start < self.corner, start - grown, start)
         end = np.where(end > self.corner + size, end + grown, end)
         width, height = (int(value) for value in end - start)
-        if width * height > MOST_PAGES:
+        if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
             message = (
                 f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
                 f"or the log's units are wrong; use a coarser cell"
