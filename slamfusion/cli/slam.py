@@ -25,7 +25,7 @@ from slamfusion.cli.output import (
 )
 from slamfusion.cli.trajectory import Measures, measure_trajectory, print_measures
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.errors import MapFileError
+from slamfusion.errors import MapFileError, SlamFusionError
 
 if TYPE_CHECKING:
     from slamfusion.compute import Backend
@@ -187,17 +187,22 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     truth_map = None if request.truth_map is None else load_maps([request.truth_map], None)[0]
     backend = open_backend(config.device.device)
     found = _produce(name, request.log, config, backend)
-    measures = measure_trajectory(
-        found.trajectory,
-        config.trajectory,
-        relations=relations,
-        odometry=odometry,
-        scans=found.odometry,
-        truth=truth,
-    )
-    evaluation = None
-    if truth_map is not None:
-        evaluation = evaluate_maps([found.grid], truth_map, config, backend)[0]
+    failed: SlamFusionError | None = None
+    evaluation: Evaluation | None = None
+    measures = measure_trajectory(found.trajectory, config.trajectory)
+    try:
+        measures = measure_trajectory(
+            found.trajectory,
+            config.trajectory,
+            relations=relations,
+            odometry=odometry,
+            scans=found.odometry,
+            truth=truth,
+        )
+        if truth_map is not None:
+            evaluation = evaluate_maps([found.grid], truth_map, config, backend)[0]
+    except SlamFusionError as error:  # the map is made; it is kept, then the failure is told
+        failed = error
     result = _Result(found, measures, request.relations, evaluation, backend.name)
     document = {
         "producers": [result.record(request.outputs())],
@@ -212,6 +217,9 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
         "versions": versions(),
     }
     _save(found, document, request)
+    if failed is not None:
+        message = f"{failed} (the map and the path were written all the same)"
+        raise SlamFusionError(message) from failed
     if request.report is not None:
         _report(result, request.report, config, truth)
     for sentence in found.doubts():

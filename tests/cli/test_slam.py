@@ -64,6 +64,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     return folder, json_of(done)
 
 
+def test_a_truth_of_another_time_loses_no_map(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "room.log", room_drive(4))
+    (tmp_path / "late.tum").write_text("9e9 0 0 0 0 0 0 1\n9.1e9 1 0 0 0 0 0 1\n", encoding="utf-8")
+    done = run(
+        "slam", "tinyslam", log, "-o", tmp_path / "m", "--truth", tmp_path / "late.tum", *NUMPY
+    )
+    assert_one_line_failure(done, "the map and the path were written all the same")
+    for suffix in SUFFIXES:
+        assert (tmp_path / f"m{suffix}").stat().st_size > 0
+
+
 def test_the_record_has_the_promised_keys(made: tuple[Path, dict]) -> None:
     _, document = made
     (record,) = document["producers"]
@@ -165,17 +176,24 @@ def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
 
 
 def test_a_failed_run_leaves_old_files_as_they_were(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "room.log", room_drive(3))
+    log = write_log(tmp_path / "blind.log", [unseeing(item) for item in room_drive(3)])
     for suffix in SUFFIXES:
         (tmp_path / f"map{suffix}").write_text("old", encoding="utf-8")
-    (tmp_path / "far.relations").write_text("900 901 0 0 0 0 0 0\n", encoding="utf-8")
     before = tree(tmp_path)
+    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    assert_one_line_failure(done, "none of 3 scans")
+    assert tree(tmp_path) == before
+
+
+def test_relations_of_another_time_lose_no_map(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "room.log", room_drive(3))
+    (tmp_path / "far.relations").write_text("900 901 0 0 0 0 0 0\n", encoding="utf-8")
     done = run(
         "slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map",
         "--relations", tmp_path / "far.relations",
     )  # fmt: skip
-    assert_one_line_failure(done, "none of the 1 relations")
-    assert tree(tmp_path) == before
+    assert_one_line_failure(done, "none of the 1 relations", "written all the same")
+    assert len(read_trajectory(tmp_path / "map.tum")) == 3
 
 
 def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> None:
