@@ -327,7 +327,7 @@ class TinySlamConfig(_Checked):
         0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
     )
     beams: int = option(
-        90, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
+        120, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
     )
     first_poses: int = option(
         256, "poses drawn in the matcher's first, wide look", low=16, high=65536, level="expert"
