@@ -31,6 +31,7 @@ __all__ = [
     "FusionConfig",
     "LidarConfig",
     "LogConfig",
+    "MatcherConfig",
     "NormalizeConfig",
     "ObstacleConfig",
     "OccupancyEstimatorConfig",
@@ -295,37 +296,9 @@ class TrajectoryConfig(_Checked):
 
 
 @dataclass(frozen=True)
-class TinySlamConfig(_Checked):
-    """tinySLAM [H16]: a Monte-Carlo scan matcher on one map."""
+class MatcherConfig(_Checked):
+    """The search for the pose at which a scan fits the map, from where the robot may have gone."""
 
-    resolution: float = option(0.05, "cell size of the map", unit="m", low=0.005, high=1.0)
-    cell_model: str = option("mean", "how a cell joins its observations", choices=("base", "mean"))
-    occupancy_estimator: str = option(
-        "constant",
-        "what a hit says of its cell: always the same, or the area behind the beam's normal",
-        choices=("constant", "area"),
-    )
-    hole_width_m: float = option(
-        0.6, "width of the valley around a hit that the matcher sees", unit="m", low=0.0, high=5.0
-    )
-    quality: float | None = option(
-        None,
-        "how much of an observation a cell believes; default: 1 for mean, 0.3 for base",
-        low=0.01,
-        high=1.0,
-    )
-    quality_moved: float = option(
-        0.5,
-        "the quality is multiplied by this where the matcher moved the pose far",
-        low=0.0,
-        high=1.0,
-    )
-    usable_range_m: float = option(
-        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
-    )
-    occupied_share: float = option(
-        0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
-    )
     beams: int = option(
         120, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
     )
@@ -362,6 +335,41 @@ class TinySlamConfig(_Checked):
         low=0.0,
         high=1.0,
         level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class TinySlamConfig(_Checked):
+    """tinySLAM [H16]: a Monte-Carlo scan matcher on one map."""
+
+    matcher: MatcherConfig = MatcherConfig()
+    resolution: float = option(0.05, "cell size of the map", unit="m", low=0.005, high=1.0)
+    cell_model: str = option("mean", "how a cell joins its observations", choices=("base", "mean"))
+    occupancy_estimator: str = option(
+        "constant",
+        "what a hit says of its cell: always the same, or the area behind the beam's normal",
+        choices=("constant", "area"),
+    )
+    hole_width_m: float = option(
+        0.6, "width of the valley around a hit that the matcher sees", unit="m", low=0.0, high=5.0
+    )
+    quality: float | None = option(
+        None,
+        "how much of an observation a cell believes; default: 1 for mean, 0.3 for base",
+        low=0.01,
+        high=1.0,
+    )
+    quality_moved: float = option(
+        0.5,
+        "the quality is multiplied by this where the matcher moved the pose far",
+        low=0.0,
+        high=1.0,
+    )
+    usable_range_m: float = option(
+        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
+    )
+    occupied_share: float = option(
+        0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
     )
     matcher_free_value: float = option(
         0.2, "what the matcher's map learns of a passed cell", low=0.0, high=0.5, level="expert"

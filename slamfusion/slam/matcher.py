@@ -12,17 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute.backend import Backend, Handle
 from slamfusion.compute.slam_reference import CLIMBERS
-from slamfusion.config import TinySlamConfig
+from slamfusion.config import MatcherConfig
 from slamfusion.geometry import wrap_angles
-from slamfusion.slam.tile_map import TileMap
 
-__all__ = ["Guess", "Match", "ScanOnTiles", "Spread", "search_pose"]
+__all__ = ["FieldMap", "Guess", "Match", "ScanOnTiles", "Spread", "search_pose"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -90,6 +90,22 @@ class Match:
     moved: float
 
 
+class FieldMap(NamedTuple):
+    """A tiled score field, and where it lies.
+
+    Attributes:
+        field: (T, TILE, TILE) uint8 wall values, on the device.
+        pages: (PH, PW) int32, on the device.
+        corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
+        resolution: metres per cell.
+    """
+
+    field: Handle
+    pages: Handle
+    corner: F64
+    resolution: float
+
+
 class ScanOnTiles:
     """One scan's hits over a tiled map: scores of poses, in metres and radians.
 
@@ -97,30 +113,19 @@ class ScanOnTiles:
         cells: different cells that the hits fall into: how much the scan can tell.
     """
 
-    def __init__(
-        self,
-        backend: Backend,
-        tiles: TileMap,
-        points: F64,
-        *,
-        anchor: F64,
-        resolution: float,
-        most_points: int,
-    ) -> None:
+    def __init__(self, backend: Backend, walls: FieldMap, points: F64, most_points: int) -> None:
         """Bring the hits to the device.
 
         Args:
             backend: where the map lives.
-            tiles: with a pool ``field``.
+            walls: the map.
             points: (P, 2) hits in the robot's frame, metres.
-            anchor: (2,) the map's anchor in the map frame, metres.
-            resolution: metres per cell.
             most_points: if there are more, every second (third, ...) counts.
         """
         self._backend = backend
-        self._map = (tiles.pools["field"], tiles.page_table)
-        self._cell = resolution
-        self._corner = anchor / resolution + tiles.origin
+        self._map = (walls.field, walls.pages)
+        self._cell = resolution = walls.resolution
+        self._corner = walls.corner
         self._points = backend.upload((points / resolution).astype(np.float32))
         self._count = len(points)
         self._stride = -(-len(points) // most_points)
@@ -185,7 +190,7 @@ class ScanOnTiles:
 
 
 def search_pose(
-    scan: ScanOnTiles, guesses: Sequence[Guess], config: TinySlamConfig, rng: np.random.Generator
+    scan: ScanOnTiles, guesses: Sequence[Guess], config: MatcherConfig, rng: np.random.Generator
 ) -> Match:
     """Search around some guesses.
 

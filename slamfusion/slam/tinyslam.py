@@ -9,9 +9,6 @@ Sources: Steux and El Hamzaoui, tinySLAM, ICARCV 2010; Huletski, Kartashov and K
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -27,12 +24,13 @@ from slamfusion.compute.slam_reference import (
 from slamfusion.config import TinySlamConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Step
 from slamfusion.slam.cell_models import area_behind
-from slamfusion.slam.matcher import Guess, Match, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.matcher import FieldMap, Guess, Match
 from slamfusion.slam.tile_map import TileMap
+from slamfusion.slam.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["TinySlam"]
@@ -47,20 +45,6 @@ DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
 UNSEEN_WALL = 20
 # A match that has moved the pose by more spreads than this is doubted.
 FAR_MOVED = 2.0
-# Below this share of the usual score the search is done again, wider and with more draws.
-LOW_SHARE = 0.5
-SECOND_LOOK_SPREAD = 3.0
-SECOND_LOOK_POSES = 4
-# The wider search must find this much more, since it finds more by chance too.
-SECOND_LOOK_GAIN = 0.1
-# The usual score is a mean with this memory, in scans.
-SCORE_MEMORY = 50
-# A robot that does more between two scans has not driven: its odometry was set anew.
-JUMP_M = 5.0
-# A step is drawn out to at most this many times its length where scans are missing.
-MOST_ONWARD = 3.0
-# Without odometry the first look is this much wider.
-NO_ODOMETRY_SPREAD = 2.0
 # Published percent at no wall, at the free limit, at the occupied one, and at a sure wall.
 PERCENTS = (0.0, 25.0, 65.0, 100.0)
 FREE_SHARE = 0.5
@@ -87,7 +71,8 @@ class TinySlam:
         self.health = Health()
         self._config = config
         self._backend = backend
-        self._rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
+        self._tracker = Tracker(config.matcher, backend, rng, self.health)
         self._map = TileMap(
             backend,
             {
@@ -98,24 +83,19 @@ class TinySlam:
             },
         )
         self._anchor = np.zeros(2)
-        self._pose: Pose2 | None = None
-        self._odometry: Pose2 | None = None
-        self._step = IDENTITY
-        self._step_s = 0.0
         self._stamps: list[float] = []
         self._poses: list[tuple[float, float, float]] = []
         self._mapped = 0
-        self._usual_score: float | None = None
 
     # -- the protocol --------------------------------------------------------------------------
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
         """Match a scan and write it into the map; see ``SlamBackend.feed``."""
         self.health.scans += 1
-        guesses = self._guesses(scan.stamp_s, odometry)
+        guesses = self._tracker.guesses(scan.stamp_s, odometry)
         x, y, yaw = (float(value) for value in guesses[0].pose)
         predicted = Pose2(x, y, yaw)
-        if self._pose is None:  # the lattice of cells is that of the map frame
+        if self._tracker.pose is None:  # the lattice of cells is that of the map frame
             cell = self._config.resolution
             self._anchor = np.floor(guesses[0].pose[:2] / cell) * cell
         points = scan.points(scan.is_hit(self._config.usable_range_m))
@@ -123,10 +103,7 @@ class TinySlam:
             step = self._skip("no reading within the usable range", predicted)
         else:
             step = self._use(scan, points, guesses)
-        if self._pose is not None:
-            self._step = self._pose.inverse().compose(step.pose_map_base)
-            self._step_s = scan.stamp_s - self._stamps[-1]
-        self._pose, self._odometry = step.pose_map_base, odometry
+        self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)
         self._stamps.append(scan.stamp_s)
         self._poses.append((step.pose_map_base.x, step.pose_map_base.y, step.pose_map_base.yaw_rad))
         return step
@@ -154,88 +131,25 @@ class TinySlam:
 
     # -- one scan ------------------------------------------------------------------------------
 
-    def _guesses(self, stamp_s: float, odometry: Pose2 | None) -> list[Guess]:
-        """Return where the robot may be: by its odometry, and if it goes on as it went."""
-        if self._pose is None:
-            return [Guess(_vector(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
-        onward = self._onward(stamp_s - self._stamps[-1])
-        if odometry is None or self._odometry is None:
-            return [self._guess(onward, NO_ODOMETRY_SPREAD, 0.0)]
-        step = self._odometry.inverse().compose(odometry)
-        if math.hypot(step.x, step.y) > JUMP_M:
-            reason = f"odometry jumped by more than {JUMP_M:g} m: not believed"
-            self.health.skips.add(reason, self.health.scans)
-            return [self._guess(onward, NO_ODOMETRY_SPREAD, 0.0)]
-        # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
-        return [self._guess(step, 1.0, 0.0), self._guess(onward, 1.0, self._config.drift_loss)]
-
-    def _onward(self, duration_s: float) -> Pose2:
-        """Return the step of a robot that goes on as it went between the last two scans."""
-        if self._step_s <= 0.0:
-            return IDENTITY
-        times = min(duration_s / self._step_s, MOST_ONWARD)
-        step = self._step
-        return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
-
-    def _guess(self, step: Pose2, wider: float, loss: float) -> Guess:
-        start = self._pose or IDENTITY
-        return Guess(_vector(start.compose(step)), self._spread(step, wider), loss)
-
-    def _spread(self, step: Pose2, wider: float) -> Spread:
-        config = self._config
-        spread = Spread(
-            config.sigma_m + config.sigma_m_per_m * math.hypot(step.x, step.y),
-            config.sigma_rad + config.sigma_rad_per_rad * abs(step.yaw_rad),
-        )
-        return spread.wider(wider)
-
     def _skip(self, reason: str, predicted: Pose2) -> Step:
         self.health.skips.add(reason, self.health.scans)
         return Step(predicted, used=False, match_score=None, reason=reason)
 
     def _use(self, scan: LaserScan, points: npt.NDArray[np.float64], guesses: list[Guess]) -> Step:
         """Match the hits of a scan, then map them."""
-        match = self._match(points, guesses) if self._mapped else None
+        match = self._tracker.match(self._walls(), points, guesses) if self._mapped else None
         found = guesses[0].pose if match is None else match.pose
         x, y, yaw = (float(value) for value in found)
         pose = Pose2(x, y, wrap_angle(yaw))
-        if match is not None:
-            self._remember(match.score)
         self._write(scan, points, pose, self._quality(match))
         self.health.scans_used += 1
         return Step(pose, used=True, match_score=None if match is None else match.score)
 
-    def _match(self, points: npt.NDArray[np.float64], guesses: list[Guess]) -> Match:
-        """Search around the guesses; once more, wider, where little fits."""
-        config = self._config
-        scan = ScanOnTiles(
-            self._backend,
-            self._map,
-            points,
-            anchor=self._anchor,
-            resolution=config.resolution,
-            most_points=config.beams,
-        )
-        match = search_pose(scan, guesses, config, self._rng)
-        if self._usual_score is not None and match.score < LOW_SHARE * self._usual_score:
-            more = replace(config, first_poses=SECOND_LOOK_POSES * config.first_poses)
-            around = [replace(g, spread=g.spread.wider(SECOND_LOOK_SPREAD)) for g in guesses]
-            again = search_pose(scan, around, more, self._rng)
-            if again.score > match.score + SECOND_LOOK_GAIN:
-                match = again
-        return match
-
-    def _remember(self, score: float) -> None:
-        """Keep the record of match scores."""
-        health = self.health
-        matched = health.scans_used  # the first scan was mapped without a match
-        mean = health.mean_match_score
-        if mean is not None and score < LOW_SHARE * mean:
-            health.low_scores += 1
-        health.match_score = score
-        health.mean_match_score = score if mean is None else mean + (score - mean) / matched
-        usual = self._usual_score
-        self._usual_score = score if usual is None else usual + (score - usual) / SCORE_MEMORY
+    def _walls(self) -> FieldMap:
+        """Return the map as the matcher sees it."""
+        cell, tiles = self._config.resolution, self._map
+        corner = self._anchor / cell + tiles.origin
+        return FieldMap(tiles.pools["field"], tiles.page_table, corner, cell)
 
     def _quality(self, match: Match | None) -> float:
         """Return how much of the scan the map believes."""
@@ -307,10 +221,6 @@ class TinySlam:
         beams[:, 4] = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
         beams[:, 5] = np.rint(told * VALUE_ONE)
         return beams
-
-
-def _vector(pose: Pose2) -> npt.NDArray[np.float64]:
-    return np.array([pose.x, pose.y, pose.yaw_rad])
 
 
 def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArray[np.int8]:
