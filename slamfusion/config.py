@@ -13,7 +13,7 @@ import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import yaml
 
@@ -29,6 +29,8 @@ __all__ = [
     "ExperimentConfig",
     "FieldInfo",
     "FusionConfig",
+    "GMAPPING_PROFILES",
+    "GmappingConfig",
     "LidarConfig",
     "LogConfig",
     "MatcherConfig",
@@ -376,6 +378,162 @@ class TinySlamConfig(_Checked):
     )
 
 
+# gmapping's own names hide built-in ones inside the class below.
+_Word: TypeAlias = str
+
+# What a field of ``GmappingConfig`` that is left open becomes.
+GMAPPING_PROFILES: dict[str, dict[str, Any]] = {
+    "published": {
+        "particles": 30,
+        "delta": 0.05,
+        "sigma": 0.05,
+        "kernelSize": 1,
+        "lstep": 0.05,
+        "astep": 0.05,
+        "iterations": 5,
+        "lsigma": 0.075,
+        "ogain": 3.0,
+        "lskip": 0,
+        "minimumScore": 0.0,
+        "srr": 0.1,
+        "srt": 0.2,
+        "str": 0.1,
+        "stt": 0.2,
+        "linearUpdate": 1.0,
+        "angularUpdate": 0.5,
+        "temporalUpdate": -1.0,
+        "resampleThreshold": 0.5,
+        "llsamplerange": 0.01,
+        "llsamplestep": 0.01,
+        "lasamplerange": 0.005,
+        "lasamplestep": 0.005,
+        "occ_thresh": 0.25,
+        "map_update_interval": 5.0,
+        "match_every_scan": False,
+    },
+    "own": {},
+}
+GMAPPING_PROFILES["own"] = {
+    **GMAPPING_PROFILES["published"],
+    "match_every_scan": True,
+}
+
+
+@dataclass(frozen=True)
+class GmappingConfig(_Checked):
+    """gmapping [G07]: a Rao-Blackwellised particle filter, parameters under their published names.
+
+    A field left open takes the value of its profile; see ``chosen``.
+    """
+
+    matcher: MatcherConfig = MatcherConfig()
+    profile: _Word = option(
+        "own",
+        "values of what is left open: our own defaults, or those published with gmapping",
+        choices=tuple(GMAPPING_PROFILES),
+    )
+    particles: int | None = option(None, "particles", low=1, high=10_000)
+    delta: float | None = option(None, "cell size of the map", unit="m", low=0.005, high=1.0)
+    sigma: float | None = option(
+        None, "a hit this far from a wall, squared, counts 1/e", unit="m^2", low=1e-5, high=10.0
+    )
+    kernelSize: int | None = option(
+        None, "a hit looks for walls this many cells around its own", unit="cells", low=0, high=3
+    )
+    lstep: float | None = option(None, "first step of the climb", unit="m", low=1e-4, high=1.0)
+    astep: float | None = option(None, "first step of the climb", unit="rad", low=1e-4, high=1.0)
+    iterations: int | None = option(None, "times that the climb halves its steps", low=0, high=20)
+    lsigma: float | None = option(
+        None, "variance of a hit's distance in the likelihood", unit="m^2", low=1e-4, high=10.0
+    )
+    ogain: float | None = option(
+        None, "weights are evened out by this, times the particles", low=1e-3, high=1e3
+    )
+    lskip: int | None = option(
+        None, "beams passed over after each that the likelihood looks at", low=0, high=1000
+    )
+    minimumScore: float | None = option(
+        None, "least sum over the hits for which a match is believed", low=0.0, high=1e6
+    )
+    srr: float | None = option(None, "odometry: metres of error for a metre", low=0.0, high=10.0)
+    srt: float | None = option(None, "odometry: radians of error for a metre", low=0.0, high=10.0)
+    str: float | None = option(None, "odometry: metres of error for a radian", low=0.0, high=10.0)
+    stt: float | None = option(None, "odometry: radians of error for a radian", low=0.0, high=10.0)
+    linearUpdate: float | None = option(
+        None, "weigh and map after this way", unit="m", low=0.0, high=100.0
+    )
+    angularUpdate: float | None = option(
+        None, "weigh and map after this turn", unit="rad", low=0.0, high=10.0
+    )
+    temporalUpdate: float | None = option(
+        None, "weigh and map after this long; below 0 never", unit="s", low=-1.0, high=1e6
+    )
+    resampleThreshold: float | None = option(
+        None,
+        "resample when fewer of the particles than this share are effective",
+        low=0.0,
+        high=1.0,
+    )
+    llsamplerange: float | None = option(
+        None, "proposal: poses this far around the match", unit="m", low=0.0, high=1.0
+    )
+    llsamplestep: float | None = option(
+        None, "proposal: from one pose to the next", unit="m", low=1e-4, high=1.0
+    )
+    lasamplerange: float | None = option(
+        None, "proposal: headings this far around the match", unit="rad", low=0.0, high=1.0
+    )
+    lasamplestep: float | None = option(
+        None, "proposal: from one heading to the next", unit="rad", low=1e-4, high=1.0
+    )
+    occ_thresh: float | None = option(
+        None,
+        "a cell is a wall when more than this share of its beams ended in it",
+        low=0.0,
+        high=1.0,
+    )
+    map_update_interval: float | None = option(
+        None, "a node publishes its map this often", unit="s", low=0.0, high=1e6
+    )
+    maxUrange: float | None = option(
+        None,
+        "farther hits are not used, their beams are free up to here; default: 80 m, at most 98 % of "
+        "the laser's longest range",
+        unit="m",
+        low=0.1,
+        high=1000.0,
+    )
+    maxRange: float | None = option(
+        None,
+        "beams that read this or more are left out; default: the laser's longest range",
+        unit="m",
+        low=0.1,
+        high=10_000.0,
+    )
+    match_every_scan: bool | None = option(
+        None, "follow the robot by every scan, not only by those that are weighed and mapped"
+    )
+    motion_model: _Word = option(
+        "differential", "how the robot moves", choices=("differential", "bicycle")
+    )
+    wheel_base: float = option(0.3, "bicycle: between the axles", unit="m", low=0.05, high=10.0)
+    steering_sigma: float = option(
+        0.05, "bicycle: error of the steering angle", unit="rad", low=0.0, high=1.0
+    )
+    odometry: _Word = option("poses", "use the log's odometry, or none", choices=("poses", "none"))
+    expectation: _Word = option(
+        "motion",
+        "without odometry the next pose starts from the previous motion, or from the pose as [B16]",
+        choices=("motion", "pose"),
+    )
+
+    def chosen(self) -> GmappingConfig:
+        """Return the configuration with what is left open filled in by the profile."""
+        values = GMAPPING_PROFILES[self.profile]
+        left_open = {key: value for key, value in values.items() if getattr(self, key) is None}
+        return dataclasses.replace(self, **left_open)
+
+
 @dataclass(frozen=True)
 class WorldConfig(_Checked):
     """A simulated place."""
@@ -661,6 +819,7 @@ class RunConfig(_Checked):
     fusion: FusionConfig = FusionConfig()
     log: LogConfig = LogConfig()
     tinyslam: TinySlamConfig = TinySlamConfig()
+    gmapping: GmappingConfig = GmappingConfig()
     evaluate: EvaluateConfig = EvaluateConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig()
     simulate: SimulateConfig = SimulateConfig()

@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["Health", "SlamBackend", "Step"]
+__all__ = ["Health", "Series", "SlamBackend", "Step"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,25 @@ class Health:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A quantity over the time of a run, to be plotted.
+
+    Attributes:
+        name: what is counted, e.g. ``effective particles``.
+        unit: of the values; empty for a plain number.
+        stamps_s: (N,) float64, seconds, as the scans' stamps.
+        values: (N,) float64.
+        limit: a value worth a line across the plot; None for none.
+    """
+
+    name: str
+    unit: str
+    stamps_s: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+    limit: float | None = None
+
+
 class SlamBackend(Protocol):
     """One SLAM: feed it scans in the order of time, ask it for its pose and map at any moment.
 
@@ -92,6 +114,12 @@ class SlamBackend(Protocol):
 
     def trajectory(self) -> Trajectory:
         """Return the pose at every scan fed so far, by today's knowledge."""
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """Return what else it believes the path to be, each at the stamps of its own; best first."""
+
+    def series(self) -> tuple[Series, ...]:
+        """Return how its own quantities went over time, to be plotted; may be empty."""
 
     def grid(self) -> OccupancyGrid:
         """Return the map; unknown where nothing was seen.

@@ -26,7 +26,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.base import Health, Step
+from slamfusion.slam.base import Health, Series, Step
 from slamfusion.slam.cell_models import area_behind
 from slamfusion.slam.matcher import FieldMap, Guess, Match
 from slamfusion.slam.tile_map import TileMap
@@ -111,6 +111,14 @@ class TinySlam:
     def trajectory(self) -> Trajectory:
         """Return the pose at every scan, as it was found."""
         return Trajectory(np.array(self._stamps), np.array(self._poses).reshape(-1, 3), self.name)
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """Return nothing: there is one belief."""
+        return ()
+
+    def series(self) -> tuple[Series, ...]:
+        """Return nothing."""
+        return ()
 
     def grid(self) -> OccupancyGrid:
         """Return the published map; see ``SlamBackend.grid``."""
