@@ -9,23 +9,29 @@
 #include "common.h"
 #include "tiles.h"
 
-/* Sum of the field under the hits at one pose, between cell centres bilinear in sixteenths. */
+/* Field under a hit, between cell centres bilinear in sixteenths. */
+inline int smooth_value(
+    __global const uchar *field, __global const int *pages, const int width, const int height,
+    const float2 point, const float4 pose) {
+  const float x = pose.x + (pose.z * point.x - pose.w * point.y) - 0.5f;
+  const float y = pose.y + (pose.w * point.x + pose.z * point.y) - 0.5f;
+  const int col = (int)x, row = (int)y;
+  const int right = (int)((x - col) * 16.0f), up = (int)((y - row) * 16.0f);
+  const int a = field[tile_cell(pages, width, height, col, row)];
+  const int b = field[tile_cell(pages, width, height, col + 1, row)];
+  const int c = field[tile_cell(pages, width, height, col, row + 1)];
+  const int d = field[tile_cell(pages, width, height, col + 1, row + 1)];
+  const int low = a * (16 - right) + b * right, high = c * (16 - right) + d * right;
+  return (low * (16 - up) + high * up) >> 8;
+}
+
+/* Sum of the field under the hits at one pose. */
 inline int smooth_sum(
     __global const uchar *field, __global const int *pages, const int width, const int height,
     __global const float2 *points, const int count, const int stride, const float4 pose) {
   int sum = 0;
   for (int i = 0; i < count; i += stride) {
-    const float2 point = points[i];
-    const float x = pose.x + (pose.z * point.x - pose.w * point.y) - 0.5f;
-    const float y = pose.y + (pose.w * point.x + pose.z * point.y) - 0.5f;
-    const int col = (int)x, row = (int)y;
-    const int right = (int)((x - col) * 16.0f), up = (int)((y - row) * 16.0f);
-    const int a = field[tile_cell(pages, width, height, col, row)];
-    const int b = field[tile_cell(pages, width, height, col + 1, row)];
-    const int c = field[tile_cell(pages, width, height, col, row + 1)];
-    const int d = field[tile_cell(pages, width, height, col + 1, row + 1)];
-    const int low = a * (16 - right) + b * right, high = c * (16 - right) + d * right;
-    sum += (low * (16 - up) + high * up) >> 8;
+    sum += smooth_value(field, pages, width, height, points[i], pose);
   }
   return sum;
 }
@@ -123,6 +129,107 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
       found[6 * group + k] = best[k];
     }
   }
+}
+
+/* Climb on many maps at once, one work-group a map: its items try a step each along the axes and the
+ * diagonals of (x, y, yaw) from the best pose; the best of them is where the next try starts, and
+ * where none is better the step goes on to the next of its sizes.
+ *
+ * pages    int, width x height per map
+ * guesses  float, seven per map, as for pose_loss
+ * starts   float, five per map: x, y in cells of the window, yaw, cos, sin
+ * sizes    float, four per size: cells, radians, cos and sin of them
+ * tries    at most so many
+ * found    float, six per map: x, y, yaw, cos, sin, score less loss
+ *
+ * Work-groups must have CLIMBERS items.
+ */
+__kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
+    __global const uchar *field, __global const int *pages, const int width, const int height,
+    __global const float2 *points, const int count, const int stride,
+    __global const float *guesses, __global const float *starts, __global const float *sizes,
+    const int size_count, const int tries, const float scale, __global float *found) {
+  const int item = get_local_id(0), group = get_group_id(0);
+  /* Base three: item 0 stays; 1 to 6 follow an axis, 7 to 14 a diagonal of the cube, 15 stays. */
+  const int axis = (item - 1) >> 1, sign = (item & 1) ? 1 : -1, corner = item - 7;
+  const int is_axis = item >= 1 && item <= 6, is_corner = item >= 7 && item <= 14;
+  const int along_x = is_axis ? (axis == 0 ? sign : 0) : is_corner ? ((corner & 1) ? 1 : -1) : 0;
+  const int along_y = is_axis ? (axis == 1 ? sign : 0) : is_corner ? ((corner & 2) ? 1 : -1) : 0;
+  const int turn = is_axis ? (axis == 2 ? sign : 0) : is_corner ? ((corner & 4) ? 1 : -1) : 0;
+  __global const int *own = pages + group * width * height;
+  __local float tried[CLIMBERS][5];
+  __local float values[CLIMBERS];
+  __local float best[6];
+  __local int at;
+  if (item == 0) {
+    for (int k = 0; k < 5; k++) {
+      best[k] = starts[5 * group + k];
+    }
+    at = 0;
+  }
+  barrier(CLK_LOCAL_MEM_FENCE);
+  for (int round = 0; round < tries; round++) {
+    const int size = at;
+    __global const float *step = sizes + 4 * size;
+    const float x = best[0] + along_x * step[0], y = best[1] + along_y * step[0];
+    const float yaw = best[2] + turn * step[1];
+    const float dcos = turn == 0 ? 1.0f : step[2], dsin = turn * step[3];
+    const float cos = best[3] * dcos - best[4] * dsin;
+    const float sin = best[4] * dcos + best[3] * dsin;
+    const float4 pose = (float4)(x, y, cos, sin);
+    const int sum = smooth_sum(field, own, width, height, points, count, stride, pose);
+    values[item] = (float)sum * scale - pose_loss(guesses + 7 * group, 1, x, y, yaw);
+    tried[item][0] = x;
+    tried[item][1] = y;
+    tried[item][2] = yaw;
+    tried[item][3] = cos;
+    tried[item][4] = sin;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (item == 0) {
+      int winner = 0;
+      for (int k = 1; k < CLIMBERS; k++) {
+        winner = values[k] > values[winner] ? k : winner;
+      }
+      for (int k = 0; k < 5; k++) {
+        best[k] = tried[winner][k];
+      }
+      best[5] = values[winner];
+      at = winner == 0 ? size + 1 : size;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (at >= size_count) {
+      break;
+    }
+  }
+  if (item == 0) {
+    for (int k = 0; k < 6; k++) {
+      found[6 * group + k] = best[k];
+    }
+  }
+}
+
+/* Sums over the hits of what a table makes of the field, for some poses on each of many maps.
+ *
+ * poses    float4, each per map
+ * table    int, 256
+ * sums     int, each per map
+ */
+__kernel void score_maps(
+    __global const uchar *field, __global const int *pages, const int width, const int height,
+    __global const float2 *points, const int count, const int stride,
+    __global const float4 *poses, const int maps, const int each, __global const int *table,
+    __global int *sums) {
+  const int item = get_global_id(0);
+  if (item >= maps * each) {
+    return;
+  }
+  __global const int *own = pages + (item / each) * width * height;
+  const float4 pose = poses[item];
+  int sum = 0;
+  for (int i = 0; i < count; i += stride) {
+    sum += table[smooth_value(field, own, width, height, points[i], pose)];
+  }
+  sums[item] = sum;
 }
 
 /* Sum of the greatest field value of five cells: the one under the hit and the four corners of a

@@ -12,6 +12,7 @@
  */
 #include "common.h"
 #include "tiles.h"
+#include "walk.h"
 
 #define HALF (1 << 19)
 /* The score field is 0 up to this mean (0.35) and 255 from 0.95 on. */
@@ -21,24 +22,13 @@
 #define MODEL_BASE 0
 
 /* A beam: x, y of its hit and of the laser in 1/1024 cell, length likewise, value of a hit. */
-typedef struct {
-  long x, y, step_x, step_y, step, steps;
-} walk;
+inline walk beam_walk(__global const int *beam) {
+  return walk_of(beam[0], beam[1], beam[2], beam[3]);
+}
 
-/* Steps of one cell along the longer axis, from the hit to the laser, in 1/2^20 cell. */
-inline walk walk_of(__global const int *beam) {
-  const int dx = beam[2] - beam[0], dy = beam[3] - beam[1];
-  const int wide = dx < 0 ? -dx : dx, high = dy < 0 ? -dy : dy;
-  const int longest = wide > high ? wide : high;
-  const long m = longest > 0 ? longest : 1;
-  walk w;
-  w.x = (long)beam[0] << 10;
-  w.y = (long)beam[1] << 10;
-  w.step_x = (long)(wide) * (1 << 20) / m * (dx < 0 ? -1 : 1);
-  w.step_y = (long)(high) * (1 << 20) / m * (dy < 0 ? -1 : 1);
-  w.step = (long)beam[4] * (1 << 20) / m;
-  w.steps = longest >> 10;
-  return w;
+/* Length of a step of the beam's walk in 1/2^20 cell. */
+inline long beam_step(__global const int *beam, const walk w) {
+  return (long)beam[4] * (1 << 20) / w.longest;
 }
 
 /* Mark the cells of each beam.
@@ -61,10 +51,11 @@ __kernel void tiny_mark(
     return;
   }
   __global const int *beam = beams + 6 * item;
-  const walk w = walk_of(beam);
-  const long reach = w.step > 0 ? ((long)half_blur << 10) / w.step : 0;
+  const walk w = beam_walk(beam);
+  const long step = beam_step(beam, w);
+  const long reach = step > 0 ? ((long)half_blur << 10) / step : 0;
   for (long i = -reach; i <= w.steps; i++) {
-    const long away = ((i < 0 ? -i : i) * w.step) >> 10;
+    const long away = ((i < 0 ? -i : i) * step) >> 10;
     int value = free;
     if (away < half_blur) {
       value = free + (int)((peak - free) * (half_blur - away) / half_blur);
@@ -122,8 +113,10 @@ __kernel void tiny_fold(
   if (item >= count) {
     return;
   }
-  const walk w = walk_of(beams + 6 * item);
-  const long reach = w.step > 0 ? ((long)half_blur << 10) / w.step : 0;
+  __global const int *beam = beams + 6 * item;
+  const walk w = beam_walk(beam);
+  const long step = beam_step(beam, w);
+  const long reach = step > 0 ? ((long)half_blur << 10) / step : 0;
   for (long i = -reach; i <= w.steps; i++) {
     const int x = (int)((w.x + i * w.step_x) >> 20), y = (int)((w.y + i * w.step_y) >> 20);
     const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];

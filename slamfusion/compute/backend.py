@@ -12,7 +12,8 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import reference, slam_reference
+from slamfusion.compute import hit_map_reference, reference, slam_reference
+from slamfusion.compute.hit_map_reference import BeamScan, FieldRule
 from slamfusion.compute.reference import DISTANCE_MAX
 from slamfusion.compute.slam_reference import BeamRule
 
@@ -190,6 +191,33 @@ class Backend(Protocol):
     ) -> npt.NDArray[np.float32]:
         """See ``slam_reference.climb``; guesses, starts and steps come from the host."""
 
+    def climb_maps(
+        self,
+        field: Handle,
+        pages: Handle,
+        points: Handle,
+        guesses: npt.NDArray[np.float32],
+        starts: npt.NDArray[np.float32],
+        sizes: npt.NDArray[np.float32],
+        *,
+        tries: int,
+        stride: int,
+        scale: float,
+    ) -> npt.NDArray[np.float32]:
+        """See ``slam_reference.climb_maps``; guesses, starts and sizes come from the host."""
+
+    def score_maps(
+        self,
+        field: Handle,
+        pages: Handle,
+        points: Handle,
+        poses: npt.NDArray[np.float32],
+        table: npt.NDArray[np.int32],
+        *,
+        stride: int = 1,
+    ) -> npt.NDArray[np.int64]:
+        """See ``slam_reference.score_maps``; poses and table come from the host."""
+
     def tiny_mark(
         self, observed: Handle, pages: Handle, beams: Handle, rule: BeamRule, wanted: Handle
     ) -> bool:
@@ -206,6 +234,29 @@ class Backend(Protocol):
         rule: BeamRule,
     ) -> None:
         """See ``slam_reference.tiny_fold``; works in place."""
+
+    def touch_pages(self, pages: Handle, scan: BeamScan, reach: int) -> npt.NDArray[np.uint8]:
+        """See ``hit_map_reference.touch_pages``; the scan comes from the host."""
+
+    def copy_tiles(self, pools: tuple[Handle, ...], pairs: npt.NDArray[np.int32]) -> None:
+        """See ``hit_map_reference.copy_tiles``; works in place, the pairs come from the host."""
+
+    def count_beams(
+        self, counts: Handle, sum_x: Handle, sum_y: Handle, pages: Handle, scan: BeamScan
+    ) -> bool:
+        """See ``hit_map_reference.count_beams``; works in place."""
+
+    def settle_field(
+        self,
+        counts: Handle,
+        sum_x: Handle,
+        sum_y: Handle,
+        field: Handle,
+        pages: Handle,
+        scan: BeamScan,
+        rule: FieldRule,
+    ) -> None:
+        """See ``hit_map_reference.settle_field``; works in place."""
 
 
 class NumpyBackend:
@@ -235,8 +286,14 @@ class NumpyBackend:
     vote_log_odds = staticmethod(reference.vote_log_odds)
     score_poses = staticmethod(slam_reference.score_poses)
     climb = staticmethod(slam_reference.climb)
+    climb_maps = staticmethod(slam_reference.climb_maps)
+    score_maps = staticmethod(slam_reference.score_maps)
     tiny_mark = staticmethod(slam_reference.tiny_mark)
     tiny_fold = staticmethod(slam_reference.tiny_fold)
+    touch_pages = staticmethod(hit_map_reference.touch_pages)
+    copy_tiles = staticmethod(hit_map_reference.copy_tiles)
+    count_beams = staticmethod(hit_map_reference.count_beams)
+    settle_field = staticmethod(hit_map_reference.settle_field)
     cast_rays = staticmethod(reference.cast_rays)
 
     @staticmethod

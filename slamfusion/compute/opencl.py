@@ -13,6 +13,7 @@ import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.arrays import EACH_LANE, DeviceArray
 from slamfusion.compute.backend import SHIFT_LANES
+from slamfusion.compute.hit_map_opencl import HitMapOperations
 from slamfusion.compute.reference import (
     DISTANCE2_MAX,
     DISTANCE_MAX,
@@ -33,7 +34,7 @@ RUN = 64
 BLOCK_CELLS = 32
 
 
-class OpenCLBackend(SlamOperations):
+class OpenCLBackend(SlamOperations, HitMapOperations):
     """The operations of ``Backend`` on one OpenCL device.
 
     Raises:

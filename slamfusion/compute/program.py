@@ -12,7 +12,10 @@ from slamfusion.errors import DeviceError
 
 __all__ = ["FAMILIES", "KernelProgram", "kernel_folder"]
 
-FAMILIES = ("walls", "warp", "match", "bound", "vote", "raycast", "scan_match", "tiny_map")
+FAMILIES = (
+    *("walls", "warp", "match", "bound", "vote", "raycast"),
+    *("scan_match", "tiny_map", "hit_map"),
+)
 
 
 def kernel_folder() -> Path:

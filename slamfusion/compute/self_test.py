@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import reference, slam_reference
+from slamfusion.compute import hit_map_reference, reference, slam_reference
 from slamfusion.compute.backend import Backend, NumpyBackend
 from slamfusion.errors import DeviceError
 
@@ -374,6 +374,46 @@ def _climb(backend: Backend, sample: Sample) -> Arrays:
     return results
 
 
+def _two_maps(sample: Sample) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32]]:
+    """Return a random score field, and the pages of two maps that share some of its tiles."""
+    pool, pages = _tiled_field(sample)
+    return pool, np.stack((pages, np.where(sample.rng.random(pages.shape) < 0.2, 0, pages)))
+
+
+def _climb_maps(backend: Backend, sample: Sample) -> Arrays:
+    pool, pages = _two_maps(sample)
+    field, tables = backend.upload(pool), backend.upload(pages)
+    rng = sample.rng
+    points = backend.upload(rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    size = np.array([*pages.shape[:0:-1], 0.1]) * slam_reference.TILE
+    starts = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
+    losses = np.column_stack((starts + 0.3, np.full((2, 3), 0.01), (0.0, 0.1)))
+    starts = np.column_stack((starts, np.cos(starts[:, 2]), np.sin(starts[:, 2])))
+    steps = 0.5 ** np.arange(4)
+    sizes = np.column_stack((steps, 0.1 * steps, np.cos(0.1 * steps), np.sin(0.1 * steps)))
+    climbed = [table.astype(np.float32) for table in (losses, starts, sizes)]
+    return [
+        backend.climb_maps(
+            field, tables, points, *climbed, tries=tries, stride=stride, scale=1.0 / 9000.0
+        )
+        for tries, stride in ((1, 1), (9, 2), (60, 1))
+    ]
+
+
+def _score_maps(backend: Backend, sample: Sample) -> Arrays:
+    pool, pages = _two_maps(sample)
+    field, tables = backend.upload(pool), backend.upload(pages)
+    size = np.array(pages.shape[:0:-1]) * slam_reference.TILE
+    points = backend.upload(sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    yaw = sample.rng.uniform(-np.pi, np.pi, (2, 27))
+    places = sample.rng.uniform(-0.2, 1.2, (2, 27, 2)) * size + sample.away
+    poses = np.dstack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
+    table = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
+    return [
+        backend.score_maps(field, tables, points, poses, table, stride=stride) for stride in (1, 3)
+    ]
+
+
 def _score_poses(backend: Backend, sample: Sample) -> Arrays:
     pool, pages = _tiled_field(sample)
     field, table = backend.upload(pool), backend.upload(pages)
@@ -433,6 +473,96 @@ def _tiny_fold(backend: Backend, sample: Sample) -> Arrays:
     return _tiny_map(backend, sample, fold=True)
 
 
+def _hit_pools(sample: Sample, tiles: int) -> list[npt.NDArray[Any]]:
+    """Return counts, sums and field of tiles; most cells have no hits, and tile 0 nothing."""
+    shape, rng = (tiles, slam_reference.TILE, slam_reference.TILE), sample.rng
+    visits = rng.integers(0, 200, shape)
+    hits = np.where(rng.random(shape) < 0.1, rng.integers(0, visits + 1), 0)
+    sums = [rng.integers(0, 255 * hits + 1) for _ in range(2)]
+    pools = [(hits << 16 | visits).astype(np.uint32), *(part.astype(np.uint32) for part in sums)]
+    pools.append(rng.integers(0, 256, shape).astype(np.uint8))
+    for pool in pools:
+        pool[0] = 0
+    return pools
+
+
+def _hit_maps(sample: Sample) -> tuple[npt.NDArray[np.int32], list[npt.NDArray[Any]]]:
+    """Return the pages of two maps over the sample's window, no tile shared, and their pools."""
+    pages, tiles = _window(sample)
+    other = np.where(pages[::-1] > 0, pages[::-1] + tiles, 0)
+    return np.stack((pages, other)), _hit_pools(sample, 2 * tiles)
+
+
+def _beam_scan(sample: Sample, pages: npt.NDArray[np.int32]) -> hit_map_reference.BeamScan:
+    """Return a scan of 23 beams inside the window; one has no length, two leave the window."""
+    rng, count, maps = sample.rng, 23, len(pages)
+    size = np.array(pages.shape[:0:-1]) * slam_reference.TILE
+    yaw = rng.uniform(-np.pi, np.pi, maps)
+    places = rng.uniform(0.3, 0.7, (maps, 2)) * size + sample.away
+    ends = rng.uniform(-0.5, 0.5, (count, 2)) * np.minimum(size, 90)
+    laser = np.array([0.7, -0.3])
+    ends[0] = laser
+    ends[1:3] = [[9e9, -np.inf], [-9e9, np.nan]]
+    return hit_map_reference.BeamScan(
+        ends.astype(np.float32),
+        (rng.random(count) < 0.7).astype(np.uint8),
+        laser.astype(np.float32),
+        np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32),
+    )
+
+
+def _touch_pages(backend: Backend, sample: Sample) -> Arrays:
+    pages, _ = _hit_maps(sample)
+    table, scan = backend.upload(pages), _beam_scan(sample, pages)
+    short = scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0])
+    return [
+        *(backend.touch_pages(table, scan, reach) for reach in (0, 3, 16)),
+        backend.touch_pages(table, short, 3),
+    ]
+
+
+def _copy_tiles(backend: Backend, sample: Sample) -> Arrays:
+    tiles = 1 + sum(sample.shape) // 2
+    pools = tuple(backend.upload(pool) for pool in _hit_pools(sample, tiles))
+    targets = 1 + sample.rng.permutation(tiles - 1)
+    half = len(targets) // 2
+    pairs = np.column_stack((np.append(0, targets[half:])[:half], targets[:half])).astype(np.int32)
+    backend.copy_tiles(pools, pairs)
+    backend.copy_tiles(pools, pairs[:0])
+    return _fetch(backend, pools)
+
+
+def _count_beams(backend: Backend, sample: Sample) -> Arrays:
+    pages, (counts, *sums, _) = _hit_maps(sample)
+    # One map is a beam or two away from too many visits.
+    counts[1 : len(counts) // 2 : 3] |= hit_map_reference.FULL_VISITS - 2
+    table, scan = backend.upload(pages), _beam_scan(sample, pages)
+    pools = [backend.upload(pool) for pool in (counts, *sums)]
+    full = [
+        backend.count_beams(pools[0], pools[1], pools[2], table, part)
+        for part in (scan, scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0]))
+    ]
+    return [np.array(full), *_fetch(backend, pools)]
+
+
+def _settle_field(backend: Backend, sample: Sample) -> Arrays:
+    pages, pools = _hit_maps(sample)
+    table, scan = backend.upload(pages), _beam_scan(sample, pages)
+    counts, sum_x, sum_y = (backend.upload(pool) for pool in pools[:3])
+    falling = np.arange(255, -1, -1).astype(np.uint8)
+    results = []
+    for reach, shift, occupied, least_hits in (
+        (1, 10, 20000, 1),
+        (3, 13, 0, 2),
+        (0, 9, 1 << 16, 1),
+    ):
+        rule = hit_map_reference.FieldRule(falling, shift, reach, occupied, least_hits)
+        field = backend.upload(pools[3])
+        backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+        results.append(field)
+    return _fetch(backend, results)
+
+
 CHECKS: dict[str, Check] = {
     "solid_walls": _solid_walls,
     "surface_walls": _surface_walls,
@@ -457,6 +587,12 @@ CHECKS: dict[str, Check] = {
     "extend": _extend,
     "score_poses": _score_poses,
     "climb": _climb,
+    "climb_maps": _climb_maps,
+    "score_maps": _score_maps,
     "tiny_mark": _tiny_mark,
     "tiny_fold": _tiny_fold,
+    "touch_pages": _touch_pages,
+    "copy_tiles": _copy_tiles,
+    "count_beams": _count_beams,
+    "settle_field": _settle_field,
 }

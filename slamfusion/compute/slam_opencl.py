@@ -90,6 +90,78 @@ class SlamOperations(DeviceArrays):
         self.collect(out, found)
         return found
 
+    def climb_maps(
+        self,
+        field: DeviceArray,
+        pages: DeviceArray,
+        points: DeviceArray,
+        guesses: npt.NDArray[np.float32],
+        starts: npt.NDArray[np.float32],
+        sizes: npt.NDArray[np.float32],
+        *,
+        tries: int,
+        stride: int,
+        scale: float,
+    ) -> npt.NDArray[np.float32]:
+        """See ``slam_reference.climb_maps``."""
+        found = np.empty((len(starts), 6), dtype=np.float32)
+        out = self.lend(found, writable=True)
+        _, height, width = pages.shape
+        self._launch(
+            "climb_maps",
+            (len(starts) * CLIMBERS,),
+            field,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            points,
+            np.int32(points.shape[0]),
+            np.int32(stride),
+            self.lend(guesses),
+            self.lend(starts),
+            self.lend(sizes),
+            np.int32(len(sizes)),
+            np.int32(tries),
+            np.float32(scale),
+            out,
+        )
+        self.collect(out, found)
+        return found
+
+    def score_maps(
+        self,
+        field: DeviceArray,
+        pages: DeviceArray,
+        points: DeviceArray,
+        poses: npt.NDArray[np.float32],
+        table: npt.NDArray[np.int32],
+        *,
+        stride: int = 1,
+    ) -> npt.NDArray[np.int64]:
+        """See ``slam_reference.score_maps``."""
+        maps, each = poses.shape[:2]
+        sums = np.empty((maps, each), dtype=np.int32)
+        out = self.lend(sums, writable=True)
+        _, height, width = pages.shape
+        self._launch(
+            "score_maps",
+            (maps * each,),
+            field,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            points,
+            np.int32(points.shape[0]),
+            np.int32(stride),
+            self.lend(poses),
+            np.int32(maps),
+            np.int32(each),
+            self.lend(table),
+            out,
+        )
+        self.collect(out, sums)
+        return sums.astype(np.int64)
+
     def tiny_mark(
         self,
         observed: DeviceArray,

@@ -22,6 +22,8 @@ __all__ = [
     "VALUE_ONE",
     "BeamRule",
     "climb",
+    "climb_maps",
+    "score_maps",
     "score_poses",
     "tiny_fold",
     "tiny_mark",
@@ -108,6 +110,11 @@ def score_poses(
         around = [(0, 0), (-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
         found = [_cells(field, pages, col + dx, row + dy) for dx, dy in around]
         return np.asarray(np.max(found, axis=0).sum(axis=1))
+    return np.asarray(_smooth(field, pages, east, north).sum(axis=1))
+
+
+def _smooth(field: U8, pages: I32, east: F32, north: F32) -> I64:
+    """Return the field at positions in cells, between cell centres bilinear in sixteenths."""
     east, north = east - np.float32(0.5), north - np.float32(0.5)
     col, row = east.astype(np.int64), north.astype(np.int64)
     right = ((east - col.astype(np.float32)) * SIXTEENTHS).astype(np.int64)
@@ -116,7 +123,7 @@ def score_poses(
     c, d = _cells(field, pages, col, row + 1), _cells(field, pages, col + 1, row + 1)
     low, high = a * (16 - right) + b * right, c * (16 - right) + d * right
     blended: I64 = np.asarray(low * (16 - up) + high * up, dtype=np.int64)
-    return np.asarray((blended >> 8).sum(axis=1))
+    return np.asarray(blended >> 8)
 
 
 def climb(
@@ -167,6 +174,95 @@ def climb(
         each = np.arange(len(starts))
         best, values = tried[each, winner], value[each, winner]
     return np.concatenate((best, values[:, None]), axis=1)
+
+
+def climb_maps(
+    field: U8,
+    pages: I32,
+    points: F32,
+    guesses: F32,
+    starts: F32,
+    sizes: F32,
+    *,
+    tries: int,
+    stride: int,
+    scale: float,
+) -> F32:
+    """Climb on each of many maps by steps along the axes and diagonals of (x, y, yaw).
+
+    The best of a try's poses, the first of equals, is where the next one starts; where staying is
+    best the next smaller step follows. What counts is as for ``climb``, with one guess a map.
+
+    Args:
+        field: (T, TILE, TILE) uint8 wall values of all maps.
+        pages: (N, PH, PW) int32.
+        points: (P, 2) float32, cells, in the robot's frame.
+        guesses: (N, 7) float32, as for ``climb``.
+        starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
+        sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
+        tries: at most so many in all, at least 1.
+        stride: every so many-th point counts.
+        scale: from a sum to a score.
+
+    Returns:
+        (N, 6) float32: x, y, yaw, cos, sin and the value of where each climb ended.
+    """
+    found = np.empty((len(starts), 6), dtype=np.float32)
+    ways = _ways().astype(np.float32)
+    for own, guess, start, place in zip(pages, guesses, starts, found, strict=True):
+        best, at = start.copy(), 0
+        for _ in range(tries):
+            cells, radians, cos, sin = sizes[at]
+            turn = ways[:, 2]
+            dcos = np.where(turn == 0, np.float32(1.0), cos)
+            dsin = turn * sin
+            turned = best[3] * dcos - best[4] * dsin, best[4] * dcos + best[3] * dsin
+            moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
+            tried = np.column_stack((*moved, *turned))
+            sums = score_poses(field, own, points, tried[:, [0, 1, 3, 4]], stride=stride)
+            away = tried[:, :3] - guess[:3]
+            squares = away * away * guess[3:6]
+            losses = ((squares[:, 0] + squares[:, 1]) + squares[:, 2]) + guess[6]
+            values = sums.astype(np.float32) * np.float32(scale) - losses
+            winner = int(values.argmax())
+            best, place[5] = tried[winner], values[winner]
+            at += winner == 0
+            if at >= len(sizes):
+                break
+        place[:5] = best
+    return found
+
+
+def _ways() -> I64:
+    """Return (CLIMBERS, 3) signs along x, y and yaw: stay, the axes, the diagonals."""
+    axes = [np.roll((sign, 0, 0), axis) for axis in range(3) for sign in (1, -1)]
+    diagonals = [(2 * (k & 1) - 1, (k & 2) - 1, (k & 4) // 2 - 1) for k in range(8)]
+    return np.array([(0, 0, 0), *axes, *diagonals, (0, 0, 0)], dtype=np.int64)
+
+
+def score_maps(
+    field: U8, pages: I32, points: F32, poses: F32, table: I32, *, stride: int = 1
+) -> I64:
+    """Sum what a table makes of the smooth score field under the points, on each of many maps.
+
+    Args:
+        field: (T, TILE, TILE) uint8 wall values of all maps.
+        pages: (N, PH, PW) int32.
+        points: (P, 2) float32, cells, in the robot's frame.
+        poses: (N, K, 4) float32: x, y in cells of the window, cos, sin.
+        table: (256,) int32.
+        stride: every so many-th point counts.
+
+    Returns:
+        (N, K) int64 sums.
+    """
+    px, py = points[::stride, 0], points[::stride, 1]
+    sums = np.empty(poses.shape[:2], dtype=np.int64)
+    for own, at, out in zip(pages, poses, sums, strict=True):
+        x, y, cos, sin = (at[:, i : i + 1] for i in range(4))
+        east, north = x + (cos * px - sin * py), y + (sin * px + cos * py)
+        out[:] = table[_smooth(field, own, east, north)].sum(axis=1)
+    return sums
 
 
 class _Walks(NamedTuple):

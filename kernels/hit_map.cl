@@ -1,0 +1,321 @@
+/* Map update of gmapping: cells count the beams that met something in them and all that came
+ * by, sum where they met it, and keep the score field that follows from that.
+ *
+ * Method: Grisetti, Stachniss and Burgard, IEEE T-RO 2007; a cell is what it was most often seen to
+ * be, and its wall stands at the mean of the hits. There are many maps (particles), each with a page
+ * table of its own over one common window; a scan is written into each map at that map's pose.
+ * Counts grow by atomic sums of whole numbers, and the field depends on nothing but the counts, so
+ * the result does not depend on the device's schedule.
+ *
+ * A word of `counts`: hits (16 bits), visits (16); the visits include the hits. `sum_x` and `sum_y`:
+ * sums over the hits of their offset in the cell, 0 to 255, in 1/256 cell.
+ * Twin: hit_map_reference; exact. Positions are float32 without contraction for that reason.
+ */
+#pragma OPENCL FP_CONTRACT OFF
+#include "common.h"
+#include "tiles.h"
+#include "walk.h"
+
+#define HIT 0x10000u
+#define VISITS 0xffffu
+/* Halve all counts when a cell has been visited this often. */
+#define FULL 0x8000u
+#define SHARE_ONE 65536ul
+#define TABLE_LAST 255
+#define TILE_SIDE (1 << TILE_SHIFT)
+#define MOST_REACH 3
+#define BLOCK (4 * MOST_REACH + 1)
+
+/* What every kernel is told of a scan; work item = map * beams + beam.
+ *
+ * ends            float2 per beam, cells, in the robot's frame
+ * laser_x, _y     cells, in the robot's frame
+ * poses           float4 per map: x, y in cells of the window, cos, sin
+ * width, height   pages of the window
+ */
+#define SCAN                                                                                  \
+  __global const float2 *ends, const int beams, const float laser_x, const float laser_y,     \
+      __global const float4 *poses, const int maps, const int width, const int height
+
+/* A position in cells as 1/1024 cells inside the window; what is no number becomes 0. */
+inline int fixed_place(const float cells, const int pages) {
+  const int limit = pages << (TILE_SHIFT + 10);
+  const float place = cells * 1024.0f;
+  const float above = place > 0.0f ? place : 0.0f;
+  return above < (float)limit ? (int)above : limit - 1;
+}
+
+/* Place of a point of the robot's frame in the window. */
+inline int2 placed(const float4 pose, const float2 point, const int width, const int height) {
+  const float x = pose.x + (pose.z * point.x - pose.w * point.y);
+  const float y = pose.y + (pose.w * point.x + pose.z * point.y);
+  return (int2)(fixed_place(x, width), fixed_place(y, height));
+}
+
+/* A walk's next cells are looked up together before the first of them is used. Where the device is a
+ * CPU they are fetched into its cache meanwhile: an atomic sum waits for its cell and lets nothing
+ * else pass. */
+#ifdef UNALIGNED_WORDS
+#define AHEAD 64
+#define FETCH(place) __builtin_prefetch((const void *)(size_t)(place), 1)
+#else
+#define AHEAD 8
+#define FETCH(place)
+#endif
+
+/* Column and row of step i of a walk. */
+inline int2 walked_cell(const walk w, const int i) {
+  return (int2)((int)((w.x + i * w.step_x) >> 20), (int)((w.y + i * w.step_y) >> 20));
+}
+
+/* Find the places in the pools of up to AHEAD cells of a walk, from step `first` on; return how many
+ * there are. */
+inline int look_ahead(
+    const walk w, const int first, __global const int *pages, const int width,
+    __global const uint *counts, int *places) {
+  const int left = (int)w.steps + 1 - first, n = left < AHEAD ? left : AHEAD;
+  for (int k = 0; k < n; k++) {
+    const int2 cell = walked_cell(w, first + k);
+    const int tile = pages[(cell.y >> TILE_SHIFT) * width + (cell.x >> TILE_SHIFT)];
+    places[k] = tile * TILE_CELLS + ((cell.y & TILE_MASK) << TILE_SHIFT) + (cell.x & TILE_MASK);
+    FETCH(counts + places[k]);
+  }
+  return n;
+}
+
+/* Page of a cell along one side of the window; beyond it, the last one. */
+inline int kept_page(const int page, const int pages) {
+  return page < 0 ? 0 : page < pages ? page : pages - 1;
+}
+
+/* Say which pages a scan will come near.
+ *
+ * reach    cells
+ * touched  uchar, width x height per map, 0 before: becomes 1 where the page holds a corner of the
+ *          square of `reach` cells around a walked cell
+ */
+__kernel void touch_pages(SCAN, const int reach, __global uchar *touched) {
+  const int item = get_global_id(0);
+  if (item >= maps * beams) {
+    return;
+  }
+  const int map = item / beams;
+  const int2 end = placed(poses[map], ends[item - map * beams], width, height);
+  const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
+  const walk w = walk_of(end.x, end.y, laser.x, laser.y);
+  __global uchar *own = touched + map * width * height;
+  /* Both sides of the square move the same way: where neither sum changes, no page does. */
+  int across = INT_MIN, along = INT_MIN;
+  for (int i = 0; i <= (int)w.steps; i++) {
+    const int2 cell = walked_cell(w, i);
+    const int west = (cell.x - reach) >> TILE_SHIFT, east = (cell.x + reach) >> TILE_SHIFT;
+    const int south = (cell.y - reach) >> TILE_SHIFT, north = (cell.y + reach) >> TILE_SHIFT;
+    if (west + east != across || south + north != along) {
+      across = west + east;
+      along = south + north;
+      __global uchar *low = own + kept_page(south, height) * width;
+      __global uchar *high = own + kept_page(north, height) * width;
+      const int left = kept_page(west, width), right = kept_page(east, width);
+      low[left] = 1;
+      low[right] = 1;
+      high[left] = 1;
+      high[right] = 1;
+    }
+  }
+}
+
+/* Copy tiles inside a pool; no target is a source.
+ *
+ * pool    TILE_CELLS values per tile, in words of 32 bytes
+ * words   of a tile
+ * pairs   int2 each: source and target; source 0, the empty tile, clears the target
+ * Global: (words, count).
+ */
+__kernel void copy_tiles(
+    __global ulong4 *pool, const int words, __global const int2 *pairs, const int count) {
+  const int word = get_global_id(0), n = get_global_id(1);
+  if (word < words && n < count) {
+    const int2 pair = pairs[n];
+    pool[(size_t)pair.y * words + word] = pool[(size_t)pair.x * words + word];
+  }
+}
+
+/* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
+ *
+ * is_hit  uchar per beam
+ * pages   int, width x height per map; cells of page 0 are left out
+ * full    int: becomes 1 when a cell has FULL visits
+ */
+__kernel void count_beams(
+    SCAN, __global const uchar *is_hit, __global const int *pages, __global uint *counts,
+    __global uint *sum_x, __global uint *sum_y, __global int *full) {
+  const int item = get_global_id(0);
+  if (item >= maps * beams) {
+    return;
+  }
+  const int map = item / beams, beam = item - map * beams;
+  const int2 end = placed(poses[map], ends[beam], width, height);
+  const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
+  const walk w = walk_of(end.x, end.y, laser.x, laser.y);
+  __global const int *own = pages + map * width * height;
+  uint seen = 0, more = 1;
+  if (is_hit[beam]) {
+    const int at = tile_cell(own, width, height, end.x >> 10, end.y >> 10);
+    if (at >= TILE_CELLS) {
+      atomic_add(sum_x + at, (uint)(end.x & 1023) >> 2);
+      atomic_add(sum_y + at, (uint)(end.y & 1023) >> 2);
+    }
+    more = HIT + 1;
+  }
+  int places[AHEAD];
+  for (int first = 0; first <= (int)w.steps; first += AHEAD) {
+    const int n = look_ahead(w, first, own, width, counts, places);
+    for (int k = 0; k < n; k++) {
+      if (places[k] >= TILE_CELLS) {
+        seen |= atomic_add(counts + places[k], more) + 1;
+      }
+      more = 1;
+    }
+  }
+  if (seen & FULL) {
+    full[0] = 1;
+  }
+}
+
+/* Place in a pool of a cell of four tiles, counted from the corner of the first. */
+inline int block_cell(int tiles[2][2], const int col, const int row) {
+  const int tile = tiles[row >> TILE_SHIFT][col >> TILE_SHIFT];
+  return tile * TILE_CELLS + ((row & TILE_MASK) << TILE_SHIFT) + (col & TILE_MASK);
+}
+
+/* Bits 0 to n - 1. */
+inline ulong first_bits(const int n) { return (1ul << n) - 1ul; }
+
+/* The bits, and those up to `reach` places away from them. */
+inline ulong widened(ulong bits, const int reach) {
+  for (int k = 0; k < reach; k++) {
+    bits |= bits << 1 | bits >> 1;
+  }
+  return bits;
+}
+
+/* Renew the field around one cell: gather the occupied cells of the block that bears on it, then
+ * look for the nearest of them to every cell of the inner square that nobody else has claimed. */
+inline void settle_cell(
+    const int2 cell, __global const int *pages, const int width, const int height,
+    __global const uint *counts, __global const uint *sum_x, __global const uint *sum_y,
+    __global uchar *field, __global uint *claimed, __global const uchar *table, const int shift,
+    const int reach, const uint occupied, const uint least_hits) {
+  /* The block lies in up to four tiles; its columns and rows count from the corner of the first. */
+  const int west = (cell.x - 2 * reach) >> TILE_SHIFT, left = (cell.x - 2 * reach) & TILE_MASK;
+  const int south = (cell.y - 2 * reach) >> TILE_SHIFT, low = (cell.y - 2 * reach) & TILE_MASK;
+  int tiles[2][2];
+  for (int k = 0; k < 4; k++) {
+    const int col = west + (k & 1), row = south + (k >> 1);
+    const int inside = col >= 0 && row >= 0 && col < width && row < height;
+    tiles[k >> 1][k & 1] = inside ? pages[row * width + col] : 0;
+  }
+
+  /* Claim the cells of the inner square; a row of a tile is a word. */
+  ulong mine[2 * MOST_REACH + 1];
+  ulong cols = 0, rows = 0;
+  const ulong square = first_bits(2 * reach + 1) << (left + reach);
+  for (int k = 0; k <= 2 * reach; k++) {
+    const int row = low + reach + k;
+    mine[k] = 0;
+    for (int side = 0; side < 2; side++) {
+      const int tile = tiles[row >> TILE_SHIFT][side];
+      const uint bits = (uint)(square >> (side * TILE_SIDE));
+      if (tile != 0 && bits != 0) {
+        const uint before = atomic_or(claimed + tile * TILE_SIDE + (row & TILE_MASK), bits);
+        mine[k] |= (ulong)(bits & ~before) << (side * TILE_SIDE);
+      }
+    }
+    cols |= mine[k];
+    rows |= (ulong)(mine[k] != 0) << row;
+  }
+  if (cols == 0) {
+    return;
+  }
+
+  /* Gather the occupied cells near them: where their hits are on average, in 1/256 cell. */
+  int wall_x[BLOCK * BLOCK], wall_y[BLOCK * BLOCK];
+  int walls = 0;
+  cols = widened(cols, reach);
+  rows = widened(rows, reach);
+  for (int row = low; row <= low + 4 * reach; row++) {
+    if (!(rows >> row & 1)) {
+      continue;
+    }
+    for (int col = left; col <= left + 4 * reach; col++) {
+      const int at = block_cell(tiles, col, row);
+      const uint count = counts[at], hits = count >> 16, visits = count & VISITS;
+      if (hits >= least_hits && (ulong)hits * SHARE_ONE > (ulong)occupied * visits &&
+          (cols >> col & 1)) {
+        wall_x[walls] = (col << 8) + (int)(sum_x[at] / hits);
+        wall_y[walls] = (row << 8) + (int)(sum_y[at] / hits);
+        walls++;
+      }
+    }
+  }
+
+  for (int k = 0; k <= 2 * reach; k++) {
+    const int row = low + reach + k;
+    for (int col = left + reach; col <= left + 3 * reach; col++) {
+      if (!(mine[k] >> col & 1)) {
+        continue;
+      }
+      /* No branches: this loop turns into vectors. */
+      int least = INT_MAX;
+      for (int n = 0; n < walls; n++) {
+        const int across = (wall_x[n] >> 8) - col, along = (wall_y[n] >> 8) - row;
+        const int is_far =
+            (across > reach) | (across < -reach) | (along > reach) | (along < -reach);
+        const int dx = wall_x[n] - (col << 8) - 128, dy = wall_y[n] - (row << 8) - 128;
+        const int distance2 = is_far ? INT_MAX : dx * dx + dy * dy;
+        least = distance2 < least ? distance2 : least;
+      }
+      const int step = least >> shift;
+      field[block_cell(tiles, col, row)] =
+          least == INT_MAX ? 0 : table[step < TABLE_LAST ? step : TABLE_LAST];
+    }
+  }
+}
+
+/* Renew the field around the walked cells that have hits.
+ *
+ * field       uchar pool: the best that the table gives an occupied cell within `reach` cells
+ * claimed     uint, a word per row of a tile, 0 before: cells whose field somebody renews
+ * table       uchar, 256, never rising: of the squared distance, in 1/256 cell, from the cell's
+ *             centre to the mean hit of the occupied cell, shifted right by `shift`; the last for
+ *             all beyond
+ * reach       cells, 0 to MOST_REACH
+ * occupied    a cell is occupied with more hits than this share of its visits, in 1/65536,
+ * least_hits  and at least this many, 1 or more
+ */
+__kernel void settle_field(
+    SCAN, __global const int *pages, __global const uint *counts, __global const uint *sum_x,
+    __global const uint *sum_y, __global uchar *field, __global uint *claimed,
+    __global const uchar *table, const int shift, const int reach, const uint occupied,
+    const uint least_hits) {
+  const int item = get_global_id(0);
+  if (item >= maps * beams) {
+    return;
+  }
+  const int map = item / beams;
+  const int2 end = placed(poses[map], ends[item - map * beams], width, height);
+  const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
+  const walk w = walk_of(end.x, end.y, laser.x, laser.y);
+  __global const int *own = pages + map * width * height;
+  int places[AHEAD];
+  for (int first = 0; first <= (int)w.steps; first += AHEAD) {
+    const int n = look_ahead(w, first, own, width, counts, places);
+    for (int k = 0; k < n; k++) {
+      if (counts[places[k]] >= HIT) {
+        settle_cell(
+            walked_cell(w, first + k), own, width, height, counts, sum_x, sum_y, field, claimed,
+            table, shift, reach, occupied, least_hits);
+      }
+    }
+  }
+}

@@ -1,0 +1,315 @@
+"""The NumPy twins of gmapping's map update: counted hits and visits, and the field they give.
+
+N maps (particles) have a page table each, (N, PH, PW) int32, over one common window and one set of
+pools (T, TILE, TILE); see ``slam_reference``. A tile that is written must be on one page of one map
+only: see ``touch_pages`` and ``copy_tiles``. Positions are in cells of the window. All results are
+whole numbers and equal the kernels' exactly.
+
+A cell of ``counts`` (uint32) has its hits in the upper and its visits, hits included, in the lower
+16 bits; ``sum_x`` and ``sum_y`` (uint32) sum over the hits their offset in the cell, 0 to 255, in
+1/256 cell. An unseen cell is 0 in all pools.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.slam_reference import BEAM_ONE, TILE
+from slamfusion.errors import DeviceError
+
+__all__ = [
+    "FULL_VISITS",
+    "MOST_REACH",
+    "BeamScan",
+    "FieldRule",
+    "check_rule",
+    "copy_tiles",
+    "count_beams",
+    "full_field",
+    "settle_field",
+    "touch_pages",
+]
+
+U8 = npt.NDArray[np.uint8]
+U32 = npt.NDArray[np.uint32]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+F32 = npt.NDArray[np.float32]
+
+# Whoever counts must halve all counts when a cell has been visited this often.
+FULL_VISITS = 0x8000
+# The field looks at most this many cells around.
+MOST_REACH = 3
+HITS_SHIFT, VISITS_MASK = 16, 0xFFFF
+# Offsets in a cell and distances count in 1/256 cell.
+OFFSET_SHIFT = 2
+OFFSETS, HALF_CELL = 256, 128
+SHARE_ONE = 1 << 16
+TABLE_LAST = 255
+
+
+class BeamScan(NamedTuple):
+    """A scan as it is written into every map, on the host.
+
+    What lies outside the window is moved to its border.
+
+    Attributes:
+        ends: (B, 2) float32 ends of the beams, cells, in the robot's frame. B below
+            ``FULL_VISITS``.
+        is_hit: (B,) uint8, 0 where the beam is free up to its end and met nothing.
+        laser: (2,) float32, cells, in the robot's frame.
+        poses: (N, 4) float32, the robot in each map: x, y in cells of the window, cos, sin.
+    """
+
+    ends: F32
+    is_hit: U8
+    laser: F32
+    poses: F32
+
+
+class FieldRule(NamedTuple):
+    """How the score field follows from the counts.
+
+    Attributes:
+        table: (256,) uint8, never rising: the field by the squared distance, in (1/256 cell)^2,
+            between the centre of a cell and the mean hit of an occupied one; the last for all that
+            is farther.
+        shift: the distance is shifted right by this first.
+        reach: how many cells around, 0 to ``MOST_REACH``, occupied ones are looked for.
+        occupied: a cell is occupied with more hits than this share of its visits, in 1/65536,
+        least_hits: and at least this many hits.
+    """
+
+    table: U8
+    shift: int
+    reach: int
+    occupied: int
+    least_hits: int
+
+
+class _Walks(NamedTuple):
+    """Every step of every beam in every map, flat: the map and the cell."""
+
+    map: I64
+    row: I64
+    col: I64
+
+
+def _fixed_places(cells: F32, pages: int) -> I64:
+    """Return positions in 1/1024 cell, moved into the window; what is no number becomes 0."""
+    limit = pages * TILE * BEAM_ONE
+    with np.errstate(invalid="ignore", over="ignore"):
+        place = cells * np.float32(BEAM_ONE)
+        place = np.where(place > 0, place, np.float32(0.0))
+        inside = place < np.float32(limit)
+    return np.where(inside, np.where(inside, place, np.float32(0.0)).astype(np.int64), limit - 1)
+
+
+def _placed(scan: BeamScan, points: F32, shape: tuple[int, ...]) -> tuple[I64, I64]:
+    """Return x and y (N, P) of points of the robot's frame in each map, in 1/1024 cell."""
+    px, py = points[:, 0], points[:, 1]
+    x, y, cos, sin = (scan.poses[:, i : i + 1] for i in range(4))
+    with np.errstate(invalid="ignore", over="ignore"):
+        east, north = x + (cos * px - sin * py), y + (sin * px + cos * py)
+    return _fixed_places(east, shape[-1]), _fixed_places(north, shape[-2])
+
+
+def _walks(scan: BeamScan, shape: tuple[int, ...]) -> _Walks:
+    """Walk each beam from its end to the laser, one cell of the longer axis a step."""
+    end_x, end_y = _placed(scan, scan.ends, shape)
+    laser_x, laser_y = _placed(scan, scan.laser[None], shape)
+    dx, dy = (laser_x - end_x).ravel(), (laser_y - end_y).ravel()
+    longest = np.maximum(np.maximum(np.abs(dx), np.abs(dy)), 1)
+    step_x = np.abs(dx) * (1 << 20) // longest * np.where(dx < 0, -1, 1)
+    step_y = np.abs(dy) * (1 << 20) // longest * np.where(dy < 0, -1, 1)
+    counts = longest // BEAM_ONE + 1
+    beam = np.repeat(np.arange(len(counts)), counts)
+    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
+    col = ((end_x.ravel()[beam] << 10) + i * step_x[beam]) >> 20
+    row = ((end_y.ravel()[beam] << 10) + i * step_y[beam]) >> 20
+    return _Walks(beam // max(1, len(scan.ends)), row, col)
+
+
+def _places(pages: I32, maps: I64, row: I64, col: I64) -> tuple[I64, I64, I64]:
+    """Return the index into a pool of cells of maps; beyond the window, the empty tile."""
+    height, width = pages.shape[1] * TILE, pages.shape[2] * TILE
+    inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
+    tiles = np.where(inside, pages[maps, row // TILE, col // TILE], 0)
+    return tiles, row % TILE, col % TILE
+
+
+def touch_pages(pages: I32, scan: BeamScan, reach: int) -> U8:
+    """Say which pages a scan comes near, so that they can be given tiles of their own.
+
+    Args:
+        pages: (N, PH, PW) int32; only its shape counts.
+        scan: see ``BeamScan``.
+        reach: cells, 0 to 16: as far from the walked cells as will be written.
+
+    Returns:
+        (N, PH, PW) uint8, on the host: 1 where a cell lies within ``reach`` cells, on both axes,
+        of one that a beam walks through.
+    """
+    touched = np.zeros(pages.shape, dtype=np.uint8)
+    w = _walks(scan, pages.shape)
+    height, width = pages.shape[1:]
+    for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
+        row = np.clip((w.row + dy) // TILE, 0, height - 1)
+        col = np.clip((w.col + dx) // TILE, 0, width - 1)
+        touched[w.map, row, col] = 1
+    return touched
+
+
+def copy_tiles(pools: tuple[npt.NDArray[Any], ...], pairs: I32) -> None:
+    """Copy tiles, in place.
+
+    Args:
+        pools: (T, TILE, TILE) each, of any dtype.
+        pairs: (M, 2) int32, source and target; source 0 clears the target. Targets differ from
+            each other and are no sources.
+    """
+    for pool in pools:
+        pool[pairs[:, 1]] = pool[pairs[:, 0]]
+
+
+def count_beams(counts: U32, sum_x: U32, sum_y: U32, pages: I32, scan: BeamScan) -> bool:
+    """Count a scan in every map, in place.
+
+    All cells of a beam's walk, its end included, are visited once more; the end of a beam that met
+    something is also hit once more.
+
+    Args:
+        counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` times yet.
+        sum_x: (T, TILE, TILE) uint32.
+        sum_y: (T, TILE, TILE) uint32.
+        pages: (N, PH, PW) int32; cells of pages without a tile are left out.
+        scan: see ``BeamScan``.
+
+    Returns:
+        Whether a cell has now been visited ``FULL_VISITS`` times: halve all hits, visits and sums,
+        and take the field from ``full_field``, as ``settle_field`` only sees what a scan crosses.
+    """
+    w = _walks(scan, pages.shape)
+    places = _places(pages, *w)
+    places = tuple(part[places[0] != 0] for part in places)
+    np.add.at(counts, places, np.uint32(1))
+    is_full = bool((counts[places] & VISITS_MASK >= FULL_VISITS).any())
+
+    x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
+    maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
+    hit = _places(pages, maps, y // BEAM_ONE, x // BEAM_ONE)
+    has_tile = hit[0] != 0
+    hit = tuple(part[has_tile] for part in hit)
+    np.add.at(counts, hit, np.uint32(1 << HITS_SHIFT))
+    for sums, place in ((sum_x, x), (sum_y, y)):
+        offset = (place % BEAM_ONE) >> OFFSET_SHIFT
+        np.add.at(sums, hit, offset[has_tile].astype(np.uint32))
+    return is_full
+
+
+def check_rule(rule: FieldRule) -> None:
+    """Refuse a rule that no kernel can follow.
+
+    Raises:
+        DeviceError: the reach is too far, or the table is no table of distances.
+    """
+    if not 0 <= rule.reach <= MOST_REACH:
+        message = f"the field reaches 0 to {MOST_REACH} cells, asked for {rule.reach}"
+        raise DeviceError(message)
+    if rule.table.shape != (TABLE_LAST + 1,) or (rule.table[1:] > rule.table[:-1]).any():
+        message = f"the field's table must have {TABLE_LAST + 1} entries that never rise"
+        raise DeviceError(message)
+
+
+def _field_of(pools: tuple[U32, U32, U32], offset: tuple[int, int], rule: FieldRule) -> I64:
+    """Return what cells give the field of those from which they lie at an offset.
+
+    Args:
+        pools: counts, sum_x and sum_y of the cells, in any shape.
+        offset: x and y from a cell whose field is asked for to these, in cells.
+        rule: see ``FieldRule``.
+    """
+    counts, *sums = pools
+    hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
+    occupied = (hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits)
+    dx, dy = (
+        cells * OFFSETS + total.astype(np.int64) // np.maximum(hits, 1) - HALF_CELL
+        for cells, total in zip(offset, sums, strict=True)
+    )
+    step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
+    return np.where(occupied, rule.table[step], 0).astype(np.int64)
+
+
+def _square(reach: int) -> list[tuple[int, int]]:
+    """Return the offsets (x, y) of the cells of a square."""
+    side = range(-reach, reach + 1)
+    return [(dx, dy) for dy in side for dx in side]
+
+
+def settle_field(
+    counts: U32,
+    sum_x: U32,
+    sum_y: U32,
+    field: U8,
+    pages: I32,
+    scan: BeamScan,
+    rule: FieldRule,
+) -> None:
+    """Renew the score field, in place, wherever counting a scan may have changed it.
+
+    That is within ``rule.reach`` cells, on both axes, of the walked cells that have hits. There the
+    field becomes the greatest value that ``rule`` gives the occupied cells within reach, 0 where
+    there are none: it depends on the counts alone, and after every scan equals ``full_field``.
+
+    Args:
+        counts: (T, TILE, TILE) uint32, the scan counted.
+        sum_x: (T, TILE, TILE) uint32, 255 or less a hit.
+        sum_y: (T, TILE, TILE) uint32, 255 or less a hit.
+        field: (T, TILE, TILE) uint8.
+        pages: (N, PH, PW) int32; cells of pages without a tile are left out.
+        scan: see ``BeamScan``.
+        rule: see ``FieldRule``.
+    """
+    check_rule(rule)
+    w = _walks(scan, pages.shape)
+    is_changed = counts[_places(pages, *w)] >> HITS_SHIFT > 0
+    changed = np.unique(np.stack(w, axis=1)[is_changed], axis=0)
+    around = [changed + (0, dy, dx) for dx, dy in _square(rule.reach)]  # noqa: RUF005 - a sum
+    maps, row, col = np.unique(np.concatenate(around), axis=0).T
+
+    targets = _places(pages, maps, row, col)
+    best = np.zeros(len(maps), dtype=np.int64)
+    for dx, dy in _square(rule.reach):
+        places = _places(pages, maps, row + dy, col + dx)
+        pools = counts[places], sum_x[places], sum_y[places]
+        np.maximum(best, _field_of(pools, (dx, dy), rule), out=best)
+    has_tile = targets[0] != 0
+    field[tuple(part[has_tile] for part in targets)] = best[has_tile].astype(np.uint8)
+
+
+def full_field(counts: U32, sum_x: U32, sum_y: U32, rule: FieldRule) -> U8:
+    """Return the score field of a whole map from its counts.
+
+    Args:
+        counts: (H, W) uint32.
+        sum_x: (H, W) uint32.
+        sum_y: (H, W) uint32.
+        rule: see ``FieldRule``.
+
+    Returns:
+        (H, W) uint8.
+    """
+    height, width = counts.shape
+    check_rule(rule)
+    padded = [np.pad(values, rule.reach) for values in (counts, sum_x, sum_y)]
+    best = np.zeros(counts.shape, dtype=np.int64)
+    for dx, dy in _square(rule.reach):
+        rows = slice(rule.reach + dy, rule.reach + dy + height)
+        cols = slice(rule.reach + dx, rule.reach + dx + width)
+        counts, sum_x, sum_y = (part[rows, cols] for part in padded)
+        np.maximum(best, _field_of((counts, sum_x, sum_y), (dx, dy), rule), out=best)
+    return best.astype(np.uint8)

@@ -1,0 +1,362 @@
+"""Beams count where they pass, and the score field is what the counts say, on every device."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, NumpyBackend
+from slamfusion.compute.hit_map_reference import (
+    FULL_VISITS,
+    MOST_REACH,
+    BeamScan,
+    FieldRule,
+    full_field,
+)
+from slamfusion.compute.slam_reference import TILE
+from slamfusion.errors import DeviceError
+
+I32 = npt.NDArray[np.int32]
+Pools = list[Any]
+SEEDS = st.integers(0, 2**32 - 1)
+KINDS = (np.uint32, np.uint32, np.uint32, np.uint8)
+FALLING = np.arange(255, -1, -1).astype(np.uint8)
+
+
+def scan_of(
+    *ends: tuple[float, float],
+    laser: tuple[float, float] = (0.0, 0.0),
+    poses: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 0.0),),
+    is_hit: bool = True,
+) -> BeamScan:
+    """A scan from beam ends, the laser and poses (x, y in cells, yaw in rad)."""
+    table = np.array(poses, dtype=np.float64)
+    turned = (np.cos(table[:, 2]), np.sin(table[:, 2]))
+    return BeamScan(
+        np.array(ends, dtype=np.float32).reshape(-1, 2),
+        np.full(len(ends), is_hit, dtype=np.uint8),
+        np.array(laser, dtype=np.float32),
+        np.column_stack((table[:, :2], *turned)).astype(np.float32),
+    )
+
+
+def pools_of(backend: Backend, tiles: int) -> Pools:
+    """Counts, sums and field of unseen tiles."""
+    return [backend.upload(np.zeros((tiles, TILE, TILE), dtype=kind)) for kind in KINDS]
+
+
+def own_pages(maps: int, height: int, width: int) -> I32:
+    """Pages that all have a tile of their own."""
+    return 1 + np.arange(maps * height * width, dtype=np.int32).reshape(maps, height, width)
+
+
+def joined(pool: npt.NDArray[Any], pages: I32) -> npt.NDArray[Any]:
+    """The cells of one map."""
+    height, width = pages.shape
+    return pool[pages].transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
+
+
+def count_into(
+    backend: Backend, pages: I32, *scans: BeamScan
+) -> tuple[list[npt.NDArray[Any]], list[bool]]:
+    """Count scans in unseen maps; the pools, and what each count returned."""
+    pools = pools_of(backend, int(pages.max()) + 1)
+    table = backend.upload(pages)
+    full = [backend.count_beams(pools[0], pools[1], pools[2], table, scan) for scan in scans]
+    return [backend.download(pool) for pool in pools[:3]], full
+
+
+class CopiedTiles:
+    """Maps that share tiles until one writes: what a user of these operations does between them."""
+
+    def __init__(self, backend: Backend, pages: I32, tiles: int) -> None:
+        self.backend, self.pages = backend, pages
+        self.pools = pools_of(backend, tiles)
+        self.used = int(pages.max()) + 1
+
+    def write(self, scan: BeamScan, rule: FieldRule) -> None:
+        """Give every touched page a fresh tile, count, and settle."""
+        backend = self.backend
+        touched = backend.touch_pages(backend.upload(self.pages), scan, rule.reach) != 0
+        targets = self.used + np.arange(touched.sum())
+        pairs = np.column_stack((self.pages[touched], targets)).astype(np.int32)
+        backend.copy_tiles(tuple(self.pools), pairs)
+        self.pages[touched] = targets
+        self.used += len(targets)
+        table = backend.upload(self.pages)
+        counts, sum_x, sum_y, field = self.pools
+        assert not backend.count_beams(counts, sum_x, sum_y, table, scan)
+        backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+
+
+def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> BeamScan:
+    """A scan that stays inside a square window of ``size`` cells, and leaves its rim of a page."""
+    reach = size / 2 - TILE - 5.0
+    angles, ranges = rng.uniform(-math.pi, math.pi, beams), reach * rng.uniform(0.0, 1.0, beams)
+    ends = ranges[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
+    yaw = rng.uniform(-math.pi, math.pi, maps)
+    places = size / 2 + rng.uniform(-3.0, 3.0, (maps, 2))
+    return BeamScan(
+        ends.astype(np.float32),
+        (rng.random(beams) < 0.8).astype(np.uint8),
+        rng.uniform(-1.0, 1.0, 2).astype(np.float32),
+        np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32),
+    )
+
+
+def test_one_beam_by_hand(backend: Backend):
+    # Turned by 90 degrees: laser (1, 0) stands at (40.5, 11.5), end (5, 2) at (38.5, 15.5).
+    scan = scan_of((5.0, 2.0), laser=(1.0, 0.0), poses=[(40.5, 10.5, math.pi / 2)])
+    (counts, sum_x, sum_y), full = count_into(backend, own_pages(1, 1, 2), scan)
+    cells = joined(counts, own_pages(1, 1, 2)[0])
+    # A row down is half a column to the right, and a cell owns its left edge.
+    wanted = np.zeros_like(cells)
+    wanted[15, 38] = 1 << 16 | 1
+    wanted[14, 39] = wanted[13, 39] = wanted[12, 40] = wanted[11, 40] = 1
+    np.testing.assert_array_equal(cells, wanted)
+    assert full == [False]
+    for sums in (sum_x, sum_y):
+        assert sums[2, 15, 38 - TILE] == sums.sum() == 128
+
+
+def test_beam_that_met_nothing_visits_its_end_only(backend: Backend):
+    scan = scan_of((9.9, 4.1), poses=[(3.2, 3.3, 0.0)], is_hit=False)
+    (counts, sum_x, sum_y), _ = count_into(backend, own_pages(1, 1, 1), scan)
+    assert counts[1, 7, 13] == 1
+    assert counts[1, 3, 4] == 1
+    assert counts.sum() == 10
+    assert not sum_x.any()
+    assert not sum_y.any()
+
+
+def test_beam_without_length_hits_and_visits_one_cell(backend: Backend):
+    scan = scan_of((0.25, 0.75), laser=(0.25, 0.75), poses=[(20.0, 20.0, 0.0)])
+    (counts, sum_x, sum_y), _ = count_into(backend, own_pages(1, 1, 1), scan, scan, scan)
+    assert counts[1, 20, 20] == counts.sum() == 3 << 16 | 3
+    assert sum_x[1, 20, 20] == 3 * 64
+    assert sum_y[1, 20, 20] == 3 * 192
+
+
+def test_what_leaves_the_window_stays_on_its_border(backend: Backend):
+    ends = [(1e30, 0.0), (-5.0, 0.0), (0.0, math.nan)]
+    for end, (row, col, sum_of_x) in zip(ends, [(20, 31, 255), (20, 0, 0), (0, 0, 0)], strict=True):
+        (counts, sum_x, _), _ = count_into(
+            backend, own_pages(1, 1, 1), scan_of(end, poses=[(4.5, 20.5, 0.0)])
+        )
+        assert counts[1, row, col] >> 16 == 1
+        assert (counts >> 16).sum() == 1
+        assert sum_x[1, row, col] == sum_x.sum() == sum_of_x
+        assert not counts[0].any()
+
+
+def test_every_map_counts_at_its_own_pose(backend: Backend):
+    pages = own_pages(2, 1, 1)
+    scan = scan_of((2.0, 0.0), poses=[(4.5, 4.5, 0.0), (9.5, 4.5, math.pi / 2)])
+    (counts, _, _), _ = count_into(backend, pages, scan)
+    assert [tuple(place) for place in np.argwhere(counts)] == [
+        *((1, 4, col) for col in (4, 5, 6)),
+        *((2, row, 9) for row in (4, 5, 6)),
+    ]
+
+
+def test_pages_without_a_tile_are_left_out(backend: Backend):
+    pages = np.array([[[1, 0, 2]]], dtype=np.int32)
+    scan = scan_of((80.0, 0.0), (50.0, 0.0), poses=[(4.5, 4.5, 0.0)])
+    (counts, sum_x, _), _ = count_into(backend, pages, scan)
+    visits = joined(counts, pages[0])[4] & 0xFFFF
+    assert visits.tolist() == [0] * 4 + [2] * 28 + [0] * 32 + [1] * 21 + [0] * 11
+    assert not counts[0].any()
+    assert np.count_nonzero(sum_x) == 1
+
+
+def test_a_cell_with_too_many_visits_is_told(backend: Backend):
+    pages = own_pages(1, 1, 1)
+    table = backend.upload(pages)
+    scan = scan_of((3.0, 0.0), (0.0, 3.0), poses=[(4.5, 4.5, 0.0)])
+    for before, is_full in ((FULL_VISITS - 3, False), (FULL_VISITS - 2, True)):
+        counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
+        counts[1, 4, 4] = 7 << 16 | before  # both beams pass here
+        counts[1, 20, 20] = FULL_VISITS - 1  # and none here
+        pools = [backend.upload(pool) for pool in (counts, 0 * counts, 0 * counts)]
+        assert backend.count_beams(pools[0], pools[1], pools[2], table, scan) is is_full
+        assert backend.download(pools[0])[1, 4, 4] == 7 << 16 | before + 2
+
+
+def test_touched_pages_by_hand(backend: Backend):
+    # Along row 52 from column 40 to column 60: in the middle one of nine pages.
+    pages = np.zeros((2, 3, 3), dtype=np.int32)
+    scan = scan_of((20.0, 0.0), poses=[(40.5, 52.5, 0.0), (90.5, 94.5, math.pi)])
+    table = backend.upload(pages)
+    found = {reach: backend.touch_pages(table, scan, reach) for reach in (0, 3, 8, 9, 12)}
+    assert np.argwhere(found[0]).tolist() == [[0, 1, 1], [1, 2, 2]]
+    np.testing.assert_array_equal(found[3], found[0])
+    assert np.argwhere(found[8][0]).tolist() == [[1, 1], [1, 2]]
+    assert np.argwhere(found[9][0]).tolist() == [[1, 0], [1, 1], [1, 2]]
+    np.testing.assert_array_equal(found[12][0], [[0, 0, 0], [1, 1, 1], [1, 1, 1]])
+    # Beyond the window there is nothing to touch.
+    np.testing.assert_array_equal(found[3][1], found[0][1])
+
+
+@given(seed=SEEDS, reach=st.integers(0, 16))
+@settings(max_examples=25, deadline=None)
+def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
+    pocl: Backend, seed: int, reach: int
+):
+    rng = np.random.default_rng(seed)
+    pages = own_pages(2, 6, 6)
+    scan = random_scan(rng, 6 * TILE, 3, 2)
+    (counts, _, _), _ = count_into(NumpyBackend(), pages, scan)
+    wanted = np.zeros(pages.shape, dtype=np.uint8)
+    for own, out in zip(pages, wanted, strict=True):
+        for row, col in np.argwhere(joined(counts, own)):
+            rows = slice(max(0, row - reach) // TILE, (row + reach) // TILE + 1)
+            out[rows, max(0, col - reach) // TILE : (col + reach) // TILE + 1] = 1
+    np.testing.assert_array_equal(pocl.touch_pages(pocl.upload(pages), scan, reach), wanted)
+
+
+def test_copied_tiles_equal_their_sources_and_all_others_stay(backend: Backend):
+    rng = np.random.default_rng(4)
+    before = [rng.integers(1, 200, (7, TILE, TILE)).astype(kind) for kind in KINDS]
+    for pool in before:
+        pool[0] = 0
+    pools = tuple(backend.upload(pool) for pool in before)
+    backend.copy_tiles(pools, np.array([[2, 5], [0, 3], [2, 6]], dtype=np.int32))
+    for pool, was in zip(pools, before, strict=True):
+        now = backend.download(pool)
+        assert now.dtype == was.dtype
+        np.testing.assert_array_equal(now[[0, 1, 2, 4]], was[[0, 1, 2, 4]])
+        np.testing.assert_array_equal(now[[5, 6]], was[[2, 2]])
+        assert not now[3].any()
+
+
+def settled(backend: Backend, rule: FieldRule, *scans: BeamScan) -> npt.NDArray[Any]:
+    """Count and settle scans in one map of two pages; its field."""
+    maps = CopiedTiles(backend, np.zeros((1, 1, 2), dtype=np.int32), 40)
+    for scan in scans:
+        maps.write(scan, rule)
+    return joined(backend.download(maps.pools[3]), maps.pages[0])
+
+
+def test_field_of_one_hit_by_hand(backend: Backend):
+    # The mean of the hits lies a quarter of a cell left of the middle of cell (row 9, col 32).
+    rule = FieldRule(FALLING, shift=12, reach=1, occupied=16384, least_hits=2)
+    scans = [
+        scan_of((end, 0.5), laser=(-10.0, 0.5), poses=[(20.0, 9.0, 0.0)]) for end in (12.0, 12.5)
+    ]
+    wanted = np.zeros((TILE, 2 * TILE), dtype=np.int64)
+    for row in (8, 9, 10):
+        for col in (31, 32, 33):
+            along, across = 256 * (9 - row), 256 * (32 - col) - 64
+            wanted[row, col] = 255 - (along * along + across * across) // 4096
+    assert wanted.max() == 254
+    np.testing.assert_array_equal(settled(backend, rule, *scans), wanted)
+    # One hit is too few.
+    assert not settled(backend, rule, scans[0]).any()
+
+
+def test_field_ends_where_a_page_has_no_tile(backend: Backend):
+    rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
+    pools, pages = pools_of(backend, 2), np.array([[[1, 0], [0, 0]]], dtype=np.int32)
+    table, scan = backend.upload(pages), scan_of((11.0, 11.0), poses=[(20.5, 20.5, 0.0)])
+    counts, sum_x, sum_y, field = pools
+    backend.count_beams(counts, sum_x, sum_y, table, scan)
+    backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+    tiles = backend.download(field)
+    assert np.count_nonzero(tiles[1, 29:, 29:]) == np.count_nonzero(tiles) == 9
+
+
+def test_field_of_a_cell_that_was_seen_through_is_gone(backend: Backend):
+    rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
+    pose = [(20.5, 9.5, 0.0)]
+    hit, past = scan_of((12.0, 0.0), poses=pose), scan_of((16.0, 0.0), poses=pose, is_hit=False)
+    assert np.count_nonzero(settled(backend, rule, hit, past, past)) == 25  # 1 hit in 3 visits
+    assert not settled(
+        backend, rule, hit, past, past, past
+    ).any()  # 1 in 4 is no more than a quarter
+
+
+@given(
+    seed=SEEDS,
+    reach=st.integers(0, MOST_REACH),
+    occupied=st.sampled_from((0, 16384, 40000)),
+    least_hits=st.integers(1, 2),
+)
+@settings(max_examples=20, deadline=None)
+def test_field_is_that_of_the_counts_everywhere(
+    pocl: Backend, seed: int, reach: int, occupied: int, least_hits: int
+):
+    rng = np.random.default_rng(seed)
+    rule = FieldRule(FALLING, 12, reach, occupied, least_hits)
+    maps, side = 3, 6
+    tiles = CopiedTiles(pocl, np.zeros((maps, side, side), dtype=np.int32), 1200)
+    twin = CopiedTiles(NumpyBackend(), np.zeros((maps, side, side), dtype=np.int32), 1200)
+    for _ in range(6):
+        scan = random_scan(rng, side * TILE, 60, maps)
+        tiles.write(scan, rule)
+        twin.write(scan, rule)
+        # Some particles die, others live on twice.
+        parents = rng.integers(0, maps, maps)
+        tiles.pages, twin.pages = tiles.pages[parents], twin.pages[parents]
+    pools = [pocl.download(pool) for pool in tiles.pools]
+    for own, other in zip(pools, twin.pools, strict=True):
+        np.testing.assert_array_equal(own, other)
+    assert pools[3].any()
+    for pages in tiles.pages:
+        counts, sum_x, sum_y, field = (joined(pool, pages) for pool in pools)
+        np.testing.assert_array_equal(field, full_field(counts, sum_x, sum_y, rule))
+
+
+def test_tiles_of_other_maps_are_untouched(backend: Backend):
+    rng = np.random.default_rng(8)
+    before = [rng.integers(0, 200, (4 * 25 + 1, TILE, TILE)).astype(kind) for kind in KINDS]
+    before[0] |= np.uint32(100 << 16)
+    for pool in before:
+        pool[0] = 0
+    pools = [backend.upload(pool) for pool in before]
+    pages = own_pages(4, 5, 5)[[1, 3]]
+    table = backend.upload(pages)
+    scan = random_scan(rng, 5 * TILE, 8, 2)
+    rule = FieldRule(FALLING, 12, 1, 16384, 1)
+    touched = backend.touch_pages(table, scan, rule.reach)
+    counts, sum_x, sum_y, field = pools
+    backend.count_beams(counts, sum_x, sum_y, table, scan)
+    backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+    for pool, was in zip(pools, before, strict=True):
+        changed = (backend.download(pool) != was).any(axis=(1, 2))
+        assert changed.any()
+        assert not np.setdiff1d(np.flatnonzero(changed), pages[touched != 0]).size
+
+
+def test_large_scan_equals_the_twin(backend: Backend, is_simulated: bool):
+    rng = np.random.default_rng(6)
+    maps, side, beams = (2, 5, 12) if is_simulated else (7, 14, 700)
+    rule = FieldRule(FALLING, 12, 3, 16384, 1)
+    pages = np.zeros((maps, side, side), dtype=np.int32)
+    ours = CopiedTiles(backend, pages.copy(), 3 * pages.size)
+    twin = CopiedTiles(NumpyBackend(), pages.copy(), 3 * pages.size)
+    for _ in range(2):
+        scan = random_scan(rng, side * TILE, beams, maps)
+        for tiles in (ours, twin):
+            tiles.write(scan, rule)
+    for own, other in zip(ours.pools, twin.pools, strict=True):
+        assert backend.download(own).tobytes() == other.tobytes()
+
+
+def test_rules_that_no_kernel_can_follow_are_refused(backend: Backend):
+    pools, table = pools_of(backend, 2), backend.upload(own_pages(1, 1, 1))
+    scan = scan_of((3.0, 0.0), poses=[(4.5, 4.5, 0.0)])
+    rule = FieldRule(FALLING, 12, 1, 16384, 1)
+    for wrong, words in (
+        (rule._replace(reach=MOST_REACH + 1), "reaches 0 to 3 cells, asked for 4"),
+        (rule._replace(table=FALLING[::-1]), "256 entries that never rise"),
+        (rule._replace(table=FALLING[:9]), "256 entries that never rise"),
+    ):
+        with pytest.raises(DeviceError, match=words):
+            backend.settle_field(pools[0], pools[1], pools[2], pools[3], table, scan, wrong)
