@@ -410,12 +410,22 @@ GMAPPING_PROFILES: dict[str, dict[str, Any]] = {
         "occ_thresh": 0.25,
         "map_update_interval": 5.0,
         "match_every_scan": False,
+        "climb_loss": 0.0,
     },
     "own": {},
 }
 GMAPPING_PROFILES["own"] = {
     **GMAPPING_PROFILES["published"],
+    "kernelSize": 2,
+    "sigma": 0.01,
+    "srr": 0.05,
+    "srt": 0.05,
+    "str": 0.05,
+    "stt": 0.05,
+    "linearUpdate": 0.5,
+    "angularUpdate": 0.25,
     "match_every_scan": True,
+    "climb_loss": 0.005,
 }
 
 
@@ -497,8 +507,8 @@ class GmappingConfig(_Checked):
     )
     maxUrange: float | None = option(
         None,
-        "farther hits are not used, their beams are free up to here; default: 80 m, at most 98 % of "
-        "the laser's longest range",
+        "farther hits are not used, their beams are free up to here; default: 80 m, at most 98 % "
+        "of the laser's longest range",
         unit="m",
         low=0.1,
         high=1000.0,
@@ -512,6 +522,12 @@ class GmappingConfig(_Checked):
     )
     match_every_scan: bool | None = option(
         None, "follow the robot by every scan, not only by those that are weighed and mapped"
+    )
+    climb_loss: float | None = option(
+        None,
+        "score lost by a climb that ends one spread of the motion model beside what it expects",
+        low=0.0,
+        high=1.0,
     )
     motion_model: _Word = option(
         "differential", "how the robot moves", choices=("differential", "bicycle")

@@ -116,7 +116,7 @@ class SlamBackend(Protocol):
         """Return the pose at every scan fed so far, by today's knowledge."""
 
     def other_paths(self) -> tuple[Trajectory, ...]:
-        """Return what else it believes the path to be, each at the stamps of its own; best first."""
+        """Return what else it believes the path to be, best first; may be empty."""
 
     def series(self) -> tuple[Series, ...]:
         """Return how its own quantities went over time, to be plotted; may be empty."""

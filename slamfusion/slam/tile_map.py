@@ -15,7 +15,7 @@ from slamfusion.compute.backend import Backend, Handle
 from slamfusion.compute.slam_reference import TILE
 from slamfusion.errors import MemoryBudgetError
 
-__all__ = ["TileMap"]
+__all__ = ["TileMap", "grown_window", "joined_tiles"]
 
 FIRST_TILES = 64
 # Growing by this keeps the number of copies logarithmic without holding much for nothing.
@@ -25,6 +25,69 @@ MARGIN = 2
 MOST_PAGES = 1 << 24
 # Beams count in 1/1024 cell in 32 bits: pages on a side that they can cross.
 MOST_SIDE = 1 << 15
+
+
+def grown_window(
+    corner: npt.NDArray[np.int64],
+    shape: tuple[int, ...],
+    low: npt.NDArray[np.float64],
+    high: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.int64], tuple[int, int]] | None:
+    """Return the window of pages that holds a box of cells with a margin of empty pages.
+
+    Args:
+        corner: (2,) column and row of the present window's lower-left page.
+        shape: its height and width in pages.
+        low: (2,) x and y of the box, cells from the anchor.
+        high: (2,) its other corner.
+
+    Returns:
+        The corner and shape of a window that holds the present one too; None where that one does.
+
+    Raises:
+        MemoryBudgetError: the page table alone would be absurdly large.
+    """
+    size = np.array(shape[::-1], dtype=np.int64)
+    first = np.floor(low / TILE).astype(np.int64) - MARGIN
+    last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
+    if (first >= corner).all() and (last <= corner + size).all():
+        return None
+    start = np.minimum(first, corner)
+    end = np.maximum(last, corner + size)
+    grown = (end - start) // 4
+    start = np.where(start < corner, start - grown, start)
+    end = np.where(end > corner + size, end + grown, end)
+    width, height = (int(value) for value in end - start)
+    if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
+        message = (
+            f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
+            f"or the log's units are wrong; use a coarser cell"
+        )
+        raise MemoryBudgetError(message)
+    return start, (height, width)
+
+
+def joined_tiles(
+    pool: npt.NDArray[np.generic], pages: npt.NDArray[np.int32], corner: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
+    """Return the tiles of a window as one array, cut to the pages in use.
+
+    Args:
+        pool: (T, TILE, TILE).
+        pages: (PH, PW) int32.
+        corner: (2,) column and row of the window's lower-left page, counted from the anchor.
+
+    Returns:
+        (H, W) values, and (2,) column and row of the first cell from the anchor.
+    """
+    rows, cols = np.nonzero(pages)
+    if len(rows) == 0:
+        rows = cols = np.zeros(1, dtype=np.int64)
+    row0, col0 = int(rows.min()), int(cols.min())
+    height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
+    blocks = pool[pages[row0 : row0 + height, col0 : col0 + width]]
+    values = blocks.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
+    return values, (corner + np.array([col0, row0])) * TILE
 
 
 class TileMap:
@@ -79,23 +142,10 @@ class TileMap:
         Raises:
             MemoryBudgetError: the page table alone would be absurdly large.
         """
-        size = np.array(self.pages.shape[::-1], dtype=np.int64)
-        first = np.floor(low / TILE).astype(np.int64) - MARGIN
-        last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
-        if (first >= self.corner).all() and (last <= self.corner + size).all():
+        window = grown_window(self.corner, self.pages.shape, low, high)
+        if window is None:
             return
-        start = np.minimum(first, self.corner)
-        end = np.maximum(last, self.corner + size)
-        grown = (end - start) // 4
-        start = np.where(start < self.corner, start - grown, start)
-        end = np.where(end > self.corner + size, end + grown, end)
-        width, height = (int(value) for value in end - start)
-        if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
-            message = (
-                f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
-                f"or the log's units are wrong; use a coarser cell"
-            )
-            raise MemoryBudgetError(message)
+        start, (height, width) = window
         pages = np.zeros((height, width), dtype=np.int32)
         col, row = (int(value) for value in self.corner - start)
         pages[row : row + self.pages.shape[0], col : col + self.pages.shape[1]] = self.pages
@@ -120,13 +170,7 @@ class TileMap:
         Returns:
             (H, W) values, and (2,) column and row of its first cell from the anchor.
         """
-        rows, cols = np.nonzero(self.pages)
-        pool = self._backend.download(self.pools[name])
-        row0, col0 = int(rows.min(initial=0)), int(cols.min(initial=0))
-        height, width = int(rows.max(initial=0)) + 1 - row0, int(cols.max(initial=0)) + 1 - col0
-        blocks = pool[self.pages[row0 : row0 + height, col0 : col0 + width]]
-        values = blocks.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
-        return values, (self.corner + np.array([col0, row0])) * TILE
+        return joined_tiles(self._backend.download(self.pools[name]), self.pages, self.corner)
 
     def _send_pages(self) -> None:
         self.page_table = self._backend.upload(self.pages)
