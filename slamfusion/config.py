@@ -20,6 +20,7 @@ import yaml
 from slamfusion.errors import ConfigError
 
 __all__ = [
+    "GMAPPING_PROFILES",
     "ActionConfig",
     "AlignConfig",
     "CellModelsConfig",
@@ -29,7 +30,6 @@ __all__ = [
     "ExperimentConfig",
     "FieldInfo",
     "FusionConfig",
-    "GMAPPING_PROFILES",
     "GmappingConfig",
     "LidarConfig",
     "LogConfig",
@@ -418,6 +418,7 @@ GMAPPING_PROFILES["own"] = {
     **GMAPPING_PROFILES["published"],
     "kernelSize": 2,
     "sigma": 0.01,
+    "lsigma": 0.02,
     "srr": 0.05,
     "srt": 0.05,
     "str": 0.05,

@@ -100,7 +100,10 @@ def _run(arguments: list[str], settings: Settings) -> int:
     except click.exceptions.Exit as request:  # --help, --version
         code = request.exit_code
     except click.UsageError as error:
-        error.show()
+        if type(error) is click.BadParameter:  # the value is wrong, not the way to ask
+            _say(f"error: {error.format_message()}")
+        else:
+            error.show()
         code = EXIT_USAGE
     except (KeyboardInterrupt, click.Abort):
         _say("interrupted")

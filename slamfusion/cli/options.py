@@ -14,7 +14,14 @@ from typing import Any, TypeVar
 import click
 
 from slamfusion.cli.output import Settings
-from slamfusion.config import FieldInfo, RunConfig, field_infos, load_config
+from slamfusion.config import (
+    GMAPPING_PROFILES,
+    FieldInfo,
+    GmappingConfig,
+    RunConfig,
+    field_infos,
+    load_config,
+)
 from slamfusion.errors import ConfigError
 
 __all__ = [
@@ -23,6 +30,8 @@ __all__ = [
     "config_fields",
     "map_resolution_option",
     "option_name",
+    "shown_default",
+    "shown_value",
     "with_config",
 ]
 
@@ -30,8 +39,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
-# A field whose own name already means something else on the command line.
-OPTION_NAMES = {"fusion.normalize.resolution": "--fused-resolution"}
+# A field whose own name already means something else on the command line, or that was published
+# with underscores.
+OPTION_NAMES = {
+    "fusion.normalize.resolution": "--fused-resolution",
+    "gmapping.odometry": "--use-odometry",
+    "gmapping.occ_thresh": "--occ_thresh",
+    "gmapping.map_update_interval": "--map_update_interval",
+}
+OWN_PROFILE = GMAPPING_PROFILES[GmappingConfig().profile]
+PUBLISHED_PROFILE = GMAPPING_PROFILES["published"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +67,18 @@ class ConfigOption:
     def parameter(self) -> str:
         """Name of the value in the command's arguments."""
         return "config_" + self.key.replace(".", "_")
+
+    @property
+    def published(self) -> Any:
+        """Value of the published profile; None for a field that is in no profile."""
+        return PUBLISHED_PROFILE.get(self.info.name) if self.section == "gmapping" else None
+
+    @property
+    def default(self) -> Any:
+        """Value without any option or file, the profile's where it is left open; may be None."""
+        if self.info.default is None and self.section == "gmapping":
+            return OWN_PROFILE.get(self.info.name)
+        return self.info.default
 
 
 def option_name(option: ConfigOption) -> str:
@@ -86,7 +115,7 @@ def with_config(*sections: str) -> Callable[[F], F]:
         def wrapper(*args: Any, config_file: Path | None, **values: Any) -> Any:
             explicit = {option.key: values.pop(option.parameter) for option in chosen}
             config = RunConfig() if config_file is None else load_config(config_file)
-            return function(*args, config=_override(config, explicit), **values)
+            return function(*args, config=_override(config, chosen, explicit), **values)
 
         command: Any = wrapper
         for option in reversed(chosen):
@@ -149,8 +178,7 @@ def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     kind: Any = info.type
     if isinstance(kind, types.UnionType):
         kind = next(item for item in typing.get_args(kind) if item is not type(None))
-    default = "" if info.default is None else f" [default: {_shown(info)}]"
-    help_text = info.help[0].upper() + info.help[1:] + "." + default
+    help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
     if kind is bool:
         flags = f"{name}/--no-{name.removeprefix('--')}"
         return click.option(flags, option.parameter, default=None, help=help_text)
@@ -162,20 +190,51 @@ def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     )
 
 
-def _shown(info: FieldInfo) -> str:
-    if isinstance(info.default, bool):
-        return "yes" if info.default else "no"
-    value = f"{info.default:.4g}" if isinstance(info.default, float) else str(info.default)
-    return f"{value} {info.unit}".rstrip()
+def _default_help(option: ConfigOption) -> str:
+    """Return the default in brackets; of a profile's field also the published value."""
+    if option.default is None:
+        return ""
+    published = "" if option.published is None else f"; published {shown_value(option.published)}"
+    return f" [default: {shown_default(option)}{published}]"
 
 
-def _override(config: RunConfig, explicit: dict[str, Any]) -> RunConfig:
+def shown_default(option: ConfigOption) -> str:
+    """Return the default with its unit, as help and README show it; empty where there is none."""
+    if option.default is None:
+        return ""
+    unit = "" if isinstance(option.default, bool) else option.info.unit
+    return f"{shown_value(option.default)} {unit}".rstrip()
+
+
+def shown_value(value: Any) -> str:
+    """Return a setting's value as help and README show it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _override(config: RunConfig, chosen: list[ConfigOption], values: dict[str, Any]) -> RunConfig:
     """Return the configuration with the explicit options put in."""
-    changed = {key: value for key, value in explicit.items() if value is not None}
+    changed = {key: value for key, value in values.items() if value is not None}
     try:
         return typing.cast("RunConfig", _replace(config, changed))
     except ConfigError as error:
-        raise click.UsageError(str(error)) from None
+        raise _refusal(
+            config, [option for option in chosen if option.key in changed], error
+        ) from None
+
+
+def _refusal(config: RunConfig, given: list[ConfigOption], error: ConfigError) -> click.UsageError:
+    """Return what the configuration refuses in the words of the command line: by the option."""
+    for option in given:
+        section: Any = config
+        for name in option.section.split(".") if option.section else ():
+            section = getattr(section, name)
+        field = f"{type(section).__name__}.{option.info.name} "
+        if str(error).startswith(field):
+            hint = f"'{option_name(option)}'"
+            return click.BadParameter(str(error).removeprefix(field), param_hint=hint)
+    return click.BadParameter(str(error))
 
 
 def _replace(config: Any, changed: dict[str, Any]) -> Any:

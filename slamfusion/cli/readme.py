@@ -1,4 +1,4 @@
-"""The README's parameter table, from the configuration: ``python -m slamfusion.cli.readme``."""
+"""The README's parameter tables, from the configuration: ``python -m slamfusion.cli.readme``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import types
 import typing
 from pathlib import Path
 
-from slamfusion.cli.options import ConfigOption, config_fields, option_name
+from slamfusion.cli.options import (
+    ConfigOption,
+    config_fields,
+    option_name,
+    shown_default,
+    shown_value,
+)
 from slamfusion.config import FieldInfo
 
-__all__ = ["parameter_table", "with_table"]
-
-BEGIN = "<!-- parameters: written by `python -m slamfusion.cli.readme` -->"
-END = "<!-- end of parameters -->"
+__all__ = ["gmapping_table", "parameter_table", "with_tables"]
 
 
 def parameter_table() -> str:
@@ -26,27 +29,41 @@ def parameter_table() -> str:
     return "\n".join(lines)
 
 
-def with_table(readme: str) -> str:
-    """Return the README with the table between its marks brought up to date."""
-    before, rest = readme.split(BEGIN, 1)
-    after = rest.split(END, 1)[1]
-    return f"{before}{BEGIN}\n\n{parameter_table()}\n\n{END}{after}"
+def gmapping_table() -> str:
+    """Return a Markdown table of gmapping's parameters: as published, and as we have them."""
+    lines = ["| name | unit | published | ours | what |", "| --- | --- | --- | --- | --- |"]
+    for option in config_fields():
+        if option.section == "gmapping":
+            info = option.info
+            published = "-" if option.published is None else shown_value(option.published)
+            own = "-" if option.default is None else shown_value(option.default)
+            lines.append(_line(f"`{info.name}`", info.unit or "-", published, own, info.help))
+    return "\n".join(lines)
+
+
+# What stands between the marks of each table.
+TABLES = {"parameters": parameter_table, "gmapping parameters": gmapping_table}
+
+
+def with_tables(readme: str) -> str:
+    """Return the README with the tables between their marks brought up to date."""
+    for name, table in TABLES.items():
+        begin = f"<!-- {name}: written by `python -m slamfusion.cli.readme` -->"
+        end = f"<!-- end of {name} -->"
+        before, rest = readme.split(begin, 1)
+        after = rest.split(end, 1)[1]
+        readme = f"{before}{begin}\n\n{table()}\n\n{end}{after}"
+    return readme
 
 
 def _row(option: ConfigOption) -> str:
     info = option.info
     name = f"`{option_name(option)}`" if info.level == "public" else "(expert)"
-    cells = (name, f"`{option.key}`", _default(info), _range(info), info.help)
+    return _line(name, f"`{option.key}`", shown_default(option), _range(info), info.help)
+
+
+def _line(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-
-def _default(info: FieldInfo) -> str:
-    if info.default is None:
-        return ""
-    if isinstance(info.default, bool):
-        return "yes" if info.default else "no"
-    value = f"{info.default:.4g}" if isinstance(info.default, float) else str(info.default)
-    return f"{value} {info.unit}".rstrip()
 
 
 def _range(info: FieldInfo) -> str:
@@ -65,9 +82,9 @@ def _range(info: FieldInfo) -> str:
 
 
 def main(path: Path) -> None:
-    """Rewrite the table in a README."""
+    """Rewrite the tables in a README."""
     text = path.read_text(encoding="utf-8")
-    path.write_text(with_table(text), encoding="utf-8")
+    path.write_text(with_tables(text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -29,13 +29,17 @@ from slamfusion.errors import MapFileError, SlamFusionError
 
 if TYPE_CHECKING:
     from slamfusion.compute import Backend
+    from slamfusion.io import AtomicFiles
+    from slamfusion.slam.base import SlamBackend
     from slamfusion.slam.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
-__all__ = ["NAMES", "command"]
+__all__ = ["NAMES", "RESUMABLE", "command"]
 
 # Every producer of ``slamfusion.slam.runner``, whose import would slow down every other command.
-NAMES = ("tinyslam",)
+NAMES = ("tinyslam", "gmapping")
+# Of these, the ones that can save their state and go on from it.
+RESUMABLE = ("gmapping",)
 
 PROGRESS_STEPS = 1000
 SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
@@ -57,27 +61,64 @@ class _Request:
     truth: Path | None
     truth_map: Path | None
     report: Path | None
+    resume: Path | None = None
+    state: Path | None = None
+    stop_after: int | None = None
 
     def check(self) -> None:
         """Refuse what cannot end well before any work."""
         if self.odometry is not None and self.relations is None:
             message = "--odometry carries poses to the times of relations; give --relations FILE"
             raise click.UsageError(message)
-        given = (self.log, self.relations, self.odometry, self.truth, self.truth_map)
-        inputs = {path.absolute() for path in given if path is not None}
+        given = (
+            self.log,
+            self.relations,
+            self.odometry,
+            self.truth,
+            self.truth_map,
+            self.resume,
+        )
+        inputs = {path.resolve() for path in given if path is not None}
         for path in self.outputs():
-            if path.absolute() in inputs:
-                message = f"-o {self.stem} would replace the input {path}; choose another name"
+            if path.resolve() in inputs:
+                what = "--save-state" if path == self.state else f"-o {self.stem}"
+                message = f"{what} would replace the input {path}; choose another name"
                 raise click.UsageError(message)
+        self._check_state()
         check_writable(self.stem.parent)
         if self.report is not None:
             import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
             check_writable(self.report)
 
+    def _check_state(self) -> None:
+        """Refuse a state that cannot be read, or that cannot be written."""
+        if self.resume is not None:
+            self.resume.stat()
+            if not self.resume.is_file():
+                message = f"--resume {self.resume}: not a file; give one that --save-state wrote"
+                raise click.UsageError(message)
+            self.resume.open("rb").close()
+        if self.state is None:
+            return
+        others = [self.stem.with_name(self.stem.name + suffix) for suffix in SUFFIXES]
+        if self.report is not None:
+            others.append(self.report / "report.html")
+        if self.state.resolve() in {path.resolve() for path in others}:
+            message = (
+                f"--save-state {self.state} is also a file that the run writes; choose another"
+            )
+            raise click.UsageError(message)
+        if self.state.exists() and not self.state.is_file():
+            what = "a folder" if self.state.is_dir() else "a device or pipe"
+            message = f"--save-state {self.state} is {what}; name a file"
+            raise click.UsageError(message)
+        check_writable(self.state.parent)
+
     def outputs(self) -> list[Path]:
-        """Return the files that are written."""
-        return [self.stem.with_name(self.stem.name + suffix) for suffix in SUFFIXES]
+        """Return the files that are written: map, path, record, and the state if it is wanted."""
+        files = [self.stem.with_name(self.stem.name + suffix) for suffix in SUFFIXES]
+        return files if self.state is None else [*files, self.state]
 
 
 def _stem(out: Path) -> Path:
@@ -91,6 +132,40 @@ def _stem(out: Path) -> Path:
 def _file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[Any], Any]:
     kind = click.Path(path_type=Path)
     return click.option(name, parameter, type=kind, metavar=metavar, help=text)
+
+
+def _state_options(name: str) -> Callable[[Any], Any]:
+    """Give the command of a producer that can go on from a file what that takes."""
+
+    def decorate(function: Any) -> Any:
+        if name not in RESUMABLE:
+            return function
+        for option in (
+            click.option(
+                "--stop-after",
+                "stop_after",
+                type=click.IntRange(min=1),
+                metavar="N",
+                help="Stop after N scans fed in this run.",
+            ),
+            _file_option(
+                "--resume",
+                "resume",
+                "FILE",
+                "Go on from a saved state, with the settings that it was made with; scans of LOG "
+                "up to its last one are passed over.",
+            ),
+            _file_option(
+                "--save-state",
+                "state",
+                "FILE",
+                "Write at the end everything that a later run needs to go on with --resume.",
+            ),
+        ):
+            function = option(function)
+        return function
+
+    return decorate
 
 
 def _make_command(name: str) -> click.Command:
@@ -127,20 +202,11 @@ def _make_command(name: str) -> click.Command:
         "DIR",
         "Write a self-contained HTML report with its pictures here.",
     )
+    @_state_options(name)
     @with_config(name, "log", "trajectory", "device", "")
     @common_options
-    def run(
-        log: Path,
-        out: Path,
-        relations: Path | None,
-        odometry: Path | None,
-        truth: Path | None,
-        truth_map: Path | None,
-        report: Path | None,
-        config: RunConfig,
-        as_json: bool,
-    ) -> int:
-        request = _Request(log, _stem(out), relations, odometry, truth, truth_map, report)
+    def run(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any) -> int:
+        request = _Request(log, _stem(out), **asked)
         request.check()
         return _run(name, request, config, as_json=as_json)
 
@@ -161,17 +227,18 @@ class _Result:
 
     run: ProducerRun
     measures: Measures
-    relations: Path | None
     evaluation: Evaluation | None
     device: str
 
-    def record(self, outputs: list[Path]) -> dict[str, Any]:
+    def record(self, request: _Request) -> dict[str, Any]:
         """Return the run's record with its errors and files."""
         return {
             **self.run.to_json(),
             **self.measures.to_json(),
             "map_error": None if self.evaluation is None else self.evaluation.to_json(),
-            "files": outputs,
+            "resumed_from": request.resume,
+            "state_file": request.state,
+            "files": request.outputs(),
         }
 
 
@@ -186,7 +253,8 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     truth = None if request.truth is None else read_trajectory(request.truth, config.log)
     truth_map = None if request.truth_map is None else load_maps([request.truth_map], None)[0]
     backend = open_backend(config.device.device)
-    found = _produce(name, request.log, config, backend)
+    producer = _producer(name, request.resume, config, backend)
+    found = _produce(producer, request, config)
     failed: SlamFusionError | None = None
     evaluation: Evaluation | None = None
     measures = measure_trajectory(found.trajectory, config.trajectory)
@@ -203,9 +271,9 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
             evaluation = evaluate_maps([found.grid], truth_map, config, backend)[0]
     except SlamFusionError as error:  # the map is made; it is kept, then the failure is told
         failed = error
-    result = _Result(found, measures, request.relations, evaluation, backend.name)
+    result = _Result(found, measures, evaluation, backend.name)
     document = {
-        "producers": [result.record(request.outputs())],
+        "producers": [result.record(request)],
         "log": request.log,
         "relations": request.relations,
         "odometry_file": request.odometry,
@@ -216,13 +284,13 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
         "config": to_mapping(config),
         "versions": versions(),
     }
-    _save(found, document, request)
+    _save(found, producer, document, request)
     if failed is not None:
         message = f"{failed} (the map and the path were written all the same)"
         raise SlamFusionError(message) from failed
     if request.report is not None:
-        _report(result, request.report, config, truth)
-    for sentence in found.doubts():
+        _report(result, request, request.report, config, truth)
+    for sentence in (*_asked(found, request), *found.doubts()):
         notice(f"{name}: {sentence}")
     if as_json:
         print_json(document)
@@ -231,27 +299,52 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     return 0
 
 
-def _produce(name: str, path: Path, config: RunConfig, backend: Backend) -> ProducerRun:
+def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> SlamBackend:
+    """Return the producer, fresh or in a saved state."""
+    from slamfusion.slam.runner import make_producer, resume_producer  # noqa: PLC0415
+
+    if state is None:
+        return make_producer(name, config, backend)
+    return resume_producer(name, state, config, backend)
+
+
+def _produce(producer: SlamBackend, request: _Request, config: RunConfig) -> ProducerRun:
     """Run the producer over the log, with a bar that follows the file."""
     from slamfusion.io import open_log  # noqa: PLC0415
-    from slamfusion.slam.runner import make_producer, run_producer  # noqa: PLC0415
+    from slamfusion.slam.runner import run_producer  # noqa: PLC0415
 
-    log = open_log(path, config.log)
-    producer = make_producer(name, config, backend)
+    log = open_log(request.log, config.log)
     with progress_bar() as bar:
 
         def tell(_: int) -> None:
             if bar is not None:
-                bar(name, round(PROGRESS_STEPS * log.fraction_read), PROGRESS_STEPS)
+                bar(producer.name, round(PROGRESS_STEPS * log.fraction_read), PROGRESS_STEPS)
 
-        return run_producer(producer, log, log=log, progress=tell)
+        return run_producer(producer, log, log=log, progress=tell, limit=request.stop_after)
 
 
-def _save(run: ProducerRun, document: dict[str, Any], request: _Request) -> None:
-    """Write map, path and record; all of them or none."""
+def _asked(run: ProducerRun, request: _Request) -> list[str]:
+    """Say what was passed over, and that more was to come, because it was asked for so."""
+    sentences = []
+    if run.known_scans:
+        sentences.append(
+            f"passed over {run.known_scans} scans of {request.log} that {request.resume} knows"
+        )
+    if run.stopped_by == "limit":
+        sentences.append(
+            f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {request.log} is "
+            "not in the map"
+        )
+    return sentences
+
+
+def _save(
+    run: ProducerRun, producer: SlamBackend, document: dict[str, Any], request: _Request
+) -> None:
+    """Write map, path, record and state; all of them or none."""
     from slamfusion.io import AtomicFiles, save_map, write_tum  # noqa: PLC0415
 
-    map_yaml, map_pgm, tum, record = request.outputs()
+    map_yaml, map_pgm, tum, record = request.outputs()[: len(SUFFIXES)]
     text = json.dumps(plain(document), indent=2, allow_nan=False) + "\n"
     folder = request.stem.parent
     with TemporaryDirectory(prefix="slamfusion-") as name, AtomicFiles() as files:
@@ -263,9 +356,33 @@ def _save(run: ProducerRun, document: dict[str, Any], request: _Request) -> None
             files.add(target, draft.read_bytes())
         write_tum(tum, run.trajectory, files=files)
         files.add(record, text.encode())
+        if request.state is not None:
+            _add_state(files, request.state, producer)
 
 
-def _report(result: _Result, directory: Path, config: RunConfig, truth: Trajectory | None) -> None:
+def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
+    """Stage the state of a producer with the other files."""
+    from slamfusion.slam.runner import Resumable  # noqa: PLC0415
+
+    if not isinstance(producer, Resumable):
+        message = f"{producer.name} cannot save its state"
+        raise SlamFusionError(message)
+    with TemporaryDirectory(prefix="slamfusion-") as name:
+        draft = Path(name) / target.name
+        try:
+            producer.save_state(draft)
+        except MapFileError as error:
+            raise MapFileError(str(error).replace(name, str(target.parent))) from None
+        files.add(target, draft.read_bytes())
+
+
+def _report(
+    result: _Result,
+    request: _Request,
+    directory: Path,
+    config: RunConfig,
+    truth: Trajectory | None,
+) -> None:
     """Write the report: map, path, errors, health."""
     from slamfusion.report import Fact, Table, write_slam_report  # noqa: PLC0415
     from slamfusion.report.page import Cell  # noqa: PLC0415
@@ -284,6 +401,12 @@ def _report(result: _Result, directory: Path, config: RunConfig, truth: Trajecto
     tables = [Table("The run", ("what", "value"), rows)]
     if remarks:
         tables.append(Table("Said of the log and its scans", ("where", "what"), remarks))
+    # A resumed run's log may only go on: then its odometry cannot be laid on the start of the path.
+    is_later = (
+        request.resume is not None
+        and run.odometry is not None
+        and run.odometry.stamps_s[0] > run.trajectory.stamps_s[0]
+    )
     write_slam_report(
         directory,
         name=run.name,
@@ -293,9 +416,11 @@ def _report(result: _Result, directory: Path, config: RunConfig, truth: Trajecto
         facts=facts,
         warnings=[(f"{run.name}:", sentence) for sentence in run.doubts()],
         tables=tables,
-        odometry=run.odometry,
+        odometry=None if is_later else run.odometry,
         truth=truth,
         relations=result.measures.relations,
+        series=run.series,
+        other_paths=run.other_paths,
         device=result.device,
     )
 
@@ -305,8 +430,10 @@ def _figures(result: _Result) -> list[tuple[str, str]]:
     run = result.run
     time_ms, health = run.time_per_scan_ms(), run.health
     stamps_s = run.trajectory.stamps_s
+    fed = len(run.feed_s)
     return [
         ("scans", f"{run.scans}, {run.scans_used} of them used"),
+        *([("scans fed in this run", f"{fed}")] if fed != run.scans else []),
         ("duration of the drive", f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s"),
         ("path length", f"{number(run.trajectory.path_length_m(), 1)} m"),
         (

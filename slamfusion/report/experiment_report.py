@@ -14,7 +14,7 @@ from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.ticker import MaxNLocator  # noqa: TID251
 
-from slamfusion.report.plots import _DPI, _INK, _WIDTH_IN, _png, _style
+from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png
 
 __all__ = ["Line", "Panel", "cell_values_picture", "sweep_picture"]
 
@@ -94,8 +94,8 @@ def sweep_picture(panels: Sequence[Panel], *, x_label: str, y_label: str) -> byt
         axes.set_ylim(0.0, 1.06 * top + 1e-9)
         axes.set_xticks(places)
         _finish(axes, panel, y_label)
-    all_axes[-1].set_xlabel(x_label, color=_INK, fontsize=7.5)
-    return _png(figure)
+    all_axes[-1].set_xlabel(x_label, color=INK, fontsize=7.5)
+    return to_png(figure)
 
 
 def cell_values_picture(panels: Sequence[Panel]) -> bytes:
@@ -109,7 +109,7 @@ def cell_values_picture(panels: Sequence[Panel]) -> bytes:
     """
     figure, all_axes = _figure(panels, 1.6)
     for panel, axes in zip(panels, all_axes, strict=True):
-        axes.axhline(0.5, color=_INK, lw=0.7, ls=":")
+        axes.axhline(0.5, color=INK, lw=0.7, ls=":")
         for number, line in enumerate(panel.lines):
             axes.plot(
                 line.x,
@@ -126,8 +126,8 @@ def cell_values_picture(panels: Sequence[Panel]) -> bytes:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.margins(x=0.02)
         _finish(axes, panel, "value of the cell")
-    all_axes[-1].set_xlabel("observations", color=_INK, fontsize=7.5)
-    return _png(figure)
+    all_axes[-1].set_xlabel("observations", color=INK, fontsize=7.5)
+    return to_png(figure)
 
 
 def _figure(panels: Sequence[Panel], height_in: float) -> tuple[Figure, list[Axes]]:
@@ -135,7 +135,7 @@ def _figure(panels: Sequence[Panel], height_in: float) -> tuple[Figure, list[Axe
     lines = max(len(panel.lines) for panel in panels)
     head_in, foot_in = 0.3 + _LEGEND_IN * -(-lines // _LEGEND_COLUMNS), 0.3
     row_in = head_in + height_in + foot_in
-    figure = Figure(figsize=(_WIDTH_IN, len(panels) * row_in + _LABEL_IN), dpi=_DPI)
+    figure = Figure(figsize=(WIDTH_IN, len(panels) * row_in + _LABEL_IN), dpi=DPI)
     tall_in = figure.get_size_inches()[1]
     bottoms_in = [_LABEL_IN + foot_in + row_in * row for row in reversed(range(len(panels)))]
     boxes = [(0.13, bottom_in / tall_in, 0.85, height_in / tall_in) for bottom_in in bottoms_in]
@@ -145,11 +145,11 @@ def _figure(panels: Sequence[Panel], height_in: float) -> tuple[Figure, list[Axe
 def _finish(axes: Axes, panel: Panel, y_label: str) -> None:
     """Give a panel its lettering."""
     legend_rows = -(-len(panel.lines) // _LEGEND_COLUMNS)
-    axes.set_ylabel(y_label, color=_INK, fontsize=7.5)
+    axes.set_ylabel(y_label, color=INK, fontsize=7.5)
     axes.set_title(
         _plain(panel.title),
         loc="left",
-        color=_INK,
+        color=INK,
         fontsize=8,
         pad=5 + 72 * _LEGEND_IN * legend_rows,
     )
@@ -159,11 +159,11 @@ def _finish(axes: Axes, panel: Panel, y_label: str) -> None:
         ncols=_LEGEND_COLUMNS,
         frameon=False,
         fontsize=7,
-        labelcolor=_INK,
+        labelcolor=INK,
         borderaxespad=0.1,
         handlelength=2.6,
     )
-    _style(axes)
+    style_axes(axes)
 
 
 def _plain(text: str) -> str:

@@ -1,6 +1,6 @@
 """The pictures of trajectories: where they went, and how large their errors were on the way.
 
-As in ``plots``: no name is ever drawn, backgrounds are transparent, lettering is mid-grey.
+See ``canvas`` for the look.
 """
 
 from __future__ import annotations
@@ -21,33 +21,37 @@ from matplotlib.transforms import Affine2D  # noqa: TID251
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
 from slamfusion.grid import OccupancyGrid, trinary_cells
-from slamfusion.report.page import LegendEntry
-from slamfusion.report.plots import (
-    _DPI,
-    _FREE_RGB,
-    _INK,
-    _UNKNOWN_RGB,
-    _WALL_RGB,
-    _WIDTH_IN,
+from slamfusion.report.canvas import (
+    DPI,
+    FREE_RGB,
+    INK,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    WIDTH_IN,
     Rgb,
-    _corner,
-    _cut,
-    _png,
-    _pool,
-    _style,
+    box_corner,
     crop_box,
+    cut_cells,
+    pool_cells,
+    style_axes,
+    to_png,
+    unit_rgb,
+    write_note,
 )
+from slamfusion.report.page import LegendEntry
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
     "END_COLOUR",
     "ESTIMATE_COLOUR",
     "ODOMETRY_COLOUR",
+    "OTHERS_COLOUR",
     "REVISIT_COLOUR",
     "START_COLOUR",
     "TRUTH_COLOUR",
     "error_picture",
     "mark_legend",
+    "others_legend",
     "path_picture",
     "paths_legend",
     "paths_picture",
@@ -60,6 +64,7 @@ _NORMALIZE = NormalizeConfig()
 ESTIMATE_COLOUR: Rgb = (232, 89, 12)
 TRUTH_COLOUR: Rgb = (28, 126, 214)
 ODOMETRY_COLOUR: Rgb = (104, 112, 122)
+OTHERS_COLOUR: Rgb = (103, 65, 217)
 REVISIT_COLOUR: Rgb = (232, 89, 12)
 START_COLOUR: Rgb = (47, 158, 68)
 END_COLOUR: Rgb = (201, 42, 42)
@@ -70,8 +75,11 @@ _ERROR_SPAN = (0.30, 1.0)
 # What odometry may add to the picture on each side: drift over the edge is cut off.
 _DRIFT_SHARE = 0.25
 _LEAST_DRIFT_M = 1.0
-_LONGEST = 1.25 * _WIDTH_IN
+_LONGEST = 1.25 * WIDTH_IN
 _POINTS = 4000
+# The other paths are drawn faintly; those that lie on each other add up.
+_OTHERS_OPACITY = 0.35
+_OTHERS_POINTS = 400_000
 # Errors below this are drawn here: a logarithmic axis has no zero.
 _LEAST_M, _LEAST_DEG = 1e-4, 1e-3
 
@@ -142,10 +150,10 @@ def path_picture(
     box = axes.get_position()
     strip = figure.add_axes((box.x1 + 0.025, box.y0, 0.022, box.height))
     bar = figure.colorbar(lines, cax=strip)
-    bar.set_label(label, color=_INK, fontsize=7.5)
-    bar.outline.set_edgecolor(_INK)
-    strip.tick_params(colors=_INK, labelsize=7.5, width=0.7, length=3)
-    return _png(figure)
+    bar.set_label(label, color=INK, fontsize=7.5)
+    bar.outline.set_edgecolor(INK)
+    strip.tick_params(colors=INK, labelsize=7.5, width=0.7, length=3)
+    return to_png(figure)
 
 
 def paths_picture(
@@ -153,6 +161,7 @@ def paths_picture(
     *,
     truth: Trajectory | None = None,
     odometry: Trajectory | None = None,
+    others: Sequence[Trajectory] = (),
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
 ) -> bytes:
@@ -162,6 +171,7 @@ def paths_picture(
         trajectory: the estimate; like all others in one frame.
         truth: the true path.
         odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
+        others: what else the path may have been, drawn faintly under the estimate; cut off alike.
         grid: a map to draw under them.
         normalize: what counts as wall and as free in it.
     """
@@ -172,9 +182,13 @@ def paths_picture(
         extent = extent.grown(_extent_of(truth.poses))
     if odometry is not None:
         extent = extent.grown(_extent_of(odometry.poses), _DRIFT_SHARE)
+    beliefs = [other for other in others if len(other)]
+    for belief in beliefs:
+        extent = extent.grown(_extent_of(belief.poses), _DRIFT_SHARE)
     figure, axes = _map_axes(extent)
     if grid is not None:
         _draw_grid(axes, grid, normalize)
+    _draw_others(axes, beliefs)
     layers = (
         (odometry, ODOMETRY_COLOUR, 0.9, "-"),
         (trajectory, ESTIMATE_COLOUR, 1.3, "-"),
@@ -183,9 +197,9 @@ def paths_picture(
     for path, colour, width, style in layers:
         if path is not None:
             x, y = path.poses[:, 0], path.poses[:, 1]
-            axes.plot(x, y, color=_unit(colour), lw=width, ls=style, scalex=False, scaley=False)
+            axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
     _draw_marks(axes, trajectory.poses)
-    return _png(figure)
+    return to_png(figure)
 
 
 def error_picture(errors: TrajectoryErrors) -> bytes:
@@ -197,17 +211,17 @@ def error_picture(errors: TrajectoryErrors) -> bytes:
         (lower, np.rad2deg(errors.rotation_rad), "error in degrees"),
     ):
         x, y = _thinned(travelled, values)
-        axes.fill_between(x, y, color=_unit(ESTIMATE_COLOUR), alpha=0.16, lw=0)
-        axes.plot(x, y, color=_unit(ESTIMATE_COLOUR), lw=1.0)
+        axes.fill_between(x, y, color=unit_rgb(ESTIMATE_COLOUR), alpha=0.16, lw=0)
+        axes.plot(x, y, color=unit_rgb(ESTIMATE_COLOUR), lw=1.0)
         rmse = float(np.sqrt(np.mean(values**2)))
-        axes.axhline(rmse, color=_INK, lw=0.8, ls=":")
-        _note(axes, f"root mean square {rmse:.3g}")
-        axes.set_ylabel(label, color=_INK, fontsize=7.5)
+        axes.axhline(rmse, color=INK, lw=0.8, ls=":")
+        write_note(axes, f"root mean square {rmse:.3g}")
+        axes.set_ylabel(label, color=INK, fontsize=7.5)
         axes.set_ylim(0.0, 1.08 * float(values.max()) + 1e-9)
         axes.margins(x=0)
-        _style(axes)
-    lower.set_xlabel("travelled metres", color=_INK, fontsize=7.5)
-    return _png(figure)
+        style_axes(axes)
+    lower.set_xlabel("travelled metres", color=INK, fontsize=7.5)
+    return to_png(figure)
 
 
 def relations_picture(errors: RelationErrors) -> bytes:
@@ -221,7 +235,7 @@ def relations_picture(errors: RelationErrors) -> bytes:
         (lower, np.rad2deg(errors.rotation_rad), _LEAST_DEG, "error in degrees"),
     ):
         shown = np.maximum(values, least)
-        _style(axes)
+        style_axes(axes)
         axes.set_yscale("log")
         axes.minorticks_off()
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -234,17 +248,17 @@ def relations_picture(errors: RelationErrors) -> bytes:
                 shown[chosen],
                 s=size,
                 marker=marker,
-                color=_unit(colour),
+                color=unit_rgb(colour),
                 alpha=0.75,
                 linewidths=0,
             )
         mean = max(float(values.mean()), least)
-        axes.axhline(mean, color=_INK, lw=0.8, ls=":")
-        _note(axes, f"mean {values.mean():.3g}")
-        axes.set_ylabel(label, color=_INK, fontsize=7.5)
+        axes.axhline(mean, color=INK, lw=0.8, ls=":")
+        write_note(axes, f"mean {values.mean():.3g}")
+        axes.set_ylabel(label, color=INK, fontsize=7.5)
         axes.set_ylim(shown.min() / 1.6, shown.max() * 1.8)
-    lower.set_xlabel("seconds since the first relation", color=_INK, fontsize=7.5)
-    return _png(figure)
+    lower.set_xlabel("seconds since the first relation", color=INK, fontsize=7.5)
+    return to_png(figure)
 
 
 def paths_legend(*, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
@@ -255,6 +269,16 @@ def paths_legend(*, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
     if odometry:
         entries.append(LegendEntry("raw odometry", ODOMETRY_COLOUR))
     return (*entries, *mark_legend())
+
+
+def others_legend(count: int) -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``paths_picture`` mean with so many other paths."""
+    others = "other path" if count == 1 else "other paths"
+    return (
+        LegendEntry("estimate", ESTIMATE_COLOUR),
+        LegendEntry(f"{count} {others}, faint", OTHERS_COLOUR),
+        *mark_legend(),
+    )
 
 
 def mark_legend() -> tuple[LegendEntry, ...]:
@@ -279,13 +303,13 @@ def _map_axes(extent: _Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
     low, high = extent.low - margin, extent.high + margin
     wide, tall = (float(side) for side in high - low)
     left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.08
-    width = _WIDTH_IN - left - right
+    width = WIDTH_IN - left - right
     height = width * tall / wide
     if height > _LONGEST:
         width, height = max(_LONGEST * wide / tall, 1.0), _LONGEST
     height = max(height, 0.6)
     size = (width + left + right, height + bottom + top)
-    figure = Figure(figsize=size, dpi=_DPI)
+    figure = Figure(figsize=size, dpi=DPI)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
     # Where a side was widened for the lettering, the place shows more around it.
     scale = max(wide / width, tall / height)
@@ -294,35 +318,30 @@ def _map_axes(extent: _Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
     axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
     for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
-    axes.set_xlabel("x in m", color=_INK, fontsize=7.5, labelpad=2)
-    axes.set_ylabel("y in m", color=_INK, fontsize=7.5, labelpad=2)
-    _style(axes)
+    axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
+    axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
+    style_axes(axes)
     return figure, axes
 
 
 def _stacked() -> tuple[Figure, Sequence[Axes]]:
     """Return two axes above each other with one x axis."""
-    figure = Figure(figsize=(_WIDTH_IN, 3.2), dpi=_DPI)
+    figure = Figure(figsize=(WIDTH_IN, 3.2), dpi=DPI)
     upper = figure.add_axes((0.155, 0.57, 0.825, 0.37))
     lower = figure.add_axes((0.155, 0.125, 0.825, 0.37), sharex=upper)
     upper.tick_params(labelbottom=False)
     return figure, (upper, lower)
 
 
-def _note(axes: Axes, text: str) -> None:
-    """Say in words what the dotted line of the axes is."""
-    axes.set_title(text, loc="right", color=_INK, fontsize=7, pad=2.5)
-
-
 def _draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:
     """Draw a map in the colours of ``plots.map_picture`` where it lies."""
     cells = trinary_cells(grid.cells, normalize)
     box = crop_box(cells != -1)
-    pooled, factor = _pool(_cut(cells, box), grid.origin)
-    palette = np.array((_UNKNOWN_RGB, _FREE_RGB, _WALL_RGB), dtype=np.uint8)
+    pooled, factor = pool_cells(cut_cells(cells, box), grid.origin)
+    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
     # Unknown cells have no colour here: around the map there is nothing either.
     rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
-    corner = _corner(grid.origin, box, grid.resolution)
+    corner = box_corner(grid.origin, box, grid.resolution)
     side = factor * grid.resolution
     turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
     limits = axes.get_xlim(), axes.get_ylim()
@@ -334,9 +353,23 @@ def _draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> N
         transform=turned + axes.transData,
         aspect="auto",
     )
-    axes.set_facecolor(_unit(_UNKNOWN_RGB))
+    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
     axes.set_xlim(limits[0])
     axes.set_ylim(limits[1])
+
+
+def _draw_others(axes: Axes, others: Sequence[Trajectory]) -> None:
+    """Draw paths faintly, the first of them on top."""
+    poses = sum(len(path) for path in others)
+    step = max(1, -(-poses // _OTHERS_POINTS))
+    lines = [path.poses[_kept(len(path), step), :2] for path in reversed(others)]
+    colour = (*unit_rgb(OTHERS_COLOUR), _OTHERS_OPACITY)
+    axes.add_collection(LineCollection(lines, colors=[colour], linewidths=0.7), autolim=False)
+
+
+def _kept(count: int, step: int) -> npt.NDArray[np.int64]:
+    """Return every so many of the indices, and the last."""
+    return np.append(np.arange(0, count - 1, step), count - 1)
 
 
 def _draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
@@ -350,7 +383,7 @@ def _draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
             [pose[1]],
             marker=marker,
             ms=size,
-            color=_unit(colour),
+            color=unit_rgb(colour),
             markeredgecolor="white",
             markeredgewidth=0.7,
             ls="none",
@@ -366,7 +399,7 @@ def _extent_of(poses: npt.NDArray[np.float64]) -> _Extent:
 def _grid_extent(grid: OccupancyGrid, normalize: NormalizeConfig) -> _Extent:
     """Return the box of what the map knows."""
     box = crop_box(trinary_cells(grid.cells, normalize) != -1)
-    corner = _corner(grid.origin, box, grid.resolution)
+    corner = box_corner(grid.origin, box, grid.resolution)
     wide, tall = box.width * grid.resolution, box.height * grid.resolution
     corners = corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)])
     return _Extent(corners.min(axis=0), corners.max(axis=0))
@@ -391,9 +424,3 @@ def _thinned(
 def _part(colours: Colormap, span: tuple[float, float]) -> Colormap:
     """Return a part of a colour scale as a whole one."""
     return LinearSegmentedColormap.from_list("part", colours(np.linspace(*span, 256)))
-
-
-def _unit(rgb: Rgb) -> tuple[float, float, float]:
-    """Return a colour as matplotlib has it."""
-    r, g, b = (value / 255.0 for value in rgb)
-    return r, g, b

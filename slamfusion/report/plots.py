@@ -1,22 +1,14 @@
-"""The pictures of a report, each as the bytes of a PNG file.
-
-No name of a map is ever drawn: names stand in the page, where they are escaped, and a ``$`` or a
-script of any alphabet in a name cannot upset a picture. Backgrounds are transparent and lettering
-is mid-grey, so that a picture sits on a light and on a dark page.
-"""
+"""The pictures of maps, each as the bytes of a PNG file; see ``canvas`` for their look."""
 
 from __future__ import annotations
 
 import colorsys
-import io
 import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps  # noqa: TID251
-from matplotlib.axes import Axes  # noqa: TID251
-from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D  # noqa: TID251
@@ -33,10 +25,28 @@ from slamfusion.evaluation import (
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
+from slamfusion.report.canvas import (
+    DPI,
+    FREE_RGB,
+    INK,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    WIDTH_IN,
+    Classes,
+    Rgb,
+    box_corner,
+    crop_box,
+    cut_cells,
+    pool_cells,
+    style_axes,
+    to_png,
+)
 
 __all__ = [
     "DIFFERENCE_COLOURS",
     "DISSENT_COLOUR",
+    "Classes",
+    "Rgb",
     "agreement_colour",
     "agreement_picture",
     "crop_box",
@@ -48,24 +58,9 @@ __all__ = [
     "yaw_picture",
 ]
 
-Classes = npt.NDArray[np.int8]
-Rgb = tuple[int, int, int]
-
-_INK = "#7b828c"  # contrast of about 4 to 1 on white and on the dark page
 _ACCENT = "#e8590c"
 _RIVAL = "#1c7ed6"
-# Four inches of lettering in 920 pixels: readable where three pictures stand side by side.
-_DPI = 230
-_WIDTH_IN = 4.0
-# No more cells than pixels along the longest side, or walls one cell wide would fall between them;
-# a turned map needs a pixel in every cell whatever the angle.
-_LONGEST_SIDE_CELLS = 760
-_LONGEST_SIDE_TURNED = 450
-_MARGIN_CELLS = 4
 
-_UNKNOWN_RGB: Rgb = (205, 209, 214)
-_FREE_RGB: Rgb = (255, 255, 255)
-_WALL_RGB: Rgb = (18, 22, 28)
 DISSENT_COLOUR: Rgb = (232, 62, 12)
 
 # In the order of visibility when cells are pooled: the last wins.
@@ -95,9 +90,9 @@ def map_picture(
         box: cells to show; default: what is known, with a small margin.
     """
     box = box or crop_box(cells != -1)
-    pooled, factor = _pool(_cut(cells, box), origin)
-    palette = np.array((_UNKNOWN_RGB, _FREE_RGB, _WALL_RGB), dtype=np.uint8)
-    return _map_png(palette[pooled + 1], factor * resolution, _corner(origin, box, resolution))
+    pooled, factor = pool_cells(cut_cells(cells, box), origin)
+    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
+    return _map_png(palette[pooled + 1], factor * resolution, box_corner(origin, box, resolution))
 
 
 def overlay_picture(
@@ -115,7 +110,7 @@ def overlay_picture(
     """
     stack = [np.asarray(layer) for layer in layers]
     box = box or crop_box(np.any([layer != -1 for layer in stack], axis=0))
-    pooled = [_pool(_cut(layer, box), origin) for layer in stack]
+    pooled = [pool_cells(cut_cells(layer, box), origin) for layer in stack]
     factor = pooled[0][1]
     colours = np.array(layer_colours(len(stack)), dtype=np.float64) / 255.0
     shape = pooled[0][0].shape
@@ -132,7 +127,7 @@ def overlay_picture(
     floor = 0.035 + 0.085 * (known / len(stack))
     image = np.where((count > 0)[..., None], mixed, floor[..., None])
     rgb = (255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
-    return _map_png(rgb, factor * resolution, _corner(origin, box, resolution))
+    return _map_png(rgb, factor * resolution, box_corner(origin, box, resolution))
 
 
 def agreement_picture(
@@ -147,14 +142,16 @@ def agreement_picture(
         box: cells to show; default: what is known, with a small margin.
     """
     box = box or crop_box(agreement != -1)
-    cut = _cut(agreement, box)
+    cut = cut_cells(agreement, box)
     # Pooled by the worst cell: disagreement must not vanish in a small picture.
     disagreement = np.where(cut < 0, -1, 100 - cut.astype(np.int16)).astype(np.int8)
-    pooled, factor = _pool(disagreement, origin)
-    colours = [_UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
+    pooled, factor = pool_cells(disagreement, origin)
+    colours = [UNKNOWN_RGB, *(agreement_colour(100 - step) for step in range(101))]
     palette = np.array(colours, dtype=np.uint8)
     return _map_png(
-        palette[pooled.astype(np.int16) + 1], factor * resolution, _corner(origin, box, resolution)
+        palette[pooled.astype(np.int16) + 1],
+        factor * resolution,
+        box_corner(origin, box, resolution),
     )
 
 
@@ -176,12 +173,12 @@ def dissent_picture(
         box: cells to show; default: what is known, with a small margin.
     """
     box = box or crop_box((fused != -1) | dissent)
-    codes = _cut(fused, box).copy()
-    codes[_cut(dissent.astype(np.int8), box, outside=0) == 1] = 2
-    pooled, factor = _pool(codes, origin)
+    codes = cut_cells(fused, box).copy()
+    codes[cut_cells(dissent.astype(np.int8), box, outside=0) == 1] = 2
+    pooled, factor = pool_cells(codes, origin)
     faint_wall: Rgb = (140, 147, 156)
-    palette = np.array((_UNKNOWN_RGB, _FREE_RGB, faint_wall, DISSENT_COLOUR), dtype=np.uint8)
-    return _map_png(palette[pooled + 1], factor * resolution, _corner(origin, box, resolution))
+    palette = np.array((UNKNOWN_RGB, FREE_RGB, faint_wall, DISSENT_COLOUR), dtype=np.uint8)
+    return _map_png(palette[pooled + 1], factor * resolution, box_corner(origin, box, resolution))
 
 
 def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> bytes:
@@ -195,7 +192,7 @@ def difference_picture(difference: Classes, resolution: float, origin: Pose2) ->
     order = list(DIFFERENCE_COLOURS)
     rank = np.zeros(len(order), dtype=np.int8)
     rank[order] = np.arange(len(order), dtype=np.int8)
-    pooled, factor = _pool(rank[difference], origin)
+    pooled, factor = pool_cells(rank[difference], origin)
     palette = np.array([DIFFERENCE_COLOURS[code][1] for code in order], dtype=np.uint8)
     return _map_png(palette[pooled], factor * resolution, origin)
 
@@ -212,10 +209,10 @@ def yaw_picture(alignment: Alignment) -> bytes:
     order = np.argsort(profile[:, 0])
     yaw_deg, score = np.rad2deg(profile[order, 0]), profile[order, 1]
 
-    figure = Figure(figsize=(_WIDTH_IN, 2.1), dpi=_DPI)
+    figure = Figure(figsize=(WIDTH_IN, 2.1), dpi=DPI)
     axes = figure.add_axes((0.125, 0.21, 0.85, 0.65))
-    axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=_INK, alpha=0.16, lw=0)
-    axes.plot(yaw_deg, score, color=_INK, lw=1.1)
+    axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=INK, alpha=0.16, lw=0)
+    axes.plot(yaw_deg, score, color=INK, lw=1.1)
     marks = [(alignment.transform, "answer", _ACCENT, "o")]
     if alignment.runner_up is not None:
         ratio = f"runner-up, {alignment.runner_up.ratio:.2f} of it"
@@ -233,8 +230,8 @@ def yaw_picture(alignment: Alignment) -> bytes:
             ls="none",
             label=f"{label} ({angle:.1f}°)",
         )
-    axes.set_xlabel("yaw in degrees", color=_INK, fontsize=7.5)
-    axes.set_ylabel("coarse score", color=_INK, fontsize=7.5)
+    axes.set_xlabel("yaw in degrees", color=INK, fontsize=7.5)
+    axes.set_ylabel("coarse score", color=INK, fontsize=7.5)
     axes.margins(x=0)
     axes.set_ylim(top=float(score.max()) * 1.08 + 1e-9)
     axes.legend(
@@ -243,14 +240,14 @@ def yaw_picture(alignment: Alignment) -> bytes:
         ncols=2,
         frameon=False,
         fontsize=7.5,
-        labelcolor=_INK,
+        labelcolor=INK,
         borderaxespad=0.2,
         handletextpad=0.3,
     )
     if yaw_deg[-1] - yaw_deg[0] > 300:
         axes.set_xticks(range(-180, 181, 45))
-    _style(axes)
-    return _png(figure)
+    style_axes(axes)
+    return to_png(figure)
 
 
 def agreement_colour(percent: int) -> Rgb:
@@ -277,63 +274,6 @@ def layer_colours(count: int) -> list[Rgb]:
     return colours
 
 
-def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
-    """Return the box of the cells to show with a small margin; the whole map when none is."""
-    rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
-    if rows.size == 0:
-        return CellBox(0, 0, shown.shape[0], shown.shape[1])
-    margin = _MARGIN_CELLS
-    return CellBox(
-        int(rows[0]) - margin,
-        int(cols[0]) - margin,
-        int(rows[-1]) + 1 + margin,
-        int(cols[-1]) + 1 + margin,
-    )
-
-
-def _cut(cells: Classes, box: CellBox, outside: int = -1) -> Classes:
-    """Return the cells of a box that may reach beyond the array."""
-    cut = np.full((box.height, box.width), outside, dtype=np.int8)
-    row0, col0 = max(box.row0, 0), max(box.col0, 0)
-    row1, col1 = min(box.row1, cells.shape[0]), min(box.col1, cells.shape[1])
-    cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = cells[
-        row0:row1, col0:col1
-    ]
-    return cut
-
-
-def _corner(origin: Pose2, box: CellBox, resolution: float) -> Pose2:
-    """Return the pose of the lower-left corner of the box."""
-    x, y = origin.transform((box.col0 * resolution, box.row0 * resolution))
-    return Pose2(float(x), float(y), origin.yaw_rad)
-
-
-def _pool(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
-    """Shrink by a whole factor to what a picture can show; the largest code of each block wins.
-
-    Walls are one cell wide: any kind of averaging would lose them first.
-
-    Args:
-        codes: (H, W) int8.
-        origin: its yaw says whether the cells lie along the picture's pixels.
-
-    Returns:
-        (h, w) int8, and the factor; rows and columns that fill the last block repeat its edge.
-    """
-    longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
-    factor = max(1, math.ceil(max(codes.shape) / longest))
-    if factor == 1:
-        return codes, 1
-    height, width = (math.ceil(side / factor) for side in codes.shape)
-    padding = (
-        (0, height * factor - codes.shape[0]),
-        (0, width * factor - codes.shape[1]),
-    )
-    padded = np.pad(codes, padding, mode="edge")
-    blocks = padded.reshape(height, factor, width, factor)
-    return np.asarray(blocks.max(axis=(1, 3)), dtype=np.int8), factor
-
-
 def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> bytes:
     """Draw an image of cells in map-frame metres, row 0 at the bottom.
 
@@ -349,16 +289,16 @@ def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> by
 
     # The axes take the shape of the map; margins are fixed in inches for the lettering.
     left, right, bottom, top = 0.5, 0.08, 0.4, 0.08
-    plot_width = _WIDTH_IN - left - right
+    plot_width = WIDTH_IN - left - right
     plot_height = plot_width * tall / wide
-    longest = 1.25 * _WIDTH_IN
+    longest = 1.25 * WIDTH_IN
     if plot_height > longest:
         plot_height = longest
         plot_width = max(plot_height * wide / tall, 0.6)
         plot_height = min(longest, plot_width * tall / wide)
     plot_height = max(plot_height, 0.35)
     size = (plot_width + left + right, plot_height + bottom + top)
-    figure = Figure(figsize=size, dpi=_DPI)
+    figure = Figure(figsize=size, dpi=DPI)
     axes = figure.add_axes(
         (left / size[0], bottom / size[1], plot_width / size[0], plot_height / size[1])
     )
@@ -376,26 +316,7 @@ def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> by
     axes.set_aspect("equal", adjustable="box")
     for axis, inches in ((axes.xaxis, plot_width), (axes.yaxis, plot_height)):
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
-    axes.set_xlabel("x in m", color=_INK, fontsize=7.5, labelpad=2)
-    axes.set_ylabel("y in m", color=_INK, fontsize=7.5, labelpad=2)
-    _style(axes)
-    return _png(figure)
-
-
-def _style(axes: Axes) -> None:
-    """Give axes their quiet lettering and frame."""
-    axes.set_facecolor("none")
-    axes.tick_params(colors=_INK, labelsize=7.5, width=0.7, length=3)
-    axes.ticklabel_format(useOffset=False, style="plain")
-    for spine in axes.spines.values():
-        spine.set_color(_INK)
-        spine.set_linewidth(0.6)
-
-
-def _png(figure: Figure) -> bytes:
-    """Return the figure as the bytes of a PNG with a transparent background."""
-    figure.patch.set_alpha(0.0)
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
+    axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
+    style_axes(axes)
+    return to_png(figure)

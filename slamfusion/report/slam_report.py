@@ -8,22 +8,26 @@ from pathlib import Path
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.grid import OccupancyGrid
+from slamfusion.report import paths
 from slamfusion.report.maps import input_picture, statistics_table
 from slamfusion.report.page import (
     Banner,
     Fact,
     Page,
+    Picture,
     Section,
     Table,
     circumstances,
     write_page,
 )
+from slamfusion.report.series import drawable, series_picture
 from slamfusion.report.trajectory_report import (
     error_facts,
     path_pictures,
     relations_section,
     truth_section,
 )
+from slamfusion.slam.base import Series
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["write_slam_report"]
@@ -42,6 +46,8 @@ def write_slam_report(
     odometry: Trajectory | None = None,
     truth: Trajectory | None = None,
     relations: RelationErrors | None = None,
+    series: Sequence[Series] = (),
+    other_paths: Sequence[Trajectory] = (),
     device: str = "",
 ) -> Path:
     """Write the report of a producer's run as one self-contained page with its pictures beside it.
@@ -59,6 +65,8 @@ def write_slam_report(
         odometry: raw odometry of the scans, laid on the start of the path.
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
+        series: the producer's own quantities over time; those without a value are left out.
+        other_paths: what else it believes the path to be, in the frame of the map.
         device: the device that computed, in words.
 
     Returns:
@@ -77,14 +85,17 @@ def write_slam_report(
         *path_pictures(
             trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
         ),
+        *_other_paths_pictures(trajectory, other_paths, config, grid),
     ]
     sections = [Section("Map and path", "map", "", pictures, [statistics_table([grid], normalize)])]
     if errors is not None:
         sections.append(truth_section(errors, config=config, grid=grid))
     if relations is not None:
         sections.append(relations_section(relations))
-    if tables:
-        sections.append(Section("Health and time", "health", tables=tables))
+    over_time = _series_pictures(series, trajectory)
+    if tables or over_time:
+        health = Section("Health and time", "health", pictures=over_time, tables=tables)
+        sections.append(health)
     sections.append(circumstances(config, device))
     banner = Banner(
         "warn" if warnings else "good",
@@ -93,3 +104,36 @@ def write_slam_report(
     )
     shown = [*facts, *error_facts(relations, errors)]
     return write_page(Page("SLAMfusion run", banner, shown, sections), directory)
+
+
+def _other_paths_pictures(
+    trajectory: Trajectory,
+    others: Sequence[Trajectory],
+    config: RunConfig,
+    grid: OccupancyGrid,
+) -> list[Picture]:
+    """Return the path over what else it may have been; nothing where there is nothing else."""
+    if not others:
+        return []
+    png = paths.paths_picture(
+        trajectory, others=others, grid=grid, normalize=config.fusion.normalize
+    )
+    return [
+        Picture(
+            "other-paths",
+            png,
+            "The path and what else it may have been",
+            "Where the faint paths leave the estimate, the producer is not of one mind.",
+            legend=paths.others_legend(len(others)),
+        )
+    ]
+
+
+def _series_pictures(series: Sequence[Series], trajectory: Trajectory) -> list[Picture]:
+    """Return the quantities over time as one picture; nothing where none has a value."""
+    shown = drawable(series)
+    if not shown:
+        return []
+    names = ", ".join(item.name for item in shown)
+    png = series_picture(shown, start_s=float(trajectory.stamps_s[0]))
+    return [Picture("over-time", png, "Over the run", f"From the top: {names}.")]

@@ -98,11 +98,13 @@ class SlamBackend(Protocol):
 
     Attributes:
         name: short name, e.g. ``tinyslam``; the grid and the trajectory carry it.
-        health: the record so far.
     """
 
     name: str
-    health: Health
+
+    @property
+    def health(self) -> Health:
+        """The record so far."""
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
         """Take the next scan.

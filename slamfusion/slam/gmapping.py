@@ -17,6 +17,8 @@ import dataclasses
 import io
 import json
 import math
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -25,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.backend import Backend
-from slamfusion.compute.hit_map_reference import BeamScan, FieldRule
+from slamfusion.compute.hit_map_reference import FULL_VISITS, BeamScan, FieldRule
 from slamfusion.config import GmappingConfig, to_mapping
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle, wrap_angles
@@ -179,6 +181,7 @@ class Gmapping:
         if self._tracker.pose is None:
             cell = self._config.delta
             self._anchor = np.floor(guesses[0].pose[:2] / cell) * cell
+        if not self._is_mapped:
             self._poses[:] = guesses[0].pose
         ends, is_hit = self._beams(scan)
         if not is_hit.any():
@@ -261,7 +264,7 @@ class Gmapping:
         if self._is_mapped:
             self._moved = _pose(self._poses[self._best]).inverse().compose(pose)
         else:
-            self._poses[:] = guess.pose
+            self._moved = pose
         return Step(pose, used=False, match_score=None, reason=reason)
 
     def _begin(self, scan: LaserScan, ends: F64, is_hit: npt.NDArray[np.uint8]) -> Step:
@@ -272,7 +275,7 @@ class Gmapping:
         self._maps.take_over(np.zeros(len(self._poses), dtype=np.int64))
         self._is_mapped = True
         self._paths.add_node(self._poses, None)
-        self._filtered_s = scan.stamp_s
+        self._moved, self._filtered_s = IDENTITY, scan.stamp_s
         self.health.scans_used += 1
         return Step(pose, used=True, match_score=None)
 
@@ -297,10 +300,9 @@ class Gmapping:
             self.health.scans_used += 1
         elif self._config.match_every_scan:
             self.health.scans_used += 1
-        else:
-            reason = "the robot has not gone far enough since the last one"
-            self.health.skips.add(reason, self.health.scans)
-        return Step(pose, used=is_due or self._config.match_every_scan, match_score=score)
+        is_used = is_due or self._config.match_every_scan
+        reason = "" if is_used else "the robot has not gone far enough since the last one"
+        return Step(pose, is_used, score, reason)
 
     def _walls(self) -> FieldMap:
         """Return the best particle's map as the matcher sees it."""
@@ -476,15 +478,16 @@ class Gmapping:
         )
 
     def _halve(self) -> None:
-        """Halve the counts of every cell before they overflow; means and shares stay.
+        """Halve the counts of every busy cell before they overflow; means and shares stay.
 
-        Counts are rounded up, so that no wall loses its last hit.
+        Of few counts the halves would be something else: those of other cells are left.
         """
         pools, backend = self._maps.pools, self._backend
         counts = backend.download(pools["counts"]).astype(np.uint32)
         hits, visits = counts >> 16, counts & 0xFFFF
-        fewer = (hits + 1) >> 1
-        halved = fewer << 16 | (visits + 1) >> 1
+        is_busy = visits >= FULL_VISITS // 2
+        fewer = np.where(is_busy, (hits + 1) >> 1, hits)
+        halved = fewer << 16 | np.where(is_busy, (visits + 1) >> 1, visits)
         pools["counts"] = backend.upload(halved.astype(np.uint32))
         for name in ("sum_x", "sum_y"):
             sums = backend.download(pools[name]).astype(np.uint64)
@@ -586,8 +589,8 @@ class Gmapping:
         except OSError as error:
             message = f"{path}: cannot be read ({error.strerror or error})"
             raise SlamFusionError(message) from None
-        except (ValueError, KeyError, TypeError, EOFError) as error:
-            message = f"{path}: not a state that `--save-state` has written ({error})"
+        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+            message = f"{path}: not a whole state that `--save-state` has written"
             raise SlamFusionError(message) from None
         if (name, version) != (cls.name, STATE_FORMAT):
             message = (

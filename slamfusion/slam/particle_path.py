@@ -55,7 +55,7 @@ class ParticlePaths:
         self._entropies.append(_entropy(poses))
 
     def add_scan(self, stamp_s: float, moved: Pose2) -> None:
-        """Add a scan that lies so far behind the last node; before the first, from the start."""
+        """Add a scan that lies so far behind the last node; before the first, behind the origin."""
         self._stamps.append(stamp_s)
         self._nodes.append(len(self._poses) - 1)
         self._motions.append((moved.x, moved.y, moved.yaw_rad))
@@ -66,10 +66,11 @@ class ParticlePaths:
         for number in range(len(self._poses) - 1, -1, -1):
             at[number] = self._poses[number][index]
             index = int(self._parents[number][index])
-        nodes = np.maximum(np.array(self._nodes, dtype=np.int64), 0)
+        # Node -1, before the first, is the frame's origin.
+        at = np.concatenate((at, np.zeros((1, 3))))
+        nodes = np.array(self._nodes, dtype=np.int64)
         motions = np.array(self._motions).reshape(-1, 3)
-        poses = compose_poses(at[nodes], motions) if len(at) else motions
-        return Trajectory(np.array(self._stamps), poses, name)
+        return Trajectory(np.array(self._stamps), compose_poses(at[nodes], motions), name)
 
     def entropy(self) -> float | None:
         """Return the mean over the nodes of the entropy of the particles there, in nats."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
+import math
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -17,25 +18,67 @@ import numpy.typing as npt
 from slamfusion.compute.backend import Backend
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan, ScanLog, Skips
-from slamfusion.slam.base import Health, SlamBackend, Step
+from slamfusion.slam.base import Health, Series, SlamBackend, Step
+from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
     "PRODUCERS",
     "LogRecord",
+    "Producer",
     "ProducerRun",
+    "Resumable",
     "make_producer",
+    "resume_producer",
     "run_producer",
     "skipped_scans",
 ]
 
+
+@runtime_checkable
+class Resumable(SlamBackend, Protocol):
+    """A producer whose whole state can be saved, to go on later as if it had never stopped.
+
+    Attributes:
+        last_stamp_s: of the last scan fed, seconds; None before the first.
+    """
+
+    last_stamp_s: float | None
+
+    def save_state(self, path: Path) -> None:
+        """Write everything that the next scan depends on to a file."""
+
+
+@dataclass(frozen=True)
+class Producer:
+    """How a producer comes into being.
+
+    Attributes:
+        make: with its settings and an empty map.
+        resume: from a file of ``Resumable.save_state``, with the settings and the seed that it was
+            made with; None for a producer that cannot. Raises SlamFusionError for another file.
+    """
+
+    make: Callable[[RunConfig, Backend], SlamBackend]
+    resume: Callable[[Path, RunConfig, Backend], Resumable] | None = None
+
+
+def _gmapping(config: RunConfig, backend: Backend) -> Resumable:
+    # Its record is more than a ``Health``, which a settable attribute's type may not be.
+    return Gmapping(config.gmapping, backend, config.seed)
+
+
+def _resumed_gmapping(path: Path, config: RunConfig, backend: Backend) -> Resumable:
+    return Gmapping.load_state(path, config.gmapping, backend, config.seed)
+
+
 # Every producer; its name is also the section of its settings.
-PRODUCERS: dict[str, Callable[[RunConfig, Backend], SlamBackend]] = {
-    "tinyslam": lambda config, backend: TinySlam(config.tinyslam, backend, config.seed),
+PRODUCERS: dict[str, Producer] = {
+    "tinyslam": Producer(lambda config, backend: TinySlam(config.tinyslam, backend, config.seed)),
+    "gmapping": Producer(_gmapping, _resumed_gmapping),
 }
 
 BYTES_PER_MB = 1e6
@@ -54,10 +97,36 @@ def make_producer(name: str, config: RunConfig, backend: Backend) -> SlamBackend
     Raises:
         SlamFusionError: there is none of this name; the known ones are named.
     """
+    return _producer(name).make(config, backend)
+
+
+def resume_producer(name: str, path: Path, config: RunConfig, backend: Backend) -> Resumable:
+    """Return a producer of ``PRODUCERS`` in the state that a file holds.
+
+    Args:
+        name: the producer.
+        path: written by its ``save_state``.
+        config: with the settings and the seed that the state was made with.
+        backend: where it computes from now on.
+
+    Raises:
+        SlamFusionError: there is no such producer, it cannot go on from a file, or the file is
+            damaged or made with other settings.
+        OSError: the file cannot be read.
+    """
+    resume = _producer(name).resume
+    if resume is None:
+        able = ", ".join(key for key, value in PRODUCERS.items() if value.resume is not None)
+        message = f"{name} cannot go on from a saved state; wanted one of {able or '(none)'}"
+        raise SlamFusionError(message)
+    return resume(path, config, backend)
+
+
+def _producer(name: str) -> Producer:
     if name not in PRODUCERS:
         message = f"no producer {name!r}; wanted one of {', '.join(PRODUCERS)}"
         raise SlamFusionError(message)
-    return PRODUCERS[name](config, backend)
+    return PRODUCERS[name]
 
 
 @dataclass(frozen=True)
@@ -110,7 +179,11 @@ class ProducerRun:
         low_in_a_row: most matches one after the other whose score was below half of the mean.
         peak_memory_bytes: of map and filter together, host and device.
         process_peak_memory_bytes: of the whole process so far, as the system counts it.
-        is_complete: whether the scans came to their end before the deadline.
+        stopped_by: ``deadline`` or ``limit``; None where the scans came to their end.
+        known_scans: of the log, that a resumed producer had been fed before and that were passed
+            over; ``scans`` counts all that it has ever been fed.
+        series: the producer's own quantities over time, to be plotted.
+        other_paths: what else it believes the path to be; best first.
     """
 
     name: str
@@ -124,11 +197,19 @@ class ProducerRun:
     low_in_a_row: int
     peak_memory_bytes: int
     process_peak_memory_bytes: int
-    is_complete: bool
+    stopped_by: str | None = None
+    known_scans: int = 0
+    series: tuple[Series, ...] = ()
+    other_paths: tuple[Trajectory, ...] = ()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the scans came to their end."""
+        return self.stopped_by is None
 
     @property
     def scans(self) -> int:
-        """Scans that were fed."""
+        """Scans that were ever fed."""
         return self.health.scans
 
     @property
@@ -154,13 +235,13 @@ class ProducerRun:
                 f"({share:.1f} %), up to {self.low_in_a_row} in a row, match the map less than "
                 "half as well as usual; look at the map"
             )
-        skipped = health.scans - health.scans_used
+        skipped = health.skips.total  # a producer may pass over scans that it does not need
         if skipped > MANY_SKIPPED_SHARE * health.scans:
             sentences.append(
                 f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
                 f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
             )
-        if not self.is_complete:
+        if self.stopped_by == "deadline":
             sentences.append(
                 f"stopped at the deadline after {health.scans} scans: the rest of the log is "
                 "not in the map"
@@ -192,6 +273,7 @@ class ProducerRun:
             "low_scores_in_a_row": self.low_in_a_row,
             "warnings": list(self.doubts()),
             "complete": self.is_complete,
+            "known_scans": self.known_scans,
             "log": None if self.log is None else self.log.to_json(),
         }
 
@@ -203,29 +285,35 @@ def run_producer(
     log: ScanLog | None = None,
     progress: Callable[[int], None] | None = None,
     deadline_s: float | None = None,
+    limit: int | None = None,
 ) -> ProducerRun:
     """Feed scans to a producer and return its map, its path and its record.
 
     Args:
-        backend: fresh; it keeps its map afterwards.
+        backend: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
+            is not fed again.
         scans: in the order of time; one is enough.
         log: where they come from: its counts join the record.
         progress: told the number of scans that are done.
         deadline_s: stop before the next scan when so many seconds have passed; default: never.
+        limit: stop after so many scans, at least 1; default: none.
 
     Raises:
-        SlamFusionError: no scan could be used; the counted reasons are named.
+        SlamFusionError: no scan could be used; the counted reasons are named. Or a resumed
+            producer had been fed every scan before.
         LogError: the log is damaged beyond a line.
     """
+    source = _Source(scans, backend.last_stamp_s if isinstance(backend, Resumable) else None)
     feed_s: list[float] = []
-    stamps_s: list[float] = []
-    odometry: list[Pose2] = []
     memory = row = longest_row = 0
-    is_complete = True
+    stopped_by = None
     begun_s = time.perf_counter()
-    for item in scans:
-        if deadline_s is not None and feed_s and time.perf_counter() - begun_s >= deadline_s:
-            is_complete = False
+    for item in source:
+        if limit is not None and len(feed_s) >= limit:
+            stopped_by = "limit"
+        elif deadline_s is not None and feed_s and time.perf_counter() - begun_s >= deadline_s:
+            stopped_by = "deadline"
+        if stopped_by is not None:
             break
         before_s = time.perf_counter()
         step = backend.feed(item.scan, item.odometry)
@@ -233,29 +321,76 @@ def run_producer(
         row = row + 1 if _is_low(step, backend.health) else 0
         longest_row = max(longest_row, row)
         memory = max(memory, backend.memory_bytes())
-        if item.odometry is not None:
-            stamps_s.append(item.scan.stamp_s)
-            odometry.append(item.odometry)
+        source.keep_odometry(item)
         if progress is not None:
             progress(len(feed_s))
     record = None if log is None else LogRecord.of(log)
-    if not backend.health.scans_used:
-        raise SlamFusionError(_nothing_used(backend, record))
-    grid = backend.grid()
+    if source.known_scans and not feed_s:
+        raise SlamFusionError(source.all_known(backend.name, record))
+    if not feed_s or not backend.health.scans_used:
+        raise SlamFusionError(_nothing_used(backend, record, len(feed_s)))
+    grid, trajectory = backend.grid(), backend.trajectory()
+    time_s = time.perf_counter() - begun_s
     return ProducerRun(
         name=backend.name,
-        trajectory=backend.trajectory(),
-        odometry=_path(stamps_s, odometry),
+        trajectory=trajectory,
+        odometry=source.odometry(),
         grid=grid,
         health=copy.deepcopy(backend.health),  # the producer may go on
         log=record,
-        time_s=time.perf_counter() - begun_s,
+        time_s=time_s,
         feed_s=np.array(feed_s),
         low_in_a_row=longest_row,
         peak_memory_bytes=max(memory, backend.memory_bytes()),
         process_peak_memory_bytes=_process_peak_bytes(),
-        is_complete=is_complete,
+        stopped_by=stopped_by,
+        known_scans=source.known_scans,
+        series=backend.series(),
+        other_paths=backend.other_paths(),
     )
+
+
+class _Source:
+    """Scans without those that a producer knows; keeps the raw odometry of all that it was fed.
+
+    Attributes:
+        known_scans: passed over so far.
+    """
+
+    def __init__(self, scans: Iterable[LogScan], known_until_s: float | None) -> None:
+        self.known_scans = 0
+        self._scans = scans
+        self._known_until_s = -math.inf if known_until_s is None else known_until_s
+        self._rows: list[tuple[float, float, float, float]] = []
+
+    def __iter__(self) -> Iterator[LogScan]:
+        for item in self._scans:
+            if item.scan.stamp_s > self._known_until_s:
+                yield item
+            else:
+                self.known_scans += 1
+                self.keep_odometry(item)
+
+    def keep_odometry(self, item: LogScan) -> None:
+        """Add a scan's raw odometry, if it has some."""
+        pose = item.odometry
+        if pose is not None:
+            self._rows.append((item.scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
+
+    def odometry(self) -> Trajectory | None:
+        """Return raw odometry as a trajectory; None for none."""
+        if not self._rows:
+            return None
+        table = np.array(self._rows)
+        return Trajectory(table[:, 0], table[:, 1:], "odometry")
+
+    def all_known(self, name: str, record: LogRecord | None) -> str:
+        """Say that there is nothing to do."""
+        where = "" if record is None else f"{record.path}: "
+        return (
+            f"{where}{name} knows every one of the {self.known_scans} scans: its state goes up to "
+            f"{self._known_until_s:.3f} s; give a log that goes on from there"
+        )
 
 
 def skipped_scans(health: Health) -> tuple[str, ...]:
@@ -274,23 +409,15 @@ def _is_low(step: Step, health: Health) -> bool:
     return score is not None and mean is not None and score < LOW_SHARE * mean
 
 
-def _path(stamps_s: list[float], poses: list[Pose2]) -> Trajectory | None:
-    """Return raw odometry as a trajectory; None for none."""
-    if not poses:
-        return None
-    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses])
-    return Trajectory(np.array(stamps_s), rows, "odometry")
-
-
-def _nothing_used(backend: SlamBackend, record: LogRecord | None) -> str:
+def _nothing_used(backend: SlamBackend, record: LogRecord | None, fed: int) -> str:
     """Say why there is no map."""
     where = "" if record is None else f"{record.path}: "
-    reasons = list(skipped_scans(backend.health))
+    reasons = list(skipped_scans(backend.health)) if fed else []
     if record is not None:
         reasons += [f"{sentence} in the log" for sentence in record.skips.sentences()]
     why = f": {'; '.join(reasons)}" if reasons else ""
     return (
-        f"{where}{backend.name} could use none of {backend.health.scans} scans{why}; "
+        f"{where}{backend.name} could use none of {fed} scans{why}; "
         "give a log whose scans see walls within the usable range"
     )
 

@@ -231,15 +231,32 @@ USAGE = {
     "no output": ["fuse", *MAPS],
     "unknown command": ["merge"],
     "unknown option": ["fuse", *MAPS, "-o", "x", "--shout"],
-    "out of range": ["fuse", *MAPS, "-o", "x", "--occupied-percent", "120"],
-    "not a number": ["fuse", *MAPS, "-o", "x", "--deadline-s", "nan"],
-    "thresholds cross": ["fuse", *MAPS, "-o", "x", "--free-percent", "80"],
-    "no such choice": ["fuse", *MAPS, "-o", "x", "--mode", "loudest"],
     "output is a folder": ["fuse", *MAPS, "-o", "."],
     "output is an input": ["fuse", *MAPS, "-o", MAPS[0]],
     "nothing to evaluate against": ["evaluate", MAPS[0]],
     "three maps to align": ["align", *MAPS],
 }
+
+
+BAD_VALUES = {
+    "--occupied-percent 120": "'--occupied-percent': must lie in [0, 100] %, found 120.0",
+    "--deadline-s nan": "'--deadline-s': must lie in [0, inf] s, found nan",
+    "--deadline-s soon": "'--deadline-s': 'soon' is not a valid float.",
+    "--fused-resolution 0": "'--fused-resolution': must lie in [0.0001, inf] m, found 0.0",
+    "--free-percent 80": "free_percent (80) must be below occupied_percent (65); swap them",
+    "--mode loudest": "'--mode': 'loudest' is not one of 'majority', 'weighted', 'log-odds'.",
+}
+
+
+@pytest.mark.parametrize("given", BAD_VALUES)
+def test_a_bad_value_is_one_line_that_names_the_option(tmp_path: Path, given: str) -> None:
+    done = run("fuse", *MAPS, "-o", "x", *given.split(), cwd=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("slamfusion: error: Invalid value")
+    assert line.endswith(BAD_VALUES[given])
+    assert done.stdout == ""
+    assert not tree(tmp_path)
 
 
 @pytest.mark.parametrize("case", USAGE)

@@ -6,14 +6,17 @@ import io
 import json
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
-from slamfusion.cli import doctor
+from slamfusion.cli import doctor, slam
 from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.inputs import check_writable, distinct_names
+from slamfusion.cli.main import COMMANDS
 from slamfusion.cli.options import config_fields, option_name
 from slamfusion.cli.output import one_line, plain, progress_bar
+from slamfusion.config import GMAPPING_PROFILES
 from slamfusion.errors import MapFileError
 
 
@@ -55,10 +58,62 @@ def test_every_public_fusion_field_is_an_option_and_no_expert_one_is() -> None:
             assert (option_name(field) in offered) == (field.info.level == "public"), field.key
 
 
-def test_option_names_are_unique() -> None:
-    for parameters in (fuse_command.params,):
-        names = [name for parameter in parameters for name in parameter.opts]
-        assert len(names) == len(set(names))
+def subcommands() -> list[click.Command]:
+    """Every command that takes options."""
+    return [
+        leaf
+        for command in COMMANDS
+        for leaf in (command.commands.values() if isinstance(command, click.Group) else [command])
+    ]
+
+
+@pytest.mark.parametrize("command", subcommands(), ids=lambda command: str(command.name))
+def test_option_names_are_unique(command: click.Command) -> None:
+    names = [
+        name
+        for parameter in command.params
+        for name in (*parameter.opts, *parameter.secondary_opts)
+    ]
+    assert names
+    assert len(names) == len(set(names))
+
+
+def gmapping_help() -> dict[str, str]:
+    """The help of every option of ``slam gmapping``, by name."""
+    command = slam.command.commands["gmapping"]
+    options = [item for item in command.params if isinstance(item, click.Option)]
+    return {name: item.help or "" for item in options for name in item.opts}
+
+
+def test_gmapping_has_every_public_setting_under_its_published_name() -> None:
+    offered = gmapping_help()
+    for name in GMAPPING_PROFILES["published"]:
+        assert "_" in name or f"--{name}" in offered
+    for field in config_fields():
+        if field.section == "gmapping":
+            assert (option_name(field) in offered) == (field.info.level == "public"), field.key
+    for name in ("--str", "--occ_thresh", "--map_update_interval", "--particles", "--delta"):
+        assert name in offered
+    # One that says where raw odometry is, and one that says whether it is used.
+    assert {"--odometry", "--use-odometry"} <= offered.keys()
+
+
+def test_help_shows_the_value_of_both_profiles() -> None:
+    shown = gmapping_help()
+    own, published = GMAPPING_PROFILES["own"], GMAPPING_PROFILES["published"]
+    particles = f"[default: {own['particles']}; published {published['particles']}]"
+    assert shown["--particles"].endswith(particles)
+    assert shown["--delta"].endswith(f"[default: {own['delta']:g} m; published 0.05]")
+    assert shown["--match-every-scan"].endswith("[default: yes; published no]")
+    assert shown["--wheel-base"].endswith("[default: 0.3 m]")
+    assert "[default" not in shown["--maxRange"]
+
+
+def test_only_producers_that_can_go_on_have_the_options_for_it() -> None:
+    wanted = {"--save-state", "--resume", "--stop-after"}
+    for name, command in slam.command.commands.items():
+        offered = {option for parameter in command.params for option in parameter.opts}
+        assert wanted & offered == (wanted if name in slam.RESUMABLE else set())
 
 
 def test_check_writable_makes_nothing(tmp_path: Path) -> None:

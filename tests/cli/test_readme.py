@@ -11,7 +11,8 @@ import pytest
 
 from slamfusion.cli.doctor import INSTALL
 from slamfusion.cli.main import COMMANDS
-from slamfusion.cli.readme import with_table
+from slamfusion.cli.readme import TABLES, gmapping_table, with_tables
+from slamfusion.config import GMAPPING_PROFILES, GmappingConfig, field_infos
 from tests.cli.command import ROOT, run
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -26,8 +27,35 @@ def blocks() -> list[list[str]]:
     ]
 
 
-def test_parameter_table_is_up_to_date() -> None:
-    assert with_table(README) == README, "run: python -m slamfusion.cli.readme"
+def test_parameter_tables_are_up_to_date() -> None:
+    assert with_tables(README) == README, "run: python -m slamfusion.cli.readme"
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_that_is_behind_is_noticed(name: str) -> None:
+    table = TABLES[name]()
+    assert table in README
+    row = table.splitlines()[-1]
+    assert with_tables(README.replace(table, table.removesuffix(row))) == README
+
+
+def test_the_table_of_gmapping_has_both_profiles() -> None:
+    rows = [
+        [cell.strip() for cell in line.strip("|").split(" | ")]
+        for line in gmapping_table().splitlines()[2:]
+    ]
+    assert [row[0].strip("`") for row in rows] == [
+        info.name for info in field_infos(GmappingConfig)
+    ]
+    table = {row[0].strip("`"): row[1:4] for row in rows}
+    own, published = GMAPPING_PROFILES["own"], GMAPPING_PROFILES["published"]
+    for name in own:
+        for value, shown in ((published[name], table[name][1]), (own[name], table[name][2])):
+            wanted = {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
+            assert shown == wanted if isinstance(wanted, str) else float(shown) == value, name
+    assert table["delta"][0] == "m"
+    assert table["maxUrange"][1:] == ["-", "-"]
+    assert table["wheel_base"][1:] == ["-", "0.3"]
 
 
 def test_there_are_commands_to_run() -> None:

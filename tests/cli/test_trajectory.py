@@ -151,7 +151,7 @@ def test_the_report_has_every_picture(files: dict[str, Path], tmp_path: Path) ->
         (("--odometry", "x", "--truth", "x"), "give --relations FILE"),
         (("--log", "x", "--relations", "x"), "give --odometry FILE"),
         (("--map", "x", "--truth", "x"), "give --report DIR"),
-        (("--truth", "x", "--rpe-delta", "0"), "rpe_delta must lie in"),
+        (("--truth", "x", "--rpe-delta", "0"), "'--rpe-delta': must lie in"),
     ],
 )
 def test_wrong_usage_is_said(

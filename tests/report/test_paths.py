@@ -16,8 +16,9 @@ from slamfusion.evaluation import RelationErrors, TrajectoryErrors, trajectory_e
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
+from slamfusion.report.canvas import Rgb
 from slamfusion.report.page import Cell, Table
-from slamfusion.report.plots import Rgb
+from slamfusion.slam.base import Series
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, room
 
@@ -150,6 +151,61 @@ def test_every_path_has_its_colour() -> None:
     assert legend[:3] == ["estimate", "truth, dashed", "raw odometry"]
 
 
+def beside(path: Trajectory, up_m: float) -> Trajectory:
+    return Trajectory(path.stamps_s, compose_poses((0.0, up_m, 0.0), path.poses), "beside")
+
+
+def purple(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Where a faint other path is drawn on white, one or several over each other."""
+    red, green, blue = np.moveaxis(image.astype(int), 2, 0)
+    return np.asarray((blue > red + 15) & (red > green + 5))
+
+
+def test_other_paths_are_faint_and_under_the_estimate() -> None:
+    alone = pixels(paths.paths_picture(corner()))
+    assert not purple(alone).any()
+    same = pixels(paths.paths_picture(corner(), others=[corner(), corner()]))
+    assert near(same, paths.ESTIMATE_COLOUR).sum() == near(alone, paths.ESTIMATE_COLOUR).sum()
+    apart = pixels(paths.paths_picture(corner(), others=[beside(corner(), -2.0)]))
+    assert purple(apart).sum() > 300
+    assert not near(apart, paths.OTHERS_COLOUR).any()
+    # Below the estimate in the picture, where it is below in the world.
+    rows, _ = np.nonzero(purple(apart)[:, : apart.shape[1] // 2])
+    assert rows.mean() / apart.shape[0] > centre(apart, paths.START_COLOUR)[1]
+
+
+def test_a_belief_held_by_many_is_darker() -> None:
+    once = pixels(paths.paths_picture(corner(), others=[beside(corner(), 2.0)]))
+    often = pixels(paths.paths_picture(corner(), others=[beside(corner(), 2.0)] * 9))
+    assert often[purple(often)].mean() < once[purple(once)].mean() - 30.0
+
+
+def test_many_long_paths_keep_their_shape_and_their_ends() -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 60_001)
+    poses = np.column_stack((np.cos(turn), np.sin(turn), turn))
+    ring = Trajectory(np.arange(len(turn), dtype=np.float64), poses, "ring")
+    still = Trajectory(ring.stamps_s[:2], np.zeros((2, 3)), "still")
+    image = pixels(paths.paths_picture(still, others=[ring] * 12))
+    rows, cols = np.nonzero(purple(image))
+    # Closed all around: no ray from the middle meets a gap.
+    angles = np.arctan2(rows - rows.mean(), cols - cols.mean())
+    assert np.histogram(angles, 72)[0].min() > 0
+
+
+def test_other_paths_without_a_pose_are_left_out() -> None:
+    empty = Trajectory(np.zeros(0), np.zeros((0, 3)), "empty")
+    assert paths.paths_picture(corner(), others=[empty]) == paths.paths_picture(corner())
+    single = path_of([(5.0, 5.0)])
+    assert pixels(paths.paths_picture(corner(), others=[single])).size
+
+
+def test_the_legend_counts_the_other_paths() -> None:
+    for count, text in ((1, "1 other path, faint"), (29, "29 other paths, faint")):
+        entries = {entry.text: entry.rgb for entry in paths.others_legend(count)}
+        assert entries[text] == paths.OTHERS_COLOUR
+        assert {"estimate", "start (circle)", "end (square)"} <= entries.keys()
+
+
 def test_drift_does_not_make_the_rest_small() -> None:
     far = Trajectory(corner().stamps_s, corner().poses * (500.0, 500.0, 1.0))
     image = pixels(paths.paths_picture(corner(), odometry=far))
@@ -275,6 +331,29 @@ def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Pa
         "02-path.png",
         "report.html",
     ]
+
+
+def test_the_report_of_a_run_shows_its_series_and_other_paths(tmp_path: Path) -> None:
+    stamps = np.arange(60.0)
+    page = write_slam_report(
+        tmp_path,
+        name="filter",
+        grid=own_map(),
+        trajectory=in_room(),
+        config=CONFIG,
+        series=[
+            Series("effective particles", "", stamps, stamps, limit=15.0),
+            Series("map", "MB", stamps, stamps),
+            Series("nothing yet", "", stamps[:0], stamps[:0]),
+        ],
+        other_paths=[in_room(wrong=0.1), in_room(wrong=0.2)],
+    ).read_text(encoding="utf-8")
+    assert "The path and what else it may have been" in page
+    assert "2 other paths, faint" in page
+    assert "From the top: effective particles, map." in page
+    assert page.index("other paths, faint") < page.index("Over the run")
+    names = sorted(path.name for path in tmp_path.glob("*.png"))
+    assert names[2:] == ["03-other-paths.png", "04-over-time.png"]
 
 
 def test_the_report_of_a_trajectory_says_what_its_numbers_rest_on(tmp_path: Path) -> None:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slamfusion.cli.slam import NAMES
+from slamfusion.cli.slam import NAMES, RESUMABLE
 from slamfusion.compute import NumpyBackend
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
-from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
-from tests.support.producers import DeadReckoning, ListLog, room_drive
+from slamfusion.slam.runner import (
+    PRODUCERS,
+    Resumable,
+    make_producer,
+    resume_producer,
+    run_producer,
+)
+from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
 
 
 def test_a_run_counts_what_it_did() -> None:
@@ -104,6 +111,69 @@ def test_a_deadline_stops_and_says_so() -> None:
     assert any("deadline" in sentence for sentence in run.doubts())
 
 
+def test_what_the_producer_offers_to_be_plotted_is_kept_and_not_in_the_json() -> None:
+    run = run_producer(DeadReckoning(), room_drive(5))
+    (series,) = run.series
+    assert (series.name, series.unit, series.limit) == ("hits", "beams", 100.0)
+    np.testing.assert_array_equal(series.stamps_s, run.trajectory.stamps_s)
+    hits = [item.scan.is_hit().sum() for item in room_drive(5)]
+    np.testing.assert_array_equal(series.values, hits)
+    assert [path.poses[0, 1] for path in run.other_paths] == pytest.approx([1.1, 2.1])
+    assert not {"series", "other_paths"} & run.to_json().keys()
+
+
+def test_a_limit_stops_without_a_doubt() -> None:
+    run = run_producer(DeadReckoning(), room_drive(9), limit=4)
+    assert (run.scans, run.stopped_by, run.doubts()) == (4, "limit", ())
+    assert run.odometry is not None
+    assert len(run.odometry) == 4
+    assert run.to_json()["complete"] is False
+    exact = run_producer(DeadReckoning(), room_drive(4), limit=4)
+    assert exact.is_complete
+
+
+def test_a_resumed_producer_is_fed_only_what_is_new(tmp_path: Path) -> None:
+    first = ResumableReckoning()
+    run_producer(first, room_drive(20), limit=8)
+    first.save_state(tmp_path / "state")
+    run = run_producer(ResumableReckoning.load_state(tmp_path / "state"), room_drive(20))
+    whole = run_producer(ResumableReckoning(), room_drive(20))
+    assert (run.known_scans, len(run.feed_s), run.scans) == (8, 12, 20)
+    assert run.to_json()["known_scans"] == 8
+    np.testing.assert_array_equal(run.grid.cells, whole.grid.cells)
+    np.testing.assert_array_equal(run.trajectory.poses, whole.trajectory.poses)
+    # The raw odometry of what was passed over counts too: the path begins there.
+    assert run.odometry is not None
+    assert whole.odometry is not None
+    np.testing.assert_array_equal(run.odometry.poses, whole.odometry.poses)
+
+
+def test_a_limit_counts_only_what_is_fed_in_this_run() -> None:
+    backend = ResumableReckoning()
+    run_producer(backend, room_drive(20), limit=3)
+    run = run_producer(backend, room_drive(20), limit=4)
+    assert (run.known_scans, len(run.feed_s), run.scans) == (3, 4, 7)
+
+
+def test_a_log_that_is_known_already_is_one_line() -> None:
+    backend = ResumableReckoning()
+    run_producer(backend, room_drive(6))
+    log = ListLog(room_drive(5))
+    with pytest.raises(SlamFusionError) as caught:
+        run_producer(backend, log, log=log)
+    assert str(caught.value) == (
+        "drive.log: dead-reckoning knows every one of the 5 scans: its state goes up to 0.500 s; "
+        "give a log that goes on from there"
+    )
+
+
+def test_a_resumed_producer_without_any_scan_makes_no_map() -> None:
+    backend = ResumableReckoning()
+    run_producer(backend, room_drive(6))
+    with pytest.raises(SlamFusionError, match="none of 0 scans; give"):
+        run_producer(backend, [])
+
+
 def test_many_blind_scans_are_a_doubt() -> None:
     scans = room_drive(10)
     blind = room_drive(14, blind=True)[10:]
@@ -144,6 +214,19 @@ def test_the_record_does_not_change_when_the_producer_goes_on() -> None:
 
 def test_the_command_line_offers_every_producer() -> None:
     assert tuple(PRODUCERS) == NAMES
+
+
+def test_the_command_line_resumes_every_producer_that_can() -> None:
+    able = tuple(name for name, producer in PRODUCERS.items() if producer.resume is not None)
+    assert able == RESUMABLE
+    for name in PRODUCERS:
+        made = make_producer(name, RunConfig(), NumpyBackend())
+        assert isinstance(made, Resumable) == (name in RESUMABLE)
+
+
+def test_a_producer_that_cannot_go_on_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SlamFusionError, match="tinyslam cannot go on from a saved state"):
+        resume_producer("tinyslam", tmp_path / "state", RunConfig(), NumpyBackend())
 
 
 def test_an_unknown_producer_is_named() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +14,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.io.log import LogScan, Skips
 from slamfusion.scan import LaserScan
-from slamfusion.slam.base import Health, Step
+from slamfusion.slam.base import Health, Series, Step
 from slamfusion.trajectory import Trajectory
 
 BEAMS = 720
@@ -29,12 +30,14 @@ class DeadReckoning:
         self.scores = scores or {}
         self.health = Health(mean_match_score=0.8)
         self.rows: list[tuple[float, float, float, float]] = []
+        self.hit_counts: list[int] = []
         self.hits: list[np.ndarray] = []
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
         pose = odometry or Pose2()
         self.health.scans += 1
         self.rows.append((scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
+        self.hit_counts.append(int(scan.is_hit().sum()))
         if not scan.is_hit().any():
             self.health.skips.add("nothing seen", self.health.scans)
             return Step(pose, used=False, match_score=None, reason="nothing seen")
@@ -47,6 +50,19 @@ class DeadReckoning:
     def trajectory(self) -> Trajectory:
         table = np.array(self.rows)
         return Trajectory(table[:, 0], table[:, 1:], self.name)
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """The same path, a metre and two metres beside."""
+        table = np.array(self.rows)
+        return tuple(
+            Trajectory(table[:, 0], table[:, 1:] + (0.0, beside_m, 0.0), f"beside {beside_m:g} m")
+            for beside_m in (1.0, 2.0)
+        )
+
+    def series(self) -> tuple[Series, ...]:
+        """How many beams hit something."""
+        stamps, counts = np.array(self.rows)[:, 0], np.array(self.hit_counts, dtype=np.float64)
+        return (Series("hits", "beams", stamps, counts, limit=100.0),)
 
     def grid(self) -> OccupancyGrid:
         if not self.hits:
@@ -62,6 +78,32 @@ class DeadReckoning:
 
     def memory_bytes(self) -> int:
         return 1000 * len(self.hits)
+
+
+class ResumableReckoning(DeadReckoning):
+    """The same, and ``Resumable``: its file is JSON."""
+
+    last_stamp_s: float | None = None
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        self.last_stamp_s = scan.stamp_s
+        return super().feed(scan, odometry)
+
+    def save_state(self, path: Path) -> None:
+        hits = [part.tolist() for part in self.hits]
+        state = {"rows": self.rows, "hits": hits, "hit_counts": self.hit_counts}
+        path.write_text(json.dumps(state), encoding="utf-8")
+
+    @classmethod
+    def load_state(cls, path: Path) -> ResumableReckoning:
+        state = json.loads(path.read_text(encoding="utf-8"))
+        made = cls()
+        made.rows = [tuple(row) for row in state["rows"]]
+        made.hits = [np.array(part) for part in state["hits"]]
+        made.hit_counts = state["hit_counts"]
+        made.health.scans, made.health.scans_used = len(made.rows), len(made.hits)
+        made.last_stamp_s = made.rows[-1][0]
+        return made
 
 
 class ListLog:

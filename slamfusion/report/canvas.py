@@ -1,0 +1,143 @@
+"""What the pictures of a report share: the sheet, its lettering, and cells that fit on it.
+
+No name of a map is ever drawn: names stand in the page, where they are escaped, and a ``$`` or a
+script of any alphabet in a name cannot upset a picture. Backgrounds are transparent and lettering
+is mid-grey, so that a picture sits on a light and on a dark page.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox
+
+__all__ = [
+    "DPI",
+    "FREE_RGB",
+    "INK",
+    "UNKNOWN_RGB",
+    "WALL_RGB",
+    "WIDTH_IN",
+    "Classes",
+    "Rgb",
+    "box_corner",
+    "crop_box",
+    "cut_cells",
+    "pool_cells",
+    "style_axes",
+    "to_png",
+    "unit_rgb",
+    "write_note",
+]
+
+Classes = npt.NDArray[np.int8]
+Rgb = tuple[int, int, int]
+
+INK = "#7b828c"  # contrast of about 4 to 1 on white and on the dark page
+# Four inches of lettering in 920 pixels: readable where three pictures stand side by side.
+DPI = 230
+WIDTH_IN = 4.0
+# No more cells than pixels along the longest side, or walls one cell wide would fall between them;
+# a turned map needs a pixel in every cell whatever the angle.
+_LONGEST_SIDE_CELLS = 760
+_LONGEST_SIDE_TURNED = 450
+_MARGIN_CELLS = 4
+
+UNKNOWN_RGB: Rgb = (205, 209, 214)
+FREE_RGB: Rgb = (255, 255, 255)
+WALL_RGB: Rgb = (18, 22, 28)
+
+
+def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
+    """Return the box of the cells to show with a small margin; the whole map when none is."""
+    rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    if rows.size == 0:
+        return CellBox(0, 0, shown.shape[0], shown.shape[1])
+    margin = _MARGIN_CELLS
+    return CellBox(
+        int(rows[0]) - margin,
+        int(cols[0]) - margin,
+        int(rows[-1]) + 1 + margin,
+        int(cols[-1]) + 1 + margin,
+    )
+
+
+def cut_cells(cells: Classes, box: CellBox, outside: int = -1) -> Classes:
+    """Return the cells of a box that may reach beyond the array."""
+    cut = np.full((box.height, box.width), outside, dtype=np.int8)
+    row0, col0 = max(box.row0, 0), max(box.col0, 0)
+    row1, col1 = min(box.row1, cells.shape[0]), min(box.col1, cells.shape[1])
+    cut[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = cells[
+        row0:row1, col0:col1
+    ]
+    return cut
+
+
+def box_corner(origin: Pose2, box: CellBox, resolution: float) -> Pose2:
+    """Return the pose of the lower-left corner of the box."""
+    x, y = origin.transform((box.col0 * resolution, box.row0 * resolution))
+    return Pose2(float(x), float(y), origin.yaw_rad)
+
+
+def pool_cells(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
+    """Shrink by a whole factor to what a picture can show; the largest code of each block wins.
+
+    Walls are one cell wide: any kind of averaging would lose them first.
+
+    Args:
+        codes: (H, W) int8.
+        origin: its yaw says whether the cells lie along the picture's pixels.
+
+    Returns:
+        (h, w) int8, and the factor; rows and columns that fill the last block repeat its edge.
+    """
+    longest = _LONGEST_SIDE_TURNED if origin.yaw_rad else _LONGEST_SIDE_CELLS
+    factor = max(1, math.ceil(max(codes.shape) / longest))
+    if factor == 1:
+        return codes, 1
+    height, width = (math.ceil(side / factor) for side in codes.shape)
+    padding = (
+        (0, height * factor - codes.shape[0]),
+        (0, width * factor - codes.shape[1]),
+    )
+    padded = np.pad(codes, padding, mode="edge")
+    blocks = padded.reshape(height, factor, width, factor)
+    return np.asarray(blocks.max(axis=(1, 3)), dtype=np.int8), factor
+
+
+def style_axes(axes: Axes) -> None:
+    """Give axes their quiet lettering and frame."""
+    axes.set_facecolor("none")
+    axes.tick_params(colors=INK, labelsize=7.5, width=0.7, length=3)
+    axes.ticklabel_format(useOffset=False, style="plain")
+    for spine in axes.spines.values():
+        spine.set_color(INK)
+        spine.set_linewidth(0.6)
+
+
+def to_png(figure: Figure) -> bytes:
+    """Return the figure as the bytes of a PNG with a transparent background."""
+    figure.patch.set_alpha(0.0)
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def write_note(axes: Axes, text: str) -> None:
+    """Say in words what the dotted line of the axes is."""
+    axes.set_title(text, loc="right", color=INK, fontsize=7, pad=2.5)
+
+
+def unit_rgb(rgb: Rgb) -> tuple[float, float, float]:
+    """Return a colour as matplotlib has it."""
+    r, g, b = (value / 255.0 for value in rgb)
+    return r, g, b

@@ -1,0 +1,117 @@
+"""The picture of a producer's own quantities over the time of its run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure  # noqa: TID251
+
+from slamfusion.report.canvas import (
+    DPI,
+    INK,
+    WIDTH_IN,
+    Rgb,
+    style_axes,
+    to_png,
+    unit_rgb,
+    write_note,
+)
+from slamfusion.slam.base import Series
+
+__all__ = ["LINE_COLOUR", "drawable", "series_picture"]
+
+LINE_COLOUR: Rgb = (28, 126, 214)
+
+# Heights of one pair of axes, of the name above it, and of the lettering below the last.
+_AXES_IN, _HEAD_IN, _FOOT_IN = 1.05, 0.25, 0.4
+# Half the columns of a picture: each shows the least and the greatest of what falls on it.
+_COLUMNS = 400
+_FEW = 50
+
+
+def drawable(series: Sequence[Series]) -> list[Series]:
+    """Return the series that have a value to be drawn."""
+    return [item for item in series if np.isfinite(item.values).any()]
+
+
+def series_picture(series: Sequence[Series], *, start_s: float | None = None) -> bytes:
+    """Draw quantities over time, one pair of axes above the other on one axis of time.
+
+    A limit is a dotted line, said in words beside the name. What is not finite leaves a gap.
+
+    Args:
+        series: at least one of them ``drawable``; the others are left out.
+        start_s: stamp that counts as 0 s, where the axis of time begins; default: the earliest of
+            all series.
+
+    Returns:
+        The bytes of a PNG file.
+    """
+    shown = drawable(series)
+    if not shown:
+        message = "none of the series has a value to draw"
+        raise ValueError(message)
+    first_s = min(float(item.stamps_s[0]) for item in shown)
+    begin = first_s if start_s is None else start_s
+    end_s = max(float(item.stamps_s[-1]) for item in shown) - begin
+    from_s = min(0.0, first_s - begin)
+    room_s = 0.01 * (end_s - from_s) or 1.0
+    row_in = _HEAD_IN + _AXES_IN
+    tall_in = len(shown) * row_in + _FOOT_IN
+    figure = Figure(figsize=(WIDTH_IN, tall_in), dpi=DPI)
+    first = None
+    for row, item in enumerate(shown):
+        bottom_in = _FOOT_IN + row_in * (len(shown) - 1 - row)
+        box = (0.155, bottom_in / tall_in, 0.825, _AXES_IN / tall_in)
+        axes = figure.add_axes(box, sharex=first)
+        first = first or axes
+        since, values = _thinned(item.stamps_s - begin, item.values)
+        marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
+        axes.plot(since, values, color=unit_rgb(LINE_COLOUR), lw=0.9, marker=marker, ms=2.0)
+        if item.limit is not None:
+            axes.axhline(item.limit, color=INK, lw=0.8, ls=":")
+            write_note(axes, f"limit {item.limit:.4g}")
+        axes.set_title(_plain(item.name), loc="left", color=INK, fontsize=7.5, pad=3)
+        axes.set_ylabel(_plain(item.unit), color=INK, fontsize=7.5)
+        axes.set_ylim(*_span(item))
+        axes.set_xlim(from_s - room_s, end_s + room_s)
+        style_axes(axes)
+        axes.tick_params(labelbottom=row == len(shown) - 1)
+    axes.set_xlabel("seconds since the start", color=INK, fontsize=7.5)
+    return to_png(figure)
+
+
+def _span(item: Series) -> tuple[float, float]:
+    """Return the limits of the y axis: from 0 where nothing is negative, the limit in sight."""
+    values = item.values[np.isfinite(item.values)]
+    low, high = float(values.min()), float(values.max())
+    if item.limit is not None:
+        low, high = min(low, item.limit), max(high, item.limit)
+    low = min(low, 0.0)
+    room = 0.06 * (high - low) or 1.0
+    return low - (room if low < 0.0 else 0.0), high + room
+
+
+def _thinned(
+    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return few enough points for the picture; of each run of them the least and the greatest."""
+    step = -(-len(x) // _COLUMNS)
+    if step <= 2:
+        return x, y
+    count = len(x) // step * step
+    rows = y[:count].reshape(-1, step)
+    known = np.isfinite(rows)
+    low = np.argmin(np.where(known, rows, np.inf), axis=1)
+    high = np.argmax(np.where(known, rows, -np.inf), axis=1)
+    pair = np.sort(np.stack((low, high), axis=1), axis=1)
+    kept = (pair + step * np.arange(len(rows))[:, None]).ravel()
+    kept = np.append(kept, np.arange(count, len(x)))
+    return x[kept], y[kept]
+
+
+def _plain(text: str) -> str:
+    """Return text that matplotlib draws as it is written: a ``$`` starts no formula."""
+    return text.replace("$", r"\$")

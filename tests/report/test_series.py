@@ -1,0 +1,131 @@
+"""The picture of quantities over time: what is high is high, nothing of note is thinned away."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from slamfusion.report.series import LINE_COLOUR, drawable, series_picture
+from slamfusion.slam.base import Series
+
+
+def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Series:
+    """One value a second."""
+    numbers = np.asarray(values, dtype=np.float64)
+    stamps = np.arange(len(numbers), dtype=np.float64)
+    return Series("particles", "", stamps, numbers, **more)  # type: ignore[arg-type]
+
+
+def pixels(png: bytes) -> npt.NDArray[np.uint8]:
+    """RGB of a picture on white, (H, W, 3), row 0 at the top."""
+    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    opacity = image[..., 3:] / 255.0
+    return np.asarray(
+        np.rint(image[..., 2::-1] * opacity + 255.0 * (1.0 - opacity)), dtype=np.uint8
+    )
+
+
+def line(png: bytes, slack: int = 40) -> npt.NDArray[np.bool_]:
+    """Where the line is."""
+    return np.asarray((np.abs(pixels(png).astype(int) - LINE_COLOUR) <= slack).all(axis=2))
+
+
+def test_a_rising_quantity_rises_to_the_right() -> None:
+    rows, cols = np.nonzero(line(series_picture([series(list(range(100)))])))
+    assert rows[cols < np.quantile(cols, 0.1)].mean() > rows[cols > np.quantile(cols, 0.9)].mean()
+    assert np.corrcoef(rows, cols)[0, 1] < -0.99
+
+
+def test_each_series_has_axes_of_its_own_one_above_the_other() -> None:
+    one = pixels(series_picture([series([1.0, 2.0])]))
+    high, low = series([5.0] * 100), series([0.001] * 100)
+    both = line(series_picture([high, low, high]))
+    assert both.shape[0] > 1.9 * one.shape[0]
+    rows = np.flatnonzero(both.sum(axis=1) > 300)
+    assert np.count_nonzero(np.diff(rows) > 50) == 2
+
+
+def test_all_share_one_axis_of_time() -> None:
+    early, late = series([3.0] * 50), series([3.0] * 50)
+    late = Series(late.name, late.unit, late.stamps_s + 50.0, late.values)
+    drawn = line(series_picture([early, late]))
+    half = drawn.shape[0] // 2
+    first, second = np.nonzero(drawn[:half])[1], np.nonzero(drawn[half:])[1]
+    assert first.max() <= second.min() + 3
+
+
+def test_the_axis_of_time_begins_at_the_start() -> None:
+    values = series([3.0] * 50)
+    at_once = np.nonzero(line(series_picture([values])))[1]
+    later = np.nonzero(line(series_picture([values], start_s=-49.0)))[1]
+    assert np.ptp(later) == pytest.approx(np.ptp(at_once) / 2, rel=0.02)
+    assert later.max() == pytest.approx(at_once.max(), abs=5)
+
+
+def test_a_limit_is_a_line_across_and_in_sight() -> None:
+    def dotted(png: bytes) -> npt.NDArray[np.int64]:
+        """Grey pixels of each row, without the frame and the lettering left of it."""
+        grey = (np.abs(pixels(png).astype(int) - (123, 130, 140)) <= 40).all(axis=2)
+        inside = grey[:, int(0.2 * grey.shape[1]) : int(0.95 * grey.shape[1])]
+        counts = inside.sum(axis=1)
+        return np.flatnonzero((counts > 0.25 * inside.shape[1]) & (counts < 0.9 * inside.shape[1]))
+
+    without = dotted(series_picture([series([9.0, 9.5] * 30)]))
+    with_limit = dotted(series_picture([series([9.0, 9.5] * 30, limit=15.0)]))
+    assert without.size == 0
+    assert 0 < with_limit.size < 8
+    below = np.nonzero(line(series_picture([series([9.0, 9.5] * 30, limit=15.0)])))[0]
+    assert with_limit.max() < below.min()
+
+
+@pytest.mark.parametrize("value", [0.0, 2.0])
+def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
+    values = np.full(50_000, 1.0)
+    values[31_337] = value
+    drawn = line(series_picture([series(values)]))
+    rows, cols = np.nonzero(drawn)
+    lonely = [row for row in np.unique(rows) if np.ptp(cols[rows == row]) < 10]
+    assert len(lonely) > 50
+    away = np.array(lonely).mean() - np.median(rows)
+    assert (away > 0) == (value < 1.0)
+
+
+def test_what_is_not_known_leaves_a_gap() -> None:
+    values = np.full(1000, 4.0)
+    values[400:600] = np.nan
+    _, cols = np.nonzero(line(series_picture([series(values)])))
+    gap = np.diff(np.unique(cols)).max()
+    assert gap / np.ptp(cols) == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [7.0],
+        [0.0, 0.0],
+        [-5.0, -1.0],
+        [1e12, 3e12],
+        [1e-9, 2e-9],
+        [float("nan"), 3.0, float("nan")],
+        [float("inf"), 1.0],
+    ],
+)
+def test_odd_values_can_be_drawn(values: list[float]) -> None:
+    assert line(series_picture([series(values)])).any()
+
+
+def test_what_has_no_value_is_left_out() -> None:
+    kept = series([1.0, 2.0])
+    nothing = [series([]), series([float("nan")] * 3)]
+    assert drawable([*nothing, kept]) == [kept]
+    assert series_picture([nothing[0], kept, nothing[1]]) == series_picture([kept])
+    with pytest.raises(ValueError, match="none of the series"):
+        series_picture(nothing)
+
+
+def test_names_are_drawn_as_they_are_written() -> None:
+    odd = Series("a $ and $ a_b^{c", "$", np.arange(3.0), np.arange(3.0))
+    assert line(series_picture([odd])).any()
