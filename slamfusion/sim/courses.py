@@ -78,6 +78,15 @@ COURSES: dict[str, tuple[str, dict[str, Any]]] = {
             "people": 1,
         },
     ),
+    "yard-tracks": (
+        "the yard on tracks, of which the right one slips by 15 %",
+        {
+            "world": {"name": "yard", "wall_height_m": 1.0},
+            "lidar": "rplidar",
+            "drive": {"model": "tracks", "slip_left": 0.0, "slip_right": 0.15},
+            "people": 1,
+        },
+    ),
     "f16": (
         "turn 360 deg at 90 deg/s, 5 m forward at 0.5 m/s over an obstacle, turn 360 deg [F16]",
         {

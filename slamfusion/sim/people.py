@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from slamfusion.config import PersonConfig
 from slamfusion.sim.route import FreeSpace
 from slamfusion.sim.world import Person
 
-__all__ = ["PERSON_RADIUS_M", "draw_people", "walk"]
+__all__ = ["PERSON_RADIUS_M", "Walks", "draw_people", "walk"]
 
 F64 = npt.NDArray[np.float64]
 Point = tuple[float, float]
@@ -27,6 +28,21 @@ STRIDE_M = 1.4
 SWING_M = 0.25
 # Two places of one person lie at least so far apart.
 WALK_M = 3.0
+
+
+class Walks(NamedTuple):
+    """Where people are while a robot drives by.
+
+    Attributes:
+        places: (N, P, 2) float64, middle of each of P people at each of N steps, metres, map frame.
+        discs: (N, D, 2) float64, centres of the discs that the laser meets; both legs of everyone,
+            or one body.
+        radii_m: (D,) float64, of the discs.
+    """
+
+    places: F64
+    discs: F64
+    radii_m: F64
 
 
 def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple[Person, ...]:
@@ -49,7 +65,7 @@ def draw_people(space: FreeSpace, count: int, rng: np.random.Generator) -> tuple
     return tuple(people)
 
 
-def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) -> tuple[F64, F64]:
+def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) -> Walks:
     """Walk people along their ways while a robot drives by.
 
     Args:
@@ -60,16 +76,17 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
         step_s: seconds from row to row.
 
     Returns:
-        (N, D, 2) centres of the discs, metres, map frame; (D,) their radii.
+        Places and discs at each row.
 
     Raises:
         SimulationError: a waypoint is no place to be, or cannot be reached.
     """
-    discs, radii = [], []
+    places, discs, radii = [], [], []
     for number, person in enumerate(people, start=1):
         way = _there_and_back(person, space, f"waypoint of person {number}")
         along = _paced(way, person.settings, robot, step_s)
         centre, heading = _on(way, along)
+        places.append(centre)
         if person.settings.body == "disc":
             discs.append(centre)
             radii.append(BODY_RADIUS_M)
@@ -81,8 +98,9 @@ def walk(people: Sequence[Person], space: FreeSpace, robot: F64, step_s: float) 
             discs.append(centre + side * (left * LEG_APART_M / 2.0 + ahead * swing))
             radii.append(LEG_RADIUS_M)
     if not discs:
-        return np.empty((len(robot), 0, 2)), np.empty(0)
-    return np.stack(discs, axis=1), np.array(radii)
+        nobody = np.empty((len(robot), 0, 2))
+        return Walks(nobody, nobody, np.empty(0))
+    return Walks(np.stack(places, axis=1), np.stack(discs, axis=1), np.array(radii))
 
 
 def _there_and_back(person: Person, space: FreeSpace, what: str) -> F64:

@@ -25,9 +25,9 @@ from slamfusion.scan import LaserScan
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry, run_script
 from slamfusion.sim.lidar import beam_angles, mount_of, sweep_ranges
-from slamfusion.sim.people import PERSON_RADIUS_M, draw_people, walk
+from slamfusion.sim.people import PERSON_RADIUS_M, Walks, draw_people, walk
 from slamfusion.sim.route import MARGIN_M, FreeSpace
-from slamfusion.sim.world import Person, World
+from slamfusion.sim.world import World
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 
@@ -55,6 +55,8 @@ class Recording:
         world: the truth, and who walked in it.
         scans: in the order of time, with the odometry of each.
         truth: the true pose of the robot's base at each scan; the first is the first odometry.
+        people: (N, P, 2) float64, where the middle of each of the world's P people was at each of
+            the N scans, metres; no file holds it, the course gives it again.
         left_out: planned waypoints that this robot could not drive to.
     """
 
@@ -62,6 +64,7 @@ class Recording:
     world: World
     scans: tuple[LogScan, ...]
     truth: Trajectory
+    people: F64
     left_out: tuple[Point, ...] = ()
 
     def duration_s(self) -> float:
@@ -118,8 +121,9 @@ def simulate(course: Course, backend: Backend, progress: Progress | None = None)
         people=people,
         obstacles=world.obstacles,
     )
-    scans, truth = _record(chosen, world, motion, walkers, backend, progress)
-    return Recording(chosen, world, scans, truth, tuple(left_out))
+    walks = _walks(chosen, world, motion, walkers)
+    scans, truth = _record(chosen, world, motion, walks, backend, progress)
+    return Recording(chosen, world, scans, truth, walks.places, tuple(left_out))
 
 
 def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
@@ -233,23 +237,32 @@ def _script_way(course: Course, start: Pose2) -> F64:
     return np.array(points)
 
 
+def _scans_every(course: Course, motion: Motion) -> int:
+    """Return the steps of a motion from one sweep to the next."""
+    return round(1.0 / (course.lidar.rate_hz * motion.step_s))
+
+
+def _walks(course: Course, world: World, motion: Motion, walkers: FreeSpace) -> Walks:
+    """Let the world's people walk while the robot moves; a row a sweep."""
+    robot = motion.poses[:: _scans_every(course, motion), :2]
+    return walk(world.people, walkers, robot, 1.0 / course.lidar.rate_hz)
+
+
 def _record(
     course: Course,
     world: World,
     motion: Motion,
-    walkers: FreeSpace,
+    walks: Walks,
     backend: Backend,
     progress: Progress | None,
 ) -> tuple[tuple[LogScan, ...], Trajectory]:
     """Read laser and odometry along a motion."""
     lidar = course.lidar
-    period_s = 1.0 / lidar.rate_hz
-    every = round(period_s / motion.step_s)
+    every = _scans_every(course, motion)
     poses = motion.poses[::every]
     odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
     stamps_s = np.arange(len(poses)) / lidar.rate_hz
-    people: tuple[Person, ...] = world.people
-    discs = walk(people, walkers, poses[:, :2], period_s)
+    discs = (walks.discs, walks.radii_m)
     ranges = sweep_ranges(world, lidar, poses, discs, backend, _chance(course, LASER_STREAM))
     angle_min_rad, step_rad = beam_angles(lidar)
     mount = mount_of(lidar)

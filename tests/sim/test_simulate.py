@@ -129,6 +129,39 @@ def test_people_are_seen_by_the_laser_and_absent_from_the_truth() -> None:
     assert nearer > 100
 
 
+def test_the_recording_says_where_the_people_were() -> None:
+    course = replace(named_course("hall", 1), people=2)
+    lidar = replace(course.lidar, beams=181, outlier_share=0.0, mixed_share=0.0)
+    with_people = simulate(replace(course, lidar=lidar), backend())
+    without = simulate(replace(course, lidar=lidar, people=0), backend())
+    assert with_people.people.shape == (len(with_people.scans), 2, 2)
+    assert without.people.shape == (len(without.scans), 0, 2)
+    away = []
+    for number, (a, b) in enumerate(zip(with_people.scans, without.scans, strict=True)):
+        nearer = a.scan.is_hit() & (a.scan.ranges < b.scan.ranges - 0.3)
+        points = with_people.truth.pose(number).transform(a.scan.points(nearer))
+        apart = points[:, None] - with_people.people[number]
+        away.append(np.hypot(apart[..., 0], apart[..., 1]).min(axis=1))
+    found = np.concatenate(away)
+    assert len(found) > 1000
+    # Half a stride, half the way between the legs, a leg's radius, and noise.
+    assert np.mean(found < 0.4) > 0.99
+
+
+def test_a_track_that_slips_turns_the_robot_unseen_by_its_odometry() -> None:
+    recording = recorded("yard-tracks")
+    drive = recording.course.drive
+    turned, read = (
+        np.unwrap(some.poses[:, 2])[-1] - some.poses[0, 2]
+        for some in (recording.truth, recording.odometry())
+    )
+    right_m = recording.odometry().path_length_m() + read * drive.track_m / 2.0
+    wanted = drive.slip_right * right_m / drive.track_m
+    assert wanted > 10.0, "radians"
+    assert read - turned == pytest.approx(wanted, rel=0.1)
+    assert clearance_m(recording.world.grid, recording.truth.poses[:, :2]) >= 0.2 - 1e-9
+
+
 def test_an_rplidar_misses_far_returns() -> None:
     recording = simulate(with_overrides(short("hall"), SimulateConfig(lidar="rplidar")), backend())
     perfect = replace(

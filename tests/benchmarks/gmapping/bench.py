@@ -1,0 +1,162 @@
+"""What every part needs: settings, runs of the producer, maps to be looked at, and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from slamfusion.compute import Backend
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import (
+    MapError,
+    Summary,
+    TrajectoryErrors,
+    compare_to_truth,
+    doubled_wall_share,
+    trajectory_errors,
+)
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan, save_map
+from slamfusion.slam.runner import ProducerRun, make_producer, run_producer
+from slamfusion.trajectory import Trajectory
+from tests.support.measures import closure_error
+from tests.support.odometry import without_odometry
+
+PRODUCER = "gmapping"
+OVER_SEEDS = ("mean", "dev.", "median", "worst")
+WALLS = ("precision", "recall", "F1", "off m", "doubled %")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A run and what it is worth against the truth.
+
+    Attributes:
+        run: of the producer.
+        path: errors of its path.
+        walls: errors of its map, moved onto the truth as the path is.
+        doubled_share: of its walls.
+        closure: error of the last pose seen from the first; metres, degrees.
+    """
+
+    run: ProducerRun
+    path: TrajectoryErrors
+    walls: MapError
+    doubled_share: float
+    closure: tuple[float, float]
+
+    def wall_figures(self) -> tuple[float | None, ...]:
+        """Return what ``WALLS`` names."""
+        walls = self.walls
+        off_m = walls.map_to_truth.mean_m if walls.map_to_truth else None
+        shares = (walls.wall_precision, walls.wall_recall, walls.wall_f1)
+        return (*shares, off_m, 100.0 * self.doubled_share)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One call of the benchmark.
+
+    Attributes:
+        producer: which one is measured.
+        config: its settings; parts change what they are about.
+        backend: where it runs.
+        seeds: of the runs, and of the simulated courses.
+        maps: folder for the first seed's maps; None: none are written.
+        console: where tables go.
+    """
+
+    producer: str
+    config: RunConfig
+    backend: Backend
+    seeds: tuple[int, ...]
+    maps: Path | None
+    console: Console
+
+    @property
+    def is_filter(self) -> bool:
+        """Whether the producer has gmapping's settings."""
+        return self.producer == PRODUCER
+
+    def configured(self, **settings: Any) -> RunConfig:
+        """Return the configuration with settings of gmapping put in."""
+        return replace(self.config, gmapping=replace(self.config.gmapping, **settings))
+
+    def run(
+        self, scans: Iterable[LogScan], seed: int, config: RunConfig | None = None
+    ) -> ProducerRun:
+        """Run a fresh producer."""
+        settings = replace(config or self.config, seed=seed)
+        return run_producer(make_producer(self.producer, settings, self.backend), scans)
+
+    def run_without_odometry(self, scans: Sequence[LogScan], seed: int) -> ProducerRun:
+        """Run on the laser alone: by the setting, or on scans without odometry."""
+        if self.is_filter:
+            return self.run(scans, seed, self.configured(odometry="none"))
+        return self.run(without_odometry(scans), seed)
+
+    def judge(self, run: ProducerRun, path: Trajectory, truth: OccupancyGrid) -> Judged:
+        """Compare a run with the truth."""
+        errors = trajectory_errors(run.trajectory, path, self.config.trajectory)
+        walls = compare_to_truth(
+            run.grid,
+            truth,
+            errors.pose_truth_estimate,
+            normalize=self.config.fusion.normalize,
+            tolerance_m=self.config.evaluate.tolerance_m,
+        )
+        closure = closure_error(run.trajectory, path)
+        return Judged(run, errors, walls, doubled_wall_share(run.grid), closure)
+
+    def keep_map(self, grid: OccupancyGrid, seed: int, *words: str) -> None:
+        """Write a map of the first seed where maps are wanted."""
+        if self.maps is not None and seed == self.seeds[0]:
+            name = "-".join("-".join(words).replace(",", "").split())
+            save_map(grid, self.maps / name, image_format="png")
+
+    def table(self, title: str, *columns: str) -> Table:
+        """Return an empty table that says what is measured and on what."""
+        seeds = f"seeds {self.seeds[0]} to {self.seeds[-1]}"
+        table = Table(title=f"{title}; {self.producer}, {seeds}, {self.backend.name}")
+        for column in columns:
+            table.add_column(column, no_wrap=column == columns[0])
+        return table
+
+
+def over_seeds(values: Sequence[float], digits: int = 3) -> list[str]:
+    """Return mean, deviation, median and worst as a table shows them."""
+    summary = Summary.of(values)
+    figures = (summary.mean, summary.std, summary.median, summary.worst)
+    return [shown(figure, digits) for figure in figures]
+
+
+def shown(value: float | None, digits: int = 3) -> str:
+    """Return a figure as a table shows it."""
+    return "-" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+
+
+def mean_walls(judged: Sequence[Judged]) -> list[str]:
+    """Return the means of what ``WALLS`` names."""
+    rows = zip(*(item.wall_figures() for item in judged), strict=True)
+    return [shown(_mean(row), 1 if name.endswith("%") else 3) for name, row in _named(rows)]
+
+
+def times(runs: Sequence[ProducerRun]) -> list[str]:
+    """Return mean and 95th percentile of the time for a scan, the median over runs, ms."""
+    every = [run.time_per_scan_ms() for run in runs]
+    return [f"{np.median([time[name] for time in every]):.2f}" for name in ("mean", "p95")]
+
+
+def _named(rows: Iterable[Sequence[float | None]]) -> Iterator[tuple[str, Sequence[float | None]]]:
+    return zip(WALLS, rows, strict=True)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
