@@ -7,8 +7,9 @@
  * Counts grow by atomic sums of whole numbers, and the field depends on nothing but the counts, so
  * the result does not depend on the device's schedule.
  *
- * A word of `counts`: hits (16 bits), visits (16); the visits include the hits. `sum_x` and `sum_y`:
- * sums over the hits of their offset in the cell, 0 to 255, in 1/256 cell.
+ * A word of `counts`: hits (16 bits), visits (16); the visits include the hits. A word of `sums`:
+ * over the hits, the sum of their offset in the cell in x (16 bits) and in y (16); an offset is 0 to
+ * 15, in 1/16 cell, and stands for the middle of its sixteenth.
  * Twin: hit_map_reference; exact. Positions are float32 without contraction for that reason.
  */
 #pragma OPENCL FP_CONTRACT OFF
@@ -18,8 +19,13 @@
 
 #define HIT 0x10000u
 #define VISITS 0xffffu
-/* Halve all counts when a cell has been visited this often. */
-#define FULL 0x8000u
+/* Bits of a count that is full: 0x8000 visits, or 2048 hits. A scan has fewer beams than that, so
+ * that no half of a word of `counts` or `sums` flows over. */
+#define FULL (2048u << 16 | 0x8000u)
+/* Offsets in the cell: from 1/1024 cell; half of one, and one, in 1/256 cell. */
+#define OFFSET_SHIFT 6
+#define HALF_OFFSET 8
+#define OFFSET_ONE 16
 #define SHARE_ONE 65536ul
 #define TABLE_LAST 255
 #define TILE_SIDE (1 << TILE_SHIFT)
@@ -140,15 +146,32 @@ __kernel void copy_tiles(
   }
 }
 
+/* Fetch tiles of a pool.
+ *
+ * pool     TILE_CELLS values per tile, in words of 8 bytes
+ * words    of a tile
+ * numbers  int, count of them
+ * tiles    count tiles
+ * Global: (words, count).
+ */
+__kernel void take_tiles(
+    __global const ulong *pool, const int words, __global const int *numbers, const int count,
+    __global ulong *tiles) {
+  const int word = get_global_id(0), n = get_global_id(1);
+  if (word < words && n < count) {
+    tiles[(size_t)n * words + word] = pool[(size_t)numbers[n] * words + word];
+  }
+}
+
 /* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
  *
  * is_hit  uchar per beam
  * pages   int, width x height per map; cells of page 0 are left out
- * full    int: becomes 1 when a cell has FULL visits
+ * full    int: becomes 1 when a cell is FULL
  */
 __kernel void count_beams(
     SCAN, __global const uchar *is_hit, __global const int *pages, __global uint *counts,
-    __global uint *sum_x, __global uint *sum_y, __global int *full) {
+    __global uint *sums, __global int *full) {
   const int item = get_global_id(0);
   if (item >= maps * beams) {
     return;
@@ -162,8 +185,9 @@ __kernel void count_beams(
   if (is_hit[beam]) {
     const int at = tile_cell(own, width, height, end.x >> 10, end.y >> 10);
     if (at >= TILE_CELLS) {
-      atomic_add(sum_x + at, (uint)(end.x & 1023) >> 2);
-      atomic_add(sum_y + at, (uint)(end.y & 1023) >> 2);
+      const uint x = (uint)(end.x & 1023) >> OFFSET_SHIFT;
+      const uint y = (uint)(end.y & 1023) >> OFFSET_SHIFT;
+      atomic_add(sums + at, x << 16 | y);
     }
     more = HIT + 1;
   }
@@ -172,7 +196,7 @@ __kernel void count_beams(
     const int n = look_ahead(w, first, own, width, counts, places);
     for (int k = 0; k < n; k++) {
       if (places[k] >= TILE_CELLS) {
-        seen |= atomic_add(counts + places[k], more) + 1;
+        seen |= atomic_add(counts + places[k], more) + more;
       }
       more = 1;
     }
@@ -203,9 +227,9 @@ inline ulong widened(ulong bits, const int reach) {
  * look for the nearest of them to every cell of the inner square that nobody else has claimed. */
 inline void settle_cell(
     const int2 cell, __global const int *pages, const int width, const int height,
-    __global const uint *counts, __global const uint *sum_x, __global const uint *sum_y,
-    __global uchar *field, __global uint *claimed, __global const uchar *table, const int shift,
-    const int reach, const uint occupied, const uint least_hits) {
+    __global const uint *counts, __global const uint *sums, __global uchar *field,
+    __global uint *claimed, __global const uchar *table, const int shift, const int reach,
+    const uint occupied, const uint least_hits) {
   /* The block lies in up to four tiles; its columns and rows count from the corner of the first. */
   const int west = (cell.x - 2 * reach) >> TILE_SHIFT, left = (cell.x - 2 * reach) & TILE_MASK;
   const int south = (cell.y - 2 * reach) >> TILE_SHIFT, low = (cell.y - 2 * reach) & TILE_MASK;
@@ -252,8 +276,9 @@ inline void settle_cell(
       const uint count = counts[at], hits = count >> 16, visits = count & VISITS;
       if (hits >= least_hits && (ulong)hits * SHARE_ONE > (ulong)occupied * visits &&
           (cols >> col & 1)) {
-        wall_x[walls] = (col << 8) + (int)(sum_x[at] / hits);
-        wall_y[walls] = (row << 8) + (int)(sum_y[at] / hits);
+        const uint sum = sums[at];
+        wall_x[walls] = (col << 8) + HALF_OFFSET + (int)((sum >> 16) * OFFSET_ONE / hits);
+        wall_y[walls] = (row << 8) + HALF_OFFSET + (int)((sum & 0xffffu) * OFFSET_ONE / hits);
         walls++;
       }
     }
@@ -294,10 +319,9 @@ inline void settle_cell(
  * least_hits  and at least this many, 1 or more
  */
 __kernel void settle_field(
-    SCAN, __global const int *pages, __global const uint *counts, __global const uint *sum_x,
-    __global const uint *sum_y, __global uchar *field, __global uint *claimed,
-    __global const uchar *table, const int shift, const int reach, const uint occupied,
-    const uint least_hits) {
+    SCAN, __global const int *pages, __global const uint *counts, __global const uint *sums,
+    __global uchar *field, __global uint *claimed, __global const uchar *table, const int shift,
+    const int reach, const uint occupied, const uint least_hits) {
   const int item = get_global_id(0);
   if (item >= maps * beams) {
     return;
@@ -313,8 +337,8 @@ __kernel void settle_field(
     for (int k = 0; k < n; k++) {
       if (counts[places[k]] >= HIT) {
         settle_cell(
-            walked_cell(w, first + k), own, width, height, counts, sum_x, sum_y, field, claimed,
-            table, shift, reach, occupied, least_hits);
+            walked_cell(w, first + k), own, width, height, counts, sums, field, claimed, table,
+            shift, reach, occupied, least_hits);
       }
     }
   }

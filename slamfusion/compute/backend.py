@@ -15,7 +15,7 @@ import numpy.typing as npt
 from slamfusion.compute import hit_map_reference, reference, slam_reference
 from slamfusion.compute.hit_map_reference import BeamScan, FieldRule
 from slamfusion.compute.reference import DISTANCE_MAX
-from slamfusion.compute.slam_reference import BeamRule
+from slamfusion.compute.slam_reference import BeamRule, SmearRule
 
 __all__ = ["Backend", "Handle", "NumpyBackend"]
 
@@ -241,22 +241,38 @@ class Backend(Protocol):
     def copy_tiles(self, pools: tuple[Handle, ...], pairs: npt.NDArray[np.int32]) -> None:
         """See ``hit_map_reference.copy_tiles``; works in place, the pairs come from the host."""
 
-    def count_beams(
-        self, counts: Handle, sum_x: Handle, sum_y: Handle, pages: Handle, scan: BeamScan
-    ) -> bool:
+    def take_tiles(self, pool: Handle, numbers: npt.NDArray[np.int32]) -> npt.NDArray[Any]:
+        """See ``hit_map_reference.take_tiles``; the numbers come from the host."""
+
+    def count_beams(self, counts: Handle, sums: Handle, pages: Handle, scan: BeamScan) -> bool:
         """See ``hit_map_reference.count_beams``; works in place."""
 
     def settle_field(
         self,
         counts: Handle,
-        sum_x: Handle,
-        sum_y: Handle,
+        sums: Handle,
         field: Handle,
         pages: Handle,
         scan: BeamScan,
         rule: FieldRule,
     ) -> None:
         """See ``hit_map_reference.settle_field``; works in place."""
+
+    def smear_mark(
+        self, observed: Handle, pages: Handle, beams: Handle, rule: SmearRule, wanted: Handle
+    ) -> bool:
+        """See ``slam_reference.smear_mark``; works in place."""
+
+    def smear_fold(
+        self,
+        observed: Handle,
+        states: Handle,
+        field: Handle,
+        pages: Handle,
+        beams: Handle,
+        rule: SmearRule,
+    ) -> None:
+        """See ``slam_reference.smear_fold``; works in place."""
 
 
 class NumpyBackend:
@@ -290,8 +306,11 @@ class NumpyBackend:
     score_maps = staticmethod(slam_reference.score_maps)
     tiny_mark = staticmethod(slam_reference.tiny_mark)
     tiny_fold = staticmethod(slam_reference.tiny_fold)
+    smear_mark = staticmethod(slam_reference.smear_mark)
+    smear_fold = staticmethod(slam_reference.smear_fold)
     touch_pages = staticmethod(hit_map_reference.touch_pages)
     copy_tiles = staticmethod(hit_map_reference.copy_tiles)
+    take_tiles = staticmethod(hit_map_reference.take_tiles)
     count_beams = staticmethod(hit_map_reference.count_beams)
     settle_field = staticmethod(hit_map_reference.settle_field)
     cast_rays = staticmethod(reference.cast_rays)

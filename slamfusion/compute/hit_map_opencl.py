@@ -9,13 +9,13 @@ import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.arrays import DeviceArray, DeviceArrays
-from slamfusion.compute.hit_map_reference import BeamScan, FieldRule, check_rule
+from slamfusion.compute.hit_map_reference import BeamScan, FieldRule, check_beams, check_rule
 from slamfusion.compute.slam_reference import TILE
 
 __all__ = ["HitMapOperations"]
 
-# Tiles are copied in words of this many bytes.
-COPIED_BYTES = 32
+# Tiles are copied, and fetched, in words of this many bytes.
+COPIED_BYTES, TAKEN_BYTES = 32, 8
 
 
 class HitMapOperations(DeviceArrays):
@@ -42,30 +42,36 @@ class HitMapOperations(DeviceArrays):
                 "copy_tiles", (words, count), pool, np.int32(words), table, np.int32(count)
             )
 
+    def take_tiles(self, pool: DeviceArray, numbers: npt.NDArray[np.int32]) -> npt.NDArray[Any]:
+        """See ``hit_map_reference.take_tiles``."""
+        count = len(numbers)
+        tiles = np.empty((count, TILE, TILE), dtype=pool.dtype)
+        if count:
+            words = TILE * TILE * pool.dtype.itemsize // TAKEN_BYTES
+            table, out = self.upload(numbers), self.lend(tiles, writable=True)
+            self._launch(
+                "take_tiles", (words, count), pool, np.int32(words), table, np.int32(count), out
+            )
+            self.collect(out, tiles)
+        return tiles
+
     def count_beams(
-        self,
-        counts: DeviceArray,
-        sum_x: DeviceArray,
-        sum_y: DeviceArray,
-        pages: DeviceArray,
-        scan: BeamScan,
+        self, counts: DeviceArray, sums: DeviceArray, pages: DeviceArray, scan: BeamScan
     ) -> bool:
         """See ``hit_map_reference.count_beams``."""
+        check_beams(scan)
         full = np.zeros(1, dtype=np.int32)
         if pages.size and len(scan.ends):
             flag = self.upload(full)
             is_hit = self.upload(scan.is_hit)
-            self._launch_beams(
-                "count_beams", pages, scan, is_hit, pages, counts, sum_x, sum_y, flag
-            )
+            self._launch_beams("count_beams", pages, scan, is_hit, pages, counts, sums, flag)
             cl.enqueue_copy(self.queue, full, flag.buffer)
         return bool(full[0])
 
     def settle_field(
         self,
         counts: DeviceArray,
-        sum_x: DeviceArray,
-        sum_y: DeviceArray,
+        sums: DeviceArray,
         field: DeviceArray,
         pages: DeviceArray,
         scan: BeamScan,
@@ -81,8 +87,7 @@ class HitMapOperations(DeviceArrays):
             scan,
             pages,
             counts,
-            sum_x,
-            sum_y,
+            sums,
             field,
             self._cleared((counts.shape[0], TILE), np.uint32),
             self._table(rule.table),

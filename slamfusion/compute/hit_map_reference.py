@@ -6,8 +6,12 @@ only: see ``touch_pages`` and ``copy_tiles``. Positions are in cells of the wind
 whole numbers and equal the kernels' exactly.
 
 A cell of ``counts`` (uint32) has its hits in the upper and its visits, hits included, in the lower
-16 bits; ``sum_x`` and ``sum_y`` (uint32) sum over the hits their offset in the cell, 0 to 255, in
-1/256 cell. An unseen cell is 0 in all pools.
+16 bits. A cell of ``sums`` (uint32) sums over the hits their offset in the cell, 0 to 15 in 1/16
+cell, in x in the upper and in y in the lower 16 bits; an offset stands for the middle of its
+sixteenth. An unseen cell is 0 in all pools.
+
+A half of a sum has room for the hits of a cell that is nearly full and of one scan more; see
+``FULL_HITS`` and ``MOST_BEAMS``.
 """
 
 from __future__ import annotations
@@ -21,15 +25,19 @@ from slamfusion.compute.slam_reference import BEAM_ONE, TILE
 from slamfusion.errors import DeviceError
 
 __all__ = [
+    "FULL_HITS",
     "FULL_VISITS",
+    "MOST_BEAMS",
     "MOST_REACH",
     "BeamScan",
     "FieldRule",
+    "check_beams",
     "check_rule",
     "copy_tiles",
     "count_beams",
     "full_field",
     "settle_field",
+    "take_tiles",
     "touch_pages",
 ]
 
@@ -39,14 +47,19 @@ I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 F32 = npt.NDArray[np.float32]
 
-# Whoever counts must halve all counts when a cell has been visited this often.
-FULL_VISITS = 0x8000
+# Whoever counts must halve all counts when a cell has been visited, or hit, this often.
+FULL_VISITS, FULL_HITS = 0x8000, 2048
+# Beams of a scan.
+MOST_BEAMS = FULL_HITS - 1
 # The field looks at most this many cells around.
 MOST_REACH = 3
 HITS_SHIFT, VISITS_MASK = 16, 0xFFFF
-# Offsets in a cell and distances count in 1/256 cell.
-OFFSET_SHIFT = 2
-OFFSETS, HALF_CELL = 256, 128
+SUM_SHIFT, SUM_MASK = 16, 0xFFFF
+# Offsets in a cell: from 1/1024 cell; half of one, and one, in 1/256 cell.
+OFFSET_SHIFT = 6
+HALF_OFFSET, OFFSET_ONE = 8, 16
+# Distances count in 1/256 cell.
+CELL_ONE, HALF_CELL = 256, 128
 SHARE_ONE = 1 << 16
 TABLE_LAST = 255
 
@@ -57,8 +70,8 @@ class BeamScan(NamedTuple):
     What lies outside the window is moved to its border.
 
     Attributes:
-        ends: (B, 2) float32 ends of the beams, cells, in the robot's frame. B below
-            ``FULL_VISITS``.
+        ends: (B, 2) float32 ends of the beams, cells, in the robot's frame.
+            ``count_beams`` takes up to ``MOST_BEAMS``.
         is_hit: (B,) uint8, 0 where the beam is free up to its end and met nothing.
         laser: (2,) float32, cells, in the robot's frame.
         poses: (N, 4) float32, the robot in each map: x, y in cells of the window, cos, sin.
@@ -176,28 +189,56 @@ def copy_tiles(pools: tuple[npt.NDArray[Any], ...], pairs: I32) -> None:
         pool[pairs[:, 1]] = pool[pairs[:, 0]]
 
 
-def count_beams(counts: U32, sum_x: U32, sum_y: U32, pages: I32, scan: BeamScan) -> bool:
+def take_tiles(pool: npt.NDArray[Any], numbers: I32) -> npt.NDArray[Any]:
+    """Fetch tiles of a pool.
+
+    Args:
+        pool: (T, TILE, TILE) of any dtype.
+        numbers: (K,) int32, 0 to T - 1, on the host.
+
+    Returns:
+        (K, TILE, TILE), on the host.
+    """
+    return np.asarray(pool[numbers])
+
+
+def check_beams(scan: BeamScan) -> None:
+    """Refuse a scan that could make a cell's sums flow over.
+
+    Raises:
+        DeviceError: it has more than ``MOST_BEAMS`` beams.
+    """
+    if len(scan.ends) > MOST_BEAMS:
+        message = f"a scan to be counted has up to {MOST_BEAMS} beams, found {len(scan.ends)}"
+        raise DeviceError(message)
+
+
+def count_beams(counts: U32, sums: U32, pages: I32, scan: BeamScan) -> bool:
     """Count a scan in every map, in place.
 
     All cells of a beam's walk, its end included, are visited once more; the end of a beam that met
     something is also hit once more.
 
     Args:
-        counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` times yet.
-        sum_x: (T, TILE, TILE) uint32.
-        sum_y: (T, TILE, TILE) uint32.
+        counts: (T, TILE, TILE) uint32, no cell visited ``FULL_VISITS`` or hit ``FULL_HITS`` times
+            yet.
+        sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
         pages: (N, PH, PW) int32; cells of pages without a tile are left out.
-        scan: see ``BeamScan``.
+        scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
 
     Returns:
-        Whether a cell has now been visited ``FULL_VISITS`` times: halve all hits, visits and sums,
-        and take the field from ``full_field``, as ``settle_field`` only sees what a scan crosses.
+        Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve all
+        hits, visits and sums, and take the field from ``full_field``, as ``settle_field`` only sees
+        what a scan crosses.
+
+    Raises:
+        DeviceError: the scan has more beams.
     """
+    check_beams(scan)
     w = _walks(scan, pages.shape)
     places = _places(pages, *w)
     places = tuple(part[places[0] != 0] for part in places)
     np.add.at(counts, places, np.uint32(1))
-    is_full = bool((counts[places] & VISITS_MASK >= FULL_VISITS).any())
 
     x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
     maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
@@ -205,10 +246,11 @@ def count_beams(counts: U32, sum_x: U32, sum_y: U32, pages: I32, scan: BeamScan)
     has_tile = hit[0] != 0
     hit = tuple(part[has_tile] for part in hit)
     np.add.at(counts, hit, np.uint32(1 << HITS_SHIFT))
-    for sums, place in ((sum_x, x), (sum_y, y)):
-        offset = (place % BEAM_ONE) >> OFFSET_SHIFT
-        np.add.at(sums, hit, offset[has_tile].astype(np.uint32))
-    return is_full
+    east, north = ((place % BEAM_ONE) >> OFFSET_SHIFT for place in (x, y))
+    np.add.at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
+
+    hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
+    return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())
 
 
 def check_rule(rule: FieldRule) -> None:
@@ -225,20 +267,21 @@ def check_rule(rule: FieldRule) -> None:
         raise DeviceError(message)
 
 
-def _field_of(pools: tuple[U32, U32, U32], offset: tuple[int, int], rule: FieldRule) -> I64:
+def _field_of(counts: U32, sums: U32, offset: tuple[int, int], rule: FieldRule) -> I64:
     """Return what cells give the field of those from which they lie at an offset.
 
     Args:
-        pools: counts, sum_x and sum_y of the cells, in any shape.
+        counts: of the cells, in any shape.
+        sums: likewise.
         offset: x and y from a cell whose field is asked for to these, in cells.
         rule: see ``FieldRule``.
     """
-    counts, *sums = pools
     hits, visits = (counts >> HITS_SHIFT).astype(np.int64), (counts & VISITS_MASK).astype(np.int64)
     occupied = (hits >= rule.least_hits) & (hits * SHARE_ONE > rule.occupied * visits)
+    halves = (sums >> SUM_SHIFT).astype(np.int64), (sums & SUM_MASK).astype(np.int64)
     dx, dy = (
-        cells * OFFSETS + total.astype(np.int64) // np.maximum(hits, 1) - HALF_CELL
-        for cells, total in zip(offset, sums, strict=True)
+        cells * CELL_ONE + HALF_OFFSET + total * OFFSET_ONE // np.maximum(hits, 1) - HALF_CELL
+        for cells, total in zip(offset, halves, strict=True)
     )
     step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
     return np.where(occupied, rule.table[step], 0).astype(np.int64)
@@ -251,13 +294,7 @@ def _square(reach: int) -> list[tuple[int, int]]:
 
 
 def settle_field(
-    counts: U32,
-    sum_x: U32,
-    sum_y: U32,
-    field: U8,
-    pages: I32,
-    scan: BeamScan,
-    rule: FieldRule,
+    counts: U32, sums: U32, field: U8, pages: I32, scan: BeamScan, rule: FieldRule
 ) -> None:
     """Renew the score field, in place, wherever counting a scan may have changed it.
 
@@ -267,8 +304,7 @@ def settle_field(
 
     Args:
         counts: (T, TILE, TILE) uint32, the scan counted.
-        sum_x: (T, TILE, TILE) uint32, 255 or less a hit.
-        sum_y: (T, TILE, TILE) uint32, 255 or less a hit.
+        sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
         field: (T, TILE, TILE) uint8.
         pages: (N, PH, PW) int32; cells of pages without a tile are left out.
         scan: see ``BeamScan``.
@@ -285,19 +321,18 @@ def settle_field(
     best = np.zeros(len(maps), dtype=np.int64)
     for dx, dy in _square(rule.reach):
         places = _places(pages, maps, row + dy, col + dx)
-        pools = counts[places], sum_x[places], sum_y[places]
-        np.maximum(best, _field_of(pools, (dx, dy), rule), out=best)
+        field_there = _field_of(counts[places], sums[places], (dx, dy), rule)
+        np.maximum(best, field_there, out=best)
     has_tile = targets[0] != 0
     field[tuple(part[has_tile] for part in targets)] = best[has_tile].astype(np.uint8)
 
 
-def full_field(counts: U32, sum_x: U32, sum_y: U32, rule: FieldRule) -> U8:
+def full_field(counts: U32, sums: U32, rule: FieldRule) -> U8:
     """Return the score field of a whole map from its counts.
 
     Args:
         counts: (H, W) uint32.
-        sum_x: (H, W) uint32.
-        sum_y: (H, W) uint32.
+        sums: (H, W) uint32.
         rule: see ``FieldRule``.
 
     Returns:
@@ -305,11 +340,11 @@ def full_field(counts: U32, sum_x: U32, sum_y: U32, rule: FieldRule) -> U8:
     """
     height, width = counts.shape
     check_rule(rule)
-    padded = [np.pad(values, rule.reach) for values in (counts, sum_x, sum_y)]
+    padded = [np.pad(values, rule.reach) for values in (counts, sums)]
     best = np.zeros(counts.shape, dtype=np.int64)
     for dx, dy in _square(rule.reach):
         rows = slice(rule.reach + dy, rule.reach + dy + height)
         cols = slice(rule.reach + dx, rule.reach + dx + width)
-        counts, sum_x, sum_y = (part[rows, cols] for part in padded)
-        np.maximum(best, _field_of((counts, sum_x, sum_y), (dx, dy), rule), out=best)
+        counts, sums = (part[rows, cols] for part in padded)
+        np.maximum(best, _field_of(counts, sums, (dx, dy), rule), out=best)
     return best.astype(np.uint8)

@@ -14,7 +14,7 @@ __all__ = ["FAMILIES", "KernelProgram", "kernel_folder"]
 
 FAMILIES = (
     *("walls", "warp", "match", "bound", "vote", "raycast"),
-    *("scan_match", "tiny_map", "hit_map"),
+    *("scan_match", "tiny_map", "hit_map", "smear_map"),
 )
 
 

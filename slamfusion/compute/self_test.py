@@ -465,6 +465,39 @@ def _tiny_map(backend: Backend, sample: Sample, *, fold: bool) -> Arrays:
     return results
 
 
+def _smear_map(backend: Backend, sample: Sample, *, fold: bool) -> Arrays:
+    """Mark and fold a few scans, near and far around their hits."""
+    results: Arrays = []
+    table = np.linspace(255.0, 0.0, 256).astype(np.uint8)
+    for reach, most in ((2, 4095), (0, 2)):
+        pages, tiles = _window(sample)
+        shape = (tiles, slam_reference.TILE, slam_reference.TILE)
+        observed = backend.upload(np.zeros(shape, dtype=np.uint32))
+        states = backend.upload(np.zeros(shape, dtype=np.uint32))
+        field = backend.upload(np.full(shape, 20, dtype=np.uint8))
+        page_table = backend.upload(pages)
+        wanted = backend.upload(np.zeros(1 + pages.size, dtype=np.int32))
+        rule = slam_reference.SmearRule(table, 15, reach, most)
+        for seed in range(4):
+            beams = _beams(replace(sample, seed=sample.seed + seed))[:, :4]
+            handle = backend.upload(np.ascontiguousarray(beams))
+            missing = backend.smear_mark(observed, page_table, handle, rule, wanted)
+            if fold:
+                backend.smear_fold(observed, states, field, page_table, handle, rule)
+            else:
+                results.append(np.array([missing]))
+        results += _fetch(backend, [observed, wanted, states, field])
+    return results
+
+
+def _smear_mark(backend: Backend, sample: Sample) -> Arrays:
+    return _smear_map(backend, sample, fold=False)
+
+
+def _smear_fold(backend: Backend, sample: Sample) -> Arrays:
+    return _smear_map(backend, sample, fold=True)
+
+
 def _tiny_mark(backend: Backend, sample: Sample) -> Arrays:
     return _tiny_map(backend, sample, fold=False)
 
@@ -478,8 +511,8 @@ def _hit_pools(sample: Sample, tiles: int) -> list[npt.NDArray[Any]]:
     shape, rng = (tiles, slam_reference.TILE, slam_reference.TILE), sample.rng
     visits = rng.integers(0, 200, shape)
     hits = np.where(rng.random(shape) < 0.1, rng.integers(0, visits + 1), 0)
-    sums = [rng.integers(0, 255 * hits + 1) for _ in range(2)]
-    pools = [(hits << 16 | visits).astype(np.uint32), *(part.astype(np.uint32) for part in sums)]
+    sum_x, sum_y = (rng.integers(0, 15 * hits + 1) for _ in range(2))
+    pools = [(high << 16 | low).astype(np.uint32) for high, low in ((hits, visits), (sum_x, sum_y))]
     pools.append(rng.integers(0, 256, shape).astype(np.uint8))
     for pool in pools:
         pool[0] = 0
@@ -532,23 +565,33 @@ def _copy_tiles(backend: Backend, sample: Sample) -> Arrays:
     return _fetch(backend, pools)
 
 
+def _take_tiles(backend: Backend, sample: Sample) -> Arrays:
+    tiles = 1 + sum(sample.shape) // 2
+    numbers = sample.rng.integers(0, tiles, tiles + 5).astype(np.int32)
+    pools = [backend.upload(pool) for pool in _hit_pools(sample, tiles)]
+    return [backend.take_tiles(pool, some) for pool in pools for some in (numbers, numbers[:0])]
+
+
 def _count_beams(backend: Backend, sample: Sample) -> Arrays:
-    pages, (counts, *sums, _) = _hit_maps(sample)
-    # One map is a beam or two away from too many visits.
-    counts[1 : len(counts) // 2 : 3] |= hit_map_reference.FULL_VISITS - 2
+    pages, (counts, sums, _) = _hit_maps(sample)
+    visits, hits = hit_map_reference.FULL_VISITS, hit_map_reference.FULL_HITS
     table, scan = backend.upload(pages), _beam_scan(sample, pages)
-    pools = [backend.upload(pool) for pool in (counts, *sums)]
-    full = [
-        backend.count_beams(pools[0], pools[1], pools[2], table, part)
-        for part in (scan, scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0]))
-    ]
-    return [np.array(full), *_fetch(backend, pools)]
+    none = scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0])
+    results = []
+    # As it is, and in one map a beam or two away from too many visits, or hits.
+    for more in (0, visits - 2, hits - 2 << 16):
+        nearly = counts.copy()
+        nearly[1 : len(counts) // 2 : 3] |= np.uint32(more)
+        own = backend.upload(nearly), backend.upload(sums)
+        full = [backend.count_beams(*own, table, part) for part in (scan, none)]
+        results += [np.array(full), *_fetch(backend, own)]
+    return results
 
 
 def _settle_field(backend: Backend, sample: Sample) -> Arrays:
     pages, pools = _hit_maps(sample)
     table, scan = backend.upload(pages), _beam_scan(sample, pages)
-    counts, sum_x, sum_y = (backend.upload(pool) for pool in pools[:3])
+    counts, sums = (backend.upload(pool) for pool in pools[:2])
     falling = np.arange(255, -1, -1).astype(np.uint8)
     results = []
     for reach, shift, occupied, least_hits in (
@@ -557,8 +600,8 @@ def _settle_field(backend: Backend, sample: Sample) -> Arrays:
         (0, 9, 1 << 16, 1),
     ):
         rule = hit_map_reference.FieldRule(falling, shift, reach, occupied, least_hits)
-        field = backend.upload(pools[3])
-        backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+        field = backend.upload(pools[2])
+        backend.settle_field(counts, sums, field, table, scan, rule)
         results.append(field)
     return _fetch(backend, results)
 
@@ -591,8 +634,11 @@ CHECKS: dict[str, Check] = {
     "score_maps": _score_maps,
     "tiny_mark": _tiny_mark,
     "tiny_fold": _tiny_fold,
+    "smear_mark": _smear_mark,
+    "smear_fold": _smear_fold,
     "touch_pages": _touch_pages,
     "copy_tiles": _copy_tiles,
+    "take_tiles": _take_tiles,
     "count_beams": _count_beams,
     "settle_field": _settle_field,
 }

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.arrays import DeviceArray, DeviceArrays
-from slamfusion.compute.slam_reference import CLIMBERS, BeamRule
+from slamfusion.compute.slam_reference import CLIMBERS, BeamRule, SmearRule
 
 __all__ = ["SlamOperations"]
 
@@ -217,4 +217,60 @@ class SlamOperations(DeviceArrays):
             beams,
             np.int32(count),
             *(np.int32(number) for number in numbers),
+        )
+
+    def smear_mark(
+        self,
+        observed: DeviceArray,
+        pages: DeviceArray,
+        beams: DeviceArray,
+        rule: SmearRule,
+        wanted: DeviceArray,
+    ) -> bool:
+        """See ``slam_reference.smear_mark``."""
+        height, width = pages.shape
+        count = beams.shape[0]
+        self._launch(
+            "smear_mark",
+            (count,),
+            observed,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            beams,
+            np.int32(count),
+            self._table(rule.table),
+            np.int32(rule.shift),
+            np.int32(rule.reach),
+            wanted,
+        )
+        missing = np.empty(1, dtype=np.int32)
+        cl.enqueue_copy(self.queue, missing, wanted.buffer)
+        return bool(missing[0])
+
+    def smear_fold(
+        self,
+        observed: DeviceArray,
+        states: DeviceArray,
+        field: DeviceArray,
+        pages: DeviceArray,
+        beams: DeviceArray,
+        rule: SmearRule,
+    ) -> None:
+        """See ``slam_reference.smear_fold``."""
+        height, width = pages.shape
+        count = beams.shape[0]
+        self._launch(
+            "smear_fold",
+            (count,),
+            observed,
+            states,
+            field,
+            pages,
+            np.int32(width),
+            np.int32(height),
+            beams,
+            np.int32(count),
+            np.int32(rule.reach),
+            np.int32(rule.most),
         )

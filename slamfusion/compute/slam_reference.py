@@ -21,10 +21,13 @@ __all__ = [
     "UNSEEN",
     "VALUE_ONE",
     "BeamRule",
+    "SmearRule",
     "climb",
     "climb_maps",
     "score_maps",
     "score_poses",
+    "smear_fold",
+    "smear_mark",
     "tiny_fold",
     "tiny_mark",
 ]
@@ -50,6 +53,8 @@ WALL_GAIN = 425
 UNSEEN = HALF << 12
 # A word of the observed pool: hit, value, in front of the hit; 0 is no word.
 HIT_SHIFT, VALUE_SHIFT = 13, 1
+# A mean of 255 in a cell's 20 bits.
+MEAN_ONE = 4112
 SIXTEENTHS = np.float32(16.0)
 
 
@@ -376,3 +381,97 @@ def tiny_fold(
     at = tuple(places[front].T)
     told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)
     published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)
+
+
+class SmearRule(NamedTuple):
+    """How the hits of one scan spread into the cells around them.
+
+    Attributes:
+        table: (256,) uint8 value by the squared distance from a cell's centre to a hit, in (1/1024
+            cell)^2; it never rises, and its last counts for all that is farther.
+        shift: the squared distance is shifted right by this first.
+        reach: cells around a hit's own that learn of it.
+        most: observations that a cell remembers, 1 to 4095.
+    """
+
+    table: U8
+    shift: int
+    reach: int
+    most: int
+
+
+def _smears(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
+    """Return beam, column and row of every cell that beams speak of, and whether it is passed."""
+    flat = np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32)))
+    w = _walks(flat, 0)
+    way = w.i >= 1
+    around = np.arange(-reach, reach + 1)
+    rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
+    col = (beams[:, :1].astype(np.int64) >> 10) + cols
+    row = (beams[:, 1:2].astype(np.int64) >> 10) + rows
+    beam = np.repeat(np.arange(len(beams)), len(rows))
+    passed = np.concatenate((np.ones(int(way.sum()), np.int64), np.zeros(col.size, np.int64)))
+    return (
+        np.concatenate((w.beam[way], beam)),
+        np.concatenate((w.col[way], col.ravel())),
+        np.concatenate((w.row[way], row.ravel())),
+        passed,
+    )
+
+
+def smear_mark(observed: U32, pages: I32, beams: I32, rule: SmearRule, wanted: I32) -> bool:
+    """Write into ``observed``, in place, how near the hits of a scan come to the cells.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays.
+        pages: (PH, PW) int32.
+        beams: (B, 4) int32: x, y of the hit and of the laser in 1/1024 cell; all that they come
+            near to inside the window.
+        rule: see ``SmearRule``.
+        wanted: as for ``tiny_mark``.
+
+    Returns:
+        Whether a page was missing: provide tiles and mark again, which changes nothing twice.
+    """
+    beam, col, row, passed = _smears(beams, rule.reach)
+    hit_x, hit_y = beams[beam, 0].astype(np.int64), beams[beam, 1].astype(np.int64)
+    dx, dy = hit_x - (col << 10) - 512, hit_y - (row << 10) - 512
+    step = np.minimum((dx * dx + dy * dy) >> rule.shift, 255)
+    value = np.where(passed == 1, 0, rule.table[step].astype(np.int64))
+    tiles = pages[row // TILE, col // TILE]
+    missing = tiles == 0
+    wanted[1 + (row // TILE * pages.shape[1] + col // TILE)[missing]] = 1
+    wanted[0] |= int(missing.any())
+    put = ~missing
+    at = (tiles[put], row[put] % TILE, col[put] % TILE)
+    np.maximum.at(observed, at, (value[put] << 1 | 1).astype(np.uint32))
+    return bool(wanted[0])
+
+
+def smear_fold(
+    observed: U32, states: U32, field: U8, pages: I32, beams: I32, rule: SmearRule
+) -> None:
+    """Fold, in place, what a scan marked into the cells' means; each cell learns once a scan.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, as ``smear_mark`` left it; becomes 0.
+        states: (T, TILE, TILE) uint32: mean in 1/2^20 of 255 above 12 bits of observations.
+        field: (T, TILE, TILE) uint8: the mean.
+        pages: (PH, PW) int32.
+        beams: as for ``smear_mark``.
+        rule: as for ``smear_mark``.
+    """
+    _, col, row, _ = _smears(beams, rule.reach)
+    places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
+    places = np.unique(places, axis=0)
+    words = observed[tuple(places.T)].astype(np.int64)
+    places, words = (item[words > 0] for item in (places, words))
+    at = tuple(places.T)
+    observed[at] = 0
+    state = states[at].astype(np.int64)
+    mean = state >> 12
+    more = np.minimum((state & MOST_OBSERVATIONS) + 1, rule.most)
+    change = (words >> 1) * MEAN_ONE - mean
+    following = mean + np.sign(change) * (np.abs(change) // more)
+    states[at] = (following << 12 | more).astype(np.uint32)
+    field[at] = (following // MEAN_ONE).astype(np.uint8)

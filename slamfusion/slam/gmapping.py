@@ -17,8 +17,6 @@ import dataclasses
 import io
 import json
 import math
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -27,7 +25,13 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.backend import Backend
-from slamfusion.compute.hit_map_reference import FULL_VISITS, BeamScan, FieldRule
+from slamfusion.compute.hit_map_reference import (
+    FULL_HITS,
+    FULL_VISITS,
+    MOST_BEAMS,
+    BeamScan,
+    FieldRule,
+)
 from slamfusion.config import GmappingConfig, to_mapping
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle, wrap_angles
@@ -64,11 +68,11 @@ LOG_ONE = 1024
 TABLE_STEPS = 256
 # A climb tries at most so many steps in all.
 MOST_TRIES = 40
-# Of beams that are more, every second (third, ...) is mapped.
-MOST_MAPPED = 8192
+# Of beams that are more than a cell can count at once, every second (third, ...) is mapped.
+MOST_MAPPED = MOST_BEAMS
 DEFAULT_USABLE_M = 80.0
 USABLE_SHARE = 0.98
-STATE_FORMAT = 1
+STATE_FORMAT = 2
 PERCENTS = (0.0, 65.0, 100.0)
 
 
@@ -146,7 +150,7 @@ class Gmapping:
         self._maps = SharedTileMaps(
             backend,
             count,
-            {"counts": np.uint32, "sum_x": np.uint32, "sum_y": np.uint32, "field": np.uint8},
+            {"counts": np.uint32, "sums": np.uint32, "field": np.uint8},
         )
         self._motion = make_motion_model(self._config)
         self._field_rule = self._make_field_rule()
@@ -287,7 +291,9 @@ class Gmapping:
         start = _pose(self._poses[self._best])
         score: float | None = None
         pose = _pose(guesses[0].pose)
-        if self._config.match_every_scan:
+        # Without odometry nothing but the match moves the robot.
+        is_matched = self._config.match_every_scan or self._tracker.odometry is None
+        if is_matched:
             match = self._tracker.match(self._walls(), points, guesses)
             score = match.score
             if score * len(points) > self._config.minimumScore:
@@ -298,9 +304,9 @@ class Gmapping:
             best_score = self._filter(scan, ends, is_hit)
             score = best_score if score is None else score
             self.health.scans_used += 1
-        elif self._config.match_every_scan:
+        elif is_matched:
             self.health.scans_used += 1
-        is_used = is_due or self._config.match_every_scan
+        is_used = is_due or is_matched
         reason = "" if is_used else "the robot has not gone far enough since the last one"
         return Step(pose, is_used, score, reason)
 
@@ -464,17 +470,10 @@ class Gmapping:
         written[alive] = backend.touch_pages(pages, beams, config.kernelSize)
         maps.make_writable(written)
         pages, pools = maps.page_tables_of(alive), maps.pools
-        counted = pools["counts"], pools["sum_x"], pools["sum_y"]
-        if backend.count_beams(*counted, pages, beams):
+        if backend.count_beams(pools["counts"], pools["sums"], pages, beams):
             self._halve()
-            pools = maps.pools
-            counted = pools["counts"], pools["sum_x"], pools["sum_y"]
         backend.settle_field(
-            *counted,
-            pools["field"],
-            pages,
-            beams,
-            self._field_rule,
+            pools["counts"], pools["sums"], pools["field"], pages, beams, self._field_rule
         )
 
     def _halve(self) -> None:
@@ -483,16 +482,20 @@ class Gmapping:
         Of few counts the halves would be something else: those of other cells are left.
         """
         pools, backend = self._maps.pools, self._backend
-        counts = backend.download(pools["counts"]).astype(np.uint32)
-        hits, visits = counts >> 16, counts & 0xFFFF
-        is_busy = visits >= FULL_VISITS // 2
-        fewer = np.where(is_busy, (hits + 1) >> 1, hits)
-        halved = fewer << 16 | np.where(is_busy, (visits + 1) >> 1, visits)
-        pools["counts"] = backend.upload(halved.astype(np.uint32))
-        for name in ("sum_x", "sum_y"):
-            sums = backend.download(pools[name]).astype(np.uint64)
-            means = sums * fewer // np.maximum(hits, 1)
-            pools[name] = backend.upload(means.astype(np.uint32))
+        counts = backend.download(pools["counts"])
+        is_busy = (counts >= FULL_HITS // 2 << 16) | (counts & 0xFFFF >= FULL_VISITS // 2)
+        busy = np.nonzero(is_busy)
+        hits, visits = counts[busy] >> 16, counts[busy] & 0xFFFF
+        fewer = (hits + 1) >> 1
+        counts[busy] = fewer << 16 | (visits + 1) >> 1
+        pools["counts"] = backend.upload(counts)
+        sums = backend.download(pools["sums"])
+        some = np.maximum(hits, 1)
+        sum_x, sum_y = (
+            (half * fewer + some // 2) // some for half in (sums[busy] >> 16, sums[busy] & 0xFFFF)
+        )
+        sums[busy] = sum_x << 16 | sum_y
+        pools["sums"] = backend.upload(sums)
 
     # -- tables --------------------------------------------------------------------------------
 
@@ -589,7 +592,7 @@ class Gmapping:
         except OSError as error:
             message = f"{path}: cannot be read ({error.strerror or error})"
             raise SlamFusionError(message) from None
-        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        except Exception:  # noqa: BLE001 - taking other files apart may end in anything
             message = f"{path}: not a whole state that `--save-state` has written"
             raise SlamFusionError(message) from None
         if (name, version) != (cls.name, STATE_FORMAT):
@@ -607,7 +610,11 @@ class Gmapping:
                 )
                 raise SlamFusionError(message)
         made = cls(config, backend, seed)
-        made._restore(record, arrays)
+        try:
+            made._restore(record, arrays)
+        except KeyError as error:
+            message = f"{path}: not a whole state, {error} is missing"
+            raise SlamFusionError(message) from None
         return made
 
     def _restore(self, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> None:

@@ -144,6 +144,30 @@ class ScanOnTiles:
         )
         return np.asarray(sums * self._scale(stride))
 
+    def scores(self, poses: F64) -> F64:
+        """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
+        table = np.empty((len(poses), 4), dtype=np.float32)
+        table[:, :2] = poses[:, :2] / self._cell - self._corner
+        table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        sums = self._backend.score_poses(*self._map, self._points, table, stride=self._stride)
+        return np.asarray(sums * self._scale(self._stride))
+
+    def unseen_share(self, pose: F64, unseen: int) -> float:
+        """Return the share of the hits at a pose (3,) that fall where the field has one value."""
+        row = np.array([*(pose[:2] / self._cell - self._corner), np.cos(pose[2]), np.sin(pose[2])])
+        table = np.zeros(256, dtype=np.int32)
+        table[unseen] = 1
+        field, pages = self._map
+        sums = self._backend.score_maps(
+            field,
+            pages.reshape((1, *pages.shape)),
+            self._points,
+            row.astype(np.float32).reshape(1, 1, 4),
+            table,
+            stride=self._stride,
+        )
+        return float(sums[0, 0]) / -(-self._count // self._stride)
+
     def climb(self, starts: F64, steps: F64, guesses: Sequence[Guess], weights: F64) -> F64:
         """Climb from poses by rounds of random steps.
 

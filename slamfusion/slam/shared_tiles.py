@@ -145,9 +145,7 @@ class SharedTileMaps:
         Returns:
             (H, W) values, and (2,) column and row of its first cell from the anchor.
         """
-        return joined_tiles(
-            self._backend.download(self.pools[name]), self.pages[index], self.corner
-        )
+        return joined_tiles(self._backend, self.pools[name], self.pages[index], self.corner)
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return everything as arrays, for saving; tiles keep their numbers."""
@@ -181,8 +179,8 @@ class SharedTileMaps:
         if missing > 0:
             held = len(self._users)
             capacity = max(held + missing, int(held * GROWTH))
-            for name, pool in self.pools.items():
-                self.pools[name] = self._backend.extend(pool, capacity, 0)
+            for name in self.pools:  # no old pool outlives its turn
+                self.pools[name] = self._backend.extend(self.pools[name], capacity, 0)
             self._users = np.append(self._users, np.zeros(capacity - held, dtype=np.int32))
             free = np.append(free, np.arange(held, held + missing))
         return free

@@ -68,12 +68,15 @@ def grown_window(
 
 
 def joined_tiles(
-    pool: npt.NDArray[np.generic], pages: npt.NDArray[np.int32], corner: npt.NDArray[np.int64]
+    backend: Backend, pool: Handle, pages: npt.NDArray[np.int32], corner: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
     """Return the tiles of a window as one array, cut to the pages in use.
 
+    Of a pool that many maps share only these tiles are fetched.
+
     Args:
-        pool: (T, TILE, TILE).
+        backend: where the pool lives.
+        pool: (T, TILE, TILE) handle.
         pages: (PH, PW) int32.
         corner: (2,) column and row of the window's lower-left page, counted from the anchor.
 
@@ -85,9 +88,14 @@ def joined_tiles(
         rows = cols = np.zeros(1, dtype=np.int64)
     row0, col0 = int(rows.min()), int(cols.min())
     height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
-    blocks = pool[pages[row0 : row0 + height, col0 : col0 + width]]
-    values = blocks.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE)
-    return values, (corner + np.array([col0, row0])) * TILE
+    cut = pages[row0 : row0 + height, col0 : col0 + width]
+    numbers, places = np.unique(cut, return_inverse=True)
+    tiles = backend.take_tiles(pool, numbers)
+    values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
+    for row, own in zip(values, places.reshape(cut.shape), strict=True):
+        row[:] = tiles[own].transpose(1, 0, 2)
+    first = (corner + np.array([col0, row0])) * TILE
+    return values.reshape(height * TILE, width * TILE), first
 
 
 class TileMap:
@@ -108,7 +116,7 @@ class TileMap:
         """
         self._backend = backend
         self._fills = {name: fill for name, (_, fill) in pools.items()}
-        self._cell_bytes = sum(np.dtype(kind).itemsize for kind, _ in pools.values())
+        self._cell_bytes = {name: np.dtype(kind).itemsize for name, (kind, _) in pools.items()}
         self.pools: dict[str, Handle] = {
             name: backend.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
             for name, (kind, fill) in pools.items()
@@ -125,7 +133,8 @@ class TileMap:
     @property
     def memory_bytes(self) -> int:
         """Bytes of pools and page table on the device."""
-        return self._capacity * TILE * TILE * self._cell_bytes + 2 * self.pages.nbytes
+        cell_bytes = sum(self._cell_bytes[name] for name in self.pools)
+        return self._capacity * TILE * TILE * cell_bytes + 2 * self.pages.nbytes
 
     @property
     def origin(self) -> npt.NDArray[np.float64]:
@@ -158,8 +167,10 @@ class TileMap:
         needed = self.tiles + len(missing)
         if needed > self._capacity:
             self._capacity = max(needed, int(self._capacity * GROWTH))
-            for name, pool in self.pools.items():
-                self.pools[name] = self._backend.extend(pool, self._capacity, self._fills[name])
+            for name in self.pools:  # no old pool outlives its turn
+                self.pools[name] = self._backend.extend(
+                    self.pools[name], self._capacity, self._fills[name]
+                )
         self.pages.flat[missing] = np.arange(self.tiles, needed)
         self.tiles = needed
         self._send_pages()
@@ -170,7 +181,12 @@ class TileMap:
         Returns:
             (H, W) values, and (2,) column and row of its first cell from the anchor.
         """
-        return joined_tiles(self._backend.download(self.pools[name]), self.pages, self.corner)
+        return joined_tiles(self._backend, self.pools[name], self.pages, self.corner)
+
+    def keep_only(self, name: str) -> None:
+        """Let go of every pool but one; nothing can be written any more."""
+        self.pools = {name: self.pools[name]}
+        self.wanted = None
 
     def _send_pages(self) -> None:
         self.page_table = self._backend.upload(self.pages)

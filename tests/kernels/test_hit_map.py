@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import Backend, NumpyBackend
 from slamfusion.compute.hit_map_reference import (
+    FULL_HITS,
     FULL_VISITS,
+    MOST_BEAMS,
     MOST_REACH,
     BeamScan,
     FieldRule,
@@ -26,7 +28,7 @@ from slamfusion.errors import DeviceError
 I32 = npt.NDArray[np.int32]
 Pools = list[Any]
 SEEDS = st.integers(0, 2**32 - 1)
-KINDS = (np.uint32, np.uint32, np.uint32, np.uint8)
+KINDS = (np.uint32, np.uint32, np.uint8)
 FALLING = np.arange(255, -1, -1).astype(np.uint8)
 
 
@@ -69,8 +71,8 @@ def count_into(
     """Count scans in unseen maps; the pools, and what each count returned."""
     pools = pools_of(backend, int(pages.max()) + 1)
     table = backend.upload(pages)
-    full = [backend.count_beams(pools[0], pools[1], pools[2], table, scan) for scan in scans]
-    return [backend.download(pool) for pool in pools[:3]], full
+    full = [backend.count_beams(pools[0], pools[1], table, scan) for scan in scans]
+    return [backend.download(pool) for pool in pools[:2]], full
 
 
 class CopiedTiles:
@@ -91,9 +93,9 @@ class CopiedTiles:
         self.pages[touched] = targets
         self.used += len(targets)
         table = backend.upload(self.pages)
-        counts, sum_x, sum_y, field = self.pools
-        assert not backend.count_beams(counts, sum_x, sum_y, table, scan)
-        backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+        counts, sums, field = self.pools
+        assert not backend.count_beams(counts, sums, table, scan)
+        backend.settle_field(counts, sums, field, table, scan, rule)
 
 
 def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> BeamScan:
@@ -114,7 +116,7 @@ def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> B
 def test_one_beam_by_hand(backend: Backend):
     # Turned by 90 degrees: laser (1, 0) stands at (40.5, 11.5), end (5, 2) at (38.5, 15.5).
     scan = scan_of((5.0, 2.0), laser=(1.0, 0.0), poses=[(40.5, 10.5, math.pi / 2)])
-    (counts, sum_x, sum_y), full = count_into(backend, own_pages(1, 1, 2), scan)
+    (counts, sums), full = count_into(backend, own_pages(1, 1, 2), scan)
     cells = joined(counts, own_pages(1, 1, 2)[0])
     # A row down is half a column to the right, and a cell owns its left edge.
     wanted = np.zeros_like(cells)
@@ -122,44 +124,42 @@ def test_one_beam_by_hand(backend: Backend):
     wanted[14, 39] = wanted[13, 39] = wanted[12, 40] = wanted[11, 40] = 1
     np.testing.assert_array_equal(cells, wanted)
     assert full == [False]
-    for sums in (sum_x, sum_y):
-        assert sums[2, 15, 38 - TILE] == sums.sum() == 128
+    assert sums[2, 15, 38 - TILE] == sums.sum() == 8 << 16 | 8
 
 
 def test_beam_that_met_nothing_visits_its_end_only(backend: Backend):
     scan = scan_of((9.9, 4.1), poses=[(3.2, 3.3, 0.0)], is_hit=False)
-    (counts, sum_x, sum_y), _ = count_into(backend, own_pages(1, 1, 1), scan)
+    (counts, sums), _ = count_into(backend, own_pages(1, 1, 1), scan)
     assert counts[1, 7, 13] == 1
     assert counts[1, 3, 4] == 1
     assert counts.sum() == 10
-    assert not sum_x.any()
-    assert not sum_y.any()
+    assert not sums.any()
 
 
 def test_beam_without_length_hits_and_visits_one_cell(backend: Backend):
     scan = scan_of((0.25, 0.75), laser=(0.25, 0.75), poses=[(20.0, 20.0, 0.0)])
-    (counts, sum_x, sum_y), _ = count_into(backend, own_pages(1, 1, 1), scan, scan, scan)
+    (counts, sums), _ = count_into(backend, own_pages(1, 1, 1), scan, scan, scan)
     assert counts[1, 20, 20] == counts.sum() == 3 << 16 | 3
-    assert sum_x[1, 20, 20] == 3 * 64
-    assert sum_y[1, 20, 20] == 3 * 192
+    assert sums[1, 20, 20] == sums.sum() == 3 * 4 << 16 | 3 * 12
 
 
 def test_what_leaves_the_window_stays_on_its_border(backend: Backend):
     ends = [(1e30, 0.0), (-5.0, 0.0), (0.0, math.nan)]
-    for end, (row, col, sum_of_x) in zip(ends, [(20, 31, 255), (20, 0, 0), (0, 0, 0)], strict=True):
-        (counts, sum_x, _), _ = count_into(
+    for end, (row, col, sum_of_x) in zip(ends, [(20, 31, 15), (20, 0, 0), (0, 0, 0)], strict=True):
+        (counts, sums), _ = count_into(
             backend, own_pages(1, 1, 1), scan_of(end, poses=[(4.5, 20.5, 0.0)])
         )
         assert counts[1, row, col] >> 16 == 1
         assert (counts >> 16).sum() == 1
-        assert sum_x[1, row, col] == sum_x.sum() == sum_of_x
+        assert sums[1, row, col] == sums.sum()
+        assert sums[1, row, col] >> 16 == sum_of_x
         assert not counts[0].any()
 
 
 def test_every_map_counts_at_its_own_pose(backend: Backend):
     pages = own_pages(2, 1, 1)
     scan = scan_of((2.0, 0.0), poses=[(4.5, 4.5, 0.0), (9.5, 4.5, math.pi / 2)])
-    (counts, _, _), _ = count_into(backend, pages, scan)
+    (counts, _), _ = count_into(backend, pages, scan)
     assert [tuple(place) for place in np.argwhere(counts)] == [
         *((1, 4, col) for col in (4, 5, 6)),
         *((2, row, 9) for row in (4, 5, 6)),
@@ -169,11 +169,11 @@ def test_every_map_counts_at_its_own_pose(backend: Backend):
 def test_pages_without_a_tile_are_left_out(backend: Backend):
     pages = np.array([[[1, 0, 2]]], dtype=np.int32)
     scan = scan_of((80.0, 0.0), (50.0, 0.0), poses=[(4.5, 4.5, 0.0)])
-    (counts, sum_x, _), _ = count_into(backend, pages, scan)
+    (counts, sums), _ = count_into(backend, pages, scan)
     visits = joined(counts, pages[0])[4] & 0xFFFF
     assert visits.tolist() == [0] * 4 + [2] * 28 + [0] * 32 + [1] * 21 + [0] * 11
     assert not counts[0].any()
-    assert np.count_nonzero(sum_x) == 1
+    assert np.count_nonzero(sums) == 1
 
 
 def test_a_cell_with_too_many_visits_is_told(backend: Backend):
@@ -184,9 +184,67 @@ def test_a_cell_with_too_many_visits_is_told(backend: Backend):
         counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
         counts[1, 4, 4] = 7 << 16 | before  # both beams pass here
         counts[1, 20, 20] = FULL_VISITS - 1  # and none here
-        pools = [backend.upload(pool) for pool in (counts, 0 * counts, 0 * counts)]
-        assert backend.count_beams(pools[0], pools[1], pools[2], table, scan) is is_full
+        pools = [backend.upload(pool) for pool in (counts, 0 * counts)]
+        assert backend.count_beams(pools[0], pools[1], table, scan) is is_full
         assert backend.download(pools[0])[1, 4, 4] == 7 << 16 | before + 2
+
+
+def test_a_cell_with_too_many_hits_is_told(backend: Backend):
+    table = backend.upload(own_pages(1, 1, 1))
+    scan = scan_of((3.0, 0.0), (3.0, 0.0), poses=[(4.5, 4.5, 0.0)])
+    for before, is_full in ((FULL_HITS - 3, False), (FULL_HITS - 2, True)):
+        counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
+        counts[1, 4, 7] = before << 16 | before + 5  # both beams end here
+        counts[1, 4, 5] = 3 << 16 | 9  # pass here
+        counts[1, 20, 20] = FULL_HITS - 1 << 16  # and do not come here
+        pools = [backend.upload(pool) for pool in (counts, 0 * counts)]
+        assert backend.count_beams(pools[0], pools[1], table, scan) is is_full
+        counts[1, 4, 7] += 2 << 16 | 2
+        counts[1, 4, 4:7] += 2
+        np.testing.assert_array_equal(backend.download(pools[0]), counts)
+
+
+def test_nothing_flows_over_where_all_beams_of_two_scans_end(backend: Backend):
+    """A cell that is nearly full gets the largest scan, with the greatest offsets there are."""
+    table = backend.upload(own_pages(1, 1, 1))
+    scan = scan_of(*[(0.49, 0.49)] * MOST_BEAMS, poses=[(20.5, 20.5, 0.0)])
+    pools = pools_of(backend, 2)
+    hits = 0
+    for is_full in (False, True):
+        assert backend.count_beams(pools[0], pools[1], table, scan) is is_full
+        hits += MOST_BEAMS
+        counts, sums = (backend.download(pool) for pool in pools[:2])
+        assert counts[1, 20, 20] == counts.sum() == hits << 16 | hits
+        assert sums[1, 20, 20] == sums.sum() == 15 * hits << 16 | 15 * hits
+    # And its mean is still the middle of the last sixteenth of the cell: 8 + 240 of 256.
+    rule = FieldRule(FALLING, shift=8, reach=1, occupied=16384, least_hits=1)
+    backend.settle_field(*pools, table, scan, rule)
+    assert backend.download(pools[2])[1, 20, 20] == 255 - 2 * 120 * 120 // 256
+
+
+def test_too_many_beams_are_refused(backend: Backend):
+    table = backend.upload(own_pages(1, 1, 1))
+    scan = scan_of(*[(3.0, 0.0)] * (MOST_BEAMS + 1), poses=[(4.5, 4.5, 0.0)])
+    pools = pools_of(backend, 2)
+    with pytest.raises(DeviceError, match="up to 2047 beams, found 2048"):
+        backend.count_beams(pools[0], pools[1], table, scan)
+    assert not backend.download(pools[0]).any()
+
+
+@pytest.mark.parametrize("corner", [(3, 4), (31, 31)])
+def test_mean_hit_is_unbiased(backend: Backend, corner: tuple[int, int]):
+    """Hits all over a cell in even steps: their mean is its centre, to 1/256."""
+    steps = (np.arange(32) + 0.5) / 32.0
+    x, y = (axis.ravel() for axis in np.meshgrid(corner[0] + steps, corner[1] + steps))
+    ends = list(zip(x.tolist(), y.tolist(), strict=True))
+    scan = scan_of(*ends, laser=(corner[0] + 0.5, corner[1] + 0.5))
+    table = backend.upload(own_pages(1, 1, 1))
+    pools = pools_of(backend, 2)
+    backend.count_beams(pools[0], pools[1], table, scan)
+    # Only the table's first entry is 255: for no distance.
+    rule = FieldRule(FALLING, shift=0, reach=0, occupied=0, least_hits=1)
+    backend.settle_field(*pools, table, scan, rule)
+    assert backend.download(pools[2])[1, corner[1], corner[0]] == 255
 
 
 def test_touched_pages_by_hand(backend: Backend):
@@ -212,7 +270,7 @@ def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
     rng = np.random.default_rng(seed)
     pages = own_pages(2, 6, 6)
     scan = random_scan(rng, 6 * TILE, 3, 2)
-    (counts, _, _), _ = count_into(NumpyBackend(), pages, scan)
+    (counts, _), _ = count_into(NumpyBackend(), pages, scan)
     wanted = np.zeros(pages.shape, dtype=np.uint8)
     for own, out in zip(pages, wanted, strict=True):
         for row, col in np.argwhere(joined(counts, own)):
@@ -236,25 +294,38 @@ def test_copied_tiles_equal_their_sources_and_all_others_stay(backend: Backend):
         assert not now[3].any()
 
 
+def test_taken_tiles_are_those_of_the_pool_in_the_order_asked_for(backend: Backend):
+    rng = np.random.default_rng(5)
+    for kind in KINDS:
+        pool = rng.integers(0, 200, (9, TILE, TILE)).astype(kind)
+        handle = backend.upload(pool)
+        for numbers in ([7, 0, 3, 3, 8], [4], list(range(9)), []):
+            found = backend.take_tiles(handle, np.array(numbers, dtype=np.int32))
+            assert found.dtype == kind
+            np.testing.assert_array_equal(found, pool[numbers].reshape(-1, TILE, TILE))
+        np.testing.assert_array_equal(backend.download(handle), pool)
+
+
 def settled(backend: Backend, rule: FieldRule, *scans: BeamScan) -> npt.NDArray[Any]:
     """Count and settle scans in one map of two pages; its field."""
     maps = CopiedTiles(backend, np.zeros((1, 1, 2), dtype=np.int32), 40)
     for scan in scans:
         maps.write(scan, rule)
-    return joined(backend.download(maps.pools[3]), maps.pages[0])
+    return joined(backend.download(maps.pools[2]), maps.pages[0])
 
 
 def test_field_of_one_hit_by_hand(backend: Backend):
-    # The mean of the hits lies a quarter of a cell left of the middle of cell (row 9, col 32).
-    rule = FieldRule(FALLING, shift=12, reach=1, occupied=16384, least_hits=2)
+    # The mean of the hits lies a quarter of a cell left of the middle of cell (row 9, col 32); on
+    # both axes a hit counts as in the middle of its sixteenth.
+    rule = FieldRule(FALLING, shift=11, reach=1, occupied=16384, least_hits=2)
     scans = [
         scan_of((end, 0.5), laser=(-10.0, 0.5), poses=[(20.0, 9.0, 0.0)]) for end in (12.0, 12.5)
     ]
     wanted = np.zeros((TILE, 2 * TILE), dtype=np.int64)
     for row in (8, 9, 10):
         for col in (31, 32, 33):
-            along, across = 256 * (9 - row), 256 * (32 - col) - 64
-            wanted[row, col] = 255 - (along * along + across * across) // 4096
+            along, across = 256 * (9 - row) + 8, 256 * (32 - col) - 64 + 8
+            wanted[row, col] = 255 - (along * along + across * across) // 2048
     assert wanted.max() == 254
     np.testing.assert_array_equal(settled(backend, rule, *scans), wanted)
     # One hit is too few.
@@ -265,9 +336,9 @@ def test_field_ends_where_a_page_has_no_tile(backend: Backend):
     rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
     pools, pages = pools_of(backend, 2), np.array([[[1, 0], [0, 0]]], dtype=np.int32)
     table, scan = backend.upload(pages), scan_of((11.0, 11.0), poses=[(20.5, 20.5, 0.0)])
-    counts, sum_x, sum_y, field = pools
-    backend.count_beams(counts, sum_x, sum_y, table, scan)
-    backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+    counts, sums, field = pools
+    backend.count_beams(counts, sums, table, scan)
+    backend.settle_field(counts, sums, field, table, scan, rule)
     tiles = backend.download(field)
     assert np.count_nonzero(tiles[1, 29:, 29:]) == np.count_nonzero(tiles) == 9
 
@@ -307,10 +378,10 @@ def test_field_is_that_of_the_counts_everywhere(
     pools = [pocl.download(pool) for pool in tiles.pools]
     for own, other in zip(pools, twin.pools, strict=True):
         np.testing.assert_array_equal(own, other)
-    assert pools[3].any()
+    assert pools[2].any()
     for pages in tiles.pages:
-        counts, sum_x, sum_y, field = (joined(pool, pages) for pool in pools)
-        np.testing.assert_array_equal(field, full_field(counts, sum_x, sum_y, rule))
+        counts, sums, field = (joined(pool, pages) for pool in pools)
+        np.testing.assert_array_equal(field, full_field(counts, sums, rule))
 
 
 def test_tiles_of_other_maps_are_untouched(backend: Backend):
@@ -325,9 +396,9 @@ def test_tiles_of_other_maps_are_untouched(backend: Backend):
     scan = random_scan(rng, 5 * TILE, 8, 2)
     rule = FieldRule(FALLING, 12, 1, 16384, 1)
     touched = backend.touch_pages(table, scan, rule.reach)
-    counts, sum_x, sum_y, field = pools
-    backend.count_beams(counts, sum_x, sum_y, table, scan)
-    backend.settle_field(counts, sum_x, sum_y, field, table, scan, rule)
+    counts, sums, field = pools
+    backend.count_beams(counts, sums, table, scan)
+    backend.settle_field(counts, sums, field, table, scan, rule)
     for pool, was in zip(pools, before, strict=True):
         changed = (backend.download(pool) != was).any(axis=(1, 2))
         assert changed.any()
@@ -359,4 +430,4 @@ def test_rules_that_no_kernel_can_follow_are_refused(backend: Backend):
         (rule._replace(table=FALLING[:9]), "256 entries that never rise"),
     ):
         with pytest.raises(DeviceError, match=words):
-            backend.settle_field(pools[0], pools[1], pools[2], pools[3], table, scan, wrong)
+            backend.settle_field(pools[0], pools[1], pools[2], table, scan, wrong)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import NumpyBackend
 from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 
@@ -44,16 +46,29 @@ def scan_at(
     pose: Pose2, stamp_s: float, *, mount: Pose2 | None = None, clockwise: bool = False
 ) -> LaserScan:
     """What a laser of 270 degrees reads there."""
-    mount = mount or Pose2()
+    return scans_at((pose,), (stamp_s,), mount or IDENTITY, clockwise)[0]
+
+
+@functools.cache
+def scans_at(
+    poses: tuple[Pose2, ...],
+    stamps_s: tuple[float, ...],
+    mount: Pose2 = IDENTITY,
+    clockwise: bool = False,
+) -> tuple[LaserScan, ...]:
+    """Return what it reads at several places; all their rays are cast at once."""
     first, step = math.radians(-135.0), math.radians(270.0) / (BEAMS - 1)
     if clockwise:
         first, step = -first, -step
-    laser = pose.compose(mount)
-    angles = first + step * np.arange(BEAMS) + laser.yaw_rad
-    places = np.broadcast_to(np.array([laser.x, laser.y]) / CELL_M, (BEAMS, 2))
+    lasers = [pose.compose(mount) for pose in poses]
+    angles = np.concatenate([first + step * np.arange(BEAMS) + laser.yaw_rad for laser in lasers])
+    places = np.repeat([[laser.x, laser.y] for laser in lasers], BEAMS, axis=0) / CELL_M
     rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
     ranges = NumpyBackend.cast_rays(draw_flat(), rays, REACH_M / CELL_M)[:, 0] * CELL_M
-    return LaserScan(stamp_s, ranges, first, step, 0.02, REACH_M, mount)
+    return tuple(
+        LaserScan(stamp_s, row, first, step, 0.02, REACH_M, mount)
+        for stamp_s, row in zip(stamps_s, ranges.reshape(-1, BEAMS), strict=True)
+    )
 
 
 def drive(
@@ -77,11 +92,12 @@ def drive(
     begin = start or truth[0]
     moved = begin.compose(truth[0].inverse())
     odometry = begin
+    stamps_s = tuple(0.1 * index for index in range(count))
+    read = scans_at(tuple(truth), stamps_s, mount or IDENTITY, clockwise)
     scans = []
-    for index, pose in enumerate(truth):
+    for index, (pose, scan) in enumerate(zip(truth, read, strict=True)):
         if index:
             step = truth[index - 1].inverse().compose(pose)
             odometry = odometry.compose(Pose2(step.x, step.y, step.yaw_rad + turn_bias))
-        scan = scan_at(pose, 0.1 * index, mount=mount, clockwise=clockwise)
         scans.append(LogScan(scan, odometry, index + 1))
     return scans, [moved.compose(pose) for pose in truth]

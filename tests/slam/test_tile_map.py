@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import tracemalloc
+import weakref
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +13,7 @@ from slamfusion.compute import Backend, NumpyBackend, open_backend
 from slamfusion.compute.slam_reference import BEAM_ONE, TILE, UNSEEN, BeamRule
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.slam.cell_models import CELL_MODELS
-from slamfusion.slam.tile_map import FIRST_TILES, MARGIN, TileMap
+from slamfusion.slam.tile_map import FIRST_TILES, MARGIN, TileMap, joined_tiles
 
 POOLS = {
     "observed": (np.uint32, 0),
@@ -83,6 +87,53 @@ def test_pools_grow_beyond_their_first_size(backend: Backend):
     write(tiles, backend, (TILE * (FIRST_TILES + 10), 0))
     assert len(backend.download(tiles.pools["field"])) > FIRST_TILES
     assert len(seen(tiles)) == TILE * (FIRST_TILES + 10) + 1
+
+
+def test_a_pool_that_has_grown_is_let_go_before_the_next(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+):
+    left: list[weakref.ref[Any]] = []
+    extend = backend.extend
+
+    def checked(pool: Any, count: int, fill: int) -> Any:
+        assert all(old() is None for old in left)
+        left.append(weakref.ref(pool))
+        return extend(pool, count, fill)
+
+    monkeypatch.setattr(backend, "extend", checked)
+    tiles = TileMap(backend, POOLS)
+    write(tiles, backend, (TILE * (FIRST_TILES + 10), 0))
+    assert len(left) == len(POOLS)
+    assert all(old() is None for old in left)
+
+
+def test_tiles_are_joined_where_their_pages_are(backend: Backend):
+    pool = np.random.default_rng(3).integers(1, 256, (9, TILE, TILE)).astype(np.uint8)
+    pool[0] = 7
+    pages = np.zeros((5, 6), dtype=np.int32)
+    pages[1:4, 2:4] = [[8, 0], [2, 5], [0, 4]]
+    values, first = joined_tiles(backend, backend.upload(pool), pages, np.array([-3, 10]))
+    assert first.tolist() == [-TILE, 11 * TILE]
+    np.testing.assert_array_equal(
+        values, np.block([[pool[8], pool[0]], [pool[2], pool[5]], [pool[0], pool[4]]])
+    )
+    nothing, first = joined_tiles(backend, backend.upload(pool), 0 * pages, np.array([-3, 10]))
+    assert first.tolist() == [-3 * TILE, 10 * TILE]
+    np.testing.assert_array_equal(nothing, pool[0])
+
+
+def test_fetching_a_map_takes_no_memory_for_the_tiles_of_others(backend: Backend):
+    pool = np.zeros((4000, TILE, TILE), dtype=np.uint32)
+    handle, corner = backend.upload(pool), np.zeros(2, dtype=np.int64)
+    pages = np.array([[0, 3999], [17, 2048]], dtype=np.int32)
+    joined_tiles(backend, handle, pages, corner)  # what is only made once is there now
+    tracemalloc.start()
+    try:
+        values, _ = joined_tiles(backend, handle, pages, corner)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert values.nbytes <= peak < 4 * values.nbytes < pool.nbytes // 100
 
 
 def test_the_border_stays_empty():
