@@ -31,6 +31,7 @@ __all__ = [
     "FieldInfo",
     "FusionConfig",
     "GmappingConfig",
+    "GraphConfig",
     "LidarConfig",
     "LogConfig",
     "MatcherConfig",
@@ -411,6 +412,7 @@ GMAPPING_PROFILES: dict[str, dict[str, Any]] = {
         "map_update_interval": 5.0,
         "match_every_scan": False,
         "climb_loss": 0.0,
+        "memory_budget": 0.0,
     },
     "own": {},
 }
@@ -427,6 +429,7 @@ GMAPPING_PROFILES["own"] = {
     "angularUpdate": 0.25,
     "match_every_scan": True,
     "climb_loss": 0.005,
+    "memory_budget": 450.0,
 }
 
 
@@ -522,13 +525,22 @@ class GmappingConfig(_Checked):
         high=10_000.0,
     )
     match_every_scan: bool | None = option(
-        None, "follow the robot by every scan, not only by those that are weighed and mapped"
+        None,
+        "follow the robot by every scan, not only by those that are weighed and mapped; always "
+        "so without odometry",
     )
     climb_loss: float | None = option(
         None,
         "score lost by a climb that ends one spread of the motion model beside what it expects",
         low=0.0,
         high=1.0,
+    )
+    memory_budget: float | None = option(
+        None,
+        "resample also when the maps of all particles come near to this; 0 for no limit",
+        unit="MB",
+        low=0.0,
+        high=1e6,
     )
     motion_model: _Word = option(
         "differential", "how the robot moves", choices=("differential", "bicycle")
@@ -549,6 +561,66 @@ class GmappingConfig(_Checked):
         values = GMAPPING_PROFILES[self.profile]
         left_open = {key: value for key, value in values.items() if getattr(self, key) is None}
         return dataclasses.replace(self, **left_open)
+
+
+@dataclass(frozen=True)
+class GraphConfig(_Checked):
+    """Graph SLAM [O09, K10, H16c]; names are open_karto's where the meaning is the same."""
+
+    matcher: MatcherConfig = MatcherConfig()
+    resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
+    minimum_travel_distance: float = option(
+        0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0
+    )
+    minimum_travel_heading: float = option(
+        0.2, "a scan becomes a node after this turn", unit="rad", low=0.0, high=10.0
+    )
+    scan_buffer_size: int = option(
+        16, "nodes that a submap holds; half of them overlap the next one", low=2, high=10_000
+    )
+    correlation_search_space_smear_deviation: float = option(
+        0.1, "deviation of the likelihood around a hit", unit="m", low=0.005, high=1.0
+    )
+    do_loop_closing: bool = option(True, "look for places where the robot has been before")
+    loop_search_maximum_distance: float = option(
+        4.0, "a closure is looked for with submaps this near", unit="m", low=0.0, high=1000.0
+    )
+    loop_search_space_dimension: float = option(
+        8.0,
+        "side of the widest window that is searched for a closure",
+        unit="m",
+        low=0.1,
+        high=200.0,
+    )
+    coarse_search_angle_offset: float = option(
+        0.349, "half the angle of that window", unit="rad", low=0.01, high=3.2
+    )
+    loop_match_minimum_chain_size: int = option(
+        10, "a submap of fewer nodes closes no loop", low=1, high=10_000
+    )
+    loop_match_minimum_response: float = option(
+        0.5, "least mean wall value under the hits of a closure", low=0.0, high=1.0
+    )
+    loop_match_maximum_variance: float = option(
+        0.04,
+        "a closure that leaves the place open by more is none",
+        unit="m^2",
+        low=1e-6,
+        high=100.0,
+    )
+    min_pass_through: int = option(
+        2, "a cell that fewer beams have crossed is unknown", low=1, high=1000
+    )
+    occupancy_threshold: float = option(
+        0.1,
+        "a cell is a wall when more than this share of its beams ended in it",
+        low=0.0,
+        high=1.0,
+    )
+    usable_range_m: float = option(
+        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
+    )
+    odometry: str = option("poses", "use the log's odometry, or none", choices=("poses", "none"))
 
 
 @dataclass(frozen=True)
@@ -837,6 +909,7 @@ class RunConfig(_Checked):
     log: LogConfig = LogConfig()
     tinyslam: TinySlamConfig = TinySlamConfig()
     gmapping: GmappingConfig = GmappingConfig()
+    graph: GraphConfig = GraphConfig()
     evaluate: EvaluateConfig = EvaluateConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig()
     simulate: SimulateConfig = SimulateConfig()

@@ -14,8 +14,6 @@ Burgard, RSS 2005 (entropy of the path as the mean of the poses' entropies).
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +34,6 @@ from slamfusion.config import GmappingConfig, to_mapping
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle, wrap_angles
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
-from slamfusion.io import write_atomic
 from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Series, Step
 from slamfusion.slam.matcher import FieldMap, Guess
@@ -49,6 +46,16 @@ from slamfusion.slam.proposal import (
     resample_systematic,
 )
 from slamfusion.slam.shared_tiles import SharedTileMaps
+from slamfusion.slam.state import (
+    health_record,
+    pose_record,
+    read_state,
+    recorded_pose,
+    restore_health,
+    restore_tracker,
+    tracker_record,
+    write_state,
+)
 from slamfusion.slam.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
@@ -72,7 +79,9 @@ MOST_TRIES = 40
 MOST_MAPPED = MOST_BEAMS
 DEFAULT_USABLE_M = 80.0
 USABLE_SHARE = 0.98
-STATE_FORMAT = 2
+# Particles are drawn anew when their maps hold this share of the budget.
+BUDGET_SHARE = 0.75
+STATE_FORMAT = 3
 PERCENTS = (0.0, 65.0, 100.0)
 
 
@@ -84,6 +93,7 @@ class FilterHealth(Health):
         best_score: of the best particle at the last filter step: sum over its hits, each 0 to 1.
         filter_steps: times that the particles were weighed and mapped.
         resamplings: times that they were drawn anew.
+        resamplings_for_memory: of these, the ones that ``memory_budget`` asked for.
         rejected: matches of single particles below ``minimumScore``.
         path_entropy: mean over the path of the entropy of the particles' pose, nats.
         tiles_owned: tiles of the maps that one particle uses alone.
@@ -93,6 +103,7 @@ class FilterHealth(Health):
     best_score: float | None = None
     filter_steps: int = 0
     resamplings: int = 0
+    resamplings_for_memory: int = 0
     rejected: int = 0
     path_entropy: float | None = None
     tiles_owned: int = 0
@@ -104,6 +115,7 @@ class FilterHealth(Health):
             "best_score",
             "filter_steps",
             "resamplings",
+            "resamplings_for_memory",
             "rejected",
             "path_entropy",
             "tiles_owned",
@@ -340,7 +352,9 @@ class Gmapping:
         health.n_eff = n_eff
         self._n_eff.append((scan.stamp_s, n_eff))
         parents: npt.NDArray[np.int64] | None = None
-        if n_eff < config.resampleThreshold * len(before):
+        is_large = 0.0 < BUDGET_SHARE * config.memory_budget * 1e6 < self._maps.used_bytes
+        health.resamplings_for_memory += is_large
+        if is_large or n_eff < config.resampleThreshold * len(before):
             parents = resample_systematic(shares, float(self._rng.random()))
             health.resamplings += 1
         alive = np.arange(len(before)) if parents is None else np.unique(parents)
@@ -534,29 +548,18 @@ class Gmapping:
 
     def save_state(self, path: Path) -> None:
         """Write everything that decides how the filter goes on; whole or not at all."""
-        tracker, health = self._tracker, self.health
         record = {
-            "format": STATE_FORMAT,
-            "name": self.name,
-            "config": to_mapping(self._given),
-            "seed": self._seed,
-            "rng": self._rng.bit_generator.state,
-            "health": {
-                item.name: getattr(health, item.name)
-                for item in dataclasses.fields(health)
-                if item.name != "skips"
-            },
-            "skips": [dict(health.skips.counts), dict(health.skips.lines)],
-            "tracker": [_list(tracker.pose), _list(tracker.odometry), _list(tracker.step)],
-            "tracker_numbers": [tracker.step_s, tracker.stamp_s, tracker.usual_score],
+            "health": health_record(self.health),
+            "tracker": tracker_record(self._tracker),
             "last_stamp_s": self.last_stamp_s,
-            "moved": _list(self._moved),
+            "moved": pose_record(self._moved),
             "filtered_s": self._filtered_s,
             "best": self._best,
             "is_mapped": self._is_mapped,
+            # Settings that are left open mean what they meant.
+            "chosen": to_mapping(self._config),
         }
-        arrays: dict[str, Any] = {
-            "record": np.frombuffer(json.dumps(record).encode(), dtype=np.uint8),
+        arrays = {
             "anchor": self._anchor,
             "poses": self._poses,
             "log_weights": self._log_weights,
@@ -565,9 +568,15 @@ class Gmapping:
             **self._maps.to_arrays(),
             **self._paths.to_arrays(),
         }
-        file = io.BytesIO()
-        np.savez(file, **arrays)
-        write_atomic(path, file.getvalue())
+        write_state(
+            path,
+            name=self.name,
+            version=STATE_FORMAT,
+            config=self._given,
+            seed=self._seed,
+            record=record,
+            arrays=arrays,
+        )
 
     @classmethod
     def load_state(
@@ -584,31 +593,12 @@ class Gmapping:
         Raises:
             SlamFusionError: no state of ours, or one made with other settings.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
-            record = json.loads(arrays["record"].tobytes())
-            name, version = record["name"], record["format"]
-        except OSError as error:
-            message = f"{path}: cannot be read ({error.strerror or error})"
-            raise SlamFusionError(message) from None
-        except Exception:  # noqa: BLE001 - taking other files apart may end in anything
-            message = f"{path}: not a whole state that `--save-state` has written"
-            raise SlamFusionError(message) from None
-        if (name, version) != (cls.name, STATE_FORMAT):
-            message = (
-                f"{path}: wanted a state of {cls.name}, format {STATE_FORMAT}, found {name}, "
-                f"format {version}"
-            )
+        record, arrays = read_state(
+            path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed
+        )
+        if record.get("chosen") != to_mapping(config.chosen()):
+            message = f"{path}: was made with other defaults of its profile; make it anew"
             raise SlamFusionError(message)
-        found = {"seed": seed, **_flat(to_mapping(config))}
-        for key, value in {"seed": record["seed"], **_flat(record["config"])}.items():
-            if found.get(key) != value:
-                message = (
-                    f"{path}: was made with {key} = {value}, found {found.get(key)}; "
-                    "resume with the same settings"
-                )
-                raise SlamFusionError(message)
         made = cls(config, backend, seed)
         try:
             made._restore(record, arrays)
@@ -619,19 +609,10 @@ class Gmapping:
 
     def _restore(self, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> None:
         """Take over a saved state."""
-        self._rng.bit_generator.state = record["rng"]
-        for name, value in record["health"].items():
-            setattr(self.health, name, value)
-        counts, lines = record["skips"]
-        self.health.skips.counts.update(counts)
-        self.health.skips.lines.update({key: list(value) for key, value in lines.items()})
-        tracker = self._tracker
-        pose, odometry, step = record["tracker"]
-        tracker.pose, tracker.odometry = _unlist(pose), _unlist(odometry)
-        tracker.step = _unlist(step) or IDENTITY
-        tracker.step_s, tracker.stamp_s, tracker.usual_score = record["tracker_numbers"]
+        restore_health(self.health, record["health"])
+        restore_tracker(self._tracker, record["tracker"])
         self.last_stamp_s = record["last_stamp_s"]
-        self._moved = _unlist(record["moved"]) or IDENTITY
+        self._moved = recorded_pose(record["moved"]) or IDENTITY
         self._filtered_s, self._best = record["filtered_s"], record["best"]
         self._is_mapped = record["is_mapped"]
         self._anchor, self._poses = arrays["anchor"], arrays["poses"]
@@ -648,25 +629,6 @@ def _pose(row: F64) -> Pose2:
 
 def _vector(pose: Pose2) -> F64:
     return np.array([pose.x, pose.y, pose.yaw_rad])
-
-
-def _list(pose: Pose2 | None) -> list[float] | None:
-    return None if pose is None else [pose.x, pose.y, pose.yaw_rad]
-
-
-def _unlist(values: list[float] | None) -> Pose2 | None:
-    return None if values is None else Pose2(*values)
-
-
-def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted key."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{where}{key}."))
-        else:
-            flat[f"{where}{key}"] = value
-    return flat
 
 
 def _normalised(log_weights: F64, gain: float) -> F64:

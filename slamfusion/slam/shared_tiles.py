@@ -21,6 +21,8 @@ __all__ = ["SharedTileMaps"]
 
 # A pool grows by this share, so that the number of copies stays logarithmic.
 GROWTH = 1.25
+# Large pools grow by less, so that little is held in reserve.
+LARGE_TILES, LARGE_GROWTH = 10_000, 1.1
 
 
 class SharedTileMaps:
@@ -60,6 +62,11 @@ class SharedTileMaps:
     def memory_bytes(self) -> int:
         """Bytes of pools and page tables, on host and device."""
         return len(self._users) * TILE * TILE * self._cell_bytes + 2 * self.pages.nbytes
+
+    @property
+    def used_bytes(self) -> int:
+        """Bytes of the tiles that some map uses."""
+        return int((self._users > 0).sum()) * TILE * TILE * self._cell_bytes
 
     @property
     def tiles_shared(self) -> int:
@@ -178,7 +185,8 @@ class SharedTileMaps:
         missing = count - len(free)
         if missing > 0:
             held = len(self._users)
-            capacity = max(held + missing, int(held * GROWTH))
+            growth = LARGE_GROWTH if held > LARGE_TILES else GROWTH
+            capacity = max(held + missing, int(held * growth))
             for name in self.pools:  # no old pool outlives its turn
                 self.pools[name] = self._backend.extend(self.pools[name], capacity, 0)
             self._users = np.append(self._users, np.zeros(capacity - held, dtype=np.int32))
