@@ -24,8 +24,6 @@ import numpy.typing as npt
 
 from slamfusion.compute.backend import Backend
 from slamfusion.compute.hit_map_reference import (
-    FULL_HITS,
-    FULL_VISITS,
     MOST_BEAMS,
     BeamScan,
     FieldRule,
@@ -33,9 +31,10 @@ from slamfusion.compute.hit_map_reference import (
 from slamfusion.config import GmappingConfig, to_mapping
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle, wrap_angles
-from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Series, Step
+from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.matcher import FieldMap, Guess
 from slamfusion.slam.motion_model import make_motion_model
 from slamfusion.slam.particle_path import ParticlePaths
@@ -82,7 +81,6 @@ USABLE_SHARE = 0.98
 # Particles are drawn anew when their maps hold this share of the budget.
 BUDGET_SHARE = 0.75
 STATE_FORMAT = 3
-PERCENTS = (0.0, 65.0, 100.0)
 
 
 @dataclass
@@ -241,7 +239,7 @@ class Gmapping:
         cell = self._config.delta
         corner = self._anchor + first * cell
         origin = Pose2(float(corner[0]), float(corner[1]))
-        percent = _percent(counts.astype(np.uint32), self._config.occ_thresh)
+        percent = percent_of_counts(counts.astype(np.uint32), self._config.occ_thresh)
         grid = OccupancyGrid(percent, cell, origin, self.name)
         box = grid.known_box()
         return grid if box is None else grid.crop(box)
@@ -485,31 +483,10 @@ class Gmapping:
         maps.make_writable(written)
         pages, pools = maps.page_tables_of(alive), maps.pools
         if backend.count_beams(pools["counts"], pools["sums"], pages, beams):
-            self._halve()
+            halve_counts(backend, pools)
         backend.settle_field(
             pools["counts"], pools["sums"], pools["field"], pages, beams, self._field_rule
         )
-
-    def _halve(self) -> None:
-        """Halve the counts of every busy cell before they overflow; means and shares stay.
-
-        Of few counts the halves would be something else: those of other cells are left.
-        """
-        pools, backend = self._maps.pools, self._backend
-        counts = backend.download(pools["counts"])
-        is_busy = (counts >= FULL_HITS // 2 << 16) | (counts & 0xFFFF >= FULL_VISITS // 2)
-        busy = np.nonzero(is_busy)
-        hits, visits = counts[busy] >> 16, counts[busy] & 0xFFFF
-        fewer = (hits + 1) >> 1
-        counts[busy] = fewer << 16 | (visits + 1) >> 1
-        pools["counts"] = backend.upload(counts)
-        sums = backend.download(pools["sums"])
-        some = np.maximum(hits, 1)
-        sum_x, sum_y = (
-            (half * fewer + some // 2) // some for half in (sums[busy] >> 16, sums[busy] & 0xFFFF)
-        )
-        sums[busy] = sum_x << 16 | sum_y
-        pools["sums"] = backend.upload(sums)
 
     # -- tables --------------------------------------------------------------------------------
 
@@ -636,21 +613,3 @@ def _normalised(log_weights: F64, gain: float) -> F64:
     away = log_weights - log_weights.max()
     weights = np.exp(away / (gain * len(log_weights)))
     return np.asarray(weights / weights.sum())
-
-
-def _percent(counts: npt.NDArray[np.uint32], occ_thresh: float) -> npt.NDArray[np.int8]:
-    """Return hits and visits as occupancy in percent.
-
-    The percent rises with the share of hits so that ``occ_thresh`` comes to lie at 65, the limit of
-    the map servers, and half of it at 25: what is published as a wall is one by the threshold.
-    """
-    hits, visits = (counts >> 16).astype(np.float64), (counts & 0xFFFF).astype(np.float64)
-    share = hits / np.maximum(visits, 1.0)
-    percent = np.rint(np.interp(share, (0.0, occ_thresh, 1.0), PERCENTS))
-    percent[(hits > 0) & (share > occ_thresh)] = np.maximum(
-        percent[(hits > 0) & (share > occ_thresh)], PERCENTS[1]
-    )
-    below = share <= occ_thresh
-    percent[below] = np.minimum(percent[below], 25.0)
-    percent[visits == 0] = UNKNOWN
-    return np.asarray(percent.astype(np.int8))

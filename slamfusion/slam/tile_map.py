@@ -7,6 +7,7 @@ page table, and moves and grows with the map. See ``slamfusion.compute.slam_refe
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -182,6 +183,21 @@ class TileMap:
             (H, W) values, and (2,) column and row of its first cell from the anchor.
         """
         return joined_tiles(self._backend, self.pools[name], self.pages, self.corner)
+
+    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return everything as arrays, for saving."""
+        pools = {f"pool_{name}": self._backend.download(p) for name, p in self.pools.items()}
+        tiles = np.array(self.tiles)
+        return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
+
+    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Take over what ``to_arrays`` returned, with the pools that it has."""
+        self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
+        self.tiles = int(arrays["tiles"])
+        names = [name for name in self.pools if f"pool_{name}" in arrays]
+        self.pools = {name: self._backend.upload(arrays[f"pool_{name}"]) for name in names}
+        self._capacity = len(arrays[f"pool_{names[0]}"])
+        self._send_pages()
 
     def keep_only(self, name: str) -> None:
         """Let go of every pool but one; nothing can be written any more."""

@@ -22,6 +22,7 @@ from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam import gmapping
 from slamfusion.slam.gmapping import STATE_FORMAT, Gmapping
+from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.shared_tiles import SharedTileMaps
 from tests.slam.drives import CELL_M, draw_flat, drive, scan_at, scans_at, true_poses
 
@@ -733,12 +734,12 @@ def test_only_walls_that_may_be_used_are_matched(backend: Backend):
 def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float):
     """Of 20 visits; percents rise with the hits, and the map servers' limits tell them apart."""
     hits = np.arange(21, dtype=np.uint32)
-    percent = gmapping._percent(hits[None] << 16 | np.uint32(20), occ_thresh)[0]
+    percent = percent_of_counts(hits[None] << 16 | np.uint32(20), occ_thresh)[0]
     assert (np.diff(percent.astype(int)) >= 0).all()
     for number, value in zip(hits.tolist(), percent.tolist(), strict=True):
         assert value >= 65 if number / 20 > occ_thresh else 0 <= value <= 25
     assert (
-        gmapping._percent(np.zeros((2, 3), dtype=np.uint32), occ_thresh).tolist() == [[-1] * 3] * 2
+        percent_of_counts(np.zeros((2, 3), dtype=np.uint32), occ_thresh).tolist() == [[-1] * 3] * 2
     )
 
 
@@ -770,7 +771,7 @@ def test_busy_cells_are_halved_and_nothing_else_changes(backend: Backend):
     east, north = (hits * rng.integers(0, 16, shape) for _ in range(2))
     pools["counts"] = backend.upload((hits << 16 | visits).astype(np.uint32))
     pools["sums"] = backend.upload((east << 16 | north).astype(np.uint32))
-    slam._halve()
+    halve_counts(slam._backend, slam._maps.pools)
     pools = slam._maps.pools
     counts, sums = (backend.download(pools[name]).astype(np.int64) for name in ("counts", "sums"))
     fewer_hits, fewer_visits = counts >> 16, counts & 0xFFFF
