@@ -12,6 +12,7 @@ __all__ = [
     "AlignmentError",
     "ConfigError",
     "DeviceError",
+    "GraphError",
     "GridError",
     "LogError",
     "MapFileError",
@@ -49,6 +50,10 @@ class SimulationError(SlamFusionError):
 
 class TrajectoryError(SlamFusionError, ValueError):
     """A trajectory or its truth is damaged, or the two do not meet in time."""
+
+
+class GraphError(SlamFusionError, ValueError):
+    """A pose graph or its file is damaged, or its poses cannot be found from its edges."""
 
 
 class ConfigError(SlamFusionError, ValueError):
