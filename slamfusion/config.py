@@ -429,7 +429,7 @@ GMAPPING_PROFILES["own"] = {
     "angularUpdate": 0.2,
     "match_every_scan": True,
     "climb_loss": 0.005,
-    "memory_budget": 450.0,
+    "memory_budget": 480.0,
 }
 
 
@@ -537,7 +537,8 @@ class GmappingConfig(_Checked):
     )
     memory_budget: float | None = option(
         None,
-        "resample also when the maps of all particles come near to this; 0 for no limit",
+        "when the maps of all particles come near to this, the better half of them goes on; 0 for "
+        "no limit",
         unit="MB",
         low=0.0,
         high=1e6,

@@ -79,7 +79,7 @@ MOST_MAPPED = MOST_BEAMS
 DEFAULT_USABLE_M = 80.0
 USABLE_SHARE = 0.98
 # Particles are drawn anew when their maps hold this share of the budget.
-BUDGET_SHARE = 0.75
+BUDGET_SHARE = 0.8
 STATE_FORMAT = 3
 
 
@@ -350,11 +350,13 @@ class Gmapping:
         health.n_eff = n_eff
         self._n_eff.append((scan.stamp_s, n_eff))
         parents: npt.NDArray[np.int64] | None = None
-        is_large = 0.0 < BUDGET_SHARE * config.memory_budget * 1e6 < self._maps.used_bytes
-        health.resamplings_for_memory += is_large
-        if is_large or n_eff < config.resampleThreshold * len(before):
+        if 0.0 < BUDGET_SHARE * config.memory_budget * 1e6 < self._maps.used_bytes:
+            # Their weights are too even to leave fewer maps by chance: the better half goes on.
+            parents = _better_half(self._log_weights)
+            health.resamplings_for_memory += 1
+        elif n_eff < config.resampleThreshold * len(before):
             parents = resample_systematic(shares, float(self._rng.random()))
-            health.resamplings += 1
+        health.resamplings += parents is not None
         alive = np.arange(len(before)) if parents is None else np.unique(parents)
         self._write(scan, ends, is_hit, alive)
         if parents is not None:
@@ -606,6 +608,12 @@ def _pose(row: F64) -> Pose2:
 
 def _vector(pose: Pose2) -> F64:
     return np.array([pose.x, pose.y, pose.yaw_rad])
+
+
+def _better_half(log_weights: F64) -> npt.NDArray[np.int64]:
+    """Return (N,) parents: each of the better half of the particles, and each again."""
+    better = np.argsort(-log_weights, kind="stable")[: -(-len(log_weights) // 2)]
+    return np.resize(better, len(log_weights))
 
 
 def _normalised(log_weights: F64, gain: float) -> F64:

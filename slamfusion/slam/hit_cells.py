@@ -14,6 +14,8 @@ from slamfusion.grid import UNKNOWN
 
 __all__ = ["halve_counts", "percent_of_counts"]
 
+# Numbers of a large map take memory only by so many rows.
+ROWS_AT_ONCE = 256
 # The limits of the map servers, in percent.
 FREE_PERCENT, OCCUPIED_PERCENT = 25.0, 65.0
 
@@ -56,6 +58,17 @@ def percent_of_counts(
         threshold: a cell is a wall when more than this share of its visits were hits, 0 to 1.
         least_visits: a cell visited less often is unknown.
     """
+    percent = np.empty(counts.shape, dtype=np.int8)
+    for start in range(0, len(counts), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        percent[rows] = _percent_rows(counts[rows], threshold, least_visits)
+    return percent
+
+
+def _percent_rows(
+    counts: npt.NDArray[np.uint32], threshold: float, least_visits: int
+) -> npt.NDArray[np.int8]:
+    """Return ``percent_of_counts`` of a few rows."""
     hits, visits = (counts >> 16).astype(np.float64), (counts & 0xFFFF).astype(np.float64)
     share = hits / np.maximum(visits, 1.0)
     rising = np.rint(np.interp(share, (0.0, threshold, 1.0), (0.0, OCCUPIED_PERCENT, 100.0)))
