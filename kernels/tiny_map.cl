@@ -15,9 +15,6 @@
 #include "walk.h"
 
 #define HALF (1 << 19)
-/* The score field is 0 up to this mean (0.35) and 255 from 0.95 on. */
-#define WALL_FLOOR 367002
-#define WALL_GAIN 425
 #define MOST_OBSERVATIONS 4095
 #define MODEL_BASE 0
 
@@ -35,9 +32,8 @@ inline long beam_step(__global const int *beam, const walk w) {
  *
  * observed   uint pool
  * pages      int, width x height
- * beams      six ints per beam, see above; the last is the value of the hit's own cell, 0 to 4095
+ * beams      six ints per beam, see above; the last is the value at the ridge of the valley, 0 to 4095
  * half_blur  half width of the valley, 1/1024 cell
- * peak       value at the ridge of the valley, 0 to 4095
  * behind     least value that is written behind the hit
  * free       value of a cell that the beam passed, 0 to 4095
  * wanted     int: [0] whether a page was missing, [1 + page] which
@@ -45,12 +41,13 @@ inline long beam_step(__global const int *beam, const walk w) {
 __kernel void tiny_mark(
     __global uint *observed, __global const int *pages, const int width, const int height,
     __global const int *beams, const int count, const int half_blur,
-    const int peak, const int behind, const int free, __global int *wanted) {
+    const int behind, const int free, __global int *wanted) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
   }
   __global const int *beam = beams + 6 * item;
+  const int rise = beam[5] > free ? beam[5] - free : 0;
   const walk w = beam_walk(beam);
   const long step = beam_step(beam, w);
   const long reach = step > 0 ? ((long)half_blur << 10) / step : 0;
@@ -58,7 +55,7 @@ __kernel void tiny_mark(
     const long away = ((i < 0 ? -i : i) * step) >> 10;
     int value = free;
     if (away < half_blur) {
-      value = free + (int)((peak - free) * (half_blur - away) / half_blur);
+      value = free + (int)(rise * (half_blur - away) / half_blur);
     }
     if (i < 0 && value < behind) {
       continue;
@@ -103,12 +100,14 @@ inline uint joined(const uint state, const int value, const int quality, const i
  * map_free   value of a free cell in `map`, 0 to 4095
  * quality    in 1/1024: 0 teaches nothing, 1024 everything
  * model      0 base, 1 mean
+ * wall_floor mean up to which the score field is 0, 1/2^20
+ * wall_gain  what a mean above it adds to the field
  */
 __kernel void tiny_fold(
     __global uint *observed, __global uint *valley, __global uint *map, __global uchar *field,
     __global const int *pages, const int width, const int height, __global const int *beams,
-    const int count, const int half_blur, const int map_free, const int quality,
-    const int model) {
+    const int count, const int half_blur, const int map_free, const int quality, const int model,
+    const int wall_floor, const int wall_gain) {
   const int item = get_global_id(0);
   if (item >= count) {
     return;
@@ -127,7 +126,7 @@ __kernel void tiny_fold(
     }
     const int value = (int)(word >> 1 & 4095);
     const uint next = joined(valley[at], value, quality, model);
-    const int wall = ((int)(next >> 12) - WALL_FLOOR) * WALL_GAIN >> 20;
+    const int wall = ((int)(next >> 12) - wall_floor) * wall_gain >> 20;
     valley[at] = next;
     field[at] = (uchar)(wall < 0 ? 0 : wall > 255 ? 255 : wall);
     if (word & 1u) {

@@ -454,7 +454,9 @@ def _tiny_map(backend: Backend, sample: Sample, *, fold: bool) -> Arrays:
         table = backend.upload(pages)
         wanted = backend.upload(np.zeros(1 + pages.size, dtype=np.int32))
         for seed, quality in ((1, 1024), (2, 300), (3, 700)):
-            rule = slam_reference.BeamRule(half_blur, 3890, 2048, 819, 41, quality, is_mean)
+            rule = slam_reference.BeamRule(
+                half_blur, 2048, 819, 41, quality, is_mean, wall_floor=367002, wall_gain=425
+            )
             beams = backend.upload(_beams(replace(sample, seed=sample.seed + seed)))
             missing = backend.tiny_mark(observed, table, beams, rule, wanted)
             if fold:

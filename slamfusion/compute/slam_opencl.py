@@ -173,7 +173,7 @@ class SlamOperations(DeviceArrays):
         """See ``slam_reference.tiny_mark``."""
         height, width = pages.shape
         count = beams.shape[0]
-        numbers = (rule.half_blur, rule.peak, rule.behind, rule.free)
+        numbers = (rule.half_blur, rule.behind, rule.free)
         self._launch(
             "tiny_mark",
             (count,),
@@ -203,7 +203,14 @@ class SlamOperations(DeviceArrays):
         """See ``slam_reference.tiny_fold``."""
         height, width = pages.shape
         count = beams.shape[0]
-        numbers = (rule.half_blur, rule.map_free, rule.quality, rule.is_mean)
+        numbers = (
+            rule.half_blur,
+            rule.map_free,
+            rule.quality,
+            rule.is_mean,
+            rule.wall_floor,
+            rule.wall_gain,
+        )
         self._launch(
             "tiny_fold",
             (count,),

@@ -47,9 +47,6 @@ VALUE_ONE = 4095
 # A cell's state: mean in 1/2^20 above 12 bits of observations.
 HALF = 1 << 19
 MOST_OBSERVATIONS = 4095
-# The score field is 0 up to a mean of 0.35 and 255 from 0.95 on.
-WALL_FLOOR = 367002
-WALL_GAIN = 425
 UNSEEN = HALF << 12
 # A word of the observed pool: hit, value, in front of the hit; 0 is no word.
 HIT_SHIFT, VALUE_SHIFT = 13, 1
@@ -63,21 +60,23 @@ class BeamRule(NamedTuple):
 
     Attributes:
         half_blur: half width of the valley around a hit, 1/1024 cell.
-        peak: value at the ridge of the valley, 0 to 4095.
         behind: least value that is written behind a hit, 0 to 4095.
         free: value of a passed cell for the matcher, 0 to 4095.
         map_free: the same for the published map.
         quality: how much of the scan is believed, in 1/1024.
         is_mean: cell model ``mean``; otherwise ``base``.
+        wall_floor: mean of a cell, in 1/2^20, up to which the score field is 0.
+        wall_gain: what a mean above it adds to the field; at most 2000.
     """
 
     half_blur: int
-    peak: int
     behind: int
     free: int
     map_free: int
     quality: int
     is_mean: bool
+    wall_floor: int
+    wall_gain: int
 
 
 def _cells(field: U8, pages: I32, cols: I64, rows: I64) -> I64:
@@ -306,7 +305,7 @@ def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32
             greatest value over in front over behind.
         pages: (PH, PW) int32.
         beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in 1/1024
-            cell, the value of the hit's own cell, 0 to 4095. All inside the window.
+            cell, the value at the ridge of the valley, 0 to 4095. All inside the window.
         rule: see ``BeamRule``.
         wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
             tile yet; those cells are left out.
@@ -319,7 +318,8 @@ def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32
     half = max(1, rule.half_blur)
     value = np.full(len(w.i), rule.free, dtype=np.int64)
     near = away < rule.half_blur
-    value[near] += ((rule.peak - rule.free) * (rule.half_blur - away) // half)[near]
+    rise = np.maximum(beams[w.beam, 5].astype(np.int64) - rule.free, 0)
+    value[near] += (rise * (rule.half_blur - away) // half)[near]
     keep = (w.i >= 0) | (value >= rule.behind)
     value[w.i == 0] = beams[w.beam[w.i == 0], 5]
     word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
@@ -375,7 +375,7 @@ def tiny_fold(
     value = words >> VALUE_SHIFT & VALUE_ONE
     state = _joined(valley[at].astype(np.int64), value, rule)
     valley[at] = state.astype(np.uint32)
-    walls = ((state >> 12) - WALL_FLOOR) * WALL_GAIN >> 20
+    walls = ((state >> 12) - rule.wall_floor) * rule.wall_gain >> 20
     field[at] = np.clip(walls, 0, 255).astype(np.uint8)
     front = (words & 1) == 1
     at = tuple(places[front].T)

@@ -40,6 +40,11 @@ NAME = "tinyslam"
 OCCUPIED_VALUE = 0.95
 FREE_VALUE = 0.01
 DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
+# Occupied share of a hit's cell on average, by estimator.
+HIT_SHARE = {"constant": 1.0, "area": 0.5}
+# The matcher sees a wall from this share of the way on, from a passed cell's value to a wall's.
+FLOOR_SHARE = 0.2
+LEAST_CONTRAST = 0.2
 # Wall value, of 255, of a cell that no scan has seen: were it 0, a scan that looks into new space
 # would rather fit where the robot has been.
 UNSEEN_WALL = 20
@@ -186,14 +191,20 @@ class TinySlam:
             np.minimum(hits.min(axis=0), laser) - reach, np.maximum(hits.max(axis=0), laser) + reach
         )
         beams = self._beams(hits - tiles.origin, laser - tiles.origin)
+        # What a wall's cells come to hold by and by.
+        share = HIT_SHARE[config.occupancy_estimator]
+        free = config.matcher_free_value
+        peak = max(FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE), free + LEAST_CONTRAST)
+        floor = free + FLOOR_SHARE * (peak - free)
         rule = BeamRule(
             half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
-            peak=round(OCCUPIED_VALUE * VALUE_ONE),
             behind=(VALUE_ONE + 1) // 2,
             free=round(config.matcher_free_value * VALUE_ONE),
             map_free=round(FREE_VALUE * VALUE_ONE),
             quality=round(quality * 1024),
             is_mean=config.cell_model == "mean",
+            wall_floor=round(floor * (1 << 20)),
+            wall_gain=round(255.0 / (peak - floor)),
         )
         pools, handle = tiles.pools, self._backend.upload(beams)
         marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)

@@ -22,7 +22,14 @@ POOLS = {
     "field": (np.uint8, 7),
 }
 RULE = BeamRule(
-    half_blur=0, peak=3890, behind=2048, free=41, map_free=41, quality=1024, is_mean=True
+    half_blur=0,
+    behind=2048,
+    free=41,
+    map_free=41,
+    quality=1024,
+    is_mean=True,
+    wall_floor=367002,
+    wall_gain=425,
 )
 
 
