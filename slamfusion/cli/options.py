@@ -44,6 +44,7 @@ METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float"
 OPTION_NAMES = {
     "fusion.normalize.resolution": "--fused-resolution",
     "gmapping.odometry": "--use-odometry",
+    "graph.odometry": "--use-odometry",
     "gmapping.occ_thresh": "--occ_thresh",
     "gmapping.map_update_interval": "--map_update_interval",
 }

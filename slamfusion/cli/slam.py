@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 __all__ = ["NAMES", "RESUMABLE", "command"]
 
 # Every producer of ``slamfusion.slam.runner``, whose import would slow down every other command.
-NAMES = ("tinyslam", "gmapping")
+NAMES = ("tinyslam", "gmapping", "graph")
 # Of these, the ones that can save their state and go on from it.
-RESUMABLE = ("gmapping",)
+RESUMABLE = ("gmapping", "graph")
 
 PROGRESS_STEPS = 1000
 SUFFIXES = (".yaml", ".pgm", ".tum", ".json")

@@ -22,6 +22,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan, ScanLog, Skips
 from slamfusion.slam.base import Health, Series, SlamBackend, Step
 from slamfusion.slam.gmapping import Gmapping
+from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.trajectory import Trajectory
 
@@ -67,7 +68,6 @@ class Producer:
 
 
 def _gmapping(config: RunConfig, backend: Backend) -> Resumable:
-    # Its record is more than a ``Health``, which a settable attribute's type may not be.
     return Gmapping(config.gmapping, backend, config.seed)
 
 
@@ -75,10 +75,19 @@ def _resumed_gmapping(path: Path, config: RunConfig, backend: Backend) -> Resuma
     return Gmapping.load_state(path, config.gmapping, backend, config.seed)
 
 
+def _graph(config: RunConfig, backend: Backend) -> Resumable:
+    return GraphSlam(config.graph, backend, config.seed)
+
+
+def _resumed_graph(path: Path, config: RunConfig, backend: Backend) -> Resumable:
+    return GraphSlam.load_state(path, config.graph, backend, config.seed)
+
+
 # Every producer; its name is also the section of its settings.
 PRODUCERS: dict[str, Producer] = {
     "tinyslam": Producer(lambda config, backend: TinySlam(config.tinyslam, backend, config.seed)),
     "gmapping": Producer(_gmapping, _resumed_gmapping),
+    "graph": Producer(_graph, _resumed_graph),
 }
 
 BYTES_PER_MB = 1e6

@@ -1,0 +1,867 @@
+"""Graph SLAM: scans on submaps, loop closures, and a pose graph that makes them agree.
+
+Every scan is matched on the submap that is growing. A scan after some way becomes a node; it is
+written into the two submaps that overlap there and tied to both. Nodes that come back to an older
+submap are searched there, near where they are expected or over a whole window; what is found, and
+is neither open nor contradicted, becomes a closure, and the graph is solved again. Poses are kept
+relative to the growing submap, so following the robot never waits for the graph.
+
+Sources: Olson, ICRA 2009 [O09] (correlative matching, its covariance); Konolige et al., IROS 2010
+[K10] and the parameters of open_karto; Hess et al., ICRA 2016 [H16c] (submaps, branch and bound).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.compute.hit_map_reference import MOST_BEAMS, BeamScan
+from slamfusion.config import GraphConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2, compose_poses, wrap_angle
+from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.base import Health, Series, Step
+from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
+from slamfusion.slam.matcher import Guess, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.pose_solver import Constraints, Solution, solve_graph
+from slamfusion.slam.shared_tiles import SharedTileMaps
+from slamfusion.slam.state import (
+    health_record,
+    pose_record,
+    read_state,
+    recorded_pose,
+    restore_health,
+    restore_tracker,
+    tracker_record,
+    write_state,
+)
+from slamfusion.slam.submap import UNSEEN_WALL, Submap
+from slamfusion.slam.tracking import Tracker
+from slamfusion.slam.window_search import search_window
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["GraphHealth", "GraphSlam"]
+
+F64 = npt.NDArray[np.float64]
+NAME = "graph"
+
+# Steps along which the response surface is measured, and what its curvature is worth: a mean wall
+# value that is lower by 1 / RESPONSE_GAIN makes a pose e^-0.5 as likely.
+SURFACE_M, SURFACE_RAD = 0.05, 0.01
+RESPONSE_GAIN = 60.0
+# No match tells more, or less, than these standard deviations.
+LEAST_SIGMA, MOST_SIGMA = 0.005, 0.5
+# A robot that has driven this far since a submap may have drifted by this share, and a bit.
+DRIFT_SHARE = 0.02
+LEAST_DRIFT_M = 0.3
+# Beyond this drift the whole window is searched.
+LOCAL_DRIFT_M = 0.8
+DRIFT_RAD_PER_M = 0.002
+# A closure that moves the robot by more is believed when another one says the same.
+SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
+AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
+PENDING_NODES = 12
+# Of a scan's hits so many may lie where the older submap has seen nothing.
+MOST_UNSEEN = 0.6
+# Scans that fit less than this share of the usual are not mapped; after so many in a row the robot
+# is lost, and a new submap begins that only its odometry ties to the others.
+LOST_SHARE, LOST_SCANS = 0.5, 5
+LOST_SIGMAS = (0.3, 0.3, 0.2)
+LOST_DRIFT_M = 3.0
+# A closure must fit about as well as scans usually do.
+USUAL_SHARE = 0.75
+# Nodes between two searches of one submap, and submaps searched at a node.
+RETRY_NODES = 2
+TRIES_PER_NODE = 2
+# The graph is solved when so many nodes have come since, if there are new closures.
+SOLVE_NODES = 20
+DOUBTED_BELOW = 0.5
+# Odometry between nodes: metres and radians of error, fixed and for a metre and a radian.
+ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
+ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
+# A step of odometry that differs from the matched one by more spreads is left out.
+ODOMETRY_GATE = 3.0
+STATE_FORMAT = 1
+# Motion, information and ends of an edge.
+EDGE_BYTES = 112
+
+
+@dataclass
+class GraphHealth(Health):
+    """How well the graph is doing.
+
+    Attributes:
+        nodes: scans that became nodes.
+        submaps: of which each holds some of them.
+        restarts: times that the robot was lost and a submap of its own was begun.
+        closures_tried: searches of an older submap.
+        closures_accepted: of these, the ones that became an edge.
+        closures_rejected: by reason.
+        closures_doubted: edges that the last solution left less than half of their weight.
+        chi2: of the graph after the last solution.
+        solutions: how often it was solved.
+        solve_s: duration of the last solution.
+    """
+
+    nodes: int = 0
+    submaps: int = 0
+    restarts: int = 0
+    closures_tried: int = 0
+    closures_accepted: int = 0
+    closures_rejected: dict[str, int] = field(default_factory=dict)
+    closures_doubted: int = 0
+    chi2: float | None = None
+    solutions: int = 0
+    solve_s: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the record for a JSON document."""
+        names = (
+            "nodes",
+            "submaps",
+            "restarts",
+            "closures_tried",
+            "closures_accepted",
+            "closures_rejected",
+            "closures_doubted",
+            "chi2",
+            "solutions",
+            "solve_s",
+        )
+        return {**super().to_json(), "graph": {name: getattr(self, name) for name in names}}
+
+
+@dataclass(frozen=True, eq=False)
+class _Node:
+    """A scan that is kept.
+
+    Attributes:
+        ends: (B, 2) float32 hits in the robot's frame, metres.
+        laser: (2,) float32, the laser in the robot's frame, metres.
+        travelled_m: way of the robot up to here.
+        odometry: pose by odometry; None where there is none.
+    """
+
+    ends: npt.NDArray[np.float32]
+    laser: npt.NDArray[np.float32]
+    travelled_m: float
+    odometry: Pose2 | None
+
+    def points(self) -> F64:
+        """Return the (B, 2) hits in the robot's frame, metres."""
+        return self.ends.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """What is known of two nodes: the pose of one in the frame of the other."""
+
+    start: int
+    end: int
+    motion: F64
+    information: F64
+    is_closure: bool = False
+
+
+@dataclass(frozen=True)
+class _Closure:
+    """A closure that waits for another that says the same."""
+
+    edge: _Edge
+    # What it would do to the robot's pose in the map frame.
+    correction: Pose2
+
+
+class GraphSlam:
+    """The graph SLAM behind the ``SlamBackend`` protocol.
+
+    Attributes:
+        name: ``graph``.
+        health: the record so far.
+        last_stamp_s: time of the last scan; None before the first.
+    """
+
+    name = NAME
+
+    def __init__(self, config: GraphConfig, backend: Backend, seed: int = 0) -> None:
+        """Start with an empty graph.
+
+        Args:
+            config: see ``GraphConfig``.
+            backend: where the maps live.
+            seed: of the matcher's draws.
+        """
+        self.health: GraphHealth = GraphHealth()
+        self.last_stamp_s: float | None = None
+        self._config = config
+        self._backend = backend
+        self._seed = seed
+        self._rng = np.random.default_rng(seed)
+        self._tracker = Tracker(config.matcher, backend, self._rng, self.health)
+        self._nodes: list[_Node] = []
+        self._node_bytes = 0
+        self._poses = np.zeros((0, 3))
+        self._edges: list[_Edge] = []
+        self._submaps: list[Submap] = []
+        # The submap in whose frame the robot is followed; the next one grows beside it.
+        self._active = 0
+        self._start = IDENTITY
+        self._node_pose = IDENTITY
+        self._travelled_m = 0.0
+        # Where a submap was begun, in the frame of the one before it.
+        self._begun: dict[tuple[int, int], Pose2] = {}
+        self._pending: list[_Closure] = []
+        self._is_urgent = False
+        self._settled: tuple[int, F64] | None = None
+        self._low_row = 0
+        self._lost_at: int | None = None
+        self._last_tried: dict[int, int] = {}
+        self._linked_m: dict[int, float] = {}
+        self._unsolved = 0
+        self._solved_at = 0
+        self._scans: list[tuple[float, int, tuple[float, float, float]]] = []
+        self._online: list[tuple[float, float, float]] = []
+        self._responses: list[tuple[float, float]] = []
+
+    # -- the protocol --------------------------------------------------------------------------
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        """Follow the robot to a scan; make it a node where it has gone far enough."""
+        self.health.scans += 1
+        known = None if self._config.odometry == "none" else odometry
+        guesses = self._tracker.guesses(scan.stamp_s, known)
+        if self._tracker.pose is None:
+            self._start = _pose(guesses[0].pose)
+        points = scan.points(scan.is_hit(self._config.usable_range_m))
+        if len(points) == 0:
+            step = self._skip("no reading within the usable range", guesses[0], scan, known)
+        elif not self._nodes:
+            step = self._begin(scan, points, known)
+        else:
+            step = self._follow(scan, points, known, guesses)
+        self.last_stamp_s = scan.stamp_s
+        pose = step.pose_map_base
+        self._online.append((pose.x, pose.y, pose.yaw_rad))
+        return step
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose at every scan by all that is known now."""
+        poses = self._settled_poses()
+        stamps = np.array([stamp for stamp, _, _ in self._scans])
+        nodes = np.array([node for _, node, _ in self._scans], dtype=np.int64)
+        motions = np.array([motion for _, _, motion in self._scans]).reshape(-1, 3)
+        if not len(poses):
+            return Trajectory(stamps, motions, self.name)
+        before = np.array([[self._start.x, self._start.y, self._start.yaw_rad]])
+        frames = np.concatenate((poses, before))  # -1: before the first node
+        return Trajectory(stamps, compose_poses(frames[nodes], motions), self.name)
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """Return the path as it was first reported."""
+        stamps = np.array([stamp for stamp, _, _ in self._scans])
+        return (Trajectory(stamps, np.array(self._online).reshape(-1, 3), "as first reported"),)
+
+    def series(self) -> tuple[Series, ...]:
+        """Return the response of the nodes' matches."""
+        if not self._responses:
+            return ()
+        stamps, values = np.array(self._responses).T
+        return (Series("response", "", stamps, values),)
+
+    def grid(self) -> OccupancyGrid:
+        """Return the map of all nodes at their poses of today; see ``SlamBackend.grid``."""
+        if not self._nodes:
+            message = f"{self.name}: no scan could be used, so there is no map"
+            raise SlamFusionError(message)
+        poses = self._settled_poses()
+        config, cell = self._config, self._config.resolution
+        anchor = np.floor(poses[0, :2] / cell) * cell
+        maps = SharedTileMaps(self._backend, 1, {"counts": np.uint32, "sums": np.uint32})
+        for node, pose in zip(self._nodes, poses, strict=True):
+            _count(self._backend, maps, node, (pose - (*anchor, 0.0)), cell)
+        counts, first = maps.cells("counts", 0)
+        corner = anchor + first * cell
+        percent = percent_of_counts(
+            counts.astype(np.uint32), config.occupancy_threshold, config.min_pass_through
+        )
+        origin = Pose2(float(corner[0]), float(corner[1]))
+        grid = OccupancyGrid(percent, cell, origin, self.name)
+        box = grid.known_box()
+        return grid if box is None else grid.crop(box)
+
+    def memory_bytes(self) -> int:
+        """Return the bytes of submaps, nodes and edges."""
+        submaps = sum(submap.memory_bytes for submap in self._submaps)
+        return submaps + self._node_bytes + EDGE_BYTES * len(self._edges)
+
+    # -- one scan ------------------------------------------------------------------------------
+
+    def _skip(self, reason: str, guess: Guess, scan: LaserScan, known: Pose2 | None) -> Step:
+        self.health.skips.add(reason, self.health.scans)
+        local = _pose(guess.pose)
+        self._tracker.advance(local, known, scan.stamp_s)
+        if not self._nodes:
+            moved = self._start.inverse().compose(local)
+            self._scans.append((scan.stamp_s, -1, (moved.x, moved.y, moved.yaw_rad)))
+            return Step(local, used=False, match_score=None, reason=reason)
+        return self._report(scan, local, None, reason)
+
+    def _begin(self, scan: LaserScan, points: F64, known: Pose2 | None) -> Step:
+        """Make the first node."""
+        pose = _pose(self._tracker.guesses(scan.stamp_s, known)[0].pose)
+        self._tracker.pose = None  # from now on relative to the first node
+        self._add_node(scan, points, known, pose)
+        self._submaps.append(self._new_submap(0))
+        self._submaps[0].insert(*self._written(0), IDENTITY)
+        self.health.submaps = 1
+        self.health.scans_used += 1
+        self._tracker.advance(IDENTITY, known, scan.stamp_s)
+        return self._report(scan, IDENTITY, None)
+
+    def _follow(
+        self,
+        scan: LaserScan,
+        points: F64,
+        known: Pose2 | None,
+        guesses: list[Guess],
+    ) -> Step:
+        """Match a scan on the growing submap; make it a node where it is due."""
+        submap = self._submaps[self._active]
+        match = self._tracker.match(submap.walls(), points, guesses)
+        local = _pose(match.pose)
+        self._tracker.advance(local, known, scan.stamp_s)
+        self.health.scans_used += 1
+        usual = self.health.mean_match_score or match.score
+        self._low_row = self._low_row + 1 if match.score < LOST_SHARE * usual else 0
+        if self._low_row:
+            if self._low_row < LOST_SCANS:
+                return self._report(scan, local, match.score)
+            return self._begin_again(scan, points, known, local)
+        moved = self._node_pose.inverse().compose(local)
+        way, turn = math.hypot(moved.x, moved.y), abs(wrap_angle(moved.yaw_rad))
+        config = self._config
+        if way < config.minimum_travel_distance and turn < config.minimum_travel_heading:
+            return self._report(scan, local, match.score)
+        self._travelled_m += way
+        pose = _pose(self._poses[submap.anchor]).compose(local)
+        self._responses.append((scan.stamp_s, match.score))
+        number = self._add_node(scan, points, known, pose)
+        self._tie(number, points, local)
+        local = self._grow(number, local)
+        self._tracker.pose = local  # another submap may be the growing one now
+        if config.do_loop_closing:
+            self._close_loops(number, points)
+        return self._report(scan, local, match.score)
+
+    def _begin_again(
+        self,
+        scan: LaserScan,
+        points: F64,
+        known: Pose2 | None,
+        local: Pose2,
+    ) -> Step:
+        """Begin a submap for a lost robot; the old ones stay as they are."""
+        self.health.restarts += 1
+        reason = "the robot is lost: a new submap begins, placed by odometry alone"
+        self.health.skips.add(reason, self.health.scans)
+        before = len(self._nodes) - 1
+        moved = self._node_pose.inverse().compose(local)
+        odometry = self._nodes[before].odometry
+        if known is not None and odometry is not None:
+            moved = odometry.inverse().compose(known)
+        self._travelled_m += math.hypot(moved.x, moved.y)
+        pose = _pose(self._poses[before]).compose(moved)
+        number = self._add_node(scan, points, known, pose)
+        information = np.diag(np.square(1.0 / np.array(LOST_SIGMAS)))
+        edge = _Edge(before, number, _vector(moved), information, is_closure=True)
+        self._edges.append(edge)
+        for submap in self._submaps[self._active :]:
+            submap.finish()
+        self._submaps.append(self._new_submap(number))
+        self._active = len(self._submaps) - 1
+        self._submaps[self._active].insert(*self._written(number), IDENTITY)
+        self.health.submaps = len(self._submaps)
+        self._node_pose = self._tracker.pose = IDENTITY
+        self._low_row, self._lost_at = 0, number
+        return self._report(scan, IDENTITY, None)
+
+    def _report(
+        self,
+        scan: LaserScan,
+        local: Pose2,
+        score: float | None,
+        reason: str = "",
+    ) -> Step:
+        """Tell a pose in the growing submap's frame in the map frame."""
+        last = len(self._nodes) - 1
+        moved = self._node_pose.inverse().compose(local)
+        self._scans.append((scan.stamp_s, last, (moved.x, moved.y, moved.yaw_rad)))
+        pose = _pose(self._poses[last]).compose(moved)
+        return Step(_wrapped(pose), not reason, score, reason)
+
+    # -- nodes and submaps -----------------------------------------------------------------------
+
+    def _new_submap(self, anchor: int) -> Submap:
+        config = self._config
+        return Submap(
+            self._backend,
+            anchor,
+            config.resolution,
+            config.correlation_search_space_smear_deviation,
+        )
+
+    def _add_node(
+        self,
+        scan: LaserScan,
+        points: F64,
+        known: Pose2 | None,
+        pose: Pose2,
+    ) -> int:
+        laser = np.array([scan.mount.x, scan.mount.y], dtype=np.float32)
+        self._keep(_Node(points.astype(np.float32), laser, self._travelled_m, known))
+        self._poses = np.vstack((self._poses, (pose.x, pose.y, wrap_angle(pose.yaw_rad))))
+        self.health.nodes = len(self._nodes)
+        return len(self._nodes) - 1
+
+    def _keep(self, node: _Node) -> None:
+        self._nodes.append(node)
+        self._node_bytes += node.ends.nbytes
+
+    def _written(self, number: int) -> tuple[F64, F64]:
+        """Return a node's hits and laser as a submap takes them."""
+        node = self._nodes[number]
+        return node.points(), node.laser.astype(np.float64)
+
+    def _tie(self, number: int, points: F64, local: Pose2) -> None:
+        """Tie a node to the anchors of the submaps that it is written into, and to odometry."""
+        active = self._submaps[self._active]
+        information = self._information(active, points, _vector(local))
+        self._edges.append(_Edge(active.anchor, number, _vector(local), information))
+        if self._active + 1 < len(self._submaps):
+            other = self._submaps[self._active + 1]
+            between = self._between(active, other)
+            motion = _vector(between.inverse().compose(local))
+            turned = _turned(information, -between.yaw_rad)
+            self._edges.append(_Edge(other.anchor, number, motion, turned))
+        node, before = self._nodes[number], self._nodes[number - 1]
+        if node.odometry is None or before.odometry is None:
+            return
+        step = before.odometry.inverse().compose(node.odometry)
+        way, turn = math.hypot(step.x, step.y), abs(wrap_angle(step.yaw_rad))
+        sigmas = np.array(
+            [ODOMETRY_M + ODOMETRY_M_PER_M * way] * 2 + [ODOMETRY_RAD + ODOMETRY_RAD_PER_RAD * turn]
+        )
+        found = self._node_pose.inverse().compose(local)
+        away = _vector(step.inverse().compose(found))
+        away[2] = wrap_angle(away[2])
+        if (np.abs(away / sigmas) < ODOMETRY_GATE).all():
+            self._edges.append(_Edge(number - 1, number, _vector(step), np.diag(sigmas**-2.0)))
+
+    def _between(self, one: Submap, other: Submap) -> Pose2:
+        """Return the pose of a growing submap in the frame of another, as it was begun."""
+        return self._begun[(one.anchor, other.anchor)]
+
+    def _grow(self, number: int, local: Pose2) -> Pose2:
+        """Write a node into the growing submaps; return its pose in the one that is active then."""
+        config, points = self._config, self._written(number)
+        active = self._submaps[self._active]
+        active.insert(*points, local)
+        if self._active + 1 < len(self._submaps):
+            other = self._submaps[self._active + 1]
+            inside = self._between(active, other).inverse().compose(local)
+            other.insert(*points, inside)
+            if active.scans >= config.scan_buffer_size:
+                active.finish()
+                self._active += 1
+                local = inside
+        elif active.scans >= config.scan_buffer_size // 2:
+            begun = self._new_submap(number)
+            self._begun[(active.anchor, number)] = local
+            begun.insert(*points, IDENTITY)
+            self._submaps.append(begun)
+            self.health.submaps = len(self._submaps)
+        self._node_pose = local
+        return local
+
+    def _information(self, submap: Submap, points: F64, pose: F64) -> F64:
+        """Return (3, 3) how surely a match tells a pose, from the response around it [O09]."""
+        scan = ScanOnTiles(self._backend, submap.walls(), points, self._config.matcher.beams)
+        steps = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
+        scores = scan.scores(pose + _STENCIL * steps)
+        curvature = np.einsum("kij,k->ij", _SECOND, scores) / np.outer(steps, steps)
+        values, vectors = np.linalg.eigh(-RESPONSE_GAIN * curvature * _UNITS)
+        kept = np.clip(values, MOST_SIGMA**-2.0, LEAST_SIGMA**-2.0)
+        return np.asarray((vectors * kept) @ vectors.T / _UNITS)
+
+    # -- closures --------------------------------------------------------------------------------
+
+    def _close_loops(self, number: int, points: F64) -> None:
+        """Search older submaps near a node."""
+        pose = _pose(self._poses[number])
+        found = False
+        for index, drift_m in self._candidates(number, pose):
+            self.health.closures_tried += 1
+            self._last_tried[index] = number
+            reason = self._search(number, points, pose, index, drift_m)
+            if reason:
+                rejected = self.health.closures_rejected
+                rejected[reason] = rejected.get(reason, 0) + 1
+            else:
+                found = True
+        self._unsolved += found
+        is_due = number - self._solved_at >= SOLVE_NODES
+        if self._unsolved and (is_due or self._is_urgent):
+            self._solve()
+
+    def _candidates(self, number: int, pose: Pose2) -> list[tuple[int, float]]:
+        """Return submaps that the robot may be in again, with how far it may have drifted."""
+        config = self._config
+        found = []
+        for index, submap in enumerate(self._submaps[: self._active]):
+            if submap.scans < config.loop_match_minimum_chain_size:
+                continue
+            if number - self._last_tried.get(index, -RETRY_NODES) < RETRY_NODES:
+                continue
+            local = _pose(self._poses[submap.anchor]).inverse().compose(pose)
+            place = np.array([local.x, local.y])
+            outside = np.maximum(submap.low - place, place - submap.high).clip(min=0.0)
+            since_m = self._travelled_m - self._linked(index)
+            drift_m = LEAST_DRIFT_M + DRIFT_SHARE * since_m
+            if self._lost_at is not None and submap.anchor < self._lost_at:
+                drift_m += LOST_DRIFT_M
+            distance = float(np.hypot(*outside))
+            if distance < config.loop_search_maximum_distance + drift_m:
+                found.append((distance, index, drift_m))
+        return [(index, drift_m) for _, index, drift_m in sorted(found)[:TRIES_PER_NODE]]
+
+    def _linked(self, index: int) -> float:
+        """Return the robot's way up to where a submap was last tied to it."""
+        following = self._submaps[index + 1].anchor
+        own = self._nodes[min(following + self._config.scan_buffer_size // 2, len(self._nodes) - 1)]
+        return max(own.travelled_m, self._linked_m.get(index, 0.0))
+
+    def _search(self, number: int, points: F64, pose: Pose2, index: int, drift_m: float) -> str:
+        """Look for a node on an older submap; return why it is no closure, or nothing."""
+        config, submap = self._config, self._submaps[index]
+        frame = _pose(self._poses[submap.anchor])
+        expected = frame.inverse().compose(pose)
+        least = max(
+            config.loop_match_minimum_response, USUAL_SHARE * (self._tracker.usual_score or 0.0)
+        )
+        turn = min(config.coarse_search_angle_offset, 0.05 + DRIFT_RAD_PER_M * 50.0 * drift_m)
+        guess = Guess(_vector(expected), Spread(max(drift_m / 2.0, 0.15), turn / 2.0))
+        if drift_m > LOCAL_DRIFT_M:
+            every = -(-len(points) // config.matcher.beams)
+            match = search_window(
+                self._backend,
+                submap.pyramid(),
+                points[::every],
+                guess.pose,
+                half_m=min(drift_m, config.loop_search_space_dimension / 2.0),
+                half_rad=turn,
+                resolution=config.resolution,
+                least=0.8 * least,
+            )
+            if match is None:
+                return "low response"
+            guess = Guess(match.pose, Spread(0.1, 0.02))
+        scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
+        fine = search_pose(scan, [guess], config.matcher, self._rng)
+        unseen = scan.unseen_share(fine.pose, UNSEEN_WALL)
+        if unseen > MOST_UNSEEN:
+            return "little in common"
+        if (fine.score - unseen * UNSEEN_WALL / 255.0) / (1.0 - unseen) < least:
+            return "low response"
+        information = self._information(submap, points, fine.pose)
+        variance = float(np.linalg.eigvalsh(np.linalg.inv(information)[:2, :2]).max())
+        if variance > config.loop_match_maximum_variance:
+            return "place left open"
+        edge = _Edge(submap.anchor, number, fine.pose, information, is_closure=True)
+        closure = _Closure(edge, frame.compose(_pose(fine.pose)).compose(pose.inverse()))
+        return self._believe(closure, pose, index)
+
+    def _believe(self, closure: _Closure, pose: Pose2, index: int) -> str:
+        """Accept a closure that changes little, or that another one confirms."""
+        number = closure.edge.end
+        moved = closure.correction.compose(pose)
+        way = math.hypot(moved.x - pose.x, moved.y - pose.y)
+        turn = abs(wrap_angle(closure.correction.yaw_rad))
+        self._pending = [c for c in self._pending if number - c.edge.end <= PENDING_NODES]
+        if way <= SMALL_STEP_M and turn <= SMALL_STEP_RAD:
+            self._accept([closure.edge], index)
+            return ""
+        agreeing = [c for c in self._pending if c.edge.end != number and _agree(c, moved, pose)]
+        self._pending.append(closure)
+        if not agreeing:
+            return "not confirmed by another"
+        self._accept([closure.edge, *(c.edge for c in agreeing)], index)
+        self._pending = []
+        self._is_urgent = True
+        return ""
+
+    def _accept(self, edges: list[_Edge], index: int) -> None:
+        self._edges += edges
+        self.health.closures_accepted += len(edges)
+        self._linked_m[index] = self._travelled_m
+        if self._lost_at is not None and self._submaps[index].anchor < self._lost_at:
+            self._lost_at = None
+
+    # -- the graph -------------------------------------------------------------------------------
+
+    def _settled_poses(self) -> F64:
+        """Return the nodes' poses by all closures; asking changes nothing of how it goes on."""
+        if not self._unsolved:
+            return self._poses
+        if self._settled is None or self._settled[0] != len(self._edges):
+            self._settled = (len(self._edges), self._solution().poses)
+        return self._settled[1]
+
+    def _solution(self) -> Solution:
+        edges = self._edges
+        constraints = Constraints(
+            pairs=np.array([(edge.start, edge.end) for edge in edges], dtype=np.int64),
+            motions=np.array([edge.motion for edge in edges]),
+            information=np.array([edge.information for edge in edges]),
+            is_doubted=np.array([edge.is_closure for edge in edges]),
+        )
+        return solve_graph(self._poses, constraints)
+
+    def _solve(self) -> None:
+        """Solve the graph and take over its poses."""
+        solved = self._solution()
+        self._poses = solved.poses
+        self.health.chi2, self.health.solve_s = solved.chi2, solved.time_s
+        self.health.closures_doubted = int((solved.weights < DOUBTED_BELOW).sum())
+        self.health.solutions += 1
+        self._unsolved, self._is_urgent = 0, False
+        self._solved_at = len(self._nodes) - 1
+
+    # -- state ---------------------------------------------------------------------------------
+
+    def save_state(self, path: Path) -> None:
+        """Write graph, scans and submaps; whole or not at all."""
+        record = {
+            "health": health_record(self.health),
+            "tracker": tracker_record(self._tracker),
+            "last_stamp_s": self.last_stamp_s,
+            "start": pose_record(self._start),
+            "node_pose": pose_record(self._node_pose),
+            "numbers": {name: getattr(self, name) for name in _PLAIN},
+            "odometry": [pose_record(node.odometry) for node in self._nodes],
+            "travelled_m": [node.travelled_m for node in self._nodes],
+            "begun": [[*key, *_vector(pose).tolist()] for key, pose in self._begun.items()],
+            "last_tried": list(self._last_tried.items()),
+            "linked_m": list(self._linked_m.items()),
+            "edge_counts": [len(self._edges), len(self._pending)],
+            "corrections": [pose_record(closure.correction) for closure in self._pending],
+        }
+        edges = [*self._edges, *(closure.edge for closure in self._pending)]
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "poses": self._poses,
+            "node_sizes": np.array([len(node.ends) for node in self._nodes], dtype=np.int64),
+            "ends": _joined([node.ends for node in self._nodes], 2),
+            "lasers": _joined([node.laser[None] for node in self._nodes], 2),
+            "edge_ends": np.array([(e.start, e.end) for e in edges], np.int64).reshape(-1, 2),
+            "edge_motions": np.array([e.motion for e in edges]).reshape(-1, 3),
+            "edge_information": np.array([e.information for e in edges]).reshape(-1, 3, 3),
+            "edge_is_closure": np.array([e.is_closure for e in edges], dtype=np.bool_),
+            "scans": np.array([(s, n, *m) for s, n, m in self._scans]).reshape(-1, 5),
+            "online": np.array(self._online).reshape(-1, 3),
+            "responses": np.array(self._responses).reshape(-1, 2),
+        }
+        for index, submap in enumerate(self._submaps):
+            parts = submap.to_arrays()
+            arrays.update({f"submap{index}_{name}": part for name, part in parts.items()})
+        write_state(
+            path,
+            name=self.name,
+            version=STATE_FORMAT,
+            config=self._config,
+            seed=self._seed,
+            record=record,
+            arrays=arrays,
+        )
+
+    @classmethod
+    def load_state(
+        cls, path: Path, config: GraphConfig, backend: Backend, seed: int = 0
+    ) -> GraphSlam:
+        """Return the graph that ``save_state`` has written.
+
+        Args:
+            path: the file.
+            config: must be what the state was made with.
+            backend: where the submaps are to live.
+            seed: likewise.
+
+        Raises:
+            SlamFusionError: no state of ours, or one made with other settings.
+        """
+        record, arrays = read_state(
+            path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed
+        )
+        made = cls(config, backend, seed)
+        try:
+            made._restore(record, arrays)
+        except KeyError as error:
+            message = f"{path}: not a whole state, {error} is missing"
+            raise SlamFusionError(message) from None
+        return made
+
+    def _restore(self, record: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> None:
+        """Take over a saved state."""
+        restore_health(self.health, record["health"])
+        restore_tracker(self._tracker, record["tracker"])
+        self.last_stamp_s = record["last_stamp_s"]
+        self._start = recorded_pose(record["start"]) or IDENTITY
+        self._node_pose = recorded_pose(record["node_pose"]) or IDENTITY
+        for name, value in record["numbers"].items():
+            setattr(self, name, value)
+        bounds = np.cumsum(arrays["node_sizes"])[:-1]
+        for ends, laser, odometry, travelled_m in zip(
+            np.split(arrays["ends"], bounds),
+            arrays["lasers"],
+            record["odometry"],
+            record["travelled_m"],
+            strict=True,
+        ):
+            self._keep(_Node(ends, laser, travelled_m, recorded_pose(odometry)))
+        self._poses = arrays["poses"]
+        edges = [
+            _Edge(int(start), int(end), motion, information, bool(is_closure))
+            for (start, end), motion, information, is_closure in zip(
+                arrays["edge_ends"],
+                arrays["edge_motions"],
+                arrays["edge_information"],
+                arrays["edge_is_closure"],
+                strict=True,
+            )
+        ]
+        count = record["edge_counts"][0]
+        self._edges = edges[:count]
+        self._pending = [
+            _Closure(edge, recorded_pose(correction) or IDENTITY)
+            for edge, correction in zip(edges[count:], record["corrections"], strict=True)
+        ]
+        self._begun = {
+            (int(one), int(other)): Pose2(x, y, yaw) for one, other, x, y, yaw in record["begun"]
+        }
+        self._last_tried = {int(key): int(value) for key, value in record["last_tried"]}
+        self._linked_m = {int(key): float(value) for key, value in record["linked_m"]}
+        self._scans = [
+            (float(stamp), int(node), (float(x), float(y), float(yaw)))
+            for stamp, node, x, y, yaw in arrays["scans"]
+        ]
+        self._online = [(x, y, yaw) for x, y, yaw in arrays["online"].tolist()]
+        self._responses = [(stamp, value) for stamp, value in arrays["responses"].tolist()]
+        for index in range(self.health.submaps):
+            prefix = f"submap{index}_"
+            parts = {
+                name.removeprefix(prefix): part
+                for name, part in arrays.items()
+                if name.startswith(prefix)
+            }
+            submap = self._new_submap(0)
+            submap.restore(parts)
+            self._submaps.append(submap)
+
+
+# Attributes of ``GraphSlam`` that are plain numbers.
+_PLAIN = (
+    "_active",
+    "_travelled_m",
+    "_is_urgent",
+    "_low_row",
+    "_lost_at",
+    "_unsolved",
+    "_solved_at",
+)
+
+
+def _joined(parts: list[npt.NDArray[np.float32]], width: int) -> npt.NDArray[np.float32]:
+    """Return arrays (K, width) one below the other; none is an empty one."""
+    return np.concatenate([np.zeros((0, width), dtype=np.float32), *parts])
+
+
+def _agree(closure: _Closure, moved: Pose2, pose: Pose2) -> bool:
+    """Return whether a closure would move the robot to the same place."""
+    other = closure.correction.compose(pose)
+    away = math.hypot(other.x - moved.x, other.y - moved.y)
+    return away < AGREEMENT_M and abs(wrap_angle(other.yaw_rad - moved.yaw_rad)) < AGREEMENT_RAD
+
+
+def _stencil() -> tuple[F64, F64]:
+    """Return (K, 3) places and (K, 3, 3) weights that give the second derivatives there."""
+    places = [np.zeros(3)]
+    weights = [np.zeros((3, 3))]
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            place, weight = np.zeros(3), np.zeros((3, 3))
+            place[axis], weight[axis, axis] = sign, 1.0
+            places.append(place)
+            weights.append(weight)
+        weights[0][axis, axis] = -2.0
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        for a in (1.0, -1.0):
+            for b in (1.0, -1.0):
+                place, weight = np.zeros(3), np.zeros((3, 3))
+                place[one], place[other] = a, b
+                weight[one, other] = weight[other, one] = 0.25 * a * b
+                places.append(place)
+                weights.append(weight)
+    return np.array(places), np.array(weights)
+
+
+_STENCIL, _SECOND = _stencil()
+# A radian weighs as metres at this distance where eigenvalues are limited.
+_ARM_M = 5.0
+_UNITS = np.outer([1.0, 1.0, 1.0 / _ARM_M], [1.0, 1.0, 1.0 / _ARM_M])
+
+
+def _turned(information: F64, angle_rad: float) -> F64:
+    """Return an information matrix of x, y and yaw in a frame turned by an angle."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turn @ information @ turn.T)
+
+
+def _count(backend: Backend, maps: SharedTileMaps, node: _Node, pose: F64, cell: float) -> None:
+    """Count a node's beams in the only map; poses from the map's anchor."""
+    every = -(-len(node.ends) // MOST_BEAMS)
+    ends = node.ends[::every]
+    corners = np.vstack((ends, node.laser))
+    reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) / cell + 1.0
+    at = pose[:2] / cell
+    maps.cover(at - reach, at + reach)
+    table = np.empty((1, 4), dtype=np.float32)
+    table[0] = (*(at - maps.origin), math.cos(pose[2]), math.sin(pose[2]))
+    beams = BeamScan(
+        (ends / cell).astype(np.float32),
+        np.ones(len(ends), dtype=np.uint8),
+        (node.laser / cell).astype(np.float32),
+        table,
+    )
+    maps.make_writable(backend.touch_pages(maps.page_tables, beams, 0).astype(np.bool_))
+    pools = maps.pools
+    if backend.count_beams(pools["counts"], pools["sums"], maps.page_tables, beams):
+        halve_counts(backend, pools)
+
+
+def _pose(row: F64) -> Pose2:
+    x, y, yaw = (float(value) for value in row)
+    return Pose2(x, y, wrap_angle(yaw))
+
+
+def _vector(pose: Pose2) -> F64:
+    return np.array([pose.x, pose.y, wrap_angle(pose.yaw_rad)])
+
+
+def _wrapped(pose: Pose2) -> Pose2:
+    return Pose2(pose.x, pose.y, wrap_angle(pose.yaw_rad))
