@@ -1,0 +1,288 @@
+"""Scans spread into the cells around their hits, each cell learns once a scan, on every device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, NumpyBackend
+from slamfusion.compute.slam_reference import BEAM_ONE, MOST_OBSERVATIONS, TILE, SmearRule
+
+I32 = npt.NDArray[np.int32]
+SEEDS = st.integers(0, 2**32 - 1)
+FALLING = np.arange(255, -1, -1).astype(np.uint8)
+UNSEEN = 20
+MEAN_ONE = 4112
+# Squared distances of up to 255 * 2^14 / 2^20 = 4 square cells are told apart.
+SHIFT = 14
+ROOM = SmearRule(FALLING, SHIFT, 1, 64)
+KINDS = ("observed", "states", "field")
+
+
+class Map:
+    """A map of one window of pages on a backend."""
+
+    def __init__(self, backend: Backend, pages: I32) -> None:
+        self.backend, self.pages = backend, pages
+        shape = (int(pages.max()) + 1, TILE, TILE)
+        self.observed = backend.upload(np.zeros(shape, dtype=np.uint32))
+        self.states = backend.upload(np.zeros(shape, dtype=np.uint32))
+        self.field = backend.upload(np.full(shape, UNSEEN, dtype=np.uint8))
+        self.table = backend.upload(pages)
+        self.wanted = backend.upload(np.zeros(1 + pages.size, dtype=np.int32))
+
+    def mark(self, beams: I32, rule: SmearRule = ROOM) -> bool:
+        """Mark a scan; whether a page was missing."""
+        handle = self.backend.upload(beams)
+        return self.backend.smear_mark(self.observed, self.table, handle, rule, self.wanted)
+
+    def fold(self, beams: I32, rule: SmearRule = ROOM) -> None:
+        """Fold what was marked."""
+        handle = self.backend.upload(beams)
+        self.backend.smear_fold(self.observed, self.states, self.field, self.table, handle, rule)
+
+    def cells(self, name: str) -> npt.NDArray[np.int64]:
+        """Return a pool as one array."""
+        height, width = self.pages.shape
+        pool = self.backend.download(getattr(self, name))[self.pages]
+        return np.asarray(
+            pool.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE), dtype=np.int64
+        )
+
+    def pools(self) -> list[npt.NDArray[Any]]:
+        """Return all that there is."""
+        names = (*KINDS, "wanted")
+        return [self.backend.download(getattr(self, name)) for name in names]
+
+
+def own_pages(height: int, width: int) -> I32:
+    """Pages that all have a tile of their own."""
+    return 1 + np.arange(height * width, dtype=np.int32).reshape(height, width)
+
+
+def beams_of(*beams: tuple[float, float, float, float]) -> I32:
+    """Beams from x, y of their hits and of the laser in cells."""
+    return np.round(np.array(beams).reshape(-1, 4) * BEAM_ONE).astype(np.int32)
+
+
+def random_beams(rng: np.random.Generator, pages: I32, count: int, margin: int) -> I32:
+    """Beams that keep ``margin`` cells off the window's border; some hit the laser's own cell."""
+    size = np.array(pages.shape[::-1]) * TILE
+    ends = margin + rng.random((count, 2)) * (size - 2 * margin)
+    laser = margin + rng.random(2) * (size - 2 * margin)
+    near = rng.random(count) < 0.1
+    ends[near] = np.floor(laser) + rng.random((int(near.sum()), 2))
+    # Several beams end in one cell, and some at a cell's very corner.
+    ends[rng.random(count) < 0.2] = ends[0]
+    ends[rng.random(count) < 0.1] = np.floor(ends[-1])
+    return beams_of(*np.column_stack((ends, np.broadcast_to(laser, ends.shape))).tolist())
+
+
+def value_at(squared_cells: float) -> int:
+    """Return what ``FALLING`` says of a squared distance."""
+    return 255 - min(255, int(squared_cells * BEAM_ONE**2) >> SHIFT)
+
+
+def test_one_beam_by_hand(backend: Backend):
+    """From the laser in column 26 to a hit in the middle of column 34 of row 9, over two pages."""
+    built = Map(backend, own_pages(1, 2))
+    beams = beams_of((34.5, 9.5, 26.5, 9.5))
+    assert not built.mark(beams)
+    words = np.zeros((TILE, 2 * TILE), dtype=np.int64)
+    words[9, 26:33] = 1  # passed, the laser's cell too
+    words[8:11, 33:36] = value_at(2.0) << 1 | 1
+    words[9, 33:36] = words[8:11, 34] = value_at(1.0) << 1 | 1
+    words[9, 34] = 255 << 1 | 1
+    np.testing.assert_array_equal(built.cells("observed"), words)
+    built.fold(beams)
+    seen = words > 0
+    np.testing.assert_array_equal(built.cells("field"), np.where(seen, words >> 1, UNSEEN))
+    wanted = np.where(seen, ((words >> 1) * MEAN_ONE) << 12 | 1, 0)
+    np.testing.assert_array_equal(built.cells("states"), wanted)
+    assert not built.cells("observed").any()
+
+
+def test_distance_counts_from_the_hit_and_not_from_its_cell(backend: Backend):
+    built = Map(backend, own_pages(1, 1))
+    built.mark(beams_of((10.75, 10.0, 10.75, 10.0)))
+    told = built.cells("observed")
+    for row, col in ((9, 9), (9, 10), (9, 11), (10, 10), (10, 11), (11, 11)):
+        away = (10.75 - col - 0.5) ** 2 + (10.0 - row - 0.5) ** 2
+        assert told[row, col] == value_at(away) << 1 | 1
+    assert told[9, 10] == told[10, 10]
+    assert np.count_nonzero(told) == 9
+
+
+def test_strongest_word_about_a_cell_wins_whatever_the_order(backend: Backend):
+    """The second beam passes the first one's hit; the third ends beside it."""
+    beams = beams_of((10.5, 9.5, 4.5, 9.5), (20.5, 9.5, 4.5, 9.5), (12.5, 9.75, 4.5, 9.5))
+    found = []
+    for order in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
+        built = Map(backend, own_pages(1, 1))
+        built.mark(beams[order])
+        found.append(built.cells("observed"))
+        np.testing.assert_array_equal(found[-1], found[0])
+    row = found[0][9] >> 1
+    assert row[9:14].tolist() == [
+        *(value_at(1.0), 255, max(value_at(1.0), value_at(1.0625))),
+        *(value_at(0.0625), value_at(1.0625)),
+    ]
+    assert row[15] == 0
+    assert found[0][9, 15] == 1
+
+
+def test_laser_in_the_cell_of_the_hit(backend: Backend):
+    built = Map(backend, own_pages(1, 1))
+    beams = beams_of((10.25, 10.75, 10.75, 10.25), (10.5, 10.5, 10.5, 10.5))
+    built.mark(beams)
+    told = built.cells("observed")
+    assert told[10, 10] == 255 << 1 | 1
+    assert (told[9:12, 9:12] > 1).all()
+    assert np.count_nonzero(told) == 9
+
+
+def test_reach_of_none_tells_the_own_cell_only(backend: Backend):
+    built = Map(backend, own_pages(1, 1))
+    built.mark(beams_of((12.5, 9.5, 9.5, 9.5)), ROOM._replace(reach=0))
+    assert [tuple(at) for at in np.argwhere(built.cells("observed"))] == [
+        (9, col) for col in (9, 10, 11, 12)
+    ]
+
+
+def test_many_beams_in_one_cell_are_one_observation(backend: Backend):
+    built = Map(backend, own_pages(1, 1))
+    beams = beams_of(*[(10.5, 9.5, 4.5, 9.5)] * 50, *[(10.5, 9.75, 4.5, 9.5)] * 50)
+    built.mark(beams)
+    built.fold(beams)
+    states = built.cells("states")
+    assert set((states & MOST_OBSERVATIONS).ravel().tolist()) == {0, 1}
+    assert states[9, 10] == (255 * MEAN_ONE) << 12 | 1
+
+
+def test_missing_pages_are_wanted_and_marking_again_changes_nothing_twice(backend: Backend):
+    pages = np.array([[1, 0, 2], [0, 0, 3]], dtype=np.int32)
+    # Along the top row of the lower pages: the hit's square reaches into the upper ones.
+    beams = beams_of((69.5, 31.5, 20.5, 31.5))
+    built = Map(backend, pages)
+    assert built.mark(beams)
+    wanted = backend.download(built.wanted)
+    assert wanted.tolist() == [1, 0, 1, 0, 0, 0, 0]
+    words = built.cells("observed")
+    assert not backend.download(built.observed)[0].any()
+    assert np.flatnonzero(words[31]).tolist() == [*range(20, 32), *range(64, 71)]
+    assert np.count_nonzero(words[32]) == 3
+    # The twin of a map that had the page from the start.
+    whole = Map(NumpyBackend(), np.array([[1, 4, 2], [0, 0, 3]], dtype=np.int32))
+    assert not whole.mark(beams)
+    later = Map(backend, whole.pages)
+    for _ in range(2):
+        assert not later.mark(beams)
+        np.testing.assert_array_equal(later.cells("observed"), whole.cells("observed"))
+
+
+def test_square_of_a_hit_wants_the_pages_that_it_touches(backend: Backend):
+    pages = np.zeros((2, 2), dtype=np.int32)
+    pages[0, 0] = 1
+    built = Map(backend, pages)
+    assert built.mark(beams_of((31.5, 31.5, 31.5, 31.5)))
+    assert backend.download(built.wanted).tolist() == [1, 0, 1, 1, 1]
+    words = built.cells("observed")
+    assert [tuple(at) for at in np.argwhere(words)] == [(30, 30), (30, 31), (31, 30), (31, 31)]
+
+
+def test_fold_means_what_scans_told_and_forgets_the_oldest(backend: Backend):
+    """A cell is hit twice and then passed: 255, 255, 170, and with a memory of two 128."""
+    hit, past = beams_of((12.5, 9.5, 4.5, 9.5)), beams_of((20.5, 9.5, 4.5, 9.5))
+    for most, wanted in ((64, [255, 255, 170, 127]), (2, [255, 255, 127, 63]), (1, [255, 255, 0])):
+        built, rule = Map(backend, own_pages(1, 1)), ROOM._replace(reach=0, most=most)
+        for number, (scan, value) in enumerate(
+            zip([hit, hit, past, past], wanted, strict=False), 1
+        ):
+            built.mark(scan, rule)
+            built.fold(scan, rule)
+            assert abs(built.cells("field")[9, 12] - value) <= 1
+            assert built.cells("states")[9, 12] & MOST_OBSERVATIONS == min(most, number)
+
+
+def test_what_a_scan_does_not_reach_stays(backend: Backend):
+    rng = np.random.default_rng(3)
+    built = Map(backend, own_pages(1, 2))
+    shape = (3, TILE, TILE)
+    before = rng.integers(1 << 12, 1 << 32, shape, dtype=np.uint32)
+    built.states = backend.upload(before)
+    beams = beams_of((12.5, 9.5, 4.5, 9.5))
+    built.mark(beams)
+    touched = backend.download(built.observed) > 0
+    assert touched.any()
+    built.fold(beams)
+    states = backend.download(built.states)
+    np.testing.assert_array_equal(states[~touched], before[~touched])
+    assert (states[touched] != before[touched]).all()
+
+
+def test_values_go_to_both_ends_without_flowing_over(backend: Backend):
+    """A cell of the longest memory and the greatest mean, and one of the least."""
+    built = Map(backend, own_pages(1, 1))
+    rule = ROOM._replace(reach=0, most=MOST_OBSERVATIONS)
+    full = np.zeros((2, TILE, TILE), dtype=np.uint32)
+    full[1] = (255 * MEAN_ONE) << 12 | MOST_OBSERVATIONS
+    built.states = backend.upload(full)
+    hit, past = beams_of((12.5, 9.5, 12.5, 9.5)), beams_of((20.5, 9.5, 4.5, 9.5))
+    built.mark(hit, rule)
+    built.fold(hit, rule)
+    assert built.cells("states")[9, 12] == (255 * MEAN_ONE) << 12 | MOST_OBSERVATIONS
+    built.mark(past, rule)
+    built.fold(past, rule)
+    away = 255 * MEAN_ONE // MOST_OBSERVATIONS
+    assert built.cells("states")[9, 12] == (255 * MEAN_ONE - away) << 12 | MOST_OBSERVATIONS
+    built.states = backend.upload(np.where(full > 0, np.uint32(MOST_OBSERVATIONS), full))
+    built.mark(hit, rule)
+    built.fold(hit, rule)
+    assert built.cells("states")[9, 12] == away << 12 | MOST_OBSERVATIONS
+
+
+def follow_both(backend: Backend, seed: int, rule: SmearRule, count: int, scans: int) -> None:
+    """Write scans on a backend and with the twins, and compare all there is after each step."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(int(side) for side in rng.integers(1, 5, 2))
+    pages = np.where(rng.random(shape) < 0.8, own_pages(*shape), 0).astype(np.int32)
+    pages.flat[0] = pages.size
+    ours, twin = Map(backend, pages), Map(NumpyBackend(), pages)
+    for _ in range(scans):
+        beams = random_beams(rng, pages, count, rule.reach + 1)
+        assert ours.mark(beams, rule) is twin.mark(beams, rule)
+        for a, b in zip(ours.pools(), twin.pools(), strict=True):
+            np.testing.assert_array_equal(a, b)
+        ours.fold(beams, rule)
+        twin.fold(beams, rule)
+        for a, b in zip(ours.pools(), twin.pools(), strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert (twin.states > 0).any()
+
+
+@given(
+    seed=SEEDS,
+    shift=st.integers(8, 20),
+    reach=st.integers(0, 6),
+    most=st.sampled_from((1, 2, 3, 64, MOST_OBSERVATIONS)),
+    count=st.integers(1, 80),
+)
+@settings(max_examples=40, deadline=None)
+def test_kernels_equal_their_twins(
+    pocl: Backend, seed: int, shift: int, reach: int, most: int, count: int
+):
+    follow_both(pocl, seed, SmearRule(FALLING, shift, reach, most), count, 3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_kernels_equal_their_twins_on_every_device(backend: Backend, seed: int):
+    follow_both(backend, seed, SmearRule(FALLING, 15, 1 + seed, 2 + seed), 12, 2)
+
+
+def test_a_large_scan_equals_the_twin(pocl: Backend):
+    follow_both(pocl, 6, SmearRule(FALLING, 16, 4, 64), 5000, 2)
