@@ -257,8 +257,6 @@ class GraphSlam:
         stamps = np.array([stamp for stamp, _, _ in self._scans])
         nodes = np.array([node for _, node, _ in self._scans], dtype=np.int64)
         motions = np.array([motion for _, _, motion in self._scans]).reshape(-1, 3)
-        if not len(poses):
-            return Trajectory(stamps, motions, self.name)
         before = np.array([[self._start.x, self._start.y, self._start.yaw_rad]])
         frames = np.concatenate((poses, before))  # -1: before the first node
         return Trajectory(stamps, compose_poses(frames[nodes], motions), self.name)
@@ -724,14 +722,16 @@ class GraphSlam:
         self._node_pose = recorded_pose(record["node_pose"]) or IDENTITY
         for name, value in record["numbers"].items():
             setattr(self, name, value)
-        bounds = np.cumsum(arrays["node_sizes"])[:-1]
-        for ends, laser, odometry, travelled_m in zip(
-            np.split(arrays["ends"], bounds),
+        last = np.cumsum(arrays["node_sizes"])
+        for first, end, laser, odometry, travelled_m in zip(
+            last - arrays["node_sizes"],
+            last,
             arrays["lasers"],
             record["odometry"],
             record["travelled_m"],
             strict=True,
         ):
+            ends = arrays["ends"][first:end]
             self._keep(_Node(ends, laser, travelled_m, recorded_pose(odometry)))
         self._poses = arrays["poses"]
         edges = [
