@@ -32,6 +32,7 @@ __all__ = [
     "FusionConfig",
     "GmappingConfig",
     "GraphConfig",
+    "GraphOptimizerConfig",
     "LidarConfig",
     "LogConfig",
     "MatcherConfig",
@@ -894,6 +895,33 @@ class ExperimentConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class GraphOptimizerConfig(_Checked):
+    """The optimiser of pose graphs in files."""
+
+    robust: str = option(
+        "consensus",
+        "how false closures are found: by those that bear each other out, by graduated "
+        "non-convexity, by dynamic covariance scaling; or none, and all are believed",
+        choices=("consensus", "gnc", "dcs", "none"),
+    )
+    start: str = option(
+        "best",
+        "start from the file's poses, the odometry, the chordal relaxation, or the best of them",
+        choices=("best", "given", "odometry", "chordal"),
+    )
+    max_iterations: int = option(
+        100, "steps of a descent at most", low=1, high=100_000, level="expert"
+    )
+    tolerance: float = option(
+        1e-5,
+        "a descent ends after a step that promises to lower chi-square by a smaller share",
+        low=0.0,
+        high=0.1,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
 class DeviceConfig(_Checked):
     """Which device computes."""
 
@@ -915,6 +943,7 @@ class RunConfig(_Checked):
     trajectory: TrajectoryConfig = TrajectoryConfig()
     simulate: SimulateConfig = SimulateConfig()
     experiment: ExperimentConfig = ExperimentConfig()
+    graph_optimizer: GraphOptimizerConfig = GraphOptimizerConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
 

@@ -1,0 +1,182 @@
+"""``slamfusion graph``: pose graphs in files."""
+
+from __future__ import annotations
+
+import typing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from slamfusion.cli.inputs import check_writable
+from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.output import notice, number, print_json, print_table, versions
+from slamfusion.config import GraphOptimizerConfig, RunConfig, to_mapping
+
+if TYPE_CHECKING:
+    from slamfusion.pose_graph import GraphFile, Optimized, Robust, Start
+
+__all__ = ["command"]
+
+# Doubted closures that the table names.
+NAMED = 10
+
+
+@click.group("graph")
+def command() -> None:
+    """Work on pose graphs in files."""
+
+
+@command.command("optimize")
+@click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path),
+    metavar="OUT.g2o",
+    help="Write the graph with its new poses here; all edges stay.",
+)
+@click.option(
+    "--tum",
+    "tum_path",
+    type=click.Path(path_type=Path),
+    metavar="OUT.tum",
+    help="Write the new poses here, with the vertex ids as times.",
+)
+@with_config("graph_optimizer")
+@common_options
+def optimize_command(
+    path: Path, out: Path | None, tum_path: Path | None, config: RunConfig, as_json: bool
+) -> int:
+    """Optimise the pose graph FILE: find the poses that fit its edges best.
+
+    FILE is g2o's or TORO's text, plain or gzip. Edges between consecutive vertices are odometry;
+    closures may be doubted and left out.
+    """
+    _check_request(path, out, tum_path)
+    from slamfusion.pose_graph import optimize, read_g2o  # noqa: PLC0415
+
+    file = read_g2o(path)
+    settings = config.graph_optimizer
+    found = optimize(
+        file.graph,
+        fixed=file.fixed,
+        robust=typing.cast("Robust", settings.robust),
+        start=typing.cast("Start", settings.start),
+        max_iterations=settings.max_iterations,
+        tolerance=settings.tolerance,
+    )
+    if file.skipped:
+        notice(f"{path}: lines not understood: {_kinds(file.skipped)}")
+    if not found.is_converged:
+        notice(f"{path}: not converged; raise graph_optimizer.max_iterations")
+    _write(file, found, out, tum_path)
+    if as_json:
+        document = _document(path, file, found)
+        document |= {"output": out, "tum": tum_path, "config": to_mapping(config)}
+        print_json(document | {"versions": versions()})
+    else:
+        _print_result(path, file, found, settings)
+    return 0
+
+
+def _check_request(path: Path, out: Path | None, tum_path: Path | None) -> None:
+    """Refuse what cannot end well before any work."""
+    taken = {path.resolve(): "the input"}
+    for name, target in (("-o", out), ("--tum", tum_path)):
+        if target is None:
+            continue
+        if target.resolve() in taken:
+            what = taken[target.resolve()]
+            message = f"{name} {target} would replace {what}; choose another name"
+            raise click.UsageError(message)
+        if target.is_dir():
+            message = f"{name} {target} is a folder; name a file in it"
+            raise click.UsageError(message)
+        taken[target.resolve()] = f"the file of {name}"
+        check_writable(target.parent)
+
+
+def _write(file: GraphFile, found: Optimized, out: Path | None, tum_path: Path | None) -> None:
+    """Write what was asked for, all of it or nothing."""
+    from slamfusion.io import AtomicFiles, write_tum  # noqa: PLC0415
+    from slamfusion.pose_graph import write_g2o  # noqa: PLC0415
+    from slamfusion.trajectory import Trajectory  # noqa: PLC0415
+
+    with AtomicFiles() as files:
+        if out is not None:
+            graph = file.graph.with_poses(found.poses)
+            write_g2o(out, graph, file.ids, file.fixed, files=files)
+        if tum_path is not None:
+            poses = Trajectory(file.ids.astype(np.float64), found.poses)
+            write_tum(tum_path, poses, files=files)
+
+
+def _doubted(file: GraphFile, found: Optimized) -> list[list[int]]:
+    """Return the ids of from and to of the edges taken to be false."""
+    ends = file.ids[file.graph.edges[found.is_doubted]]
+    return [[int(start), int(end)] for start, end in ends]
+
+
+def _document(path: Path, file: GraphFile, found: Optimized) -> dict[str, Any]:
+    """Return the figures for a JSON document."""
+    return {
+        "file": path,
+        "nodes": len(file.graph),
+        "edges": len(file.graph.edges),
+        "closures": int(file.graph.is_closure.sum()),
+        "fixed": [int(file.ids[index]) for index in file.fixed],
+        "has_poses": file.has_poses,
+        "skipped_lines": file.skipped,
+        "chi2_start": found.chi2_start,
+        "chi2": found.chi2,
+        "chi2_all": found.chi2_all,
+        "iterations": found.iterations,
+        "converged": found.is_converged,
+        "doubted": _doubted(file, found),
+        "time_s": found.time_s,
+    }
+
+
+def _print_result(
+    path: Path, file: GraphFile, found: Optimized, settings: GraphOptimizerConfig
+) -> None:
+    """Print the figures as two columns."""
+    graph, doubted = file.graph, _doubted(file, found)
+    rows = [
+        ["nodes", str(len(graph))],
+        ["edges", str(len(graph.edges))],
+        ["closures", str(int(graph.is_closure.sum()))],
+        ["chi-square before", f"{found.chi2_start:.8g}" + _of_odometry(file)],
+        ["chi-square after", f"{found.chi2:.8g}"],
+    ]
+    if settings.robust != "none":
+        rows.append(["doubted closures", _named(doubted)])
+    if doubted:
+        rows.append(["chi-square with them", f"{found.chi2_all:.8g}"])
+    rows += [
+        ["iterations", str(found.iterations) + ("" if found.is_converged else ", not converged")],
+        ["time", f"{number(found.time_s)} s"],
+    ]
+    print_table((" ", " "), rows, title=path.name, header=False)
+
+
+def _of_odometry(file: GraphFile) -> str:
+    return "" if file.has_poses else " (along the odometry; the file has no vertices)"
+
+
+def _named(doubted: list[list[int]]) -> str:
+    """Return how many closures are doubted and which, the first few by name."""
+    if not doubted:
+        return "0"
+    names = ", ".join(f"{start} to {end}" for start, end in doubted[:NAMED])
+    return f"{len(doubted)}: {names}" + (", ..." if len(doubted) > NAMED else "")
+
+
+def _kinds(skipped: dict[str, int]) -> str:
+    """Return how many lines of which kind were not understood."""
+    kinds = sorted(skipped.items(), key=lambda item: (-item[1], item[0]))
+    named = ", ".join(f"{count} {kind[:40]}" for kind, count in kinds[:NAMED])
+    return named + (", ..." if len(kinds) > NAMED else "")

@@ -1,0 +1,237 @@
+"""Closures that bear each other out: the ones to believe first when some may be false.
+
+Two closures that lie near each other at both ends form a short loop with the odometry between
+their ends. Whether that loop closes is asked of few poses only, so neither drift nor false closures
+elsewhere have a say, and it is done for all pairs at once: the covariance of the odometry between
+any two poses is a difference of two sums along the path.
+
+The idea of asking pairs is that of Mangelson, Dominic, Eustice and Vasudevan, Pairwise Consistent
+Measurement Set Maximization, ICRA 2018; here pairs are near and all of them count, instead of a
+largest clique of any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.pose_graph.covariance import inverted, moved, turned
+from slamfusion.pose_graph.measurements import Measurements
+
+__all__ = ["Consensus", "find_consensus"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+# Poses between the ends of two closures that are near: at first, and at most where few find mates.
+NEAR_POSES, FAR_POSES = 20, 160
+# The reach is widened until this share of the closures is borne out.
+ENOUGH = 0.5
+# Quantiles of chi-square with 3 degrees of freedom: 0.5 and 0.99.
+MEDIAN, LARGE = 2.366, 11.345
+# A loop closes when its error is at most this many times that of the typical one that closes.
+# Information that is too cautious would otherwise let loops close by chance.
+TYPICAL_TIMES = 20.0
+# Loops looked at together, and the most to be looked at, counted both ways round.
+PAIRS_AT_ONCE, MOST_PAIRS = 100_000, 2_000_000
+# Fewer loops than this say nothing of what is typical.
+FEWEST_LOOPS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Consensus:
+    """What the closures say of each other.
+
+    Attributes:
+        mates: (C,) int64, others with which the closure closes a short loop.
+        scale: how large the squared errors of such loops are, relative to what the information
+            promises; 1 where there are too few to tell.
+    """
+
+    mates: Indices
+    scale: float
+
+
+def find_consensus(measured: Measurements, is_doubted: npt.NDArray[np.bool_]) -> Consensus:
+    """Find the doubted edges that bear each other out.
+
+    Args:
+        measured: M edges; those between consecutive poses that are not doubted are the odometry.
+        is_doubted: (M,) bool; C of them are.
+
+    Returns:
+        What was found, of the doubted edges in order.
+    """
+    edges, motions = measured.edges, measured.motions
+    covariances = inverted(measured.information)
+    odometry = _Odometry.of(edges, motions, covariances, ~is_doubted)
+    closures = _Closures.of(edges[is_doubted], motions[is_doubted], covariances[is_doubted])
+    places = cKDTree(np.stack((closures.first, closures.last), axis=1))
+    reach = NEAR_POSES
+    while True:
+        pairs = places.query_pairs(reach, p=np.inf, output_type="ndarray")
+        errors = np.concatenate(
+            [
+                _loop_errors(odometry, closures, pairs[start : start + PAIRS_AT_ONCE])
+                for start in range(0, max(len(pairs), 1), PAIRS_AT_ONCE)
+            ]
+        )
+        scale = _scale(errors)
+        closes = errors <= min(LARGE, TYPICAL_TIMES * MEDIAN * scale)
+        mates = np.bincount(pairs[closes].ravel(), minlength=len(closures.first))
+        is_borne_out = mates > 0
+        reach *= 2
+        is_enough = is_borne_out.mean() >= ENOUGH or reach > FAR_POSES
+        if is_enough or places.count_neighbors(places, reach, p=np.inf) > MOST_PAIRS:
+            return Consensus(mates, scale)
+
+
+def _scale(errors: Array) -> float:
+    """Return the median of the errors of loops that may close, relative to chi-square's."""
+    plausible = errors[errors <= LARGE]
+    return 1.0 if len(plausible) < FEWEST_LOOPS else float(np.median(plausible)) / MEDIAN
+
+
+@dataclass(frozen=True, eq=False)
+class _Odometry:
+    """Poses along the odometry, and how uncertain the way between any two of them is.
+
+    Attributes:
+        poses: (N, 3), from the first one on; where no odometry leads on, the next is put on top of
+            the last.
+        piece: (N,) what goes up by one where no odometry leads on.
+        sums: (N, 3, 3), sum of the covariances of all steps so far, each moved to the origin.
+    """
+
+    poses: Array
+    piece: Indices
+    sums: Array
+
+    @classmethod
+    def of(
+        cls, edges: Indices, motions: Array, covariances: Array, is_trusted: npt.NDArray[np.bool_]
+    ) -> _Odometry:
+        """Take the first trusted edge between each two consecutive poses, whichever way it points.
+
+        Args:
+            edges: (M, 2), from and to.
+            motions: (M, 3).
+            covariances: (M, 3, 3), in the frame of the measured pose.
+            is_trusted: (M,) bool.
+        """
+        count = int(edges.max()) + 1
+        steps, noises = np.zeros((count, 3)), np.zeros((count, 3, 3))
+        acts_at = np.arange(count)
+        is_measured = np.zeros(count, np.bool_)
+        way = edges[:, 1] - edges[:, 0]
+        chosen = np.flatnonzero(is_trusted & (np.abs(way) == 1))[::-1]
+        later = edges[chosen].max(axis=1)
+        is_forward = (way[chosen] == 1)[:, None]
+        steps[later] = np.where(is_forward, motions[chosen], invert_poses(motions[chosen]))
+        noises[later] = covariances[chosen]
+        acts_at[later] = edges[chosen, 1]
+        is_measured[later] = True
+
+        yaw = np.cumsum(steps[:, 2])
+        before = np.concatenate(([0.0], yaw[:-1]))
+        cos, sin = np.cos(before), np.sin(before)
+        x = np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
+        y = np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
+        poses = np.stack((x, y, yaw), axis=1)
+        noises = moved(turned(noises, poses[acts_at, 2]), -poses[acts_at])
+        return cls(poses, np.cumsum(~is_measured), np.cumsum(noises, axis=0))
+
+    def covariance(self, start: Indices, end: Indices, point: Array) -> Array:
+        """Return the covariance of the way between poses at a point that goes with one of them.
+
+        Args:
+            start: (K,) poses.
+            end: (K,) poses of the same pieces, before or after.
+            point: (K, 2 or more), x and y in the frame of ``poses``.
+
+        Returns:
+            (K, 3, 3) in the axes of that frame.
+        """
+        first, last = np.minimum(start, end), np.maximum(start, end)
+        return moved(self.sums[last] - self.sums[first], point)
+
+
+@dataclass(frozen=True, eq=False)
+class _Closures:
+    """Closures from the earlier to the later pose.
+
+    Attributes:
+        first: (C,) earlier pose.
+        last: (C,) later pose.
+        motion: (C, 3) the later in the frame of the earlier.
+        covariance: (C, 3, 3) in the axes of the measured pose, at that pose.
+        is_forward: (C,) bool, the measured pose is the later one.
+    """
+
+    first: Indices
+    last: Indices
+    motion: Array
+    covariance: Array
+    is_forward: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, edges: Indices, motions: Array, covariances: Array) -> _Closures:
+        """Turn closures that lead back."""
+        is_forward = edges[:, 0] < edges[:, 1]
+        motion = np.where(is_forward[:, None], motions, invert_poses(motions))
+        return cls(edges.min(axis=1), edges.max(axis=1), motion, covariances, is_forward)
+
+    def noise(self, which: Indices, first: Array, last: Array, point: Array) -> Array:
+        """Return the covariances at points that go with the later pose, in the world's axes.
+
+        Args:
+            which: (K,) closures.
+            first: (K, 3) where the earlier pose is.
+            last: (K, 3) where the later pose is.
+            point: (K, 2 or more).
+        """
+        acts_at = np.where(self.is_forward[which, None], last, first)
+        own = turned(self.covariance[which], acts_at[:, 2])
+        return moved(own, point[:, :2] - acts_at[:, :2])
+
+
+def _loop_errors(odometry: _Odometry, closures: _Closures, pairs: Indices) -> Array:
+    """Return the squared errors of the loops that pairs of closures make, in their deviations.
+
+    The later pose of a pair's one closure is placed twice in the frame of the odometry: by that
+    closure, and by way of the other. Infinite where odometry does not lead from end to end.
+
+    Args:
+        odometry: the way.
+        closures: C of them.
+        pairs: (K, 2) indices of closures.
+
+    Returns:
+        (K,).
+    """
+    one, other = pairs.T
+    poses = odometry.poses
+    first, first_other = closures.first[one], closures.first[other]
+    last, last_other = closures.last[one], closures.last[other]
+    placed = compose_poses(poses[first], closures.motion[one])
+    placed_other = compose_poses(poses[first_other], closures.motion[other])
+    rest = compose_poses(invert_poses(poses[last_other]), poses[last])
+    by_way = compose_poses(placed_other, rest)
+    error = by_way - placed
+    error[:, 2] = wrap_angles(error[:, 2])
+
+    at_last = odometry.covariance(last, last_other, poses[last])
+    covariance = (
+        odometry.covariance(first, first_other, placed)
+        + turned(at_last, by_way[:, 2] - poses[last, 2])
+        + closures.noise(one, poses[first], placed, placed)
+        + closures.noise(other, poses[first_other], placed_other, placed)
+    )
+    squared = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    piece = odometry.piece
+    is_joined = (piece[first] == piece[first_other]) & (piece[last] == piece[last_other])
+    return np.where(is_joined, squared, np.inf)

@@ -1,0 +1,251 @@
+"""``PoseGraph``: poses, and what was measured of one from another."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import (
+    breadth_first_order,
+    connected_components,
+    minimum_spanning_tree,
+)
+
+from slamfusion.errors import GraphError
+from slamfusion.geometry import compose_poses, invert_poses
+
+__all__ = [
+    "PoseGraph",
+    "chained_poses",
+    "disconnected",
+    "is_positive_definite",
+    "joining",
+    "loop_closing",
+    "part_labels",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraph:
+    """Poses in the plane and relative measurements between them; immutable.
+
+    Attributes:
+        poses: (N, 3) float64 x, y in metres and yaw in radians, all in one frame.
+        edges: (M, 2) int64, from and to, indices of ``poses``.
+        motions: (M, 3) float64, measured pose of ``to`` in the frame of ``from``.
+        information: (M, 3, 3) float64, inverse covariance of the motion, in the frame of the
+            measured pose (as g2o has it); symmetric, positive definite.
+        is_closure: (M,) bool; only these may be doubted by a robust optimisation.
+
+    Raises:
+        GraphError: shapes that do not fit, values that are not finite, an edge to a pose that is
+            not there or from a pose to itself, an information that is not positive definite.
+    """
+
+    poses: npt.NDArray[np.float64]
+    edges: npt.NDArray[np.int64]
+    motions: npt.NDArray[np.float64]
+    information: npt.NDArray[np.float64]
+    is_closure: npt.NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        """Check once, then freeze."""
+        poses = np.array(self.poses, np.float64).reshape(-1, 3)
+        edges = np.array(self.edges, np.int64).reshape(-1, 2)
+        motions = np.array(self.motions, np.float64).reshape(-1, 3)
+        information = np.array(self.information, np.float64).reshape(-1, 3, 3)
+        is_closure = np.array(self.is_closure, np.bool_).reshape(-1)
+        sizes = {len(edges), len(motions), len(information), len(is_closure)}
+        if len(sizes) != 1:
+            message = (
+                f"{len(edges)} edges do not fit {len(motions)} motions, {len(information)} "
+                f"information matrices and {len(is_closure)} closure flags"
+            )
+            raise GraphError(message)
+        _check_poses(poses)
+        _check_edges(edges, len(poses))
+        _check_measurements(edges, motions, information)
+        for name, array in (
+            ("poses", poses),
+            ("edges", edges),
+            ("motions", motions),
+            ("information", information),
+            ("is_closure", is_closure),
+        ):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        """Poses."""
+        return len(self.poses)
+
+    def with_poses(self, poses: npt.NDArray[np.float64]) -> PoseGraph:
+        """Return the same measurements around other poses, (N, 3)."""
+        return dataclasses.replace(self, poses=poses)
+
+
+def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDArray[np.int32]]:
+    """Return in how many parts edges leave ``count`` poses, and of each pose its part, (count,)."""
+    parts, labels = connected_components(_adjacency(edges, count), directed=False)
+    return int(parts), np.asarray(labels, np.int32)
+
+
+def loop_closing(edges: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.bool_]:
+    """Tell which edges close a loop on top of odometry.
+
+    Edges between consecutive poses, in either direction, are odometry. Of the others, taken in
+    order, one that joins two parts not joined so far closes no loop.
+
+    Args:
+        edges: (M, 2), from and to.
+        count: poses.
+
+    Returns:
+        (M,) bool.
+    """
+    is_closure = np.asarray(np.abs(edges[:, 1] - edges[:, 0]) != 1)
+    is_closure[joining(edges, is_closure, count)] = False
+    return is_closure
+
+
+def joining(
+    edges: npt.NDArray[np.int64], is_closure: npt.NDArray[np.bool_], count: int
+) -> npt.NDArray[np.int64]:
+    """Return the indices of the closures that join parts which the other edges leave apart.
+
+    Each joins two parts that those before it leave apart. One fewer than there are parts, where the
+    whole graph is one.
+
+    Args:
+        edges: (M, 2), from and to.
+        is_closure: (M,) bool.
+        count: poses.
+
+    Returns:
+        (K,) int64, rising.
+    """
+    parts, labels = part_labels(edges[~is_closure], count)
+    between = labels[edges]
+    candidates = np.flatnonzero(is_closure & (between[:, 0] != between[:, 1]))
+    pairs = np.sort(between[candidates], axis=1).astype(np.int64)
+    _, first = np.unique(pairs[:, 0] * parts + pairs[:, 1], return_index=True)
+    # The tree of least weight, where an edge weighs its place in the order.
+    shape = (parts, parts)
+    weights = coo_matrix((first + 1.0, (pairs[first, 0], pairs[first, 1])), shape=shape)
+    tree = minimum_spanning_tree(weights)
+    return np.asarray(np.sort(candidates[tree.data.astype(np.int64) - 1]), np.int64)
+
+
+def chained_poses(graph: PoseGraph, root: int = 0) -> npt.NDArray[np.float64]:
+    """Return the poses that follow from the pose ``root`` by measurements alone.
+
+    Along a tree of the graph, of odometry as far as that reaches; loops are not closed.
+
+    Returns:
+        (N, 3) float64.
+
+    Raises:
+        GraphError: the graph is in more than one part.
+    """
+    parts, _ = part_labels(graph.edges, len(graph))
+    if parts > 1:
+        raise GraphError(disconnected(parts))
+    closing = graph.is_closure.copy()
+    closing[joining(graph.edges, graph.is_closure, len(graph))] = False
+    return _walk(graph, np.flatnonzero(~closing), root)
+
+
+def disconnected(parts: int) -> str:
+    """Return what to say of a graph in several parts."""
+    return f"the graph is in {parts} parts that no edge joins; optimise each part on its own"
+
+
+def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> npt.NDArray[np.float64]:
+    """Follow a breadth-first tree of the used edges from the root, one depth at a time."""
+    count = len(graph)
+    ends = graph.edges[used]
+    _, parents = breadth_first_order(_adjacency(ends, count), root, directed=False)
+    parents = np.asarray(parents, np.int64)
+    # Of each pose the first edge to its parent, whichever way that points.
+    forward = parents[ends[:, 1]] == ends[:, 0]
+    backward = parents[ends[:, 0]] == ends[:, 1]
+    motion = np.zeros((count, 3))
+    for is_along, child, moves in (
+        (backward, ends[:, 0], invert_poses(graph.motions[used])),
+        (forward, ends[:, 1], graph.motions[used]),
+    ):
+        reverse = np.flatnonzero(is_along)[::-1]
+        motion[child[reverse]] = moves[reverse]
+    # Pointer doubling: after k rounds a pose is known in the frame of its 2^k-th ancestor.
+    poses = motion
+    poses[root] = graph.poses[root]
+    above = parents.copy()
+    above[root] = -1
+    while (above >= 0).any():
+        has = np.flatnonzero(above >= 0)
+        poses[has] = compose_poses(poses[above[has]], poses[has])
+        above[has] = above[above[has]]
+    return poses
+
+
+def _adjacency(edges: npt.NDArray[np.int64], count: int) -> coo_matrix:
+    """Return the adjacency of poses as a sparse pattern."""
+    ones = np.ones(len(edges))
+    return coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
+
+
+def _check_poses(poses: npt.NDArray[np.float64]) -> None:
+    """Refuse an empty graph and poses that are no place."""
+    if len(poses) == 0:
+        message = "the graph has no pose"
+        raise GraphError(message)
+    bad = np.flatnonzero(~np.isfinite(poses).all(axis=1))
+    if len(bad):
+        message = f"pose {bad[0]} is not finite; {len(bad)} such poses"
+        raise GraphError(message)
+
+
+def _check_edges(edges: npt.NDArray[np.int64], count: int) -> None:
+    """Refuse edges that join nothing."""
+    bad = np.flatnonzero(((edges < 0) | (edges >= count)).any(axis=1))
+    if len(bad):
+        message = f"edge {bad[0]} from {edges[bad[0], 0]} to {edges[bad[0], 1]} leads to no pose"
+        raise GraphError(message)
+    bad = np.flatnonzero(edges[:, 0] == edges[:, 1])
+    if len(bad):
+        message = f"edge {bad[0]} leads from pose {edges[bad[0], 0]} to itself"
+        raise GraphError(message)
+
+
+def _check_measurements(
+    edges: npt.NDArray[np.int64],
+    motions: npt.NDArray[np.float64],
+    information: npt.NDArray[np.float64],
+) -> None:
+    """Refuse measurements that are not finite or weigh nothing in some direction."""
+    finite = np.isfinite(motions).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
+    bad = np.flatnonzero(~finite)
+    if len(bad) == 0:
+        bad = np.flatnonzero(~is_positive_definite(information))
+        what = "has an information that is not symmetric and positive definite"
+    else:
+        what = "is not finite"
+    if len(bad):
+        start, end = edges[bad[0]]
+        message = f"edge {bad[0]} from {start} to {end} {what}; {len(bad)} such edges"
+        raise GraphError(message)
+
+
+def is_positive_definite(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Tell which of (M, 3, 3) matrices are symmetric and positive definite, (M,)."""
+    symmetric = (matrices == matrices.transpose(0, 2, 1)).all(axis=(1, 2))
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 0, 2]
+    d, e, f = matrices[:, 1, 1], matrices[:, 1, 2], matrices[:, 2, 2]
+    # Cholesky by hand: each pivot of what is left must be above 0.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        second = d - b * b / a
+        third = f - c * c / a - (e - b * c / a) ** 2 / second
+        return np.asarray(symmetric & (a > 0.0) & (second > 0.0) & (third > 0.0))

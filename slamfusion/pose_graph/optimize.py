@@ -1,0 +1,192 @@
+"""``optimize``: the poses that fit the measurements of a graph best."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import GraphError
+from slamfusion.geometry import wrap_angles
+from slamfusion.pose_graph.graph import (
+    PoseGraph,
+    chained_poses,
+    disconnected,
+    joining,
+    part_labels,
+)
+from slamfusion.pose_graph.initialize import rotations_first
+from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.robust import (
+    Problem,
+    Verdict,
+    by_consensus,
+    by_graduation,
+    by_scaling,
+)
+
+__all__ = ["Optimized", "Robust", "Start", "chi2_of", "optimize"]
+
+Array = npt.NDArray[np.float64]
+Robust = Literal["none", "consensus", "gnc", "dcs"]
+Start = Literal["best", "given", "odometry", "chordal"]
+
+_ROBUST: dict[str, Callable[[Problem, Array | None], Verdict]] = {
+    "consensus": by_consensus,
+    "gnc": by_graduation,
+    "dcs": by_scaling,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Optimized:
+    """An optimised graph.
+
+    Attributes:
+        poses: (N, 3) float64, x, y, yaw in [-pi, pi).
+        weights: (M,) float64 in [0, 1], by which each edge's information counts; 1 for every edge
+            that may not be doubted, below 0.5 for those taken to be false.
+        chi2: sum of the squared errors in their deviations, weighted.
+        chi2_all: the same with every weight 1.
+        chi2_start: the same of the graph's own poses.
+        iterations: steps solved for.
+        is_converged: the last descent ended because another step would change next to nothing.
+        time_s: all of it.
+    """
+
+    poses: Array
+    weights: Array
+    chi2: float
+    chi2_all: float
+    chi2_start: float
+    iterations: int
+    is_converged: bool
+    time_s: float
+
+    @property
+    def is_doubted(self) -> npt.NDArray[np.bool_]:
+        """Of each edge whether it is taken to be false, (M,)."""
+        return np.asarray(self.weights < 0.5)
+
+
+def optimize(
+    graph: PoseGraph,
+    *,
+    fixed: int | Sequence[int] = 0,
+    robust: Robust = "none",
+    start: Start = "best",
+    max_iterations: int = 100,
+    tolerance: float = 1e-5,
+) -> Optimized:
+    """Find the poses with the least sum of squared errors, in their deviations (chi-square).
+
+    Args:
+        graph: poses and measurements, all joined.
+        fixed: pose or poses that are held.
+        robust: how closures that may be false are found; ``none`` believes all of them. See
+            ``slamfusion.pose_graph.robust``.
+        start: where to descend from: the graph's own poses (``given``), those along the odometry,
+            those after the chordal relaxation of the rotations, or (``best``) the given or the
+            chordal ones, whichever fit better; a robust search then looks for its own.
+        max_iterations: of each descent.
+        tolerance: a descent ends after a step that promised to lower chi-square by less than this
+            share.
+
+    Raises:
+        GraphError: the graph is in several parts, or no pose is held, or its equations cannot be
+            solved in double precision.
+    """
+    began = time.perf_counter()
+    held = (fixed,) if isinstance(fixed, (int, np.integer)) else tuple(fixed)
+    _check(graph, held)
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    problem = Problem(
+        measured=measured,
+        poses=graph.poses,
+        fixed=held,
+        is_doubted=_doubted(graph),
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+    )
+    try:
+        if len(set(held)) == len(graph):
+            verdict = Verdict(graph.poses, np.ones(len(measured)), 0, is_converged=True)
+        elif robust == "none":
+            verdict = _believe_all(problem, graph, start)
+        else:
+            verdict = _ROBUST[robust](problem, _start(problem, graph, start))
+    except RuntimeError as error:
+        message = f"the graph's equations cannot be solved ({error}); look for edges of no weight"
+        raise GraphError(message) from None
+    squares = measured.squared_errors(verdict.poses)
+    poses = verdict.poses.copy()
+    poses[:, 2] = wrap_angles(poses[:, 2])
+    return Optimized(
+        poses=poses,
+        weights=verdict.weights,
+        chi2=float(np.dot(verdict.weights, squares)),
+        chi2_all=float(squares.sum()),
+        chi2_start=float(measured.squared_errors(graph.poses).sum()),
+        iterations=verdict.iterations,
+        is_converged=verdict.is_converged,
+        time_s=time.perf_counter() - began,
+    )
+
+
+def chi2_of(graph: PoseGraph, poses: Array | None = None) -> Array:
+    """Return the squared error of each edge in its deviations, (M,).
+
+    Args:
+        graph: the measurements.
+        poses: (N, 3); default: the graph's own.
+    """
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    return measured.squared_errors(graph.poses if poses is None else poses)
+
+
+def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
+    """Refuse what has no one solution."""
+    if not held or not all(0 <= pose < len(graph) for pose in held):
+        message = f"poses to hold must be some of 0 to {len(graph) - 1}, found {held}"
+        raise GraphError(message)
+    parts, _ = part_labels(graph.edges, len(graph))
+    if parts > 1:
+        raise GraphError(disconnected(parts))
+
+
+def _doubted(graph: PoseGraph) -> npt.NDArray[np.bool_]:
+    """Return which edges may be left out: closures that close a loop."""
+    doubted = graph.is_closure.copy()
+    doubted[joining(graph.edges, graph.is_closure, len(graph))] = False
+    return doubted
+
+
+def _start(problem: Problem, graph: PoseGraph, start: Start) -> Array | None:
+    """Return the poses to start from; None where they are looked for."""
+    if start == "given":
+        return graph.poses
+    if start == "odometry":
+        return chained_poses(graph, problem.fixed[0])
+    if start == "chordal":
+        return rotations_first(problem.equations(np.ones(len(graph.edges), np.bool_)), graph.poses)
+    return None
+
+
+def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> Verdict:
+    """Fit all edges."""
+    everything = np.ones(len(problem.measured), np.bool_)
+    poses = _start(problem, graph, start)
+    equations = problem.equations(everything)
+    if poses is None:
+        poses = min(
+            (graph.poses, rotations_first(equations, graph.poses)),
+            key=lambda at: float(problem.measured.squared_errors(at).sum()),
+        )
+    descent = problem.descend(equations, poses)
+    return Verdict(
+        descent.poses, everything.astype(np.float64), descent.iterations, descent.is_converged
+    )

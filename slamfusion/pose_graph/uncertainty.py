@@ -1,0 +1,109 @@
+"""How well a graph knows one pose relative to another."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.pose_graph.covariance import inverted, turned, turned_vectors
+from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
+
+__all__ = ["Uncertainty", "gate_errors"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+# Pairs solved for together: more no longer fit the cache.
+PAIRS_AT_ONCE = 6
+
+
+class Uncertainty:
+    """Covariances of a graph's poses, from the factor of its normal equations.
+
+    The factor is made once; each pair then costs three solutions with it.
+    """
+
+    def __init__(
+        self, equations: NormalEquations, poses: Array, weights: Array | None = None
+    ) -> None:
+        """Linearise and factorise.
+
+        Args:
+            equations: the graph; its last linearisation is replaced.
+            poses: (N, 3), where the sum of squares is least.
+            weights: (M,) by which the information is multiplied; default: 1.
+
+        Raises:
+            RuntimeError: a pose hangs on nothing.
+        """
+        equations.linearise(poses, weights)
+        self._place, self._poses = equations.place, poses
+        self._factor = factorise(equations.matrix())
+
+    def relative(self, pairs: npt.ArrayLike) -> Array:
+        """Return the covariance of the second pose of each pair in the frame of the first.
+
+        Args:
+            pairs: (K, 2) poses.
+
+        Returns:
+            (K, 3, 3) of x, y in metres and yaw in radians, in the axes of the second pose: the
+            inverse is what an edge's information would have to be.
+        """
+        indices = np.asarray(pairs, np.int64).reshape(-1, 2)
+        return turned(self.in_world_axes(indices), -self._poses[indices[:, 1], 2])
+
+    def in_world_axes(self, pairs: Indices) -> Array:
+        """Return the same covariances in the world's axes, (K, 3, 3)."""
+        parts = [
+            self._solve(pairs[start : start + PAIRS_AT_ONCE])
+            for start in range(0, len(pairs), PAIRS_AT_ONCE)
+        ]
+        return np.concatenate(parts) if parts else np.zeros((0, 3, 3))
+
+    def _solve(self, pairs: Indices) -> Array:
+        """Return the covariances of a few pairs."""
+        count = len(pairs)
+        first, second = pairs.T
+        way = self._poses[second, :2] - self._poses[first, :2]
+        of_first = np.tile(-np.eye(3), (count, 1, 1))
+        of_first[:, 0, 2], of_first[:, 1, 2] = way[:, 1], -way[:, 0]
+        of_second = np.tile(np.eye(3), (count, 1, 1))
+        sides = np.zeros((3 * int((self._place >= 0).sum()), count, 3))
+        moves = []
+        for poses, jacobian in ((first, of_first), (second, of_second)):
+            free = np.flatnonzero(self._place[poses] >= 0)
+            rows = 3 * self._place[poses[free], None] + np.arange(3)
+            sides[rows, free[:, None]] += jacobian[free].transpose(0, 2, 1)
+            moves.append((free, rows, jacobian[free]))
+        solved = self._factor.solve(sides.reshape(len(sides), -1)).reshape(sides.shape)
+        covariance = np.zeros((count, 3, 3))
+        for free, rows, jacobian in moves:
+            covariance[free] += jacobian @ solved[rows, free[:, None]]
+        return covariance
+
+
+def gate_errors(uncertainty: Uncertainty, poses: Array, candidates: Measurements) -> Array:
+    """Return by how much the least sum of squares would rise if each edge were added alone.
+
+    To first order: the squared error of the edge in the deviations of itself and the graph
+    together (Mahalanobis distance).
+
+    Args:
+        uncertainty: of the graph without the edges.
+        poses: (N, 3), of the same graph.
+        candidates: the edges, K of them.
+
+    Returns:
+        (K,).
+    """
+    if len(candidates) == 0:
+        return np.zeros(0)
+    measured = poses[candidates.start, 2] + candidates.motions[:, 2]
+    own = turned(inverted(candidates.information), measured)
+    errors = turned_vectors(candidates.errors(poses).T, measured)
+    covariance = uncertainty.in_world_axes(candidates.edges) + own
+    return np.asarray(
+        np.einsum("ki,ki->k", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
+    )
