@@ -8,8 +8,8 @@
 coordinates, so its own factors have another least; the best known is therefore what its Levenberg
 and Marquardt finds with g2o's error as a custom factor from our chordal start. Times are CPU times,
 the least of some repetitions: ours in all (pattern, start, descent); ours and GTSAM's own factors
-from the same start. It factorises by Cholesky or, where that fails, by QR. Its graph is built before
-the clock starts.
+from the same start. It factorises by Cholesky or, where that fails, by QR. Its graph is built
+before the clock starts.
 
 ``false``: closures between random poses are added, 10 % and 30 % of the true ones, with the motion
 and information of another closure (shuffled) or with a random motion. How far the trajectory is off
