@@ -569,7 +569,7 @@ class GmappingConfig(_Checked):
 class GraphConfig(_Checked):
     """Graph SLAM [O09, K10, H16c]; names are open_karto's where the meaning is the same."""
 
-    matcher: MatcherConfig = MatcherConfig()
+    matcher: MatcherConfig = MatcherConfig(beams=180)
     resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
     minimum_travel_distance: float = option(
         0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0
@@ -578,7 +578,7 @@ class GraphConfig(_Checked):
         0.2, "a scan becomes a node after this turn", unit="rad", low=0.0, high=10.0
     )
     scan_buffer_size: int = option(
-        16, "nodes that a submap holds; half of them overlap the next one", low=2, high=10_000
+        12, "nodes that a submap holds; half of them overlap the next one", low=2, high=10_000
     )
     correlation_search_space_smear_deviation: float = option(
         0.1, "deviation of the likelihood around a hit", unit="m", low=0.005, high=1.0
@@ -598,7 +598,7 @@ class GraphConfig(_Checked):
         0.349, "half the angle of that window", unit="rad", low=0.01, high=3.2
     )
     loop_match_minimum_chain_size: int = option(
-        10, "a submap of fewer nodes closes no loop", low=1, high=10_000
+        6, "a submap of fewer nodes closes no loop", low=1, high=10_000
     )
     loop_match_minimum_response: float = option(
         0.5, "least mean wall value under the hits of a closure", low=0.0, high=1.0

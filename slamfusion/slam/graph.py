@@ -12,6 +12,7 @@ Sources: Olson, ICRA 2009 [O09] (correlative matching, its covariance); Konolige
 
 from __future__ import annotations
 
+import bisect
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,11 +27,14 @@ from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.pose_graph import Optimized
 from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Series, Step
+from slamfusion.slam.closures import ClosureSearch, Found, Waiting, WaitingRoom
+from slamfusion.slam.constraints import Constraint, solve_constraints, turned
 from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
-from slamfusion.slam.matcher import Guess, ScanOnTiles, Spread, search_pose
-from slamfusion.slam.pose_solver import Constraints, Solution, solve_graph
+from slamfusion.slam.matcher import Guess, Match, ScanOnTiles
+from slamfusion.slam.response import response_information
 from slamfusion.slam.shared_tiles import SharedTileMaps
 from slamfusion.slam.state import (
     health_record,
@@ -43,52 +47,45 @@ from slamfusion.slam.state import (
     write_state,
 )
 from slamfusion.slam.submap import UNSEEN_WALL, Submap
+from slamfusion.slam.surfaces import fill_walls
 from slamfusion.slam.tracking import Tracker
-from slamfusion.slam.window_search import search_window
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["GraphHealth", "GraphSlam"]
+__all__ = ["Closure", "GraphHealth", "GraphSlam"]
 
 F64 = npt.NDArray[np.float64]
 NAME = "graph"
 
-# Steps along which the response surface is measured, and what its curvature is worth: a mean wall
-# value that is lower by 1 / RESPONSE_GAIN makes a pose e^-0.5 as likely.
-SURFACE_M, SURFACE_RAD = 0.05, 0.01
-RESPONSE_GAIN = 60.0
-# No match tells more, or less, than these standard deviations.
-LEAST_SIGMA, MOST_SIGMA = 0.005, 0.5
 # A robot that has driven this far since a submap may have drifted by this share, and a bit.
 DRIFT_SHARE = 0.02
 LEAST_DRIFT_M = 0.3
-# Beyond this drift the whole window is searched.
-LOCAL_DRIFT_M = 0.8
-DRIFT_RAD_PER_M = 0.002
-# A closure that moves the robot by more is believed when another one says the same.
-SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
-AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
-PENDING_NODES = 12
-# Of a scan's hits so many may lie where the older submap has seen nothing.
-MOST_UNSEEN = 0.6
-# Scans that fit less than this share of the usual are not mapped; after so many in a row the robot
-# is lost, and a new submap begins that only its odometry ties to the others.
-LOST_SHARE, LOST_SCANS = 0.5, 5
+# Of the hits that fall where the growing submap has seen something, a match is worth about as much
+# as ever; in real drives less than LOW_SHARE of the usual for three scans at most. After LOST_SCANS
+# in a row the robot is lost, and a new submap begins. Below UNMAPPED_SHARE a scan is not mapped.
+LOW_SHARE, LOST_SCANS, UNMAPPED_SHARE = 0.8, 8, 0.6
+# The new submap is held to the old ones by next to nothing, and by odometry as far as the closures
+# that come agree with it; metres and radians.
+FREE_SIGMAS = (10.0, 10.0, 3.0)
 LOST_SIGMAS = (0.3, 0.3, 0.2)
-LOST_DRIFT_M = 3.0
-# A closure must fit about as well as scans usually do.
-USUAL_SHARE = 0.75
+# So far from where odometry has it a lost robot is looked for first, metres.
+LOST_DRIFT_M = 2.0
+# A robot that is found again may be off by so much from what the first closure says.
+REFOUND_DRIFT_M = 0.6
+# Once every old submap has been searched all over, it is done again after so many nodes only.
+ANYWHERE_NODES = 4
+# Hits on a wall are no farther apart in a submap, cells.
+WALL_CELLS = 1.0
 # Nodes between two searches of one submap, and submaps searched at a node.
 RETRY_NODES = 2
 TRIES_PER_NODE = 2
 # The graph is solved when so many nodes have come since, if there are new closures.
 SOLVE_NODES = 20
-DOUBTED_BELOW = 0.5
 # Odometry between nodes: metres and radians of error, fixed and for a metre and a radian.
 ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
 ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
 # A step of odometry that differs from the matched one by more spreads is left out.
 ODOMETRY_GATE = 3.0
-STATE_FORMAT = 1
+STATE_FORMAT = 2
 # Motion, information and ends of an edge.
 EDGE_BYTES = 112
 
@@ -101,6 +98,8 @@ class GraphHealth(Health):
         nodes: scans that became nodes.
         submaps: of which each holds some of them.
         restarts: times that the robot was lost and a submap of its own was begun.
+        refound: times that it was found again on submaps of before.
+        parts: of the map, that nothing but odometry holds together; 1 for a whole one.
         closures_tried: searches of an older submap.
         closures_accepted: of these, the ones that became an edge.
         closures_rejected: by reason.
@@ -113,6 +112,8 @@ class GraphHealth(Health):
     nodes: int = 0
     submaps: int = 0
     restarts: int = 0
+    refound: int = 0
+    parts: int = 1
     closures_tried: int = 0
     closures_accepted: int = 0
     closures_rejected: dict[str, int] = field(default_factory=dict)
@@ -127,6 +128,8 @@ class GraphHealth(Health):
             "nodes",
             "submaps",
             "restarts",
+            "refound",
+            "parts",
             "closures_tried",
             "closures_accepted",
             "closures_rejected",
@@ -160,23 +163,37 @@ class _Node:
 
 
 @dataclass(frozen=True)
-class _Edge:
-    """What is known of two nodes: the pose of one in the frame of the other."""
+class Closure:
+    """Two scans of one place.
 
-    start: int
-    end: int
-    motion: F64
-    information: F64
-    is_closure: bool = False
+    Attributes:
+        start_s: time of the earlier one.
+        end_s: time of the later one.
+        motion: pose of the robot at the later in its frame at the earlier, metres and radians.
+        weight: 1 where the graph believes it, 0 where it goes against the rest.
+    """
+
+    start_s: float
+    end_s: float
+    motion: Pose2
+    weight: float
 
 
 @dataclass(frozen=True)
-class _Closure:
-    """A closure that waits for another that says the same."""
+class _Look:
+    """A submap that is to be searched.
 
-    edge: _Edge
-    # What it would do to the robot's pose in the map frame.
-    correction: Pose2
+    Attributes:
+        index: of the submap.
+        expected: pose of the robot in the map frame; None: anywhere.
+        drift_m: how far off that may be.
+        is_lost: whether it is only guessed that the robot is near.
+    """
+
+    index: int
+    expected: Pose2 | None
+    drift_m: float
+    is_lost: bool = False
 
 
 class GraphSlam:
@@ -204,11 +221,13 @@ class GraphSlam:
         self._backend = backend
         self._seed = seed
         self._rng = np.random.default_rng(seed)
-        self._tracker = Tracker(config.matcher, backend, self._rng, self.health)
+        self._tracker = Tracker(config.matcher, backend, self._rng, self.health, minds_open=True)
         self._nodes: list[_Node] = []
         self._node_bytes = 0
         self._poses = np.zeros((0, 3))
-        self._edges: list[_Edge] = []
+        self._edges: list[Constraint] = []
+        # Of the edges that there were at the last solution.
+        self._weights = np.zeros(0)
         self._submaps: list[Submap] = []
         # The submap in whose frame the robot is followed; the next one grows beside it.
         self._active = 0
@@ -217,11 +236,16 @@ class GraphSlam:
         self._travelled_m = 0.0
         # Where a submap was begun, in the frame of the one before it.
         self._begun: dict[tuple[int, int], Pose2] = {}
-        self._pending: list[_Closure] = []
+        self._search = ClosureSearch(config, backend, self._rng)
+        self._waiting = WaitingRoom()
         self._is_urgent = False
         self._settled: tuple[int, F64] | None = None
         self._low_row = 0
-        self._lost_at: int | None = None
+        # Submaps of one part are placed to each other by matches; those of another, begun by a
+        # robot that was lost, are not.
+        self._parts: list[int] = []
+        # How often submaps of other parts were searched all over.
+        self._searched: dict[int, int] = {}
         self._last_tried: dict[int, int] = {}
         self._linked_m: dict[int, float] = {}
         self._unsolved = 0
@@ -265,6 +289,19 @@ class GraphSlam:
         """Return the path as it was first reported."""
         stamps = np.array([stamp for stamp, _, _ in self._scans])
         return (Trajectory(stamps, np.array(self._online).reshape(-1, 3), "as first reported"),)
+
+    def closures(self) -> list[Closure]:
+        """Return the closures of the graph, as the last solution judged them."""
+        stamps: dict[int, float] = {}
+        for stamp, node, _ in self._scans:
+            stamps.setdefault(node, stamp)
+        new = len(self._edges) - len(self._weights)
+        weights = np.concatenate((self._weights, np.ones(new)))
+        return [
+            Closure(stamps[edge.start], stamps[edge.end], _pose(edge.motion), float(weight))
+            for edge, weight in zip(self._edges, weights, strict=True)
+            if edge.is_closure
+        ]
 
     def series(self) -> tuple[Series, ...]:
         """Return the response of the nodes' matches."""
@@ -316,9 +353,8 @@ class GraphSlam:
         pose = _pose(self._tracker.guesses(scan.stamp_s, known)[0].pose)
         self._tracker.pose = None  # from now on relative to the first node
         self._add_node(scan, points, known, pose)
-        self._submaps.append(self._new_submap(0))
+        self._append_submap(0, part=0)
         self._submaps[0].insert(*self._written(0), IDENTITY)
-        self.health.submaps = 1
         self.health.scans_used += 1
         self._tracker.advance(IDENTITY, known, scan.stamp_s)
         return self._report(scan, IDENTITY, None)
@@ -331,17 +367,17 @@ class GraphSlam:
         guesses: list[Guess],
     ) -> Step:
         """Match a scan on the growing submap; make it a node where it is due."""
-        submap = self._submaps[self._active]
+        submap, usual = self._submaps[self._active], self._tracker.usual_score
         match = self._tracker.match(submap.walls(), points, guesses)
         local = _pose(match.pose)
         self._tracker.advance(local, known, scan.stamp_s)
         self.health.scans_used += 1
-        usual = self.health.mean_match_score or match.score
-        self._low_row = self._low_row + 1 if match.score < LOST_SHARE * usual else 0
-        if self._low_row:
-            if self._low_row < LOST_SCANS:
-                return self._report(scan, local, match.score)
+        fit = self._fit(submap, points, match, usual)
+        self._low_row = self._low_row + 1 if fit < LOW_SHARE else 0
+        if self._low_row >= LOST_SCANS:
             return self._begin_again(scan, points, known, local)
+        if fit < UNMAPPED_SHARE:
+            return self._report(scan, local, match.score)
         moved = self._node_pose.inverse().compose(local)
         way, turn = math.hypot(moved.x, moved.y), abs(wrap_angle(moved.yaw_rad))
         config = self._config
@@ -358,6 +394,16 @@ class GraphSlam:
             self._close_loops(number, points)
         return self._report(scan, local, match.score)
 
+    def _fit(self, submap: Submap, points: F64, match: Match, usual: float | None) -> float:
+        """Return what a match is worth where the submap has seen something, to the usual."""
+        if usual is None or match.score >= LOW_SHARE * usual:
+            return 1.0
+        scan = ScanOnTiles(self._backend, submap.walls(), points, self._config.matcher.beams)
+        unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
+        if unseen >= 1.0:
+            return 1.0
+        return (match.score - unseen * UNSEEN_WALL / 255.0) / (1.0 - unseen) / usual
+
     def _begin_again(
         self,
         scan: LaserScan,
@@ -367,6 +413,7 @@ class GraphSlam:
     ) -> Step:
         """Begin a submap for a lost robot; the old ones stay as they are."""
         self.health.restarts += 1
+        self._searched = {}
         reason = "the robot is lost: a new submap begins, placed by odometry alone"
         self.health.skips.add(reason, self.health.scans)
         before = len(self._nodes) - 1
@@ -377,17 +424,17 @@ class GraphSlam:
         self._travelled_m += math.hypot(moved.x, moved.y)
         pose = _pose(self._poses[before]).compose(moved)
         number = self._add_node(scan, points, known, pose)
-        information = np.diag(np.square(1.0 / np.array(LOST_SIGMAS)))
-        edge = _Edge(before, number, _vector(moved), information, is_closure=True)
-        self._edges.append(edge)
+        for sigmas, is_closure in ((FREE_SIGMAS, False), (LOST_SIGMAS, True)):
+            information = np.diag(np.square(1.0 / np.array(sigmas)))
+            tie = Constraint(before, number, _vector(moved), information, is_closure=is_closure)
+            self._edges.append(tie)
         for submap in self._submaps[self._active :]:
             submap.finish()
-        self._submaps.append(self._new_submap(number))
+        self._append_submap(number, part=max(self._parts) + 1)
         self._active = len(self._submaps) - 1
         self._submaps[self._active].insert(*self._written(number), IDENTITY)
-        self.health.submaps = len(self._submaps)
         self._node_pose = self._tracker.pose = IDENTITY
-        self._low_row, self._lost_at = 0, number
+        self._low_row = 0
         return self._report(scan, IDENTITY, None)
 
     def _report(
@@ -415,6 +462,13 @@ class GraphSlam:
             config.correlation_search_space_smear_deviation,
         )
 
+    def _append_submap(self, anchor: int, part: int) -> Submap:
+        submap = self._new_submap(anchor)
+        self._submaps.append(submap)
+        self._parts.append(part)
+        self.health.submaps, self.health.parts = len(self._submaps), len(set(self._parts))
+        return submap
+
     def _add_node(
         self,
         scan: LaserScan,
@@ -433,21 +487,22 @@ class GraphSlam:
         self._node_bytes += node.ends.nbytes
 
     def _written(self, number: int) -> tuple[F64, F64]:
-        """Return a node's hits and laser as a submap takes them."""
+        """Return a node's walls and laser as a submap takes them."""
         node = self._nodes[number]
-        return node.points(), node.laser.astype(np.float64)
+        laser = node.laser.astype(np.float64)
+        return fill_walls(node.points(), laser, WALL_CELLS * self._config.resolution), laser
 
     def _tie(self, number: int, points: F64, local: Pose2) -> None:
         """Tie a node to the anchors of the submaps that it is written into, and to odometry."""
         active = self._submaps[self._active]
         information = self._information(active, points, _vector(local))
-        self._edges.append(_Edge(active.anchor, number, _vector(local), information))
+        self._edges.append(Constraint(active.anchor, number, _vector(local), information))
         if self._active + 1 < len(self._submaps):
             other = self._submaps[self._active + 1]
             between = self._between(active, other)
             motion = _vector(between.inverse().compose(local))
-            turned = _turned(information, -between.yaw_rad)
-            self._edges.append(_Edge(other.anchor, number, motion, turned))
+            seen = turned(information, -between.yaw_rad)
+            self._edges.append(Constraint(other.anchor, number, motion, seen))
         node, before = self._nodes[number], self._nodes[number - 1]
         if node.odometry is None or before.odometry is None:
             return
@@ -460,7 +515,7 @@ class GraphSlam:
         away = _vector(step.inverse().compose(found))
         away[2] = wrap_angle(away[2])
         if (np.abs(away / sigmas) < ODOMETRY_GATE).all():
-            self._edges.append(_Edge(number - 1, number, _vector(step), np.diag(sigmas**-2.0)))
+            self._edges.append(Constraint(number - 1, number, _vector(step), np.diag(sigmas**-2.0)))
 
     def _between(self, one: Submap, other: Submap) -> Pose2:
         """Return the pose of a growing submap in the frame of another, as it was begun."""
@@ -480,46 +535,127 @@ class GraphSlam:
                 self._active += 1
                 local = inside
         elif active.scans >= config.scan_buffer_size // 2:
-            begun = self._new_submap(number)
             self._begun[(active.anchor, number)] = local
+            begun = self._append_submap(number, part=self._parts[-1])
             begun.insert(*points, IDENTITY)
-            self._submaps.append(begun)
-            self.health.submaps = len(self._submaps)
         self._node_pose = local
         return local
 
     def _information(self, submap: Submap, points: F64, pose: F64) -> F64:
-        """Return (3, 3) how surely a match tells a pose, from the response around it [O09]."""
+        """Return (3, 3) how surely a match on a submap tells a pose."""
         scan = ScanOnTiles(self._backend, submap.walls(), points, self._config.matcher.beams)
-        steps = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
-        scores = scan.scores(pose + _STENCIL * steps)
-        curvature = np.einsum("kij,k->ij", _SECOND, scores) / np.outer(steps, steps)
-        values, vectors = np.linalg.eigh(-RESPONSE_GAIN * curvature * _UNITS)
-        kept = np.clip(values, MOST_SIGMA**-2.0, LEAST_SIGMA**-2.0)
-        return np.asarray((vectors * kept) @ vectors.T / _UNITS)
+        return response_information(scan, pose)
 
     # -- closures --------------------------------------------------------------------------------
 
     def _close_loops(self, number: int, points: F64) -> None:
-        """Search older submaps near a node."""
+        """Search older submaps for a node."""
         pose = _pose(self._poses[number])
-        found = False
-        for index, drift_m in self._candidates(number, pose):
-            self.health.closures_tried += 1
-            self._last_tried[index] = number
-            reason = self._search(number, points, pose, index, drift_m)
-            if reason:
-                rejected = self.health.closures_rejected
-                rejected[reason] = rejected.get(reason, 0) + 1
+        usual = self._tracker.usual_score or 0.0
+        for look in (*self._lost_looks(pose), *self._looks(number, pose)):
+            submap = self._submaps[look.index]
+            self._last_tried[look.index] = number
+            if look.expected is None:
+                found = self._search.anywhere(submap, points, usual)
             else:
-                found = True
-        self._unsolved += found
+                local = _pose(self._poses[submap.anchor]).inverse().compose(look.expected)
+                found = self._search.near(submap, points, _vector(local), look.drift_m, usual)
+            self._count_closure(look, number, pose, found)
         is_due = number - self._solved_at >= SOLVE_NODES
         if self._unsolved and (is_due or self._is_urgent):
             self._solve()
 
-    def _candidates(self, number: int, pose: Pose2) -> list[tuple[int, float]]:
-        """Return submaps that the robot may be in again, with how far it may have drifted."""
+    def _count_closure(self, look: _Look, number: int, pose: Pose2, found: Found | str) -> None:
+        """Take what a search has found into the graph, or count why not."""
+        self.health.closures_tried += 1
+        reason = found if isinstance(found, str) else self._believe(look, number, pose, found)
+        if reason:
+            rejected = self.health.closures_rejected
+            rejected[reason] = rejected.get(reason, 0) + 1
+        else:
+            self._unsolved += 1
+
+    def _believe(self, look: _Look, number: int, pose: Pose2, found: Found) -> str:
+        """Accept a closure that changes little, or that others confirm; or say why not."""
+        anchor = self._submaps[look.index].anchor
+        edge = Constraint(anchor, number, found.pose, found.information, is_closure=True)
+        there = _pose(self._poses[anchor]).compose(_pose(found.pose))
+        correction = there.compose(pose.inverse())
+        closure = Waiting(edge, correction, self._travelled_m, look.is_lost)
+        confirmed = self._waiting.confirmed(closure, pose)
+        if not confirmed:
+            return "not confirmed by another"
+        self._edges += [one.edge for one in confirmed]
+        self.health.closures_accepted += len(confirmed)
+        self._linked_m[look.index] = self._travelled_m
+        self._is_urgent = self._is_urgent or len(confirmed) > 1
+        if look.is_lost:
+            self._join(self._parts[look.index], correction)
+        return ""
+
+    def _join(self, other: int, correction: Pose2) -> None:
+        """Put the robot's part to another one, now that it is known how they lie.
+
+        Args:
+            other: the part where the robot was seen.
+            correction: what moves the robot's part, in the map frame.
+        """
+        own = self._parts[self._active]
+        moved, kept = (own, other) if own > other else (other, own)
+        move = correction if moved == own else correction.inverse()
+        nodes = np.array(
+            [self._part_of_node(number) == moved for number in range(len(self._nodes))]
+        )
+        moves = np.broadcast_to(_vector(move), (int(nodes.sum()), 3))
+        self._poses[nodes] = compose_poses(moves, self._poses[nodes])
+        self._parts = [kept if part == moved else part for part in self._parts]
+        self.health.parts = len(set(self._parts))
+        self.health.refound += 1
+        self._searched = {}
+
+    def _part_of_node(self, number: int) -> int:
+        """Return the part of the submap that a node was matched on."""
+        anchors = [submap.anchor for submap in self._submaps]
+        return self._parts[bisect.bisect_right(anchors, number) - 1]
+
+    def _lost_looks(self, pose: Pose2) -> list[_Look]:
+        """Return where to look for a robot that is lost: all over, or where it may have been seen.
+
+        Args:
+            pose: of the robot if it were where odometry alone has it.
+        """
+        if self.health.parts < 2:
+            return []
+        old = [
+            (index, submap)
+            for index, submap in enumerate(self._submaps[: self._active])
+            if self._parts[index] != self._parts[self._active]
+        ]
+        seen = [closure for closure in self._waiting.pending if closure.is_anywhere]
+        if seen:
+            expected = seen[-1].correction.compose(pose)
+            near = sorted(
+                (self._distance_m(submap, expected), index)
+                for index, submap in old
+                if index != self._submap_of(seen[-1])
+            )
+            return [
+                _Look(index, expected, REFOUND_DRIFT_M, is_lost=True)
+                for _, index in near[:TRIES_PER_NODE]
+            ]
+        near = sorted((self._distance_m(submap, pose), index) for index, submap in old)
+        looks = [_Look(near[0][1], pose, LOST_DRIFT_M, is_lost=True)]
+        # The ones that have not been searched yet first, and of these the near ones.
+        rounds = sorted((self._searched.get(index, 0), away_m, index) for away_m, index in near)
+        is_due = rounds[0][0] == 0 or len(self._nodes) % ANYWHERE_NODES == 0
+        if is_due:
+            index = rounds[0][-1]
+            self._searched[index] = self._searched.get(index, 0) + 1
+            looks.append(_Look(index, None, 0.0, is_lost=True))
+        return looks
+
+    def _looks(self, number: int, pose: Pose2) -> list[_Look]:
+        """Return older submaps that the robot may be in again, with how far it may have drifted."""
         config = self._config
         found = []
         for index, submap in enumerate(self._submaps[: self._active]):
@@ -527,89 +663,32 @@ class GraphSlam:
                 continue
             if number - self._last_tried.get(index, -RETRY_NODES) < RETRY_NODES:
                 continue
-            local = _pose(self._poses[submap.anchor]).inverse().compose(pose)
-            place = np.array([local.x, local.y])
-            outside = np.maximum(submap.low - place, place - submap.high).clip(min=0.0)
+            if self._parts[index] != self._parts[self._active]:
+                continue
             since_m = self._travelled_m - self._linked(index)
             drift_m = LEAST_DRIFT_M + DRIFT_SHARE * since_m
-            if self._lost_at is not None and submap.anchor < self._lost_at:
-                drift_m += LOST_DRIFT_M
-            distance = float(np.hypot(*outside))
-            if distance < config.loop_search_maximum_distance + drift_m:
-                found.append((distance, index, drift_m))
-        return [(index, drift_m) for _, index, drift_m in sorted(found)[:TRIES_PER_NODE]]
+            distance_m = self._distance_m(submap, pose)
+            if distance_m < config.loop_search_maximum_distance + drift_m:
+                found.append((distance_m, index, drift_m))
+        return [_Look(index, pose, drift_m) for _, index, drift_m in sorted(found)[:TRIES_PER_NODE]]
+
+    def _distance_m(self, submap: Submap, pose: Pose2) -> float:
+        """Return how far a pose in the map frame is from where the robot was in a submap."""
+        local = _pose(self._poses[submap.anchor]).inverse().compose(pose)
+        place = np.array([local.x, local.y])
+        outside = np.maximum(submap.low - place, place - submap.high).clip(min=0.0)
+        return float(np.hypot(*outside))
+
+    def _submap_of(self, closure: Waiting) -> int:
+        """Return the index of the submap that a closure was found on."""
+        anchors = [submap.anchor for submap in self._submaps]
+        return anchors.index(closure.edge.start)
 
     def _linked(self, index: int) -> float:
         """Return the robot's way up to where a submap was last tied to it."""
         following = self._submaps[index + 1].anchor
         own = self._nodes[min(following + self._config.scan_buffer_size // 2, len(self._nodes) - 1)]
         return max(own.travelled_m, self._linked_m.get(index, 0.0))
-
-    def _search(self, number: int, points: F64, pose: Pose2, index: int, drift_m: float) -> str:
-        """Look for a node on an older submap; return why it is no closure, or nothing."""
-        config, submap = self._config, self._submaps[index]
-        frame = _pose(self._poses[submap.anchor])
-        expected = frame.inverse().compose(pose)
-        least = max(
-            config.loop_match_minimum_response, USUAL_SHARE * (self._tracker.usual_score or 0.0)
-        )
-        turn = min(config.coarse_search_angle_offset, 0.05 + DRIFT_RAD_PER_M * 50.0 * drift_m)
-        guess = Guess(_vector(expected), Spread(max(drift_m / 2.0, 0.15), turn / 2.0))
-        if drift_m > LOCAL_DRIFT_M:
-            every = -(-len(points) // config.matcher.beams)
-            match = search_window(
-                self._backend,
-                submap.pyramid(),
-                points[::every],
-                guess.pose,
-                half_m=min(drift_m, config.loop_search_space_dimension / 2.0),
-                half_rad=turn,
-                resolution=config.resolution,
-                least=0.8 * least,
-            )
-            if match is None:
-                return "low response"
-            guess = Guess(match.pose, Spread(0.1, 0.02))
-        scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
-        fine = search_pose(scan, [guess], config.matcher, self._rng)
-        unseen = scan.unseen_share(fine.pose, UNSEEN_WALL)
-        if unseen > MOST_UNSEEN:
-            return "little in common"
-        if (fine.score - unseen * UNSEEN_WALL / 255.0) / (1.0 - unseen) < least:
-            return "low response"
-        information = self._information(submap, points, fine.pose)
-        variance = float(np.linalg.eigvalsh(np.linalg.inv(information)[:2, :2]).max())
-        if variance > config.loop_match_maximum_variance:
-            return "place left open"
-        edge = _Edge(submap.anchor, number, fine.pose, information, is_closure=True)
-        closure = _Closure(edge, frame.compose(_pose(fine.pose)).compose(pose.inverse()))
-        return self._believe(closure, pose, index)
-
-    def _believe(self, closure: _Closure, pose: Pose2, index: int) -> str:
-        """Accept a closure that changes little, or that another one confirms."""
-        number = closure.edge.end
-        moved = closure.correction.compose(pose)
-        way = math.hypot(moved.x - pose.x, moved.y - pose.y)
-        turn = abs(wrap_angle(closure.correction.yaw_rad))
-        self._pending = [c for c in self._pending if number - c.edge.end <= PENDING_NODES]
-        if way <= SMALL_STEP_M and turn <= SMALL_STEP_RAD:
-            self._accept([closure.edge], index)
-            return ""
-        agreeing = [c for c in self._pending if c.edge.end != number and _agree(c, moved, pose)]
-        self._pending.append(closure)
-        if not agreeing:
-            return "not confirmed by another"
-        self._accept([closure.edge, *(c.edge for c in agreeing)], index)
-        self._pending = []
-        self._is_urgent = True
-        return ""
-
-    def _accept(self, edges: list[_Edge], index: int) -> None:
-        self._edges += edges
-        self.health.closures_accepted += len(edges)
-        self._linked_m[index] = self._travelled_m
-        if self._lost_at is not None and self._submaps[index].anchor < self._lost_at:
-            self._lost_at = None
 
     # -- the graph -------------------------------------------------------------------------------
 
@@ -621,22 +700,15 @@ class GraphSlam:
             self._settled = (len(self._edges), self._solution().poses)
         return self._settled[1]
 
-    def _solution(self) -> Solution:
-        edges = self._edges
-        constraints = Constraints(
-            pairs=np.array([(edge.start, edge.end) for edge in edges], dtype=np.int64),
-            motions=np.array([edge.motion for edge in edges]),
-            information=np.array([edge.information for edge in edges]),
-            is_doubted=np.array([edge.is_closure for edge in edges]),
-        )
-        return solve_graph(self._poses, constraints)
+    def _solution(self) -> Optimized:
+        return solve_constraints(self._poses, self._edges)
 
     def _solve(self) -> None:
         """Solve the graph and take over its poses."""
         solved = self._solution()
-        self._poses = solved.poses
+        self._poses, self._weights = solved.poses, solved.weights
         self.health.chi2, self.health.solve_s = solved.chi2, solved.time_s
-        self.health.closures_doubted = int((solved.weights < DOUBTED_BELOW).sum())
+        self.health.closures_doubted = int(solved.is_doubted.sum())
         self.health.solutions += 1
         self._unsolved, self._is_urgent = 0, False
         self._solved_at = len(self._nodes) - 1
@@ -656,13 +728,19 @@ class GraphSlam:
             "travelled_m": [node.travelled_m for node in self._nodes],
             "begun": [[*key, *_vector(pose).tolist()] for key, pose in self._begun.items()],
             "last_tried": list(self._last_tried.items()),
+            "searched": list(self._searched.items()),
             "linked_m": list(self._linked_m.items()),
-            "edge_counts": [len(self._edges), len(self._pending)],
-            "corrections": [pose_record(closure.correction) for closure in self._pending],
+            "parts": self._parts,
+            "edges": len(self._edges),
+            "waiting": [
+                [pose_record(one.correction), one.travelled_m, one.is_anywhere]
+                for one in self._waiting.pending
+            ],
         }
-        edges = [*self._edges, *(closure.edge for closure in self._pending)]
+        edges = [*self._edges, *(one.edge for one in self._waiting.pending)]
         arrays: dict[str, npt.NDArray[Any]] = {
             "poses": self._poses,
+            "weights": self._weights,
             "node_sizes": np.array([len(node.ends) for node in self._nodes], dtype=np.int64),
             "ends": _joined([node.ends for node in self._nodes], 2),
             "lasers": _joined([node.laser[None] for node in self._nodes], 2),
@@ -733,9 +811,9 @@ class GraphSlam:
         ):
             ends = arrays["ends"][first:end]
             self._keep(_Node(ends, laser, travelled_m, recorded_pose(odometry)))
-        self._poses = arrays["poses"]
+        self._poses, self._weights = arrays["poses"], arrays["weights"]
         edges = [
-            _Edge(int(start), int(end), motion, information, bool(is_closure))
+            Constraint(int(start), int(end), motion, information, bool(is_closure))
             for (start, end), motion, information, is_closure in zip(
                 arrays["edge_ends"],
                 arrays["edge_motions"],
@@ -744,16 +822,20 @@ class GraphSlam:
                 strict=True,
             )
         ]
-        count = record["edge_counts"][0]
+        self._parts = record["parts"]
+        count = record["edges"]
         self._edges = edges[:count]
-        self._pending = [
-            _Closure(edge, recorded_pose(correction) or IDENTITY)
-            for edge, correction in zip(edges[count:], record["corrections"], strict=True)
+        self._waiting.pending = [
+            Waiting(edge, recorded_pose(correction) or IDENTITY, travelled_m, is_anywhere)
+            for edge, (correction, travelled_m, is_anywhere) in zip(
+                edges[count:], record["waiting"], strict=True
+            )
         ]
         self._begun = {
             (int(one), int(other)): Pose2(x, y, yaw) for one, other, x, y, yaw in record["begun"]
         }
         self._last_tried = {int(key): int(value) for key, value in record["last_tried"]}
+        self._searched = {int(key): int(value) for key, value in record["searched"]}
         self._linked_m = {int(key): float(value) for key, value in record["linked_m"]}
         self._scans = [
             (float(stamp), int(node), (float(x), float(y), float(yaw)))
@@ -779,7 +861,6 @@ _PLAIN = (
     "_travelled_m",
     "_is_urgent",
     "_low_row",
-    "_lost_at",
     "_unsolved",
     "_solved_at",
 )
@@ -788,48 +869,6 @@ _PLAIN = (
 def _joined(parts: list[npt.NDArray[np.float32]], width: int) -> npt.NDArray[np.float32]:
     """Return arrays (K, width) one below the other; none is an empty one."""
     return np.concatenate([np.zeros((0, width), dtype=np.float32), *parts])
-
-
-def _agree(closure: _Closure, moved: Pose2, pose: Pose2) -> bool:
-    """Return whether a closure would move the robot to the same place."""
-    other = closure.correction.compose(pose)
-    away = math.hypot(other.x - moved.x, other.y - moved.y)
-    return away < AGREEMENT_M and abs(wrap_angle(other.yaw_rad - moved.yaw_rad)) < AGREEMENT_RAD
-
-
-def _stencil() -> tuple[F64, F64]:
-    """Return (K, 3) places and (K, 3, 3) weights that give the second derivatives there."""
-    places = [np.zeros(3)]
-    weights = [np.zeros((3, 3))]
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            place, weight = np.zeros(3), np.zeros((3, 3))
-            place[axis], weight[axis, axis] = sign, 1.0
-            places.append(place)
-            weights.append(weight)
-        weights[0][axis, axis] = -2.0
-    for one, other in ((0, 1), (0, 2), (1, 2)):
-        for a in (1.0, -1.0):
-            for b in (1.0, -1.0):
-                place, weight = np.zeros(3), np.zeros((3, 3))
-                place[one], place[other] = a, b
-                weight[one, other] = weight[other, one] = 0.25 * a * b
-                places.append(place)
-                weights.append(weight)
-    return np.array(places), np.array(weights)
-
-
-_STENCIL, _SECOND = _stencil()
-# A radian weighs as metres at this distance where eigenvalues are limited.
-_ARM_M = 5.0
-_UNITS = np.outer([1.0, 1.0, 1.0 / _ARM_M], [1.0, 1.0, 1.0 / _ARM_M])
-
-
-def _turned(information: F64, angle_rad: float) -> F64:
-    """Return an information matrix of x, y and yaw in a frame turned by an angle."""
-    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(turn @ information @ turn.T)
 
 
 def _count(backend: Backend, maps: SharedTileMaps, node: _Node, pose: F64, cell: float) -> None:

@@ -19,6 +19,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.base import Health
 from slamfusion.slam.matcher import FieldMap, Guess, Match, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.response import settled_by
 
 __all__ = ["Tracker"]
 
@@ -47,6 +48,7 @@ class Tracker:
         backend: where the maps live.
         rng: of the search's draws.
         health: the producer's record; match scores and disbelieved odometry are written there.
+        minds_open: where walls run along and a match tells nothing that way, odometry decides.
         holds: without odometry the robot is expected to stand rather than to go on as it went.
         pose: of the robot at the last scan; None before the first.
         odometry: at the last scan.
@@ -61,6 +63,7 @@ class Tracker:
     rng: np.random.Generator
     health: Health
     holds: bool = False
+    minds_open: bool = False
     pose: Pose2 | None = None
     odometry: Pose2 | None = None
     step: Pose2 = IDENTITY
@@ -102,6 +105,8 @@ class Tracker:
             again = search_pose(scan, around, more, self.rng)
             if again.score > match.score + SECOND_LOOK_GAIN:
                 match = again
+        if self.minds_open and len(guesses) > 1:
+            match = replace(match, pose=settled_by(scan, match.pose, guesses[0].pose))
         self._remember(match.score)
         return match
 

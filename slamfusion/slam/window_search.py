@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.backend import Backend
+from slamfusion.geometry import wrap_angles
 from slamfusion.slam.submap import Pyramid
 
 __all__ = ["WindowMatch", "search_window"]
@@ -23,6 +24,8 @@ I32 = npt.NDArray[np.int32]
 
 # Blocks that are opened together: the device is asked few times.
 BATCH = 128
+# Poses this near to each other are one place.
+BESIDE_M, BESIDE_RAD = 0.5, 0.35
 # No hit is farther than this in the choice of the yaw step.
 LEAST_REACH_CELLS = 20.0
 
@@ -52,6 +55,7 @@ def search_window(
     half_rad: float,
     resolution: float,
     least: float = 0.0,
+    beside: F64 | None = None,
 ) -> WindowMatch | None:
     """Search a window for the pose at which a scan's hits lie on the greatest sum of the field.
 
@@ -64,6 +68,8 @@ def search_window(
         half_rad: so far reaches the yaw.
         resolution: metres per cell.
         least: a score that is of no use; nothing at or below it is looked for.
+        beside: (3,) a pose in the submap's frame; what lies within ``BESIDE_M`` and
+            ``BESIDE_RAD`` of it is passed over: is there another place that fits?
 
     Returns:
         The best; of equals one, always the same. None where nothing is above ``least``.
@@ -106,8 +112,11 @@ def search_window(
         order = np.argsort(-values, kind="stable")
         chosen, rest = order[:BATCH], order[BATCH:]
         if level == len(pyramid.windows) - 1:
-            top = order[0]
-            best_sum, best = int(values[top]), blocks[top]
+            if beside is not None:
+                place = (start + pyramid.corner + blocks[order][:, [2, 1]]) * resolution
+                order = order[_is_elsewhere(place, yaws[blocks[order, 0]], beside)]
+            if len(order):
+                best_sum, best = int(values[order[0]]), blocks[order[0]]
             continue
         queues.append((blocks[rest], values[rest]))
         children = _children(blocks[chosen], pyramid.windows[level], pyramid.windows[level + 1])
@@ -119,6 +128,12 @@ def search_window(
     place = (start + half + pyramid.corner) + (best[[2, 1]] - half)
     pose = np.array([*(place * resolution), yaws[best[0]]])
     return WindowMatch(pose, best_sum / (255.0 * len(points)), opened)
+
+
+def _is_elsewhere(places: F64, yaws: F64, beside: F64) -> npt.NDArray[np.bool_]:
+    """Return of places (N, 2) in metres and yaws (N,) whether they are not at a pose (3,)."""
+    away = np.hypot(*(places - beside[:2]).T)
+    return np.asarray((away >= BESIDE_M) | (np.abs(wrap_angles(yaws - beside[2])) >= BESIDE_RAD))
 
 
 def _children(blocks: I32, window: int, part: int) -> I32:

@@ -1,0 +1,269 @@
+"""Loop closures: an old submap is searched for a new scan, and what is found is doubted.
+
+A scan is searched near where it is expected, or over a whole window by branch and bound [H16c], or
+over all of the submap where nothing is expected. What is found must fit about as well as scans
+usually do, must not lie where the submap has seen nothing, must not be open along a corridor, and
+where the window is wide there must be no other place that fits nearly as well. One that would move
+the robot by more than a little waits until others say the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import GraphConfig
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.slam.constraints import Constraint
+from slamfusion.slam.matcher import Guess, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.response import response_information
+from slamfusion.slam.submap import UNSEEN_WALL, Submap
+from slamfusion.slam.window_search import search_window
+
+__all__ = ["ClosureSearch", "Found", "Waiting", "WaitingRoom"]
+
+F64 = npt.NDArray[np.float64]
+
+# Beyond this drift the whole window is searched.
+LOCAL_DRIFT_M = 0.8
+# What is expected of the heading: radians, fixed and for a metre of drift.
+TURN_RAD, TURN_RAD_PER_M = 0.05, 0.1
+# Of a scan's hits so many may lie where the older submap has seen nothing; fewer where the robot
+# may be anywhere.
+MOST_UNSEEN = 0.6
+MOST_UNSEEN_ANYWHERE = 0.3
+# A closure must fit about as well as scans usually do.
+USUAL_SHARE = 0.75
+USUAL_SHARE_ANYWHERE = 0.85
+# The window finds cells; what the fine search then finds fits better.
+WINDOW_SHARE = 0.8
+# Another place that fits this share as well makes a closure worth nothing; it is looked for this
+# far beyond what is expected.
+RIVAL_SHARE = 0.93
+RIVAL_TIMES, RIVAL_M = 1.5, 0.5
+# Around the robot's places in a submap from where its walls can be seen too, metres.
+AROUND_M = 1.0
+# A closure that moves the robot by more is believed when others say the same.
+SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
+AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
+PENDING_NODES = 12
+# Of a robot that may be anywhere: closures that agree, and how far it has driven between them.
+AGREEING_ANYWHERE = 3
+AGREEING_WAY_M = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where a scan lies in a submap.
+
+    Attributes:
+        pose: (3,) of the robot in the submap's frame, metres and radians.
+        information: (3, 3) inverse covariance of it.
+    """
+
+    pose: F64
+    information: F64
+
+
+class ClosureSearch:
+    """Looks for scans in old submaps."""
+
+    def __init__(self, config: GraphConfig, backend: Backend, rng: np.random.Generator) -> None:
+        """Take the settings, the place of the maps, and where the search draws from."""
+        self._config = config
+        self._backend = backend
+        self._rng = rng
+
+    def near(
+        self, submap: Submap, points: F64, expected: F64, drift_m: float, usual: float
+    ) -> Found | str:
+        """Search where the robot is expected.
+
+        Args:
+            submap: an old one, finished.
+            points: (P, 2) hits in the robot's frame, metres.
+            expected: (3,) pose in the submap's frame.
+            drift_m: how far off that may be.
+            usual: what a match is worth lately.
+
+        Returns:
+            Where it lies, or why that is not known, in the words of the health record.
+        """
+        config = self._config
+        least = max(config.loop_match_minimum_response, USUAL_SHARE * usual)
+        turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
+        if drift_m <= LOCAL_DRIFT_M:
+            guess = Guess(expected, Spread(max(drift_m / 2.0, 0.15), turn / 2.0))
+            return self._fine(submap, points, guess, least, MOST_UNSEEN)
+        most = config.loop_search_space_dimension / 2.0
+        half_m = min(drift_m, most)
+        coarse = self._window(submap, points, expected, half_m, turn, WINDOW_SHARE * least)
+        if coarse is None:
+            return "low response"
+        around = Guess(coarse, Spread(0.1, 0.02))
+        found = self._fine(submap, points, around, least, MOST_UNSEEN)
+        if isinstance(found, str):
+            return found
+        wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
+        if self._rival(submap, points, expected, wider, turn, found):
+            return "two places fit"
+        return found
+
+    def anywhere(self, submap: Submap, points: F64, usual: float) -> Found | str:
+        """Search all of a submap, for a robot that is lost; see ``near``."""
+        least = max(self._config.loop_match_minimum_response, USUAL_SHARE_ANYWHERE * usual)
+        middle = np.array([*(0.5 * (submap.low + submap.high)), 0.0])
+        half_m = 0.5 * float((submap.high - submap.low).max()) + AROUND_M
+        coarse = self._window(submap, points, middle, half_m, math.pi, WINDOW_SHARE * least)
+        if coarse is None:
+            return "low response"
+        around = Guess(coarse, Spread(0.1, 0.02))
+        found = self._fine(submap, points, around, least, MOST_UNSEEN_ANYWHERE)
+        if isinstance(found, str):
+            return found
+        if self._rival(submap, points, middle, half_m, math.pi, found):
+            return "two places fit"
+        return found
+
+    def _fine(
+        self, submap: Submap, points: F64, guess: Guess, least: float, most_unseen: float
+    ) -> Found | str:
+        """Search around a guess and judge what is found."""
+        config = self._config
+        scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
+        match = search_pose(scan, [guess], config.matcher, self._rng)
+        unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
+        if unseen > most_unseen:
+            return "little in common"
+        if (match.score - unseen * UNSEEN_WALL / 255.0) / (1.0 - unseen) < least:
+            return "low response"
+        information = response_information(scan, match.pose)
+        variance = float(np.linalg.eigvalsh(np.linalg.inv(information)[:2, :2]).max())
+        if variance > config.loop_match_maximum_variance:
+            return "place left open"
+        return Found(match.pose, information)
+
+    def _window(
+        self,
+        submap: Submap,
+        points: F64,
+        centre: F64,
+        half_m: float,
+        half_rad: float,
+        least: float,
+        beside: F64 | None = None,
+    ) -> F64 | None:
+        """Return the best pose (3,) of a window, or None where nothing fits."""
+        every = -(-len(points) // self._config.matcher.beams)
+        match = search_window(
+            self._backend,
+            submap.pyramid(),
+            points[::every],
+            centre,
+            half_m=half_m,
+            half_rad=half_rad,
+            resolution=self._config.resolution,
+            least=least,
+            beside=beside,
+        )
+        return None if match is None else match.pose
+
+    def _rival(
+        self, submap: Submap, points: F64, centre: F64, half_m: float, half_rad: float, found: Found
+    ) -> bool:
+        """Return whether another place of a window fits nearly as well."""
+        every = -(-len(points) // self._config.matcher.beams)
+        own = search_window(
+            self._backend,
+            submap.pyramid(),
+            points[::every],
+            found.pose,
+            half_m=2.0 * self._config.resolution,
+            half_rad=0.02,
+            resolution=self._config.resolution,
+        )
+        if own is None:
+            return True
+        least = RIVAL_SHARE * own.score
+        rival = self._window(submap, points, centre, half_m, half_rad, least, found.pose)
+        return rival is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Waiting:
+    """A closure that is not believed yet.
+
+    Attributes:
+        edge: what it says.
+        correction: what it would do to the robot's pose in the map frame.
+        travelled_m: the robot's way up to it.
+        is_anywhere: it was found by a search of everything.
+    """
+
+    edge: Constraint
+    correction: Pose2
+    travelled_m: float
+    is_anywhere: bool
+
+
+class WaitingRoom:
+    """Closures that wait for others to say the same.
+
+    Attributes:
+        pending: the ones of the last nodes.
+    """
+
+    def __init__(self) -> None:
+        self.pending: list[Waiting] = []
+
+    def confirmed(self, closure: Waiting, pose: Pose2) -> list[Waiting]:
+        """Return the closures that may be believed now, this one among them; often none.
+
+        Args:
+            closure: a new one.
+            pose: of its node in the map frame, before any correction.
+        """
+        number = closure.edge.end
+        moved = closure.correction.compose(pose)
+        self.pending = [c for c in self.pending if number - c.edge.end <= PENDING_NODES]
+        if not closure.is_anywhere and _is_small(pose, moved):
+            return [closure]
+        earlier = [c for c in self.pending if c.edge.end != number]
+        agreeing = [c for c in earlier if _agree(c, moved, pose)]
+        self.pending.append(closure)
+        if closure.is_anywhere and not self._is_sure(closure, agreeing, len(earlier)):
+            return []
+        if not agreeing:
+            return []
+        self.pending = []
+        return [closure, *agreeing]
+
+    @staticmethod
+    def _is_sure(closure: Waiting, agreeing: Sequence[Waiting], others: int) -> bool:
+        """Return whether a lost robot is found: several agree, from different places."""
+        nodes = {c.edge.end for c in agreeing}
+        way_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
+        contradicting = others - len(agreeing)
+        return (
+            len(nodes) + 1 >= AGREEING_ANYWHERE
+            and way_m >= AGREEING_WAY_M
+            and contradicting < len(nodes)
+        )
+
+
+def _is_small(pose: Pose2, moved: Pose2) -> bool:
+    """Return whether a closure leaves the robot about where it was believed to be."""
+    way = math.hypot(moved.x - pose.x, moved.y - pose.y)
+    return way <= SMALL_STEP_M and abs(wrap_angle(moved.yaw_rad - pose.yaw_rad)) <= SMALL_STEP_RAD
+
+
+def _agree(closure: Waiting, moved: Pose2, pose: Pose2) -> bool:
+    """Return whether a closure would move the robot to the same place."""
+    other = closure.correction.compose(pose)
+    away = math.hypot(other.x - moved.x, other.y - moved.y)
+    return away < AGREEMENT_M and abs(wrap_angle(other.yaw_rad - moved.yaw_rad)) < AGREEMENT_RAD
