@@ -167,11 +167,12 @@ __kernel void take_tiles(
  *
  * is_hit  uchar per beam
  * pages   int, width x height per map; cells of page 0 are left out
+ * sign    1, or -1 to take back a scan that was counted at the same places
  * full    int: becomes 1 when a cell is FULL
  */
 __kernel void count_beams(
     SCAN, __global const uchar *is_hit, __global const int *pages, __global uint *counts,
-    __global uint *sums, __global int *full) {
+    __global uint *sums, const int sign, __global int *full) {
   const int item = get_global_id(0);
   if (item >= maps * beams) {
     return;
@@ -181,15 +182,15 @@ __kernel void count_beams(
   const int2 laser = placed(poses[map], (float2)(laser_x, laser_y), width, height);
   const walk w = walk_of(end.x, end.y, laser.x, laser.y);
   __global const int *own = pages + map * width * height;
-  uint seen = 0, more = 1;
+  uint seen = 0, more = (uint)sign;
   if (is_hit[beam]) {
     const int at = tile_cell(own, width, height, end.x >> 10, end.y >> 10);
     if (at >= TILE_CELLS) {
       const uint x = (uint)(end.x & 1023) >> OFFSET_SHIFT;
       const uint y = (uint)(end.y & 1023) >> OFFSET_SHIFT;
-      atomic_add(sums + at, x << 16 | y);
+      atomic_add(sums + at, (uint)sign * (x << 16 | y));
     }
-    more = HIT + 1;
+    more = (uint)sign * (HIT + 1);
   }
   int places[AHEAD];
   for (int first = 0; first <= (int)w.steps; first += AHEAD) {
@@ -198,7 +199,7 @@ __kernel void count_beams(
       if (places[k] >= TILE_CELLS) {
         seen |= atomic_add(counts + places[k], more) + more;
       }
-      more = 1;
+      more = (uint)sign;
     }
   }
   if (seen & FULL) {

@@ -244,7 +244,15 @@ class Backend(Protocol):
     def take_tiles(self, pool: Handle, numbers: npt.NDArray[np.int32]) -> npt.NDArray[Any]:
         """See ``hit_map_reference.take_tiles``; the numbers come from the host."""
 
-    def count_beams(self, counts: Handle, sums: Handle, pages: Handle, scan: BeamScan) -> bool:
+    def count_beams(
+        self,
+        counts: Handle,
+        sums: Handle,
+        pages: Handle,
+        scan: BeamScan,
+        *,
+        take_back: bool = False,
+    ) -> bool:
         """See ``hit_map_reference.count_beams``; works in place."""
 
     def settle_field(

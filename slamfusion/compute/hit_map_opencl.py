@@ -56,7 +56,13 @@ class HitMapOperations(DeviceArrays):
         return tiles
 
     def count_beams(
-        self, counts: DeviceArray, sums: DeviceArray, pages: DeviceArray, scan: BeamScan
+        self,
+        counts: DeviceArray,
+        sums: DeviceArray,
+        pages: DeviceArray,
+        scan: BeamScan,
+        *,
+        take_back: bool = False,
     ) -> bool:
         """See ``hit_map_reference.count_beams``."""
         check_beams(scan)
@@ -64,7 +70,8 @@ class HitMapOperations(DeviceArrays):
         if pages.size and len(scan.ends):
             flag = self.upload(full)
             is_hit = self.upload(scan.is_hit)
-            self._launch_beams("count_beams", pages, scan, is_hit, pages, counts, sums, flag)
+            sign = np.int32(-1 if take_back else 1)
+            self._launch_beams("count_beams", pages, scan, is_hit, pages, counts, sums, sign, flag)
             cl.enqueue_copy(self.queue, full, flag.buffer)
         return bool(full[0])
 

@@ -213,7 +213,9 @@ def check_beams(scan: BeamScan) -> None:
         raise DeviceError(message)
 
 
-def count_beams(counts: U32, sums: U32, pages: I32, scan: BeamScan) -> bool:
+def count_beams(
+    counts: U32, sums: U32, pages: I32, scan: BeamScan, *, take_back: bool = False
+) -> bool:
     """Count a scan in every map, in place.
 
     All cells of a beam's walk, its end included, are visited once more; the end of a beam that met
@@ -225,6 +227,7 @@ def count_beams(counts: U32, sums: U32, pages: I32, scan: BeamScan) -> bool:
         sums: (T, TILE, TILE) uint32, each half 15 or less a hit.
         pages: (N, PH, PW) int32; cells of pages without a tile are left out.
         scan: see ``BeamScan``; ``MOST_BEAMS`` or fewer.
+        take_back: undo the counting of a scan that was counted at the same places.
 
     Returns:
         Whether a cell has now been visited ``FULL_VISITS`` or hit ``FULL_HITS`` times: halve all
@@ -238,16 +241,17 @@ def count_beams(counts: U32, sums: U32, pages: I32, scan: BeamScan) -> bool:
     w = _walks(scan, pages.shape)
     places = _places(pages, *w)
     places = tuple(part[places[0] != 0] for part in places)
-    np.add.at(counts, places, np.uint32(1))
+    sum_at = np.subtract.at if take_back else np.add.at
+    sum_at(counts, places, np.uint32(1))
 
     x, y = (part[:, scan.is_hit != 0] for part in _placed(scan, scan.ends, pages.shape))
     maps = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
     hit = _places(pages, maps, y // BEAM_ONE, x // BEAM_ONE)
     has_tile = hit[0] != 0
     hit = tuple(part[has_tile] for part in hit)
-    np.add.at(counts, hit, np.uint32(1 << HITS_SHIFT))
+    sum_at(counts, hit, np.uint32(1 << HITS_SHIFT))
     east, north = ((place % BEAM_ONE) >> OFFSET_SHIFT for place in (x, y))
-    np.add.at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
+    sum_at(sums, hit, (east << SUM_SHIFT | north)[has_tile].astype(np.uint32))
 
     hits, visits = counts[places] >> HITS_SHIFT, counts[places] & VISITS_MASK
     return bool(((hits >= FULL_HITS) | (visits >= FULL_VISITS)).any())

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from slamfusion.pose_graph.normal_equations import NormalEquations
 
-__all__ = ["Descent", "descend"]
+__all__ = ["NEGLIGIBLE", "Descent", "descend"]
 
 Array = npt.NDArray[np.float64]
 

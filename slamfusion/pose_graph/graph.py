@@ -245,7 +245,7 @@ def is_positive_definite(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.bo
     a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 0, 2]
     d, e, f = matrices[:, 1, 1], matrices[:, 1, 2], matrices[:, 2, 2]
     # Cholesky by hand: each pivot of what is left must be above 0.
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         second = d - b * b / a
         third = f - c * c / a - (e - b * c / a) ** 2 / second
         return np.asarray(symmetric & (a > 0.0) & (second > 0.0) & (third > 0.0))

@@ -139,12 +139,16 @@ class IncrementalGraph:
         self._known = None
 
     def optimize(self) -> Optimized:
-        """Optimise everything from where it is, closures doubted anew, and take it over.
+        """Optimise everything from where it is and take it over.
+
+        Closures left out last time are doubted anew only if new ones do not fit.
 
         Raises:
             GraphError: poses that no edge joins with the rest.
         """
-        optimized = optimize(self.snapshot(), robust=self.robust, start="given")
+        optimized = optimize(
+            self.snapshot(), robust=self.robust, start="given", weights=self._weights
+        )
         self.apply(optimized)
         return optimized
 

@@ -79,6 +79,7 @@ def optimize(
     fixed: int | Sequence[int] = 0,
     robust: Robust = "none",
     start: Start = "best",
+    weights: npt.ArrayLike | None = None,
     max_iterations: int = 100,
     tolerance: float = 1e-5,
 ) -> Optimized:
@@ -92,13 +93,16 @@ def optimize(
         start: where to descend from: the graph's own poses (``given``), those along the odometry,
             those after the chordal relaxation of the rotations, or (``best``) the given or the
             chordal ones, whichever fit better; a robust search then looks for its own.
+        weights: (K,) of the first K edges, as an earlier optimisation of them left them; with
+            ``consensus`` and ``gnc`` from given poses that verdict stands as long as all closures
+            fit that it did not leave out.
         max_iterations: of each descent.
         tolerance: a descent ends after a step that promised to lower chi-square by less than this
             share.
 
     Raises:
-        GraphError: the graph is in several parts, or no pose is held, or its equations cannot be
-            solved in double precision.
+        GraphError: the graph is in several parts, or no pose is held, or there are more weights
+            than edges, or the equations cannot be solved in double precision.
     """
     began = time.perf_counter()
     held = (fixed,) if isinstance(fixed, (int, np.integer)) else tuple(fixed)
@@ -109,6 +113,7 @@ def optimize(
         poses=graph.poses,
         fixed=held,
         is_doubted=_doubted(graph),
+        is_left_out=None if weights is None else _left_out(graph, np.asarray(weights, np.float64)),
         max_iterations=max_iterations,
         tolerance=tolerance,
     )
@@ -163,6 +168,16 @@ def _doubted(graph: PoseGraph) -> npt.NDArray[np.bool_]:
     doubted = graph.is_closure.copy()
     doubted[joining(graph.edges, graph.is_closure, len(graph))] = False
     return doubted
+
+
+def _left_out(graph: PoseGraph, weights: Array) -> npt.NDArray[np.bool_]:
+    """Return which edges earlier weights, (K,), leave out, (M,)."""
+    left_out = np.zeros(len(graph.edges), np.bool_)
+    if len(weights) > len(left_out):
+        message = f"{len(weights)} earlier weights do not fit {len(left_out)} edges"
+        raise GraphError(message)
+    left_out[: len(weights)] = weights < 0.5
+    return left_out
 
 
 def _start(problem: Problem, graph: PoseGraph, start: Start) -> Array | None:

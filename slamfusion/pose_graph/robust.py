@@ -5,8 +5,13 @@ It has many minima, and which one is found depends on where the search starts. T
 
 - ``consensus``: start from the closures that bear each other out (``consensus.py``), then let in,
   one round after the other, what agrees with the graph so far within its own uncertainty.
-- ``gnc``: start from the odometry, with all closures at once but softly, and harden.
+- ``gnc``: from given poses, keep the closures that fit there and let in what agrees. Where some are
+  left or no poses are given: from the odometry, with all closures at once but softly, and harden;
+  then let in what agrees. Whichever is better.
 - ``dcs``: from all closures, each weakened by its own error.
+
+A graph that grows is solved again and again. Closures that the last verdict left out are not asked
+once more: as long as all others fit, that verdict stands, and costs no more than a plain descent.
 
 Sources: Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial
 Perception, RA-L 2020 (truncated least squares); Agarwal, Tipaldi, Spinello, Stachniss and Burgard,
@@ -21,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.pose_graph.consensus import Consensus, find_consensus
-from slamfusion.pose_graph.descend import Descent, descend
+from slamfusion.pose_graph.descend import NEGLIGIBLE, Descent, descend
 from slamfusion.pose_graph.initialize import rotations_first
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations
@@ -50,6 +55,8 @@ LIMIT_PER_SCALE, SMALLEST_LIMIT = 240.0, 4.0
 HARDENING = 1.6
 # So hard that only errors within a hundredth of the limit are still in between.
 HARD = 100.0
+# Share of the edges that may have lost all weight before the equations are laid out without them.
+SUPERFLUOUS = 0.01
 # Times that closures are let in and out until those used are those that fit.
 SETTLING = 5
 # Mean error of the closures, in the scale of their loops, from which on the graph looks bent; that
@@ -78,6 +85,8 @@ class Problem:
         poses: (N, 3), of which only those that are held count where a start is looked for.
         fixed: poses that are held.
         is_doubted: (M,) bool; the others alone join all poses.
+        is_left_out: (M,) bool, doubted edges that an earlier verdict left out; None where there is
+            no earlier one.
         max_iterations: of one descent.
         tolerance: of a descent.
     """
@@ -86,6 +95,7 @@ class Problem:
     poses: Array
     fixed: tuple[int, ...]
     is_doubted: Mask
+    is_left_out: Mask | None
     max_iterations: int
     tolerance: float
 
@@ -94,9 +104,8 @@ class Problem:
         measured = self.measured if used.all() else self.measured.chosen(used)
         return NormalEquations(measured, len(self.poses), self.fixed)
 
-    def fit(self, used: Mask, start: Array | None = None) -> Descent:
+    def fit(self, equations: NormalEquations, start: Array | None = None) -> Descent:
         """Fit the poses to some edges, from a start or else from the rotations."""
-        equations = self.equations(used)
         return self.descend(
             equations, rotations_first(equations, self.poses) if start is None else start
         )
@@ -136,6 +145,11 @@ def by_consensus(problem: Problem, start: Array | None = None) -> Verdict:
         problem: the graph.
         start: (N, 3) poses to descend from; default: found from the edges.
     """
+    if start is not None and problem.is_left_out is not None:
+        earlier = _Search(problem, LIMIT)
+        earlier.keep_what_fits(start)
+        if not earlier.has_open_questions():
+            return earlier.verdict()
     found = find_consensus(problem.measured, problem.is_doubted)
     limit = float(np.clip(LIMIT_PER_SCALE * found.scale, SMALLEST_LIMIT, LIMIT))
     search = _Search(problem, limit)
@@ -155,10 +169,23 @@ def by_consensus(problem: Problem, start: Array | None = None) -> Verdict:
 
 
 def by_graduation(problem: Problem, start: Array | None = None) -> Verdict:
-    """Start from given poses, or else from the odometry, with all closures, and harden."""
+    """Believe what fits given poses and what agrees with that; or harden all closures.
+
+    Args:
+        problem: the graph.
+        start: (N, 3) poses to descend from; default: along the odometry, where nothing fits yet.
+
+    All closures are hardened from the odometry even if there are given poses: from these, what was
+    believed so far would be believed again, however many speak against it.
+    """
     search = _Search(problem, LIMIT)
-    start = search.odometry() if start is None else start
-    search.propose(problem.is_doubted, start, at_once=False)
+    if start is not None:
+        search.keep_what_fits(start)
+        search.grow(LIMIT)
+        if not search.has_open_questions():
+            return search.verdict()
+    search.propose(problem.is_doubted, search.odometry(start), at_once=False)
+    search.grow(LIMIT)
     return search.verdict()
 
 
@@ -167,9 +194,7 @@ def by_scaling(problem: Problem, start: Array | None = None) -> Verdict:
     everything = np.ones(len(problem.measured), np.bool_)
     equations = problem.equations(everything)
     poses = rotations_first(equations, problem.poses) if start is None else start
-    weights = everything.astype(np.float64)
-    promised, costs = np.inf, [np.inf]
-    while len(costs) <= problem.max_iterations and promised > problem.tolerance * costs[-1]:
+    for iteration in range(1, problem.max_iterations + 1):
         squares = problem.measured.squared_errors(poses)
         scale = np.minimum(1.0, 2.0 * SCALING_FROM / (SCALING_FROM + squares))
         # An edge that counts nothing at all could leave a pose without any.
@@ -177,8 +202,9 @@ def by_scaling(problem: Problem, start: Array | None = None) -> Verdict:
         equations.linearise(poses, weights)
         step, promised = equations.step()
         poses = poses + step
-        costs.append(float(np.dot(weights, squares)))
-    return Verdict(poses, weights, len(costs) - 1, promised <= problem.tolerance * costs[-1])
+        if promised <= problem.tolerance * float(np.dot(weights, squares)) + NEGLIGIBLE:
+            return Verdict(poses, weights, iteration, is_converged=True)
+    return Verdict(poses, weights, problem.max_iterations, is_converged=False)
 
 
 def truncated_weights(squares: Array, hardness: float, limit: float) -> Array:
@@ -220,6 +246,7 @@ class _Search:
         self._cost = np.inf
         self._iterations = 0
         self._is_converged = self._is_thinned = False
+        self._equations: tuple[Mask, NormalEquations] | None = None
 
     def verdict(self) -> Verdict:
         """Return the best that was found."""
@@ -246,9 +273,22 @@ class _Search:
             self._is_thinned = True
         return self._keep_better(*self._graduate(closures, start))
 
-    def odometry(self) -> Array:
-        """Return the poses without any closure."""
-        return self._fit(np.zeros_like(self.used), None).poses
+    def keep_what_fits(self, start: Array) -> None:
+        """Fit the closures that fit poses, (N, 3), already."""
+        squares = self._problem.measured.squared_errors(start)
+        self.propose(self._problem.is_doubted & (squares <= self._limit), start)
+        fitting = self._outside() & (self._squares <= self._limit)
+        if fitting.any():
+            self.propose(self.used | fitting, self.poses)
+
+    def has_open_questions(self) -> bool:
+        """Whether a closure is left out that no earlier verdict had left out."""
+        left_out = self._problem.is_left_out
+        return bool((self._outside() if left_out is None else self._outside() & ~left_out).any())
+
+    def odometry(self, start: Array | None = None) -> Array:
+        """Return the poses without any closure, by way of given ones, (N, 3), or of none."""
+        return self._fit(np.zeros_like(self.used), start).poses
 
     def is_strained(self, scale: float) -> bool:
         """Whether closures had to be left out or weigh far more on the graph than they should.
@@ -261,9 +301,8 @@ class _Search:
 
     def is_nearly_complete(self) -> bool:
         """Whether so few closures are left out that all of them may well be true."""
-        doubted = self._problem.is_doubted
-        left_out = doubted & ~self.used & (self._squares > self._limit)
-        return bool(0 < left_out.sum() <= FEW_LEFT * doubted.sum())
+        left_out = self._outside() & (self._squares > self._limit)
+        return bool(0 < left_out.sum() <= FEW_LEFT * self._problem.is_doubted.sum())
 
     def try_all(self, start: Array | None) -> None:
         """Believe all closures if they can all be fitted."""
@@ -279,12 +318,12 @@ class _Search:
             agreement: squared error, in the deviations of closure and graph together, up to which
                 they agree.
         """
-        outside = self._problem.is_doubted & ~self.used
-        fitting = outside & (self._squares <= self._limit)
+        fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any() and not self.propose(self.used | fitting, self.poses):
             return
-        outside = self._problem.is_doubted & ~self.used
-        asked = np.flatnonzero(outside)
+        asked = np.flatnonzero(self._outside())
+        if self._problem.is_left_out is not None:
+            asked = asked[~self._problem.is_left_out[asked]]
         asked = asked[np.argsort(self._squares[asked], kind="stable")[:GATED_AT_ONCE]]
         errors = self._errors_against_graph(asked)
         for share in AGREEMENT_SHARES:
@@ -297,11 +336,15 @@ class _Search:
                 asked = asked[(errors <= HOPELESS_TIMES * agreement) & ~admitted[asked]]
                 errors = self._errors_against_graph(asked)
 
+    def _outside(self) -> Mask:
+        """Return the doubted closures that are not believed, (M,) bool."""
+        return self._problem.is_doubted & ~self.used
+
     def _errors_against_graph(self, asked: npt.NDArray[np.int64]) -> Array:
         """Return the squared errors of edges outside the graph, given how well that is known."""
         if len(asked) == 0:
             return np.zeros(0)
-        equations = self._problem.equations(self._trusted | self.used)
+        _, equations = self._equations_of(self._trusted | self.used, superfluous=0.0)
         uncertainty = Uncertainty(equations, self.poses)
         return gate_errors(uncertainty, self.poses, self._problem.measured.chosen(asked))
 
@@ -316,12 +359,9 @@ class _Search:
         worst = float(squares[closures].max(initial=0.0))
         hardness = max(self._limit / max(2.0 * worst - self._limit, self._limit), 1e-12)
         weights = self._trusted.astype(np.float64)
-        used, equations = None, None
         while hardness < HARD:
             weights[closures] = truncated_weights(squares[closures], hardness, self._limit)
-            if used is None or equations is None or ((weights > 0.0) != used).any():
-                used = weights > 0.0
-                equations = self._problem.equations(used)
+            used, equations = self._equations_of(weights > 0.0)
             equations.linearise(poses, weights[used])
             step, _ = equations.step()
             self._iterations += 1
@@ -338,9 +378,30 @@ class _Search:
                 break
         return descent, squares, kept
 
+    def _equations_of(
+        self, used: Mask, superfluous: float = SUPERFLUOUS
+    ) -> tuple[Mask, NormalEquations]:
+        """Return normal equations with some edges in them, those of the last time where they do.
+
+        Args:
+            used: (M,) bool, edges that have to be there.
+            superfluous: share of the edges that may be there without need.
+
+        Returns:
+            The (M,) edges that are there, and the equations.
+        """
+        if self._equations is not None:
+            there, _ = self._equations
+            needless = there & ~used
+            if not (used & ~there).any() and needless.sum() <= superfluous * used.sum():
+                return self._equations
+        self._equations = (used, self._problem.equations(used))
+        return self._equations
+
     def _fit(self, closures: Mask, start: Array | None) -> Descent:
         """Fit the trusted edges and some closures."""
-        descent = self._problem.fit(self._trusted | closures, start)
+        _, equations = self._equations_of(self._trusted | closures, superfluous=0.0)
+        descent = self._problem.fit(equations, start)
         self._iterations += descent.iterations
         return descent
 

@@ -40,12 +40,16 @@ class Constraint:
     is_closure: bool = False
 
 
-def solve_constraints(poses: F64, constraints: Sequence[Constraint]) -> Optimized:
+def solve_constraints(
+    poses: F64, constraints: Sequence[Constraint], weights: F64 | None = None
+) -> Optimized:
     """Return the poses that fit the constraints best; the first node is held.
 
     Args:
         poses: (N, 3) where the nodes are believed to be: where the search starts.
         constraints: together they join all nodes; at least one.
+        weights: of the first of them by the last solution: what it has found false is not tried
+            again from the start.
     """
     motions = np.array([one.motion for one in constraints])
     information = np.array([one.information for one in constraints])
@@ -56,7 +60,7 @@ def solve_constraints(poses: F64, constraints: Sequence[Constraint]) -> Optimize
         information=_in_end_frame(information, motions[:, 2]),
         is_closure=np.array([one.is_closure for one in constraints]),
     )
-    return optimize(graph, robust="gnc", start="given")
+    return optimize(graph, robust="gnc", start="given", weights=weights)
 
 
 def turned(information: F64, angle_rad: float) -> F64:

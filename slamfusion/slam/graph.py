@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.backend import Backend
-from slamfusion.compute.hit_map_reference import MOST_BEAMS, BeamScan
 from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
@@ -32,10 +31,9 @@ from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Series, Step
 from slamfusion.slam.closures import ClosureSearch, Found, Waiting, WaitingRoom
 from slamfusion.slam.constraints import Constraint, solve_constraints, turned
-from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.matcher import Guess, Match, ScanOnTiles
+from slamfusion.slam.node_map import MapJob, Node, NodeMap
 from slamfusion.slam.response import response_information
-from slamfusion.slam.shared_tiles import SharedTileMaps
 from slamfusion.slam.state import (
     health_record,
     pose_record,
@@ -79,7 +77,7 @@ WALL_CELLS = 1.0
 RETRY_NODES = 2
 TRIES_PER_NODE = 2
 # The graph is solved when so many nodes have come since, if there are new closures.
-SOLVE_NODES = 20
+SOLVE_NODES = 30
 # Odometry between nodes: metres and radians of error, fixed and for a metre and a radian.
 ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
 ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
@@ -139,27 +137,6 @@ class GraphHealth(Health):
             "solve_s",
         )
         return {**super().to_json(), "graph": {name: getattr(self, name) for name in names}}
-
-
-@dataclass(frozen=True, eq=False)
-class _Node:
-    """A scan that is kept.
-
-    Attributes:
-        ends: (B, 2) float32 hits in the robot's frame, metres.
-        laser: (2,) float32, the laser in the robot's frame, metres.
-        travelled_m: way of the robot up to here.
-        odometry: pose by odometry; None where there is none.
-    """
-
-    ends: npt.NDArray[np.float32]
-    laser: npt.NDArray[np.float32]
-    travelled_m: float
-    odometry: Pose2 | None
-
-    def points(self) -> F64:
-        """Return the (B, 2) hits in the robot's frame, metres."""
-        return self.ends.astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -222,7 +199,7 @@ class GraphSlam:
         self._seed = seed
         self._rng = np.random.default_rng(seed)
         self._tracker = Tracker(config.matcher, backend, self._rng, self.health, minds_open=True)
-        self._nodes: list[_Node] = []
+        self._nodes: list[Node] = []
         self._node_bytes = 0
         self._poses = np.zeros((0, 3))
         self._edges: list[Constraint] = []
@@ -236,6 +213,7 @@ class GraphSlam:
         self._travelled_m = 0.0
         # Where a submap was begun, in the frame of the one before it.
         self._begun: dict[tuple[int, int], Pose2] = {}
+        self._map = NodeMap(config, backend)
         self._search = ClosureSearch(config, backend, self._rng)
         self._waiting = WaitingRoom()
         self._is_urgent = False
@@ -315,26 +293,25 @@ class GraphSlam:
         if not self._nodes:
             message = f"{self.name}: no scan could be used, so there is no map"
             raise SlamFusionError(message)
-        poses = self._settled_poses()
-        config, cell = self._config, self._config.resolution
-        anchor = np.floor(poses[0, :2] / cell) * cell
-        maps = SharedTileMaps(self._backend, 1, {"counts": np.uint32, "sums": np.uint32})
-        for node, pose in zip(self._nodes, poses, strict=True):
-            _count(self._backend, maps, node, (pose - (*anchor, 0.0)), cell)
-        counts, first = maps.cells("counts", 0)
-        corner = anchor + first * cell
-        percent = percent_of_counts(
-            counts.astype(np.uint32), config.occupancy_threshold, config.min_pass_through
-        )
-        origin = Pose2(float(corner[0]), float(corner[1]))
-        grid = OccupancyGrid(percent, cell, origin, self.name)
-        box = grid.known_box()
-        return grid if box is None else grid.crop(box)
+        return self._map.draw(MapJob(self._nodes, self._settled_poses(), self.name))
+
+    def map_job(self) -> MapJob:
+        """Return what a ``NodeMap`` on another backend draws the map from, in another thread.
+
+        Closures since the last solution are not in it: asking takes no time.
+
+        Raises:
+            SlamFusionError: no scan has been used yet.
+        """
+        if not self._nodes:
+            message = f"{self.name}: no scan could be used, so there is no map"
+            raise SlamFusionError(message)
+        return MapJob(tuple(self._nodes), self._poses.copy(), self.name)
 
     def memory_bytes(self) -> int:
         """Return the bytes of submaps, nodes and edges."""
         submaps = sum(submap.memory_bytes for submap in self._submaps)
-        return submaps + self._node_bytes + EDGE_BYTES * len(self._edges)
+        return submaps + self._map.memory_bytes + self._node_bytes + EDGE_BYTES * len(self._edges)
 
     # -- one scan ------------------------------------------------------------------------------
 
@@ -477,12 +454,12 @@ class GraphSlam:
         pose: Pose2,
     ) -> int:
         laser = np.array([scan.mount.x, scan.mount.y], dtype=np.float32)
-        self._keep(_Node(points.astype(np.float32), laser, self._travelled_m, known))
+        self._keep(Node(points.astype(np.float32), laser, self._travelled_m, known))
         self._poses = np.vstack((self._poses, (pose.x, pose.y, wrap_angle(pose.yaw_rad))))
         self.health.nodes = len(self._nodes)
         return len(self._nodes) - 1
 
-    def _keep(self, node: _Node) -> None:
+    def _keep(self, node: Node) -> None:
         self._nodes.append(node)
         self._node_bytes += node.ends.nbytes
 
@@ -701,7 +678,7 @@ class GraphSlam:
         return self._settled[1]
 
     def _solution(self) -> Optimized:
-        return solve_constraints(self._poses, self._edges)
+        return solve_constraints(self._poses, self._edges, self._weights)
 
     def _solve(self) -> None:
         """Solve the graph and take over its poses."""
@@ -810,7 +787,7 @@ class GraphSlam:
             strict=True,
         ):
             ends = arrays["ends"][first:end]
-            self._keep(_Node(ends, laser, travelled_m, recorded_pose(odometry)))
+            self._keep(Node(ends, laser, travelled_m, recorded_pose(odometry)))
         self._poses, self._weights = arrays["poses"], arrays["weights"]
         edges = [
             Constraint(int(start), int(end), motion, information, bool(is_closure))
@@ -869,28 +846,6 @@ _PLAIN = (
 def _joined(parts: list[npt.NDArray[np.float32]], width: int) -> npt.NDArray[np.float32]:
     """Return arrays (K, width) one below the other; none is an empty one."""
     return np.concatenate([np.zeros((0, width), dtype=np.float32), *parts])
-
-
-def _count(backend: Backend, maps: SharedTileMaps, node: _Node, pose: F64, cell: float) -> None:
-    """Count a node's beams in the only map; poses from the map's anchor."""
-    every = -(-len(node.ends) // MOST_BEAMS)
-    ends = node.ends[::every]
-    corners = np.vstack((ends, node.laser))
-    reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) / cell + 1.0
-    at = pose[:2] / cell
-    maps.cover(at - reach, at + reach)
-    table = np.empty((1, 4), dtype=np.float32)
-    table[0] = (*(at - maps.origin), math.cos(pose[2]), math.sin(pose[2]))
-    beams = BeamScan(
-        (ends / cell).astype(np.float32),
-        np.ones(len(ends), dtype=np.uint8),
-        (node.laser / cell).astype(np.float32),
-        table,
-    )
-    maps.make_writable(backend.touch_pages(maps.page_tables, beams, 0).astype(np.bool_))
-    pools = maps.pools
-    if backend.count_beams(pools["counts"], pools["sums"], maps.page_tables, beams):
-        halve_counts(backend, pools)
 
 
 def _pose(row: F64) -> Pose2:

@@ -76,10 +76,9 @@ class GtsamGraph:
         values = self._values(poses)
         marginals = self._gtsam.Marginals(self._factors, values)
         keys = self._gtsam.KeyVector([first, second])
-        joint = marginals.jointMarginalCovariance(keys).fullMatrix()
-        if first > second:  # GTSAM sorts by key
-            order = [3, 4, 5, 0, 1, 2]
-            joint = joint[np.ix_(order, order)]
+        # By blocks: whether the full matrix sorts by key differs between its releases.
+        blocks = marginals.jointMarginalCovariance(keys)
+        joint = np.block([[blocks.at(one, other) for other in keys] for one in keys])
         between = values.atPose2(first).between(values.atPose2(second))
         jacobian = np.hstack((-between.inverse().AdjointMap(), np.eye(3)))
         return np.asarray(jacobian @ joint @ jacobian.T)

@@ -1,0 +1,125 @@
+"""Claims about the normal equations: they are those of the errors, whatever the order."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.normal_equations import NormalEquations, elimination_order, factorise
+from tests.pose_graph.graphs import drawn, laps
+
+Array = npt.NDArray[np.float64]
+
+
+def random_graph(seed: int, count: int = 12) -> tuple[Measurements, Array]:
+    """Edges any way round, some twice, between poses that do not fit them."""
+    rng = np.random.default_rng(seed)
+    chain = np.stack((np.arange(count - 1), np.arange(1, count)), axis=1)
+    extra = rng.integers(0, count, (2 * count, 2))
+    edges = np.concatenate((chain, extra[extra[:, 0] != extra[:, 1]]))
+    edges = np.where(rng.uniform(size=(len(edges), 1)) < 0.5, edges, edges[:, ::-1])
+    edges = np.concatenate((edges, edges[:3]))
+    roots = rng.normal(size=(len(edges), 3, 3))
+    information = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(3)
+    motions = rng.normal(size=(len(edges), 3)) * 2.0
+    poses = rng.normal(size=(count, 3)) * 3.0
+    return Measurements(edges, motions, information), poses
+
+
+def dense_jacobian(measured: Measurements, poses: Array) -> Array:
+    """Derivatives of all errors by all poses, (3 M, 3 N), by differences."""
+    columns = []
+    for index in range(poses.size):
+        moved = [poses.copy(), poses.copy()]
+        for sign, other in zip((1.0, -1.0), moved, strict=True):
+            other.ravel()[index] += sign * 1e-6
+        difference = measured.errors(moved[0]) - measured.errors(moved[1])
+        columns.append(np.asarray(difference / 2e-6).T.ravel())
+    return np.stack(columns, axis=1)
+
+
+def test_errors_are_those_of_g2o() -> None:
+    measured, poses = random_graph(3)
+    errors = measured.errors(poses)
+    for index, (start, end) in enumerate(measured.edges):
+        one, two = Pose2(*poses[start]), Pose2(*poses[end])
+        error = Pose2(*measured.motions[index]).inverse().compose(one.inverse().compose(two))
+        expected = (error.x, error.y, wrap_angle(error.yaw_rad))
+        assert errors[:, index] == pytest.approx(expected, abs=1e-12)
+        squared = np.array(expected) @ measured.information[index] @ np.array(expected)
+        assert measured.squared_errors(poses)[index] == pytest.approx(squared)
+
+
+@pytest.mark.parametrize("fixed", [(0,), (5,), (2, 7, 11)])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_matrix_and_gradient_are_those_of_finite_differences(
+    fixed: tuple[int, ...], weighted: bool
+) -> None:
+    measured, poses = random_graph(1)
+    weights = np.random.default_rng(2).uniform(0.1, 1.0, len(measured)) if weighted else None
+    equations = NormalEquations(measured, len(poses), fixed)
+    equations.linearise(poses, weights)
+    jacobian = dense_jacobian(measured, poses)
+    factors = np.ones(len(measured)) if weights is None else weights
+    blocks = measured.information * factors[:, None, None]
+    weighed = np.einsum("mij,mjn->min", blocks, jacobian.reshape(len(measured), 3, -1))
+    columns = (3 * equations.free[:, None] + np.arange(3)).ravel()
+    hessian = (jacobian.T @ weighed.reshape(jacobian.shape))[np.ix_(columns, columns)]
+    gradient = (weighed.reshape(jacobian.shape).T @ measured.errors(poses).T.ravel())[columns]
+    assert equations.matrix().toarray() == pytest.approx(hessian, rel=1e-6, abs=1e-6)
+    assert equations.gradient == pytest.approx(gradient, rel=1e-6, abs=1e-6)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_step_solves_the_equations_and_promises_what_they_say(seed: int) -> None:
+    measured, poses = random_graph(seed)
+    equations = NormalEquations(measured, len(poses), (0,))
+    equations.linearise(poses)
+    for damping in (0.0, 0.3):
+        step, promised = equations.step(damping)
+        moved = step[equations.free].ravel()
+        matrix = equations.matrix().toarray()
+        damped = matrix + damping * np.diag(np.diag(matrix))
+        assert damped @ moved == pytest.approx(-equations.gradient, rel=1e-6, abs=1e-6)
+        fall = -2.0 * equations.gradient @ moved - moved @ matrix @ moved
+        assert promised == pytest.approx(fall, rel=1e-6)
+        assert (step[0] == 0.0).all()
+
+
+def test_one_free_pose_and_none() -> None:
+    measured, poses = random_graph(4, count=3)
+    one = NormalEquations(measured, 3, (0, 1))
+    one.linearise(poses)
+    assert one.matrix().shape == (3, 3)
+    none = NormalEquations(measured, 3, (0, 1, 2))
+    none.linearise(poses)
+    assert none.matrix().shape == (0, 0)
+
+
+def test_order_fills_in_less_than_the_given_one() -> None:
+    graph = drawn(*laps(count=60, rounds=5, every=1))
+    count = len(graph)
+    order = elimination_order(graph.edges, count)
+    assert sorted(order.tolist()) == list(range(count))
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    equations = NormalEquations(measured, count, (0,))
+    equations.linearise(graph.poses)
+    ours = equations.matrix()
+    # From the outside in: every elimination ties ever more poses together.
+    plain = np.argsort(equations.free)
+    columns = (3 * plain[:, None] + np.arange(3)).ravel()
+    assert factorise(ours).L.nnz < 0.7 * factorise(ours[:, columns][columns].tocsc()).L.nnz
+
+
+def test_a_pose_that_hangs_on_nothing_is_singular() -> None:
+    measured, poses = random_graph(5)
+    equations = NormalEquations(measured, len(poses) + 1, (0,))
+    equations.linearise(np.concatenate((poses, poses[:1])))
+    with pytest.raises(RuntimeError):
+        equations.step()

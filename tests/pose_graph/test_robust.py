@@ -1,0 +1,276 @@
+"""Claims about false closures: they are found, and bend nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.errors import GraphError
+from slamfusion.pose_graph import PoseGraph, Robust, optimize, read_g2o
+from slamfusion.pose_graph.consensus import find_consensus
+from slamfusion.pose_graph.graph import chained_poses
+from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.robust import LIMIT, truncated_weights
+from tests.pose_graph.graphs import (
+    ABSENT,
+    POSE_GRAPHS,
+    apart,
+    drawn,
+    laps,
+    ring,
+    with_false_closures,
+)
+
+ROBUST: tuple[Robust, ...] = ("consensus", "gnc", "dcs")
+
+
+def drift(seed: int = 0) -> PoseGraph:
+    """Four noisy laps, where they are along the odometry."""
+    graph = drawn(*laps(), noise=1.0, seed=seed)
+    return graph.with_poses(chained_poses(graph))
+
+
+@pytest.mark.parametrize("robust", ROBUST)
+def test_true_closures_are_believed(robust: Robust) -> None:
+    graph = drift()
+    plain, found = optimize(graph), optimize(graph, robust=robust)
+    assert not found.is_doubted.any()
+    assert apart(plain.poses, found.poses) < 2e-3
+    if robust != "dcs":  # which weakens whatever errs
+        assert found.chi2 == pytest.approx(plain.chi2, rel=1e-4)
+
+
+@pytest.mark.parametrize("robust", ROBUST)
+def test_a_false_closure_bends_the_plain_graph_and_not_the_robust_one(robust: Robust) -> None:
+    graph = drift()
+    clean = optimize(graph)
+    false_too = with_false_closures(graph.with_poses(clean.poses), 0.1, 3, "random")
+    plain, found = optimize(false_too), optimize(false_too, robust=robust)
+    true = len(graph.edges)
+    assert apart(clean.poses, plain.poses) > 0.1
+    assert apart(clean.poses, found.poses) < 0.01
+    assert found.is_doubted[true:].all()
+    assert not found.is_doubted[:true].any()
+    assert found.chi2 < 1.2 * clean.chi2
+    assert found.chi2_all > 10.0 * found.chi2
+
+
+@pytest.mark.parametrize("kind", ["shuffled", "random"])
+@pytest.mark.parametrize("seed", range(4))
+def test_consensus_bears_as_many_false_closures_as_true_ones(kind: str, seed: int) -> None:
+    graph = drift(seed)
+    clean = optimize(graph)
+    false_too = with_false_closures(graph.with_poses(clean.poses), 1.0, seed, kind)
+    found = optimize(false_too, robust="consensus")
+    assert apart(clean.poses, found.poses) < 0.02
+    assert not found.is_doubted[: len(graph.edges)].any()
+
+
+@pytest.mark.parametrize("kind", ["shuffled", "random"])
+@pytest.mark.parametrize("seed", range(4))
+def test_gnc_near_the_solution_bears_as_many_false_closures_as_true_ones(
+    kind: str, seed: int
+) -> None:
+    graph = drift(seed)
+    clean = optimize(graph)
+    false_too = with_false_closures(graph.with_poses(clean.poses), 1.0, seed, kind)
+    found = optimize(false_too, robust="gnc", start="given")
+    assert apart(clean.poses, found.poses) < 0.02
+    assert not found.is_doubted[: len(graph.edges)].any()
+
+
+KEEPING: tuple[Robust, ...] = ("consensus", "gnc")
+
+
+@pytest.mark.parametrize("robust", KEEPING)
+def test_an_earlier_verdict_stands_without_a_search(robust: Robust) -> None:
+    graph = drift()
+    clean = optimize(graph)
+    false_too = with_false_closures(graph.with_poses(clean.poses), 0.3, 1, "random")
+    first = optimize(false_too, robust=robust, start="given")
+    again = optimize(
+        false_too.with_poses(first.poses), robust=robust, start="given", weights=first.weights
+    )
+    assert again.iterations <= 2
+    if robust == "gnc":  # the other searches among the closures, not among poses
+        assert first.iterations > 10
+    assert again.weights.tolist() == first.weights.tolist()
+    assert apart(first.poses, again.poses) < 1e-4
+
+
+@pytest.mark.parametrize("robust", KEEPING)
+def test_an_earlier_verdict_is_mended_where_poses_speak_against_it(robust: Robust) -> None:
+    graph = drift()
+    clean = optimize(graph)
+    nothing_believed = np.where(graph.is_closure, 0.0, 1.0)
+    found = optimize(
+        graph.with_poses(clean.poses), robust=robust, start="given", weights=nothing_believed
+    )
+    assert not found.is_doubted.any()
+    assert found.chi2 == pytest.approx(clean.chi2, rel=1e-4)
+
+
+@pytest.mark.parametrize("robust", KEEPING)
+def test_new_closures_are_judged_after_an_earlier_verdict(robust: Robust) -> None:
+    graph = drift()
+    clean = optimize(graph)
+    false_too = with_false_closures(graph.with_poses(clean.poses), 0.2, 1, "random")
+    # The last true and the last false closures come later.
+    true, added = len(graph.edges), len(false_too.edges) - len(graph.edges)
+    late = np.zeros(true + added, np.bool_)
+    late[true - 6 : true] = late[-2:] = True
+    order = np.concatenate((np.flatnonzero(~late), np.flatnonzero(late)))
+    whole = part(false_too, order)
+    early = part(false_too, order[: -late.sum()])
+    before = optimize(early, robust=robust, start="given")
+    found = optimize(
+        whole.with_poses(before.poses), robust=robust, start="given", weights=before.weights
+    )
+    assert found.is_doubted.tolist() == (order >= true).tolist()
+    assert apart(clean.poses, found.poses) < 0.01
+
+
+def part(graph: PoseGraph, edges: npt.NDArray[np.int64]) -> PoseGraph:
+    """The graph with some of its edges, in their order."""
+    arrays = (graph.edges, graph.motions, graph.information, graph.is_closure)
+    return PoseGraph(graph.poses, *(array[edges] for array in arrays))
+
+
+def test_a_true_majority_turns_over_an_earlier_verdict_for_a_false_closure() -> None:
+    poses, edges = ring(60, 10.0)
+    true = np.array([[59, 0], [58, 1], [57, 2], [56, 3]])
+    graph = drawn(poses, np.concatenate((edges[:-1], true)), noise=1.0)
+    graph = graph.with_poses(chained_poses(graph))
+    motions = graph.motions.copy()
+    motions[59] += (1.0, 0.0, 0.0)  # plausible while it is alone
+    false = PoseGraph(graph.poses, graph.edges, motions, graph.information, graph.is_closure)
+    alone = optimize(part(false, np.arange(60)), robust="gnc", start="given")
+    assert alone.weights[59] == 1.0
+    found = optimize(
+        false.with_poses(alone.poses), robust="gnc", start="given", weights=alone.weights
+    )
+    assert found.is_doubted.nonzero()[0].tolist() == [59]
+
+
+def test_more_earlier_weights_than_edges_are_refused() -> None:
+    graph = drift()
+    with pytest.raises(GraphError, match="earlier weights do not fit"):
+        optimize(graph, robust="gnc", start="given", weights=np.ones(len(graph.edges) + 1))
+
+
+def test_odometry_is_never_doubted() -> None:
+    graph = drift()
+    wrong = graph.motions.copy()
+    wrong[50] = (3.0, 1.0, 1.0)
+    bent = PoseGraph(graph.poses, graph.edges, wrong, graph.information, graph.is_closure)
+    for robust in ROBUST:
+        found = optimize(bent, robust=robust)
+        assert (found.weights[~graph.is_closure] == 1.0).all()
+
+
+def test_a_closure_that_alone_joins_two_parts_is_not_doubted() -> None:
+    poses, edges = ring()
+    cut = np.delete(edges, (9, 19), axis=0)  # two arcs
+    bridges = np.array([[2, 15], [4, 13]])
+    graph = drawn(poses, np.concatenate((cut, bridges)))
+    assert graph.is_closure.sum() == 1
+    everything = PoseGraph(
+        graph.poses, graph.edges, graph.motions, graph.information, np.ones(len(graph.edges), bool)
+    )
+    for robust in ROBUST:
+        found = optimize(everything, robust=robust)
+        assert apart(poses, found.poses) < 1e-4
+
+
+def test_one_closure_alone_is_believed_as_far_as_odometry_allows() -> None:
+    """No other closure bears it out; what decides is how far the odometry may have drifted."""
+    poses, edges = ring(60, 10.0)
+    graph = drawn(poses, edges, noise=1.0)
+    for robust in ("consensus", "gnc"):
+        assert not optimize(graph, robust=robust).is_doubted.any()
+    motions = graph.motions.copy()
+    motions[-1] += (30.0, 0.0, 0.0)
+    false = PoseGraph(graph.poses, graph.edges, motions, graph.information, graph.is_closure)
+    for robust in ("consensus", "gnc"):
+        found = optimize(false, robust=robust)
+        assert found.is_doubted.nonzero()[0].tolist() == [59]
+        assert found.chi2 < 1e-9
+
+
+def test_consensus_knows_a_pair_from_two_strangers() -> None:
+    graph = drift()
+    false_too = with_false_closures(graph, 1.0, 0, "random")
+    measured = Measurements(false_too.edges, false_too.motions, false_too.information)
+    mates = find_consensus(measured, false_too.is_closure).mates
+    true = int(graph.is_closure.sum())
+    assert (mates[:true] > 0).all()
+    assert (mates[true:] > 0).mean() < 0.1
+
+
+def test_consensus_scale_is_that_of_the_noise() -> None:
+    for noise in (1.0, 0.3):
+        graph = drawn(*laps(60, 6, 1), noise=noise)
+        measured = Measurements(graph.edges, graph.motions, graph.information)
+        found = find_consensus(measured, graph.is_closure)
+        assert found.scale == pytest.approx(noise**2, rel=0.3)
+
+
+def test_consensus_does_not_depend_on_which_way_edges_point() -> None:
+    graph = drawn(*laps(), noise=0.0)
+    rng = np.random.default_rng(3)
+    flips = rng.uniform(size=len(graph.edges)) < 0.5
+    edges = np.where(flips[:, None], graph.edges[:, ::-1], graph.edges)
+    turned = drawn(graph.poses, edges)
+    for each in (graph, turned):
+        measured = Measurements(each.edges, each.motions, each.information)
+        assert (find_consensus(measured, each.is_closure).mates > 0).all()
+
+
+def test_consensus_needs_odometry_from_end_to_end() -> None:
+    poses, edges = laps()
+    graph = drawn(poses, np.delete(edges, range(38, 159, 2), axis=0))
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    is_tie = np.abs(graph.edges[:, 0] - graph.edges[:, 1]) > 1
+    assert (find_consensus(measured, is_tie).mates == 0).all()
+
+
+@given(st.floats(1e-9, 1e3), st.floats(1.0, 100.0))
+def test_truncated_weights_fall_from_one_to_nothing(hardness: float, limit: float) -> None:
+    squares = np.geomspace(1e-3, 1e15, 400) * limit
+    weights = truncated_weights(squares, hardness, limit)
+    assert ((weights >= 0.0) & (weights <= 1.0)).all()
+    assert (np.diff(weights) <= 1e-12).all()
+    share = hardness / (hardness + 1.0)
+    assert (weights[squares < 0.999 * share * limit] == 1.0).all()
+    assert (weights[squares > 1.001 * limit / share] == 0.0).all()
+    between = (squares > 1.001 * share * limit) & (squares < 0.999 * limit / share)
+    assert ((weights[between] > 0.0) & (weights[between] < 1.0)).all()
+
+
+def test_truncated_weights_that_are_hard_are_all_or_nothing() -> None:
+    squares = np.geomspace(1e-3, 1e15, 400)
+    assert (truncated_weights(squares, 1e9, LIMIT) == (squares <= LIMIT)).all()
+
+
+def test_limit_is_the_quantile_it_is_said_to_be() -> None:
+    chi2 = pytest.importorskip("scipy.stats").chi2
+    assert pytest.approx(chi2.ppf(0.999, 3), abs=0.01) == LIMIT
+
+
+@pytest.mark.skipif(not POSE_GRAPHS.is_dir(), reason=ABSENT)
+@pytest.mark.parametrize("name", ["CSAIL", "intel", "MIT", "INTEL_1228"])
+@pytest.mark.parametrize(("share", "kind"), [(0.0, ""), (0.1, "random"), (0.3, "shuffled")])
+def test_public_graphs_stay_where_they_are(name: str, share: float, kind: str) -> None:
+    graph = read_g2o(POSE_GRAPHS / f"{name}.g2o.gz").graph
+    clean = optimize(graph)
+    graph = graph.with_poses(clean.poses)
+    false_too = with_false_closures(graph, share, 1, kind) if share else graph
+    nowhere = false_too.with_poses(np.zeros_like(graph.poses))
+    found = optimize(nowhere, robust="consensus")
+    assert apart(clean.poses, found.poses) < 0.01
+    if not share:
+        assert not found.is_doubted.any()
+        assert found.chi2 == pytest.approx(clean.chi2, rel=1e-4)

@@ -1,0 +1,166 @@
+"""Claims about covariances: those of a dense inverse, and as large as the noise makes errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.pose_graph import PoseGraph, optimize
+from slamfusion.pose_graph.covariance import inverted, moved, turned, turned_vectors
+from slamfusion.pose_graph.graph import chained_poses
+from slamfusion.pose_graph.measurements import Measurements
+from slamfusion.pose_graph.normal_equations import NormalEquations
+from slamfusion.pose_graph.uncertainty import Uncertainty, gate_errors
+from tests.pose_graph.graphs import INFORMATION, between, drawn, laps, ring
+from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
+
+Array = npt.NDArray[np.float64]
+
+
+def solved(seed: int = 0) -> tuple[PoseGraph, NormalEquations]:
+    """A small graph at its least, and its normal equations there."""
+    graph = drawn(*laps(count=10, rounds=2, every=3), noise=1.0, seed=seed)
+    graph = graph.with_poses(optimize(graph).poses)
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    equations = NormalEquations(measured, len(graph), (0,))
+    equations.linearise(graph.poses)
+    return graph, equations
+
+
+def dense_relative(graph: PoseGraph, equations: NormalEquations, pair: tuple[int, int]) -> Array:
+    """Covariance of the second pose in the frame of the first, by differences and an inverse."""
+    inverse = np.linalg.inv(equations.matrix().toarray())
+    whole = np.zeros((3 * len(graph), 3 * len(graph)))
+    places = (3 * equations.free[:, None] + np.arange(3)).ravel()
+    whole[np.ix_(places, places)] = inverse
+    columns = []
+    for index in range(graph.poses.size):
+        step = np.zeros(graph.poses.size)
+        step[index] = 1e-6
+        ahead, behind = (graph.poses + sign * step.reshape(-1, 3) for sign in (1.0, -1.0))
+        change = relative(ahead, pair) - relative(behind, pair)
+        change[2] = wrap_angles(change[2])
+        columns.append(change / 2e-6)
+    jacobian = np.stack(columns, axis=1)
+    in_axes_of_first = jacobian @ whole @ jacobian.T
+    turn = graph.poses[pair[0], 2] - graph.poses[pair[1], 2]
+    return turned(in_axes_of_first[None], np.array([turn]))[0]
+
+
+def relative(poses: Array, pair: tuple[int, int]) -> Array:
+    return compose_poses(invert_poses(poses[[pair[0]]]), poses[[pair[1]]])[0]
+
+
+@pytest.mark.parametrize("pair", [(3, 4), (4, 3), (0, 19), (19, 0), (2, 13), (17, 6)])
+def test_relative_covariances_are_those_of_a_dense_inverse(pair: tuple[int, int]) -> None:
+    graph, equations = solved()
+    expected = dense_relative(graph, equations, pair)
+    found = Uncertainty(equations, graph.poses).relative([pair])[0]
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-9)
+
+
+def test_pairs_do_not_depend_on_their_company() -> None:
+    graph, equations = solved()
+    uncertainty = Uncertainty(equations, graph.poses)
+    pairs = np.random.default_rng(0).integers(0, len(graph), (23, 2))
+    together = uncertainty.relative(pairs)
+    for pair, covariance in zip(pairs, together, strict=True):
+        assert uncertainty.relative(pair)[0] == pytest.approx(covariance, rel=1e-9, abs=1e-12)
+    assert uncertainty.relative(np.zeros((0, 2))).shape == (0, 3, 3)
+    assert np.abs(uncertainty.relative([(5, 5)])).max() < 1e-12
+
+
+def test_one_edge_alone_is_as_certain_as_its_information() -> None:
+    poses, edges = ring()
+    graph = drawn(poses, edges[:-1], noise=1.0)
+    graph = graph.with_poses(chained_poses(graph))
+    measured = Measurements(graph.edges, graph.motions, graph.information)
+    uncertainty = Uncertainty(NormalEquations(measured, len(graph), (0,)), graph.poses)
+    covariance = uncertainty.relative(graph.edges)
+    assert np.linalg.inv(covariance) == pytest.approx(graph.information, rel=1e-6, abs=1e-6)
+
+
+def test_weights_count() -> None:
+    graph, equations = solved()
+    full = Uncertainty(equations, graph.poses).relative([(0, 10)])
+    halved = Uncertainty(equations, graph.poses, np.full(len(graph.edges), 0.5))
+    assert halved.relative([(0, 10)]) == pytest.approx(2.0 * full)
+
+
+def test_covariance_is_as_large_as_the_noise_makes_the_error() -> None:
+    poses, edges = laps(count=10, rounds=2, every=3)
+    pair = (3, 16)
+    errors, covariance = [], np.zeros((3, 3))
+    for seed in range(150):
+        graph = drawn(poses, edges, noise=0.1, seed=seed)
+        found = optimize(graph, start="given").poses
+        error = compose_poses(
+            invert_poses(relative(poses, pair)[None]), relative(found, pair)[None]
+        )[0]
+        errors.append(error)
+        measured = Measurements(graph.edges, graph.motions, graph.information)
+        equations = NormalEquations(measured, len(graph), (0,))
+        covariance += 0.01 * Uncertainty(equations, found).relative([pair])[0] / 150.0
+    squared = np.einsum("ki,ij,kj->k", errors, np.linalg.inv(covariance), errors)
+    # Mean of chi-square with 3 degrees; its deviation over 150 draws is 0.2.
+    assert squared.mean() == pytest.approx(3.0, abs=0.8)
+
+
+def test_gate_is_by_how_much_chi2_rises_with_the_edge() -> None:
+    graph, equations = solved()
+    uncertainty = Uncertainty(equations, graph.poses)
+    pairs = np.array([(2, 13), (17, 6), (0, 11)])
+    motions = compose_poses(between(graph.poses, pairs), np.full((3, 3), 0.02))
+    candidates = Measurements(pairs, motions, np.tile(INFORMATION, (3, 1, 1)))
+    before = optimize(graph, tolerance=1e-9).chi2
+    for gate, pair, motion in zip(
+        gate_errors(uncertainty, graph.poses, candidates), pairs, motions, strict=True
+    ):
+        more = PoseGraph(
+            graph.poses,
+            np.concatenate((graph.edges, pair[None])),
+            np.concatenate((graph.motions, motion[None])),
+            np.concatenate((graph.information, INFORMATION[None])),
+            np.append(graph.is_closure, True),
+        )
+        assert optimize(more, tolerance=1e-9).chi2 - before == pytest.approx(gate, rel=0.02)
+    assert gate_errors(uncertainty, graph.poses, candidates.chosen(np.zeros(3, bool))).shape == (0,)
+
+
+@pytest.mark.skipif(not has_gtsam(), reason="GTSAM, a test oracle, is not installed")
+@pytest.mark.parametrize("pair", [(3, 4), (4, 3), (2, 13), (17, 6)])
+def test_gtsam_knows_as_much(pair: tuple[int, int]) -> None:
+    graph, equations = solved()
+    expected = GtsamGraph(graph, like_g2o=True).relative_covariance(graph.poses, *pair)
+    found = Uncertainty(equations, graph.poses).relative([pair])[0]
+    assert found == pytest.approx(expected, rel=1e-3, abs=1e-7)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_turning_and_moving_there_and_back_changes_nothing(
+    yaw: float, x: float, y: float, seed: int
+) -> None:
+    roots = np.random.default_rng(seed).normal(size=(4, 3, 3))
+    covariance = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(3)
+    yaws, way = np.full(4, yaw), np.tile([x, y], (4, 1))
+    assert turned(turned(covariance, yaws), -yaws) == pytest.approx(covariance)
+    assert moved(moved(covariance, way), -way) == pytest.approx(covariance, rel=1e-6, abs=1e-6)
+    assert inverted(inverted(covariance)) == pytest.approx(covariance, rel=1e-6, abs=1e-6)
+    # What is certain in one direction is certain in the turned direction.
+    vectors = roots[:, 0]
+    rank_one = vectors[:, :, None] * vectors[:, None, :]
+    there = turned_vectors(vectors, yaws)
+    assert turned(rank_one, yaws) == pytest.approx(there[:, :, None] * there[:, None, :])
+
+
+def test_a_lever_turns_yaw_into_place() -> None:
+    only_yaw = np.zeros((1, 3, 3))
+    only_yaw[0, 2, 2] = 0.01
+    ahead = moved(only_yaw, np.array([[10.0, 0.0]]))[0]
+    # 10 m ahead, 0.1 rad are 1 m to the side.
+    assert ahead == pytest.approx(np.array([[0, 0, 0], [0, 1.0, 0.1], [0, 0.1, 0.01]]))
