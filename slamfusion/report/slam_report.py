@@ -9,6 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.grid import OccupancyGrid
 from slamfusion.report import paths
+from slamfusion.report.closures import closure_pictures
 from slamfusion.report.maps import input_picture, statistics_table
 from slamfusion.report.page import (
     Banner,
@@ -27,7 +28,7 @@ from slamfusion.report.trajectory_report import (
     relations_section,
     truth_section,
 )
-from slamfusion.slam.base import Series
+from slamfusion.slam.base import Closure, Series
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["write_slam_report"]
@@ -48,6 +49,7 @@ def write_slam_report(
     relations: RelationErrors | None = None,
     series: Sequence[Series] = (),
     other_paths: Sequence[Trajectory] = (),
+    closures: Sequence[Closure] = (),
     device: str = "",
 ) -> Path:
     """Write the report of a producer's run as one self-contained page with its pictures beside it.
@@ -66,7 +68,9 @@ def write_slam_report(
         truth: the true path; its errors are computed as ``config.trajectory`` says.
         relations: the trajectory's errors on known relations.
         series: the producer's own quantities over time; those without a value are left out.
-        other_paths: what else it believes the path to be, in the frame of the map.
+        other_paths: what else it believes the path to be, in the frame of the map; the first of
+            a producer with closures is the path as it was first reported.
+        closures: of a producer that closes loops.
         device: the device that computed, in words.
 
     Returns:
@@ -86,6 +90,13 @@ def write_slam_report(
             trajectory, config=config, grid=grid, errors=errors, truth=truth, odometry=odometry
         ),
         *_other_paths_pictures(trajectory, other_paths, config, grid),
+        *closure_pictures(
+            trajectory,
+            other_paths[0] if other_paths else None,
+            closures,
+            grid=grid,
+            normalize=normalize,
+        ),
     ]
     sections = [Section("Map and path", "map", "", pictures, [statistics_table([grid], normalize)])]
     if errors is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["Health", "Series", "SlamBackend", "Step"]
+__all__ = ["ClosesLoops", "Closure", "Health", "Series", "SlamBackend", "Step"]
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,23 @@ class Series:
     limit: float | None = None
 
 
+@dataclass(frozen=True)
+class Closure:
+    """Two scans of one place.
+
+    Attributes:
+        start_s: time of the earlier one.
+        end_s: time of the later one.
+        motion: pose of the robot at the later in its frame at the earlier, metres and radians.
+        weight: 1 where the graph believes it, 0 where it goes against the rest.
+    """
+
+    start_s: float
+    end_s: float
+    motion: Pose2
+    weight: float
+
+
 class SlamBackend(Protocol):
     """One SLAM: feed it scans in the order of time, ask it for its pose and map at any moment.
 
@@ -132,3 +149,11 @@ class SlamBackend(Protocol):
 
     def memory_bytes(self) -> int:
         """Return the bytes that the map and the filter hold, on host and device."""
+
+
+@runtime_checkable
+class ClosesLoops(SlamBackend, Protocol):
+    """A producer that recognises places where the robot has been before."""
+
+    def closures(self) -> list[Closure]:
+        """Return the closures so far, as they are judged now."""

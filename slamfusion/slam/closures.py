@@ -10,8 +10,8 @@ the robot by more than a little waits until others say the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,12 @@ from slamfusion.slam.response import response_information
 from slamfusion.slam.submap import UNSEEN_WALL, Submap
 from slamfusion.slam.window_search import search_window
 
-__all__ = ["ClosureSearch", "Found", "Waiting", "WaitingRoom"]
+__all__ = ["ClosureSearch", "Found", "How", "Waiting", "WaitingRoom"]
 
 F64 = npt.NDArray[np.float64]
+# How a place was looked for: where the graph has the robot; where odometry has one that was lost;
+# all over.
+How = Literal["known", "odometry", "anywhere"]
 
 # Beyond this drift the whole window is searched.
 LOCAL_DRIFT_M = 0.8
@@ -52,9 +55,17 @@ AROUND_M = 1.0
 SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
 AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
 PENDING_NODES = 12
-# Of a robot that may be anywhere: closures that agree, and how far it has driven between them.
-AGREEING_ANYWHERE = 3
-AGREEING_WAY_M = 0.8
+# What it takes to believe closures that move the robot, by how it was looked for: nodes that agree,
+# how far it has driven between them, and for how many nodes they wait.
+TRUST: dict[How, tuple[int, float, int]] = {
+    "known": (2, 0.0, 12),
+    "odometry": (3, 0.8, 12),
+    "anywhere": (6, 4.0, 40),
+}
+# Where the robot may be by a jump between two scans.
+JUMP_M, JUMP_RAD = 1.5, 0.8
+# A bad match is where it is expected up to this.
+EXPECTED_M, EXPECTED_RAD = 0.4, 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +141,38 @@ class ClosureSearch:
             return "two places fit"
         return found
 
+    def around(
+        self, submap: Submap, points: F64, guess: F64, usual: float, *, by_odometry: bool
+    ) -> tuple[F64, bool]:
+        """Search the growing submap far around a guess for a robot that the tracker may have lost.
+
+        Args:
+            submap: the growing one.
+            points: (P, 2) hits in the robot's frame, metres.
+            guess: (3,) pose in the submap's frame.
+            usual: what a match is worth lately.
+            by_odometry: whether the guess is more than that the robot goes on as it went.
+
+        Returns:
+            A pose (3,), and whether it may be trusted: the scan fits there as usual and nowhere
+            else nearly as well; or it fits badly, but best where it is expected: then the world
+            has changed, not the place.
+        """
+        coarse = self._window(submap, points, guess, JUMP_M, JUMP_RAD, 0.0)
+        if coarse is None:
+            return guess, False
+        least = USUAL_SHARE_ANYWHERE * usual
+        found = self._fine(submap, points, Guess(coarse, Spread(0.1, 0.02)), least, MOST_UNSEEN)
+        if isinstance(found, Found):
+            if self._rival(submap, points, guess, JUMP_M, JUMP_RAD, found):
+                return guess, False
+            return found.pose, True
+        if not by_odometry:
+            return coarse, False
+        away = np.hypot(*(coarse - guess)[:2])
+        turn = abs(wrap_angle(float(coarse[2] - guess[2])))
+        return guess, bool(away <= EXPECTED_M and turn <= EXPECTED_RAD)
+
     def _fine(
         self, submap: Submap, points: F64, guess: Guess, least: float, most_unseen: float
     ) -> Found | str:
@@ -202,13 +245,13 @@ class Waiting:
         edge: what it says.
         correction: what it would do to the robot's pose in the map frame.
         travelled_m: the robot's way up to it.
-        is_anywhere: it was found by a search of everything.
+        how: it was looked for.
     """
 
     edge: Constraint
     correction: Pose2
     travelled_m: float
-    is_anywhere: bool
+    how: How
 
 
 class WaitingRoom:
@@ -230,30 +273,21 @@ class WaitingRoom:
         """
         number = closure.edge.end
         moved = closure.correction.compose(pose)
-        self.pending = [c for c in self.pending if number - c.edge.end <= PENDING_NODES]
-        if not closure.is_anywhere and _is_small(pose, moved):
+        self.pending = [c for c in self.pending if number - c.edge.end <= TRUST[c.how][2]]
+        if closure.how == "known" and _is_small(pose, moved):
             return [closure]
         earlier = [c for c in self.pending if c.edge.end != number]
         agreeing = [c for c in earlier if _agree(c, moved, pose)]
         self.pending.append(closure)
-        if closure.is_anywhere and not self._is_sure(closure, agreeing, len(earlier)):
+        wanted, way_m, _ = TRUST[closure.how]
+        nodes = {c.edge.end for c in agreeing}
+        driven_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
+        if len(nodes) + 1 < wanted or driven_m < way_m:
             return []
-        if not agreeing:
+        if closure.how != "known" and len(earlier) - len(agreeing) >= len(nodes):
             return []
         self.pending = []
         return [closure, *agreeing]
-
-    @staticmethod
-    def _is_sure(closure: Waiting, agreeing: Sequence[Waiting], others: int) -> bool:
-        """Return whether a lost robot is found: several agree, from different places."""
-        nodes = {c.edge.end for c in agreeing}
-        way_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
-        contradicting = others - len(agreeing)
-        return (
-            len(nodes) + 1 >= AGREEING_ANYWHERE
-            and way_m >= AGREEING_WAY_M
-            and contradicting < len(nodes)
-        )
 
 
 def _is_small(pose: Pose2, moved: Pose2) -> bool:

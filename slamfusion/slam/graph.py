@@ -28,8 +28,8 @@ from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.pose_graph import Optimized
 from slamfusion.scan import LaserScan
-from slamfusion.slam.base import Health, Series, Step
-from slamfusion.slam.closures import ClosureSearch, Found, Waiting, WaitingRoom
+from slamfusion.slam.base import Closure, Health, Series, Step
+from slamfusion.slam.closures import ClosureSearch, Found, How, Waiting, WaitingRoom
 from slamfusion.slam.constraints import Constraint, solve_constraints, turned
 from slamfusion.slam.matcher import Guess, Match, ScanOnTiles
 from slamfusion.slam.node_map import MapJob, Node, NodeMap
@@ -49,7 +49,7 @@ from slamfusion.slam.surfaces import fill_walls
 from slamfusion.slam.tracking import Tracker
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["Closure", "GraphHealth", "GraphSlam"]
+__all__ = ["GraphHealth", "GraphSlam"]
 
 F64 = npt.NDArray[np.float64]
 NAME = "graph"
@@ -58,9 +58,11 @@ NAME = "graph"
 DRIFT_SHARE = 0.02
 LEAST_DRIFT_M = 0.3
 # Of the hits that fall where the growing submap has seen something, a match is worth about as much
-# as ever; in real drives less than LOW_SHARE of the usual for three scans at most. After LOST_SCANS
-# in a row the robot is lost, and a new submap begins. Below UNMAPPED_SHARE a scan is not mapped.
-LOW_SHARE, LOST_SCANS, UNMAPPED_SHARE = 0.8, 8, 0.6
+# as ever. One worth less than a share of the usual is bad: its scan is not mapped, and odometry is
+# believed instead. So many in a row that fit better elsewhere, and the robot is lost.
+BAD_SHARE, LOST_SCANS = 0.6, 4
+# Of a scan most of whose hits fall into the unseen a match says little.
+MOST_UNSEEN = 0.5
 # The new submap is held to the old ones by next to nothing, and by odometry as far as the closures
 # that come agree with it; metres and radians.
 FREE_SIGMAS = (10.0, 10.0, 3.0)
@@ -71,6 +73,10 @@ LOST_DRIFT_M = 2.0
 REFOUND_DRIFT_M = 0.6
 # Once every old submap has been searched all over, it is done again after so many nodes only.
 ANYWHERE_NODES = 4
+# A lost robot is looked for where odometry has it. It may be anywhere once that has put it into old
+# submaps so often in vain.
+IN_VAIN = 12
+INSIDE_M = 0.5
 # Hits on a wall are no farther apart in a submap, cells.
 WALL_CELLS = 1.0
 # Nodes between two searches of one submap, and submaps searched at a node.
@@ -140,23 +146,6 @@ class GraphHealth(Health):
 
 
 @dataclass(frozen=True)
-class Closure:
-    """Two scans of one place.
-
-    Attributes:
-        start_s: time of the earlier one.
-        end_s: time of the later one.
-        motion: pose of the robot at the later in its frame at the earlier, metres and radians.
-        weight: 1 where the graph believes it, 0 where it goes against the rest.
-    """
-
-    start_s: float
-    end_s: float
-    motion: Pose2
-    weight: float
-
-
-@dataclass(frozen=True)
 class _Look:
     """A submap that is to be searched.
 
@@ -164,13 +153,13 @@ class _Look:
         index: of the submap.
         expected: pose of the robot in the map frame; None: anywhere.
         drift_m: how far off that may be.
-        is_lost: whether it is only guessed that the robot is near.
+        how: it is looked for.
     """
 
     index: int
     expected: Pose2 | None
     drift_m: float
-    is_lost: bool = False
+    how: How = "known"
 
 
 class GraphSlam:
@@ -198,7 +187,9 @@ class GraphSlam:
         self._backend = backend
         self._seed = seed
         self._rng = np.random.default_rng(seed)
-        self._tracker = Tracker(config.matcher, backend, self._rng, self.health, minds_open=True)
+        self._tracker = Tracker(
+            config.matcher, backend, self._rng, self.health, looks_twice=False, minds_open=True
+        )
         self._nodes: list[Node] = []
         self._node_bytes = 0
         self._poses = np.zeros((0, 3))
@@ -218,12 +209,16 @@ class GraphSlam:
         self._waiting = WaitingRoom()
         self._is_urgent = False
         self._settled: tuple[int, F64] | None = None
-        self._low_row = 0
+        self._bad_row = 0
         # Submaps of one part are placed to each other by matches; those of another, begun by a
         # robot that was lost, are not.
         self._parts: list[int] = []
         # How often submaps of other parts were searched all over.
         self._searched: dict[int, int] = {}
+        # Searches where odometry put a lost robot into an old submap, and it was not there; and
+        # its way when it was lost.
+        self._in_vain = 0
+        self._lost_m = 0.0
         self._last_tried: dict[int, int] = {}
         self._linked_m: dict[int, float] = {}
         self._unsolved = 0
@@ -346,14 +341,19 @@ class GraphSlam:
         """Match a scan on the growing submap; make it a node where it is due."""
         submap, usual = self._submaps[self._active], self._tracker.usual_score
         match = self._tracker.match(submap.walls(), points, guesses)
-        local = _pose(match.pose)
+        fit = self._fit(submap, points, match, usual)
+        at, is_sure = match.pose, True
+        if fit < BAD_SHARE and usual is not None:
+            at, is_sure = self._search.around(
+                submap, points, guesses[0].pose, usual, by_odometry=len(guesses) > 1
+            )
+        local = _pose(at)
         self._tracker.advance(local, known, scan.stamp_s)
         self.health.scans_used += 1
-        fit = self._fit(submap, points, match, usual)
-        self._low_row = self._low_row + 1 if fit < LOW_SHARE else 0
-        if self._low_row >= LOST_SCANS:
+        self._bad_row = 0 if is_sure else self._bad_row + 1
+        if self._bad_row >= LOST_SCANS:
             return self._begin_again(scan, points, known, local)
-        if fit < UNMAPPED_SHARE:
+        if not is_sure:
             return self._report(scan, local, match.score)
         moved = self._node_pose.inverse().compose(local)
         way, turn = math.hypot(moved.x, moved.y), abs(wrap_angle(moved.yaw_rad))
@@ -373,11 +373,11 @@ class GraphSlam:
 
     def _fit(self, submap: Submap, points: F64, match: Match, usual: float | None) -> float:
         """Return what a match is worth where the submap has seen something, to the usual."""
-        if usual is None or match.score >= LOW_SHARE * usual:
+        if usual is None or match.score >= BAD_SHARE * usual:
             return 1.0
         scan = ScanOnTiles(self._backend, submap.walls(), points, self._config.matcher.beams)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
-        if unseen >= 1.0:
+        if unseen >= MOST_UNSEEN:
             return 1.0
         return (match.score - unseen * UNSEEN_WALL / 255.0) / (1.0 - unseen) / usual
 
@@ -391,6 +391,8 @@ class GraphSlam:
         """Begin a submap for a lost robot; the old ones stay as they are."""
         self.health.restarts += 1
         self._searched = {}
+        self._in_vain = 0
+        self._lost_m = self._travelled_m
         reason = "the robot is lost: a new submap begins, placed by odometry alone"
         self.health.skips.add(reason, self.health.scans)
         before = len(self._nodes) - 1
@@ -411,7 +413,7 @@ class GraphSlam:
         self._active = len(self._submaps) - 1
         self._submaps[self._active].insert(*self._written(number), IDENTITY)
         self._node_pose = self._tracker.pose = IDENTITY
-        self._low_row = 0
+        self._bad_row = 0
         return self._report(scan, IDENTITY, None)
 
     def _report(
@@ -558,7 +560,7 @@ class GraphSlam:
         edge = Constraint(anchor, number, found.pose, found.information, is_closure=True)
         there = _pose(self._poses[anchor]).compose(_pose(found.pose))
         correction = there.compose(pose.inverse())
-        closure = Waiting(edge, correction, self._travelled_m, look.is_lost)
+        closure = Waiting(edge, correction, self._travelled_m, look.how)
         confirmed = self._waiting.confirmed(closure, pose)
         if not confirmed:
             return "not confirmed by another"
@@ -566,7 +568,7 @@ class GraphSlam:
         self.health.closures_accepted += len(confirmed)
         self._linked_m[look.index] = self._travelled_m
         self._is_urgent = self._is_urgent or len(confirmed) > 1
-        if look.is_lost:
+        if look.how != "known":
             self._join(self._parts[look.index], correction)
         return ""
 
@@ -608,7 +610,7 @@ class GraphSlam:
             for index, submap in enumerate(self._submaps[: self._active])
             if self._parts[index] != self._parts[self._active]
         ]
-        seen = [closure for closure in self._waiting.pending if closure.is_anywhere]
+        seen = [closure for closure in self._waiting.pending if closure.how == "anywhere"]
         if seen:
             expected = seen[-1].correction.compose(pose)
             near = sorted(
@@ -617,18 +619,22 @@ class GraphSlam:
                 if index != self._submap_of(seen[-1])
             )
             return [
-                _Look(index, expected, REFOUND_DRIFT_M, is_lost=True)
+                _Look(index, expected, REFOUND_DRIFT_M, "anywhere")
                 for _, index in near[:TRIES_PER_NODE]
             ]
         near = sorted((self._distance_m(submap, pose), index) for index, submap in old)
-        looks = [_Look(near[0][1], pose, LOST_DRIFT_M, is_lost=True)]
+        drift_m = LOST_DRIFT_M + DRIFT_SHARE * (self._travelled_m - self._lost_m)
+        looks = [_Look(near[0][1], pose, drift_m, "odometry")]
+        self._in_vain += near[0][0] < INSIDE_M
+        if self._in_vain <= IN_VAIN:
+            return looks
         # The ones that have not been searched yet first, and of these the near ones.
         rounds = sorted((self._searched.get(index, 0), away_m, index) for away_m, index in near)
         is_due = rounds[0][0] == 0 or len(self._nodes) % ANYWHERE_NODES == 0
         if is_due:
             index = rounds[0][-1]
             self._searched[index] = self._searched.get(index, 0) + 1
-            looks.append(_Look(index, None, 0.0, is_lost=True))
+            looks.append(_Look(index, None, 0.0, "anywhere"))
         return looks
 
     def _looks(self, number: int, pose: Pose2) -> list[_Look]:
@@ -710,7 +716,7 @@ class GraphSlam:
             "parts": self._parts,
             "edges": len(self._edges),
             "waiting": [
-                [pose_record(one.correction), one.travelled_m, one.is_anywhere]
+                [pose_record(one.correction), one.travelled_m, one.how]
                 for one in self._waiting.pending
             ],
         }
@@ -803,8 +809,8 @@ class GraphSlam:
         count = record["edges"]
         self._edges = edges[:count]
         self._waiting.pending = [
-            Waiting(edge, recorded_pose(correction) or IDENTITY, travelled_m, is_anywhere)
-            for edge, (correction, travelled_m, is_anywhere) in zip(
+            Waiting(edge, recorded_pose(correction) or IDENTITY, travelled_m, how)
+            for edge, (correction, travelled_m, how) in zip(
                 edges[count:], record["waiting"], strict=True
             )
         ]
@@ -837,7 +843,9 @@ _PLAIN = (
     "_active",
     "_travelled_m",
     "_is_urgent",
-    "_low_row",
+    "_bad_row",
+    "_in_vain",
+    "_lost_m",
     "_unsolved",
     "_solved_at",
 )

@@ -102,6 +102,7 @@ class Submap:
             },
         )
         self._pyramid: Pyramid | None = None
+        self._is_finished = False
 
     @property
     def memory_bytes(self) -> int:
@@ -154,26 +155,31 @@ class Submap:
     def finish(self) -> None:
         """Let go of what only a growing submap needs."""
         self._tiles.keep_only("field")
+        self._is_finished = True
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return everything but the pyramid as arrays, for saving."""
-        own = np.array([self.anchor, self.scans])
+        own = np.array([self.anchor, self.scans, self._is_finished])
         return {"own": own, "low": self.low, "high": self.high, **self._tiles.to_arrays()}
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Take over what ``to_arrays`` returned."""
-        self.anchor, self.scans = (int(value) for value in arrays["own"])
+        self.anchor, self.scans = (int(value) for value in arrays["own"][:2])
+        self._is_finished = bool(arrays["own"][2])
         self.low, self.high = arrays["low"], arrays["high"]
         self._tiles.restore(arrays)
 
     def pyramid(self) -> Pyramid:
-        """Return its dense fields; made at the first call."""
-        if self._pyramid is None:
-            values, first = self._tiles.cells("field")
-            field = values.astype(np.uint8)
-            field[field == UNSEEN_WALL] = 0
-            self._pyramid = Pyramid(self._backend, field, first.astype(np.float64))
-        return self._pyramid
+        """Return its dense fields; of a finished one made at the first call."""
+        if self._pyramid is not None:
+            return self._pyramid
+        values, first = self._tiles.cells("field")
+        field = values.astype(np.uint8)
+        field[field == UNSEEN_WALL] = 0
+        pyramid = Pyramid(self._backend, field, first.astype(np.float64))
+        if self._is_finished:
+            self._pyramid = pyramid
+        return pyramid
 
 
 def make_smear_rule(deviation_cells: float) -> SmearRule:

@@ -48,6 +48,7 @@ class Tracker:
         backend: where the maps live.
         rng: of the search's draws.
         health: the producer's record; match scores and disbelieved odometry are written there.
+        looks_twice: search again, wider, where little fits; False leaves that to the producer.
         minds_open: where walls run along and a match tells nothing that way, odometry decides.
         holds: without odometry the robot is expected to stand rather than to go on as it went.
         pose: of the robot at the last scan; None before the first.
@@ -63,6 +64,7 @@ class Tracker:
     rng: np.random.Generator
     health: Health
     holds: bool = False
+    looks_twice: bool = True
     minds_open: bool = False
     pose: Pose2 | None = None
     odometry: Pose2 | None = None
@@ -89,7 +91,7 @@ class Tracker:
     def match(
         self, walls: FieldMap, points: npt.NDArray[np.float64], guesses: list[Guess]
     ) -> Match:
-        """Search around the guesses; once more, wider, where little fits.
+        """Search around the guesses; where little fits once more, wider, if it is to.
 
         Args:
             walls: the map.
@@ -99,7 +101,8 @@ class Tracker:
         config = self.config
         scan = ScanOnTiles(self.backend, walls, points, config.beams)
         match = search_pose(scan, guesses, config, self.rng)
-        if self.usual_score is not None and match.score < LOW_SHARE * self.usual_score:
+        is_low = self.usual_score is not None and match.score < LOW_SHARE * self.usual_score
+        if is_low and self.looks_twice:
             more = replace(config, first_poses=SECOND_LOOK_POSES * config.first_poses)
             around = [replace(g, spread=g.spread.wider(SECOND_LOOK_SPREAD)) for g in guesses]
             again = search_pose(scan, around, more, self.rng)

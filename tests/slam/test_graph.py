@@ -330,7 +330,7 @@ def test_a_robot_that_is_carried_on_is_found_or_the_loss_is_named(backend: Backe
 def test_where_nothing_tells_the_way_odometry_decides(backend: Backend):
     truth = [Pose2(1.5 + 0.15 * index, 1.5) for index in range(95)]
     slam = run(backend, log_of(read(draw_corridor(), truth, 8.0), truth))
-    assert errors(slam, truth)[0] < 0.3
+    assert errors(slam, truth)[0] < 0.35
 
 
 # -- what the graph is told ------------------------------------------------------------------------

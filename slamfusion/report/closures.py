@@ -1,0 +1,121 @@
+"""The picture of a pose graph: the path over the map, and which moments the closures join."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.collections import LineCollection  # noqa: TID251
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.geometry import compose_poses
+from slamfusion.grid import OccupancyGrid
+from slamfusion.report.canvas import Rgb, to_png, unit_rgb
+from slamfusion.report.page import LegendEntry, Picture
+from slamfusion.report.paths import (
+    ESTIMATE_COLOUR,
+    _draw_grid,
+    _draw_marks,
+    _extent_of,
+    _grid_extent,
+    _map_axes,
+    mark_legend,
+)
+from slamfusion.slam.base import Closure
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["closure_pictures", "closures_picture"]
+
+BELIEVED_COLOUR: Rgb = (28, 126, 214)
+DOUBTED_COLOUR: Rgb = (201, 42, 42)
+BELIEVED_FROM = 0.5
+
+
+def closures_picture(
+    path: Trajectory,
+    closures: Sequence[Closure],
+    *,
+    grid: OccupancyGrid,
+    normalize: NormalizeConfig,
+) -> bytes:
+    """Draw a path, a dot where a closure was found, a line to where that has the robot.
+
+    Args:
+        path: in the frame of the map; at least one pose.
+        closures: of the graph; times beyond the path's count as its ends.
+        grid: the map under them.
+        normalize: what counts as wall and as free in it.
+    """
+    figure, axes = _map_axes(_extent_of(path.poses).grown(_grid_extent(grid, normalize)))
+    _draw_grid(axes, grid, normalize)
+    x, y = path.poses[:, 0], path.poses[:, 1]
+    axes.plot(x, y, color=unit_rgb(ESTIMATE_COLOUR), lw=0.8, scalex=False, scaley=False)
+    for colour, is_shown in ((BELIEVED_COLOUR, True), (DOUBTED_COLOUR, False)):
+        chosen = [one for one in closures if (one.weight >= BELIEVED_FROM) == is_shown]
+        if not chosen:
+            continue
+        stamps = np.array([(one.start_s, one.end_s) for one in chosen])
+        starts, ends = np.clip(np.searchsorted(path.stamps_s, stamps), 0, len(path) - 1).T
+        motions = np.array([(m.x, m.y, m.yaw_rad) for m in (one.motion for one in chosen)])
+        told = compose_poses(path.poses[starts], motions)[:, :2]
+        here = path.poses[ends, :2]
+        lines = LineCollection(
+            list(np.stack((here, told), axis=1)), colors=[(*unit_rgb(colour), 0.7)], linewidths=0.8
+        )
+        axes.add_collection(lines, autolim=False)
+        axes.plot(
+            *here.T,
+            color=unit_rgb(colour),
+            marker=".",
+            ms=2.0,
+            ls="none",
+            scalex=False,
+            scaley=False,
+        )
+    _draw_marks(axes, path.poses)
+    return to_png(figure)
+
+
+def closure_pictures(
+    final: Trajectory,
+    first_reported: Trajectory | None,
+    closures: Sequence[Closure],
+    *,
+    grid: OccupancyGrid,
+    normalize: NormalizeConfig,
+) -> list[Picture]:
+    """Return the graph before and after its closures; nothing where it has none."""
+    if not closures:
+        return []
+    doubted = sum(one.weight < BELIEVED_FROM for one in closures)
+    legend = (
+        LegendEntry("path", ESTIMATE_COLOUR),
+        LegendEntry(f"{len(closures) - doubted} closures", BELIEVED_COLOUR),
+        LegendEntry(f"{doubted} doubted, not used", DOUBTED_COLOUR),
+        *mark_legend(),
+    )
+    shown = [
+        (
+            "graph-before",
+            first_reported,
+            "The graph before its closures",
+            "The path as first reported. A line leads to where a recognised place has the robot.",
+        ),
+        (
+            "graph-after",
+            final,
+            "The graph after its closures",
+            "The path of today. A long blue line would be a closure that does not hold.",
+        ),
+    ]
+    return [
+        Picture(
+            name,
+            closures_picture(path, closures, grid=grid, normalize=normalize),
+            title,
+            text,
+            legend=legend,
+        )
+        for name, path, title, text in shown
+        if path is not None and len(path)
+    ]

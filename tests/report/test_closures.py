@@ -1,0 +1,67 @@
+"""The picture of a graph: lines where closures pull, in the colour of what is believed."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.report.canvas import Rgb
+from slamfusion.report.closures import (
+    BELIEVED_COLOUR,
+    DOUBTED_COLOUR,
+    closure_pictures,
+    closures_picture,
+)
+from slamfusion.slam.base import Closure
+from slamfusion.trajectory import Trajectory
+
+NORMALIZE = NormalizeConfig()
+GRID = OccupancyGrid(np.zeros((100, 100), dtype=np.int8), 0.1, Pose2(), "graph")
+
+
+def straight(end_m: float) -> Trajectory:
+    """A way along x from 1 m, a pose a second."""
+    poses = np.zeros((11, 3))
+    poses[:, 0], poses[:, 1] = np.linspace(1.0, end_m, 11), 5.0
+    return Trajectory(np.arange(11.0), poses, "graph")
+
+
+def painted(png: bytes, colour: Rgb) -> npt.NDArray[np.intp]:
+    """Return columns of the pixels of about a colour."""
+    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    near = (np.abs(image[..., ::-1].astype(int) - colour) < 40).all(axis=2)
+    return np.nonzero(near)[1]
+
+
+def picture(path: Trajectory, weight: float) -> bytes:
+    closure = Closure(0.0, 8.0, Pose2(3.2, 0.0, 0.0), weight)
+    return closures_picture(path, [closure], grid=GRID, normalize=NORMALIZE)
+
+
+def test_a_closure_that_holds_is_a_dot_and_one_that_does_not_a_line() -> None:
+    held, pulled = (painted(picture(straight(end), 1.0), BELIEVED_COLOUR) for end in (5.0, 9.0))
+    assert 0 < np.ptp(held) < 12
+    assert np.ptp(pulled) > 150
+
+
+def test_a_doubted_closure_is_told_apart() -> None:
+    png = picture(straight(9.0), 0.0)
+    assert len(painted(png, DOUBTED_COLOUR)) > len(
+        painted(picture(straight(9.0), 1.0), DOUBTED_COLOUR)
+    )
+    assert len(painted(png, BELIEVED_COLOUR)) == 0
+
+
+def test_before_and_after_and_nothing_without_closures() -> None:
+    closure = Closure(0.0, 10.0, Pose2(4.0, 0.0, 0.0), 0.2)
+    shown = closure_pictures(
+        straight(5.0), straight(9.0), [closure], grid=GRID, normalize=NORMALIZE
+    )
+    assert [one.stem for one in shown] == ["graph-before", "graph-after"]
+    assert "1 doubted" in shown[0].legend[2].text
+    assert closure_pictures(straight(5.0), None, [], grid=GRID, normalize=NORMALIZE) == []
