@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +15,20 @@ from slamfusion.cli.inputs import check_writable, load_maps
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import (
     notice,
-    number,
-    plain,
     print_json,
     print_table,
     progress_bar,
     versions,
 )
-from slamfusion.cli.trajectory import Measures, measure_trajectory, print_measures
+from slamfusion.cli.produced import (
+    SUFFIXES,
+    ProducerResult,
+    add_run,
+    measure_run,
+    output_files,
+    run_remarks,
+)
+from slamfusion.cli.trajectory import measure_trajectory, print_measures
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import MapFileError, SlamFusionError
 
@@ -42,7 +47,6 @@ NAMES = ("tinyslam", "gmapping", "graph")
 RESUMABLE = ("gmapping", "graph")
 
 PROGRESS_STEPS = 1000
-SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
 
 
 @click.group("slam")
@@ -64,6 +68,7 @@ class _Request:
     resume: Path | None = None
     state: Path | None = None
     stop_after: int | None = None
+    scan_odometry: Path | None = None
 
     def check(self) -> None:
         """Refuse what cannot end well before any work."""
@@ -77,6 +82,7 @@ class _Request:
             self.truth,
             self.truth_map,
             self.resume,
+            self.scan_odometry,
         )
         inputs = {path.resolve() for path in given if path is not None}
         for path in self.outputs():
@@ -101,7 +107,7 @@ class _Request:
             self.resume.open("rb").close()
         if self.state is None:
             return
-        others = [self.stem.with_name(self.stem.name + suffix) for suffix in SUFFIXES]
+        others = output_files(self.stem)
         if self.report is not None:
             others.append(self.report / "report.html")
         if self.state.resolve() in {path.resolve() for path in others}:
@@ -117,7 +123,7 @@ class _Request:
 
     def outputs(self) -> list[Path]:
         """Return the files that are written: map, path, record, and the state if it is wanted."""
-        files = [self.stem.with_name(self.stem.name + suffix) for suffix in SUFFIXES]
+        files = output_files(self.stem)
         return files if self.state is None else [*files, self.state]
 
 
@@ -194,6 +200,13 @@ def _make_command(name: str) -> click.Command:
         "FILE",
         "Raw odometry of the whole run, to carry poses on to the times of the relations.",
     )
+    @_file_option(
+        "--scan-odometry",
+        "scan_odometry",
+        "FILE",
+        "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, odom_theta), "
+        "taken instead of the poses in LOG: those of a corrected log are the answer of a SLAM.",
+    )
     @_file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
     @_file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
     @_file_option(
@@ -221,27 +234,6 @@ for _name in NAMES:
     command.add_command(_make_command(_name))
 
 
-@dataclass(frozen=True)
-class _Result:
-    """A run and everything that was measured of it."""
-
-    run: ProducerRun
-    measures: Measures
-    evaluation: Evaluation | None
-    device: str
-
-    def record(self, request: _Request) -> dict[str, Any]:
-        """Return the run's record with its errors and files."""
-        return {
-            **self.run.to_json(),
-            **self.measures.to_json(),
-            "map_error": None if self.evaluation is None else self.evaluation.to_json(),
-            "resumed_from": request.resume,
-            "state_file": request.state,
-            "files": request.outputs(),
-        }
-
-
 def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> int:
     """Run, measure, write, print."""
     from slamfusion.compute import open_backend  # noqa: PLC0415
@@ -259,24 +251,24 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     evaluation: Evaluation | None = None
     measures = measure_trajectory(found.trajectory, config.trajectory)
     try:
-        measures = measure_trajectory(
-            found.trajectory,
-            config.trajectory,
-            relations=relations,
-            odometry=odometry,
-            scans=found.odometry,
-            truth=truth,
-        )
+        measures = measure_run(found, config, relations=relations, odometry=odometry, truth=truth)
         if truth_map is not None:
             evaluation = evaluate_maps([found.grid], truth_map, config, backend)[0]
     except SlamFusionError as error:  # the map is made; it is kept, then the failure is told
         failed = error
-    result = _Result(found, measures, evaluation, backend.name)
+    result = ProducerResult(found, measures, evaluation, backend.name)
     document = {
-        "producers": [result.record(request)],
+        "producers": [
+            {
+                **result.to_json(request.outputs()),
+                "resumed_from": request.resume,
+                "state_file": request.state,
+            }
+        ],
         "log": request.log,
         "relations": request.relations,
         "odometry_file": request.odometry,
+        "scan_odometry": request.scan_odometry,
         "truth": request.truth,
         "truth_map": request.truth_map,
         "device": backend.name,
@@ -313,7 +305,7 @@ def _produce(producer: SlamBackend, request: _Request, config: RunConfig) -> Pro
     from slamfusion.io import open_log  # noqa: PLC0415
     from slamfusion.slam.runner import run_producer  # noqa: PLC0415
 
-    log = open_log(request.log, config.log)
+    log = open_log(request.log, config.log, request.scan_odometry)
     with progress_bar() as bar:
 
         def tell(_: int) -> None:
@@ -342,20 +334,10 @@ def _save(
     run: ProducerRun, producer: SlamBackend, document: dict[str, Any], request: _Request
 ) -> None:
     """Write map, path, record and state; all of them or none."""
-    from slamfusion.io import AtomicFiles, save_map, write_tum  # noqa: PLC0415
+    from slamfusion.io import AtomicFiles  # noqa: PLC0415
 
-    map_yaml, map_pgm, tum, record = request.outputs()[: len(SUFFIXES)]
-    text = json.dumps(plain(document), indent=2, allow_nan=False) + "\n"
-    folder = request.stem.parent
-    with TemporaryDirectory(prefix="slamfusion-") as name, AtomicFiles() as files:
-        try:
-            made = save_map(run.grid, Path(name) / request.stem.name)
-        except MapFileError as error:  # name the file that was wanted, not its draft
-            raise MapFileError(str(error).replace(name, str(folder))) from None
-        for target, draft in zip((map_yaml, map_pgm), made, strict=True):
-            files.add(target, draft.read_bytes())
-        write_tum(tum, run.trajectory, files=files)
-        files.add(record, text.encode())
+    with AtomicFiles() as files:
+        add_run(files, run, document, request.stem)
         if request.state is not None:
             _add_state(files, request.state, producer)
 
@@ -377,7 +359,7 @@ def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
 
 
 def _report(
-    result: _Result,
+    result: ProducerResult,
     request: _Request,
     directory: Path,
     config: RunConfig,
@@ -396,8 +378,8 @@ def _report(
     ]
     if run.health.mean_match_score is not None:
         facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
-    rows = [[Cell(name), Cell(value)] for name, value in _figures(result)]
-    remarks = [[Cell(where), Cell(sentence)] for where, sentence in _remarks(run)]
+    rows = [[Cell(name), Cell(value)] for name, value in result.figures()]
+    remarks = [[Cell(where), Cell(sentence)] for where, sentence in run_remarks(run)]
     tables = [Table("The run", ("what", "value"), rows)]
     if remarks:
         tables.append(Table("Said of the log and its scans", ("where", "what"), remarks))
@@ -421,80 +403,21 @@ def _report(
         relations=result.measures.relations,
         series=run.series,
         other_paths=run.other_paths,
+        closures=run.closures,
         device=result.device,
     )
 
 
-def _figures(result: _Result) -> list[tuple[str, str]]:
-    """Return the run's numbers with their names."""
-    run = result.run
-    time_ms, health = run.time_per_scan_ms(), run.health
-    stamps_s = run.trajectory.stamps_s
-    fed = len(run.feed_s)
-    return [
-        ("scans", f"{run.scans}, {run.scans_used} of them used"),
-        *([("scans fed in this run", f"{fed}")] if fed != run.scans else []),
-        ("duration of the drive", f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s"),
-        ("path length", f"{number(run.trajectory.path_length_m(), 1)} m"),
-        (
-            "path length by odometry",
-            "no odometry"
-            if run.odometry is None
-            else f"{number(run.odometry.path_length_m(), 1)} m",
-        ),
-        (
-            "time per scan",
-            (
-                f"mean {number(time_ms['mean'], 2)} ms, median {number(time_ms['p50'], 2)} ms, "
-                f"95 % within {number(time_ms['p95'], 2)} ms"
-            ),
-        ),
-        ("time in all", f"{number(run.time_s, 1)} s, reading included"),
-        (
-            "peak memory",
-            (
-                f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
-                f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process"
-            ),
-        ),
-        (
-            "match score",
-            (
-                f"mean {number(health.mean_match_score)}, last {number(health.match_score)}, "
-                f"{health.low_scores} below half of the mean, {run.low_in_a_row} of them in a row"
-            ),
-        ),
-        *([("effective particles", number(health.n_eff, 1))] if health.n_eff is not None else []),
-        (
-            "map",
-            f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
-        ),
-        ("device", result.device),
-    ]
-
-
-def _remarks(run: ProducerRun) -> list[tuple[str, str]]:
-    """Return what was left out, what is odd, and what the log says, each with its place."""
-    from slamfusion.slam.runner import skipped_scans  # noqa: PLC0415
-
-    remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
-    if run.log is not None:
-        remarks += [("left out of the log", item) for item in run.log.skips.sentences()]
-        remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]
-        remarks += [("the log", item) for item in run.log.notes]
-    return remarks
-
-
-def _print(result: _Result, request: _Request) -> None:
+def _print(result: ProducerResult, request: _Request) -> None:
     """Print the numbers, the remarks and the errors."""
     run = result.run
     print_table(
         ("what ", "value "),
-        [[name, value] for name, value in _figures(result)],
+        [[name, value] for name, value in result.figures()],
         title=f"{run.name} on {request.log}",
         header=False,
     )
-    for where, sentence in _remarks(run):
+    for where, sentence in run_remarks(run):
         print(f"{where}: {sentence}")
     if result.measures.relations is not None or result.measures.truth is not None:
         print_measures(run.trajectory, result.measures)

@@ -34,11 +34,15 @@ class Measures:
         relations: errors on the known relations.
         dense: how the poses at the relations' times were composed with odometry.
         truth: errors against the true trajectory.
+        at_scans: errors on those of the relations whose both ends are poses of the trajectory.
+        online: the same of the path as it was first reported, before it was corrected.
     """
 
     relations: RelationErrors | None = None
     dense: DensePoses | None = None
     truth: TrajectoryErrors | None = None
+    at_scans: RelationErrors | None = None
+    online: Measures | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for a JSON document."""
@@ -48,6 +52,10 @@ class Measures:
         if self.relations is not None:
             document |= self.relations.to_json()
             document["odometry"] = None if self.dense is None else self.dense.to_json()
+            own = self.at_scans
+            document["at_scans"] = None if own is None else own.to_json_with_intervals()
+        if self.online is not None:
+            document["as_first_reported"] = self.online.to_json()
         return document
 
 
@@ -195,6 +203,7 @@ def measure_trajectory(
         TrajectoryError: the estimate does not meet the relations, the odometry or the truth.
     """
     from slamfusion.evaluation import (  # noqa: PLC0415
+        errors_at_scans,
         poses_by_odometry,
         relation_errors,
         trajectory_errors,
@@ -216,6 +225,7 @@ def measure_trajectory(
         else relation_errors(scored, relations, config.tolerance_s),
         dense=dense,
         truth=None if truth is None else trajectory_errors(estimate, truth, config),
+        at_scans=None if relations is None else errors_at_scans(estimate, relations),
     )
 
 
@@ -239,27 +249,28 @@ def _check_request(
 
 def print_measures(estimate: Trajectory, measures: Measures) -> None:
     """Print one row for each kind of error, then how it was counted."""
-    kinds: list[tuple[str, ErrorStatistics | None, int]] = []
+    from slamfusion.evaluation import mean_interval  # noqa: PLC0415
+
+    kinds = _kinds(measures, "")
+    if measures.online is not None:
+        kinds += _kinds(measures.online, ", as first reported")
     notes = []
     if measures.relations is not None:
         errors = measures.relations
-        kinds += [
-            ("relations, translation m", errors.translation, 4),
-            ("relations, rotation deg", errors.rotation_deg, 3),
-        ]
         notes.append(
             f"{errors.relations_used} of {errors.relations_total} relations used, "
             f"{_how(measures.dense, errors.tolerance_s)}"
         )
+    if measures.at_scans is not None:
+        own = measures.at_scans
+        low, high = mean_interval(own.translation_m).to_json()
+        notes.append(
+            f"both ends are poses of the trajectory in {own.relations_used} of "
+            f"{own.relations_total} relations; the mean of their translation errors is "
+            f"{number(low, 4)} to {number(high, 4)} m with 95 %"
+        )
     if measures.truth is not None:
         found = measures.truth
-        pair = f"{found.config.rpe_delta:g} {found.config.rpe_unit}"
-        kinds += [
-            ("ATE, translation m", found.ate, 4),
-            ("ATE, rotation deg", found.ate_rotation_deg, 3),
-            (f"RPE over {pair}, translation m", found.rpe, 4),
-            (f"RPE over {pair}, rotation deg", found.rpe_rotation_deg, 3),
-        ]
         aligned = "aligned" if found.config.alignment == "se2" else "not aligned"
         notes.append(
             f"{found.poses_matched} of {found.poses_total} poses met one of {found.truth} within "
@@ -272,6 +283,32 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
     print_table(columns, rows, title=title)
     for note in notes:
         print(note)
+
+
+def _kinds(measures: Measures, which: str) -> list[tuple[str, ErrorStatistics | None, int]]:
+    """Return name, figures and digits of each kind of error.
+
+    Args:
+        measures: of one path.
+        which: one, added to the names.
+    """
+    kinds: list[tuple[str, ErrorStatistics | None, int]] = []
+    for errors, where in ((measures.relations, ""), (measures.at_scans, " at scans")):
+        if errors is not None:
+            kinds += [
+                (f"relations{where}, translation m{which}", errors.translation, 4),
+                (f"relations{where}, rotation deg{which}", errors.rotation_deg, 3),
+            ]
+    if measures.truth is not None:
+        found = measures.truth
+        pair = f"{found.config.rpe_delta:g} {found.config.rpe_unit}"
+        kinds += [
+            (f"ATE, translation m{which}", found.ate, 4),
+            (f"ATE, rotation deg{which}", found.ate_rotation_deg, 3),
+            (f"RPE over {pair}, translation m{which}", found.rpe, 4),
+            (f"RPE over {pair}, rotation deg{which}", found.rpe_rotation_deg, 3),
+        ]
+    return kinds
 
 
 def _figures(statistics: ErrorStatistics | None, digits: int) -> list[str]:

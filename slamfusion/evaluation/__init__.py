@@ -38,17 +38,21 @@ from slamfusion.evaluation.odometry import (
     subsample_to_scans,
 )
 from slamfusion.evaluation.relations import (
+    AT_SCAN_S,
     REVISIT_S,
     RelationErrors,
     Relations,
+    errors_at_scans,
     read_relations,
     relation_errors,
 )
 from slamfusion.evaluation.statistics import (
     Difference,
     ErrorStatistics,
+    Interval,
     Summary,
     compare_samples,
+    mean_interval,
 )
 from slamfusion.evaluation.trajectory_error import (
     TrajectoryErrors,
@@ -61,6 +65,7 @@ __all__ = [
     "AGREE_FREE",
     "AGREE_UNKNOWN",
     "AGREE_WALL",
+    "AT_SCAN_S",
     "EXTRA_FREE",
     "EXTRA_WALL",
     "MISSING_FREE",
@@ -71,6 +76,7 @@ __all__ = [
     "DistanceComparison",
     "DistanceRow",
     "ErrorStatistics",
+    "Interval",
     "MapError",
     "MeasuredDistance",
     "OdometryMatch",
@@ -86,9 +92,11 @@ __all__ = [
     "compare_to_truth",
     "doubled_wall_cells",
     "doubled_wall_share",
+    "errors_at_scans",
     "fit_motion",
     "load_distances",
     "match_odometry",
+    "mean_interval",
     "poses_by_odometry",
     "read_odometry",
     "read_relations",

@@ -15,15 +15,25 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.io.lines import TextLines, strip_gz
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["REVISIT_S", "RelationErrors", "Relations", "read_relations", "relation_errors"]
+__all__ = [
+    "AT_SCAN_S",
+    "REVISIT_S",
+    "RelationErrors",
+    "Relations",
+    "errors_at_scans",
+    "read_relations",
+    "relation_errors",
+]
 
 # A relation over more than this joins two visits of one place, not two moments of one visit.
 REVISIT_S = 30.0
+# A time this near to that of a scan is that scan's: what the digits of both files leave open.
+AT_SCAN_S = 2e-5
 
 _COLUMNS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
 _X, _Y, _YAW = (_COLUMNS.index(name) for name in ("x", "y", "yaw"))
@@ -127,6 +137,14 @@ class RelationErrors:
             "poses": self.poses,
         }
 
+    def to_json_with_intervals(self) -> dict[str, Any]:
+        """Return the figures, and the intervals that hold the means with 95 %."""
+        return {
+            **self.to_json(),
+            "translation_mean_95": mean_interval(self.translation_m).to_json(),
+            "rotation_deg_mean_95": mean_interval(np.rad2deg(self.rotation_rad)).to_json(),
+        }
+
 
 def read_relations(path: str | Path) -> Relations:
     """Read a relations file: ``t1 t2 x y z roll pitch yaw`` a line, blank-separated.
@@ -216,6 +234,21 @@ def relation_errors(
         tolerance_s=tolerance_s,
         poses=len(trajectory),
     )
+
+
+def errors_at_scans(scans: Trajectory, relations: Relations) -> RelationErrors | None:
+    """Measure by the relations alone whose both ends are scans; None where there is none.
+
+    At these no pose is carried on or taken from another time, so the error is the estimate's own.
+
+    Args:
+        scans: the estimate's poses, one a scan, with the stamps of the scans.
+        relations: the known motions.
+    """
+    try:
+        return relation_errors(scans, relations, AT_SCAN_S)
+    except TrajectoryError:
+        return None
 
 
 def _no_relation(trajectory: Trajectory, relations: Relations, tolerance_s: float) -> str:

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Difference", "ErrorStatistics", "Summary", "compare_samples"]
+__all__ = [
+    "Difference",
+    "ErrorStatistics",
+    "Interval",
+    "Summary",
+    "compare_samples",
+    "mean_interval",
+]
+
+# So many samples are drawn anew for an interval, so many of them at once.
+DRAWS, DRAWS_AT_ONCE = 4000, 250
 
 
 @dataclass(frozen=True)
@@ -142,6 +152,49 @@ def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> Difference |
         moments = (a.mean(), a.std(ddof=1), len(a), b.mean(), b.std(ddof=1), len(b))
         welch = float(stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
     return Difference(welch, float(u_test.pvalue))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where the mean lies of which some values are a sample.
+
+    Attributes:
+        low: the mean is below this in half of the cases that the interval leaves out.
+        high: and above this in the other half.
+    """
+
+    low: float
+    high: float
+
+    def to_json(self) -> list[float]:
+        """Return both ends."""
+        return [self.low, self.high]
+
+
+def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> Interval:
+    """Return the interval that holds the mean error, by the percentile bootstrap.
+
+    The errors are drawn anew with replacement; the same errors always give the same interval. It
+    takes them for independent. Those of one path are not quite: neighbours share their causes.
+
+    Args:
+        errors: (N,) at least one; the sign of an error does not count.
+        share: of the cases in which the interval holds the mean, between 0 and 1.
+
+    Raises:
+        ValueError: there is no error, or one is not finite.
+
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 13.3.
+    """
+    values = np.abs(_checked(errors))
+    rng = np.random.default_rng(0)
+    means = [
+        values[rng.integers(0, len(values), (DRAWS_AT_ONCE, len(values)))].mean(axis=1)
+        for _ in range(DRAWS // DRAWS_AT_ONCE)
+    ]
+    outside = 50.0 * (1.0 - share)
+    low, high = np.percentile(means, (outside, 100.0 - outside)).tolist()
+    return Interval(low, high)
 
 
 def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +28,7 @@ from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.lines import TextLines, gzip_bytes
 from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
 from slamfusion.io.no_return import NoReturn, NoReturnFinder
+from slamfusion.io.scan_odometry import ScanOdometry
 from slamfusion.scan import LaserScan
 
 __all__ = ["CARMEN_WORDS", "CarmenLog", "write_carmen"]
@@ -111,21 +112,31 @@ class CarmenLog:
         path: the file.
         config: ``no_return_m`` overrides what is found; ``index_period_s`` is the time from scan
             to scan where stamps are broken or absent.
+        odometry: taken instead of the poses in the log, by the number of the laser line; for a
+            log whose own poses are the answer of a SLAM. Default: the log's own.
 
     Attributes:
         path, skips, warnings, notes, has_stamps, fraction_read: see ``ScanLog``.
 
     Raises:
-        LogError: there is no readable laser scan in the file.
+        LogError: there is no readable laser scan in the file, or the odometry is of another one.
     """
 
-    def __init__(self, path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        config: LogConfig = _DEFAULT_CONFIG,
+        odometry: ScanOdometry | None = None,
+    ) -> None:
         self.path = Path(path)
         self.skips = Skips()
         self.warnings = Skips()
         self.fraction_read = 0.0
         self._config = config
+        self._odometry = odometry
         self._survey = _take_survey(self.path)
+        if odometry is not None:
+            odometry.check_count(self.path, self._survey.laser_lines())
         self.has_stamps = not self._survey.stamp_trouble()
         self._mount, mount_notes = self._survey.mount.result(self._survey.offset_m())
         self._no_return = self._survey.no_return()
@@ -134,19 +145,29 @@ class CarmenLog:
             *mount_notes,
             *_no_return_notes(self._survey, self._no_return, config),
         ]
+        if odometry is not None:
+            self.notes.append(f"odometry is that of {odometry.path}, not the poses in the log")
 
     def __iter__(self) -> Iterator[LogScan]:
-        """Yield the scans; stamps strictly increase."""
+        """Yield the scans; stamps strictly increase.
+
+        Raises:
+            LogError: the odometry was made for other scans.
+        """
         self.skips, self.warnings = Skips(), Skips()
         continuity = Continuity(self.skips, self.warnings)
         lines = TextLines(self.path)
         kinds = self._survey.kinds()
         index = 0
-        for line, message in _messages(lines, self.skips):
+        seen: Counter[bytes] = Counter()
+        for line, message in _messages(lines, self.skips, seen):
             self.fraction_read = lines.fraction_read
             if message.kind not in kinds:
                 continue
             odometry = Pose2(*message.robot)
+            if self._odometry is not None:
+                number = _count_of(seen, kinds) - 1
+                odometry = self._odometry.pose(number, self.path, message.robot)
             stamp_s = message.stamp_s if self.has_stamps else index * self._config.index_period_s
             index += 1
             try:
@@ -192,13 +213,18 @@ class CarmenLog:
 
 
 def _messages(
-    lines: TextLines, skips: Skips, on_other: Callable[[bytes, bytes], None] | None = None
+    lines: TextLines,
+    skips: Skips,
+    seen: Counter[bytes],
+    on_other: Callable[[bytes, bytes], None] | None = None,
 ) -> Iterator[tuple[int, _Message]]:
     """Yield line number and scan of every readable laser line; count the unreadable ones.
 
     Args:
         lines: of the log.
         skips: where unreadable lines are counted.
+        seen: where laser lines are counted by their first word, unreadable ones too, each before
+            its scan is yielded.
         on_other: told the first word and the line of everything that is no laser line.
     """
     pose: PoseRow | None = None
@@ -206,6 +232,7 @@ def _messages(
     for number, line in lines:
         word = (line.split(None, 1) or [b"#"])[0]
         parse = _PARSERS.get(word)
+        seen[word] += word in _LASERS
         try:
             if parse is not None:
                 yield number, parse(line.split())
@@ -438,6 +465,8 @@ class _Survey:
     path: Path
     skips: Skips = field(default_factory=Skips)
     words: Counter[bytes] = field(default_factory=Counter)
+    # Laser lines, those that cannot be read too.
+    lasers: Counter[bytes] = field(default_factory=Counter)
     settings: dict[str, float] = field(default_factory=dict)
     stamps: _Stamps = field(default_factory=_Stamps)
     # The same for ROBOTLASER1 alone: newer loggers write each scan twice, also as FLASER.
@@ -483,6 +512,10 @@ class _Survey:
         if self.has_scans_twice():
             return frozenset({b"ROBOTLASER1"})
         return frozenset(_LASERS)
+
+    def laser_lines(self) -> int:
+        """Return how many laser lines are used, those that cannot be read too."""
+        return _count_of(self.lasers, self.kinds())
 
     def has_scans_twice(self) -> bool:
         """Whether most scans stand in the log as FLASER and as ROBOTLASER1."""
@@ -546,11 +579,16 @@ def _no_return_notes(survey: _Survey, found: NoReturn, config: LogConfig) -> lis
 def _take_survey(path: Path) -> _Survey:
     """Read the whole log once."""
     survey = _Survey(path)
-    for _, message in _messages(TextLines(path), survey.skips, survey.add_other):
+    lines = TextLines(path)
+    for _, message in _messages(lines, survey.skips, survey.lasers, survey.add_other):
         survey.add(message)
     if survey.stamps.scans == 0:
         raise LogError(_no_laser(survey))
     return survey
+
+
+def _count_of(seen: Counter[bytes], words: Collection[bytes]) -> int:
+    return sum(seen[word] for word in words)
 
 
 def _no_laser(survey: _Survey) -> str:

@@ -11,6 +11,7 @@ from slamfusion.io.bags import BagLog
 from slamfusion.io.carmen import CARMEN_WORDS, CarmenLog
 from slamfusion.io.lines import read_head, strip_gz
 from slamfusion.io.log import ScanLog
+from slamfusion.io.scan_odometry import read_scan_odometry
 from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
 
 __all__ = ["open_log"]
@@ -38,22 +39,42 @@ _BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap", "*.db3.zstd", "*.mcap.zstd")
 _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
 
 
-def open_log(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> ScanLog:
+def open_log(
+    path: str | Path,
+    config: LogConfig = _DEFAULT_CONFIG,
+    scan_odometry: str | Path | None = None,
+) -> ScanLog:
     """Open a log or bag.
 
     Args:
         path: CARMEN (.clf, .log, .gfs, .carmen, .txt) or tinySLAM (.dat), each also as .gz; a
             ROS 1 bag (.bag); a ROS 2 bag's folder, .db3 or .mcap.
         config: topics and frames of bags, the no-return value, the period for broken stamps.
+        scan_odometry: a CSV file with the odometry of each laser line of a CARMEN log, taken
+            instead of the poses in it (see ``read_scan_odometry``); default: the log's own.
 
     Returns:
         The reader; iterate over it for the scans, as often as wanted.
 
     Raises:
-        LogError: empty, no kind of log that is known, or no laser in it.
+        LogError: empty, no kind of log that is known, or no laser in it; or the odometry beside
+            it cannot be read or is not of this log.
         OSError: the file cannot be opened.
     """
     where = Path(path)
+    reader = _reader(where)
+    if scan_odometry is None:
+        return reader(where, config)
+    if reader is not CarmenLog:
+        message = (
+            f"{where}: only a CARMEN log takes its odometry from {scan_odometry}; leave it out"
+        )
+        raise LogError(message)
+    return CarmenLog(where, config, read_scan_odometry(scan_odometry))
+
+
+def _reader(where: Path) -> Reader:
+    """Return the reader of a file or folder."""
     if where.is_dir():
         if not any(any(where.glob(pattern)) for pattern in _BAG_FILES):
             message = (
@@ -61,7 +82,7 @@ def open_log(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> ScanLog:
                 "bag's folder or a log file"
             )
             raise LogError(message)
-        return BagLog(where, config)
+        return BagLog
     if where.exists() and not where.is_file():
         message = f"{where}: a device or pipe cannot be read twice, as logs are; save it to a file"
         raise LogError(message)
@@ -77,7 +98,7 @@ def open_log(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> ScanLog:
     if not head:
         message = f"{where}: the file is empty; give a log with scans"
         raise LogError(message)
-    return (_reader_by_content(head) or _checked_text(where, head, reader))(where, config)
+    return _reader_by_content(head) or _checked_text(where, head, reader)
 
 
 def _reader_by_content(head: bytes) -> Reader | None:

@@ -46,7 +46,18 @@ __all__ = [
 T = TypeVar("T")
 Point = tuple[float, float]
 
-WORLD_NAMES = ("office", "corridor", "hall", "atrium", "yard")
+WORLD_NAMES = (
+    "office",
+    "corridor",
+    "hall",
+    "atrium",
+    "yard",
+    "ring-100",
+    "ring-300",
+    "wings",
+    "pillars",
+    "rooms",
+)
 KEYS = (
     "name",
     "seed",
@@ -59,6 +70,11 @@ KEYS = (
     "people",
     "obstacles",
 )
+
+# Long drives are driven and recorded at a brisk pace; a short view leaves look-alikes alike.
+_BRISK = {"model": "differential", "speed_mps": 1.2}
+_SPARSE = {"model": "hokuyo", "beams": 361, "rate_hz": 5.0}
+_SHORT = {**_SPARSE, "range_max_m": 8.0}
 
 # Name: what it is, and its course file.
 COURSES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -86,6 +102,26 @@ COURSES: dict[str, tuple[str, dict[str, Any]]] = {
             "drive": {"model": "tracks", "slip_left": 0.0, "slip_right": 0.15},
             "people": 1,
         },
+    ),
+    "ring-100": (
+        "a ring of 100 m of corridor, once around and on",
+        {"world": "ring-100", "lidar": _SPARSE, "drive": _BRISK},
+    ),
+    "ring-300": (
+        "a ring of 300 m of corridor, once around and on",
+        {"world": "ring-300", "lidar": _SPARSE, "drive": _BRISK},
+    ),
+    "wings": (
+        "two wings that are copies of each other, seen to 8 m",
+        {"world": "wings", "lidar": _SHORT},
+    ),
+    "pillars": (
+        "a ring of 80 m whose pillars and doors are all alike, seen to 8 m",
+        {"world": "pillars", "lidar": _SHORT, "drive": _BRISK},
+    ),
+    "rooms": (
+        "eight rooms in a row that are copies of each other, seen to 8 m",
+        {"world": "rooms", "lidar": _SHORT},
     ),
     "f16": (
         "turn 360 deg at 90 deg/s, 5 m forward at 0.5 m/s over an obstacle, turn 360 deg [F16]",

@@ -1,4 +1,4 @@
-"""Draw the places of the simulator: office, corridor, hall, atrium, yard; or take a map file."""
+"""Draw the places of the simulator, from an office to a yard; or take a map file."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, trinary_cell
 from slamfusion.io.map_server import load_map
 from slamfusion.sim.building import draw_building
 from slamfusion.sim.canvas import Canvas
+from slamfusion.sim.corridors import draw_pillars, draw_ring, draw_rooms, draw_wings
 
 __all__ = ["Floor", "draw_floor", "pick_glass"]
 
@@ -227,10 +228,21 @@ def _inside(ring: npt.NDArray[np.float64], canvas: Canvas) -> npt.NDArray[np.boo
     return inside
 
 
+def _toured(drawn: tuple[OccupancyGrid, tuple[Point, ...]]) -> Floor:
+    """Return a drawn place that begins at zero and knows its stops."""
+    grid, stops = drawn
+    return Floor(grid, Pose2(), stops)
+
+
 _DRAWINGS: dict[str, Callable[[np.random.Generator, float], Floor]] = {
     "office": _office,
     "corridor": _corridor,
     "hall": _hall,
     "atrium": _atrium,
     "yard": _yard,
+    "ring-100": lambda rng, cell_m: _toured(draw_ring(rng, 100.0, cell_m)),
+    "ring-300": lambda rng, cell_m: _toured(draw_ring(rng, 300.0, cell_m)),
+    "wings": lambda rng, cell_m: _toured(draw_wings(rng, cell_m)),
+    "pillars": lambda rng, cell_m: _toured(draw_pillars(rng, cell_m)),
+    "rooms": lambda rng, cell_m: _toured(draw_rooms(rng, cell_m)),
 }

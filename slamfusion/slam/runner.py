@@ -8,7 +8,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -20,13 +20,14 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan, ScanLog, Skips
-from slamfusion.slam.base import Health, Series, SlamBackend, Step
+from slamfusion.slam.base import ClosesLoops, Closure, Health, Series, SlamBackend, Step
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
+    "FIRST_REPORTED",
     "PRODUCERS",
     "LogRecord",
     "Producer",
@@ -91,6 +92,9 @@ PRODUCERS: dict[str, Producer] = {
 }
 
 BYTES_PER_MB = 1e6
+TIME_PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
+# What a producer calls the path that it told as it went.
+FIRST_REPORTED = "as first reported"
 # A robot on its way has a bad match now and then (a door, a crowd); a lost one has many.
 MANY_LOW_SHARE = 0.05
 MANY_LOW_IN_A_ROW = 8
@@ -193,6 +197,9 @@ class ProducerRun:
             over; ``scans`` counts all that it has ever been fed.
         series: the producer's own quantities over time, to be plotted.
         other_paths: what else it believes the path to be; best first.
+        closures: of a producer that closes loops.
+        match_scores: (N,) float64, the share of each fed scan's hits that fell on known walls; NaN
+            where it was not matched.
     """
 
     name: str
@@ -210,6 +217,8 @@ class ProducerRun:
     known_scans: int = 0
     series: tuple[Series, ...] = ()
     other_paths: tuple[Trajectory, ...] = ()
+    closures: tuple[Closure, ...] = ()
+    match_scores: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @property
     def is_complete(self) -> bool:
@@ -227,10 +236,21 @@ class ProducerRun:
         return self.health.scans_used
 
     def time_per_scan_ms(self) -> dict[str, float]:
-        """Return mean, median (p50) and 95th percentile (p95) of the time for a scan."""
+        """Return mean, median (p50), percentiles (p95, p99, p99.9) and longest time for a scan.
+
+        The name of the last percentile is ``p999``.
+        """
         feed_ms = 1e3 * self.feed_s
-        p50, p95 = np.percentile(feed_ms, (50.0, 95.0))
-        return {"mean": float(feed_ms.mean()), "p50": float(p50), "p95": float(p95)}
+        shares = np.percentile(feed_ms, tuple(TIME_PERCENTILES.values())).tolist()
+        percentiles = dict(zip(TIME_PERCENTILES, shares, strict=True))
+        return {"mean": float(feed_ms.mean()), **percentiles, "max": float(feed_ms.max())}
+
+    def online_path(self) -> Trajectory | None:
+        """Return the poses as they were first reported; None where the producer keeps none."""
+        for path in self.other_paths:
+            if path.name == FIRST_REPORTED:
+                return path
+        return None
 
     def doubts(self) -> tuple[str, ...]:
         """Return what speaks against the map, a sentence each; empty where nothing does."""
@@ -314,6 +334,7 @@ def run_producer(
     """
     source = _Source(scans, backend.last_stamp_s if isinstance(backend, Resumable) else None)
     feed_s: list[float] = []
+    scores: list[float] = []
     memory = row = longest_row = 0
     stopped_by = None
     begun_s = time.perf_counter()
@@ -327,6 +348,7 @@ def run_producer(
         before_s = time.perf_counter()
         step = backend.feed(item.scan, item.odometry)
         feed_s.append(time.perf_counter() - before_s)
+        scores.append(math.nan if step.match_score is None else step.match_score)
         row = row + 1 if _is_low(step, backend.health) else 0
         longest_row = max(longest_row, row)
         memory = max(memory, backend.memory_bytes())
@@ -356,6 +378,8 @@ def run_producer(
         known_scans=source.known_scans,
         series=backend.series(),
         other_paths=backend.other_paths(),
+        closures=tuple(backend.closures()) if isinstance(backend, ClosesLoops) else (),
+        match_scores=np.array(scores),
     )
 
 

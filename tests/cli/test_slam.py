@@ -80,7 +80,8 @@ def test_the_record_has_the_promised_keys(made: tuple[Path, dict]) -> None:
     (record,) = document["producers"]
     assert record["name"] == "tinyslam"
     assert (record["scans"], record["scans_used"]) == (12, 12)
-    assert record["time_per_scan_ms"].keys() == {"mean", "p50", "p95"}
+    times = record["time_per_scan_ms"]
+    assert times.keys() == {"mean", "p50", "p95", "p99", "p999", "max"}
     assert record["peak_memory_mb"] > 0.0
     assert record["process_peak_memory_mb"] > record["peak_memory_mb"]
     assert record["warnings"] == []
@@ -127,6 +128,45 @@ def test_one_seed_gives_the_same_bytes(made: tuple[Path, dict], tmp_path: Path) 
     for suffix in (".pgm", ".tum"):
         first = (folder / "plain" / f"room{suffix}").read_bytes()
         assert (tmp_path / f"again{suffix}").read_bytes() == first
+
+
+def test_the_graph_s_path_as_first_reported_is_measured_too(
+    made: tuple[Path, dict], tmp_path: Path
+) -> None:
+    folder, document = made
+    assert "as_first_reported" not in document["producers"][0]
+    asked = ("--relations", folder / "room.relations", "--truth", folder / "truth.tum")
+    arguments = ("slam", "graph", folder / "room.log.gz", *NUMPY, *asked, "-o", tmp_path / "room")
+    (record,) = json_of(run(*arguments, "--json"))["producers"]
+    online = record["as_first_reported"]
+    for figures in (record, online):
+        assert figures["relations_used"] == 1
+        assert figures["at_scans"]["relations_used"] == 1
+        assert figures["poses_matched"] == 12
+    assert online["ate"]["rmse"] < 0.1
+    text = run(*arguments).stdout
+    for name in ("relations, translation m, as first reported", "ATE, translation m, as first"):
+        assert name in text
+
+
+def test_odometry_of_scans_replaces_the_poses_of_the_log(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "room-corrected.log", room_drive(12))
+    rows = [f"{k},{0.06 * k},1.5,0.0" for k in range(12)]
+    table = tmp_path / "room.odom.csv"
+    table.write_text("\n".join(["index,odom_x,odom_y,odom_theta", *rows]), encoding="ascii")
+    arguments = ("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map", "--scan-odometry")
+    document = json_of(run(*arguments, table, "--json"))
+    assert document["scan_odometry"] == str(table)
+    (record,) = document["producers"]
+    assert record["odometry_path_length_m"] == pytest.approx(0.06 * 11)
+    assert any(str(table) in note for note in record["log"]["notes"])
+    # The map frame begins where the odometry does.
+    assert read_trajectory(tmp_path / "map.tum").poses[0, 1] == pytest.approx(1.5)
+
+    table.write_text("\n".join(["index,odom_x,odom_y,odom_theta", *rows[:-1]]), encoding="ascii")
+    before = tree(tmp_path)
+    assert_one_line_failure(run(*arguments, table), "each of the 12 laser lines", "found 11")
+    assert tree(tmp_path) == before
 
 
 def test_the_table_says_what_was_left_out(tmp_path: Path) -> None:

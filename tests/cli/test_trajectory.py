@@ -72,6 +72,23 @@ def test_relations_give_the_promised_keys(files: dict[str, Path]) -> None:
     assert document["path_length_m"] == pytest.approx(2.0 + math.hypot(1.0, 0.2))
 
 
+def test_relations_whose_ends_are_poses_are_reported_apart(files: dict[str, Path]) -> None:
+    asked = options(files, "relations", "odometry")
+    document = json_of(run("trajectory", files["estimate"], *asked, "--json"))
+    assert document["relations_used"] == 3
+    own = document["at_scans"]
+    assert (own["relations_used"], own["relations_total"]) == (2, 3)
+    assert own["translation"]["mean"] == pytest.approx(0.1)
+    # Two errors, 0 and 0.2 m: drawn anew, a quarter of the means is 0 and a quarter 0.2 m.
+    assert own["translation_mean_95"] == pytest.approx([0.0, 0.2])
+    assert "as_first_reported" not in document
+    done = run("trajectory", files["estimate"], *asked)
+    assert "relations at scans, translation m" in done.stdout
+    text = " ".join(done.stdout.split())
+    assert "both ends are poses of the trajectory in 2 of 3 relations; the mean of" in text
+    assert "0.0000 to 0.2000 m with 95 %" in text
+
+
 @pytest.mark.parametrize(("names", "by"), [(("log",), "odometry"), ((), "stamp")])
 def test_odometry_lets_every_relation_count(
     files: dict[str, Path], names: tuple[str, ...], by: str

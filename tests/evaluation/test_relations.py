@@ -13,7 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation import RelationErrors, Relations, read_relations, relation_errors
+from slamfusion.evaluation import (
+    RelationErrors,
+    Relations,
+    errors_at_scans,
+    mean_interval,
+    read_relations,
+    relation_errors,
+)
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.trajectory import Trajectory
@@ -120,6 +127,30 @@ def test_revisits_are_relations_over_half_a_minute() -> None:
     stamps = np.array([[0.0, 29.0], [40.0, 0.0], [0.0, 31.0]])
     errors = RelationErrors("a", "b", stamps, np.zeros(3), np.zeros(3), 3, 0.01, 9)
     assert errors.is_revisit().tolist() == [False, True, True]
+
+
+def test_relations_at_scans_are_those_with_a_scan_at_both_ends() -> None:
+    path = drive()
+    relations = relations_of(path, random_pairs(20, 60))
+    stamps, motions = relations.stamps_s.copy(), relations.motions.copy()
+    stamps[:12, 0] += 0.005  # near enough to be used, but no scan's own time
+    stamps[12] += 1e-6  # the digits of a file
+    motions[13:, 0] += 0.3
+    found = errors_at_scans(path, Relations(stamps, motions))
+    assert found is not None
+    assert (found.relations_used, found.relations_total) == (8, 20)
+    assert found.translation_m == pytest.approx([0.0] + [0.3] * 7)
+    document = found.to_json_with_intervals()
+    assert document["translation"]["mean"] == pytest.approx(2.1 / 8)
+    assert document["translation_mean_95"] == mean_interval(found.translation_m).to_json()
+    assert document["rotation_deg_mean_95"] == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+def test_no_relation_at_scans_is_none() -> None:
+    path = drive()
+    relations = relations_of(path, random_pairs(5, 60))
+    late = Relations(relations.stamps_s + 0.001, relations.motions)
+    assert errors_at_scans(path, late) is None
 
 
 def test_no_relation_names_both_ranges_of_time() -> None:
@@ -272,6 +303,16 @@ def test_the_recordings_have_their_known_errors(
     place, turn = found.translation, found.rotation_deg
     assert (place.mean, place.std) == pytest.approx(translation, abs=5.1e-5)
     assert (turn.mean, turn.std) == pytest.approx(rotation, abs=5.1e-3)
+
+
+@pytest.mark.datasets
+@pytest.mark.skipif(not INTEL.is_dir(), reason=ABSENT)
+@pytest.mark.parametrize(("scans", "count"), [(910, 90), (2726, 100)])
+def test_some_relations_of_intel_are_at_scans(scans: int, count: int) -> None:
+    odometry = read_trajectory(INTEL / f"intel-{scans}-raw.log.gz")
+    found = errors_at_scans(odometry, read_relations(INTEL / "intel.relations"))
+    assert found is not None
+    assert found.relations_used == count
 
 
 @pytest.mark.datasets

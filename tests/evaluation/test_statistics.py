@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from slamfusion.evaluation import ErrorStatistics, Summary, compare_samples
+from slamfusion.evaluation import ErrorStatistics, Summary, compare_samples, mean_interval
 
 FINITE = st.floats(-1e6, 1e6)
 # Steps that no difference of nearly equal values can lose.
@@ -96,3 +96,38 @@ def test_methods_that_never_vary_are_equal_or_not() -> None:
 
 def test_one_repetition_cannot_be_compared() -> None:
     assert compare_samples([1.0], [2.0, 3.0]) is None
+
+
+def test_the_interval_of_a_mean_is_that_of_theory_where_errors_are_normal() -> None:
+    errors = np.random.default_rng(1).normal(5.0, 1.0, 400)
+    found = mean_interval(errors)
+    spread = stats.t.ppf(0.975, 399) * errors.std(ddof=1) / np.sqrt(400)
+    assert found.low == pytest.approx(errors.mean() - spread, abs=0.01)
+    assert found.high == pytest.approx(errors.mean() + spread, abs=0.01)
+    assert found == mean_interval(errors)
+    assert found == mean_interval(-errors)
+    assert found.to_json() == [found.low, found.high]
+
+
+def test_the_interval_holds_the_mean_about_as_often_as_it_says() -> None:
+    # Lengths of errors are never negative and have a long tail.
+    rng = np.random.default_rng(2)
+    drawn = [mean_interval(rng.exponential(0.05, 100)) for _ in range(200)]
+    held = np.mean([found.low <= 0.05 <= found.high for found in drawn])
+    assert 0.88 <= held <= 0.98
+
+
+def test_a_wider_interval_holds_the_mean_more_often() -> None:
+    errors = np.random.default_rng(3).exponential(1.0, 50)
+    half, most = mean_interval(errors, 0.5), mean_interval(errors, 0.99)
+    assert most.low < half.low < errors.mean() < half.high < most.high
+
+
+def test_errors_that_do_not_vary_have_an_interval_without_width() -> None:
+    assert mean_interval([0.25]).to_json() == [0.25, 0.25]
+    assert mean_interval([0.5, -0.5, 0.5]).to_json() == [0.5, 0.5]
+
+
+def test_no_error_has_no_interval() -> None:
+    with pytest.raises(ValueError, match="at least one value"):
+        mean_interval([])

@@ -22,7 +22,8 @@ from slamfusion.sim.world import tilt_of
 from tests.sim.places import clearance_m, room
 from tests.support.datasets import MAPS
 
-WORLDS = ("office", "corridor", "hall", "atrium", "yard")
+MISLEADING = ("ring-100", "ring-300", "wings", "pillars", "rooms")
+WORLDS = ("office", "corridor", "hall", "atrium", "yard", *MISLEADING)
 
 
 @cache

@@ -15,7 +15,8 @@ from slamfusion.sim.world import GLASS, OPEN, WALL, World, tilt_of, zone_place
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from tests.sim.places import room, world_of
 
-DRAWN = ("office", "corridor", "hall", "atrium", "yard")
+MISLEADING = ("ring-100", "ring-300", "wings", "pillars", "rooms")
+DRAWN = ("office", "corridor", "hall", "atrium", "yard", *MISLEADING)
 
 
 def floor_of(name: str, seed: int = 0, resolution: float = 0.05) -> Floor:
@@ -39,7 +40,7 @@ def test_start_is_free_and_the_cells_have_the_asked_size(name: str, resolution: 
     assert (floor.grid.cells[row - 3 : row + 4, col - 3 : col + 4] == FREE).all()
 
 
-@pytest.mark.parametrize("name", ["office", "corridor", "hall", "atrium"])
+@pytest.mark.parametrize("name", ["office", "corridor", "hall", "atrium", *MISLEADING])
 def test_what_is_inside_is_closed(name: str) -> None:
     cells = np.pad(floor_of(name, 2).grid.cells, 1, mode="edge")
     assert not np.any(cells[[0, -1]] == FREE)
@@ -50,6 +51,37 @@ def test_yard_has_gaps_through_which_beams_leave() -> None:
     cells = floor_of("yard", 1).grid.cells
     free_beside_unknown = (cells[:, :-1] == FREE) & (cells[:, 1:] == UNKNOWN)
     assert free_beside_unknown.any()
+
+
+@pytest.mark.parametrize("length_m", [100.0, 300.0])
+def test_a_ring_is_as_long_as_it_says(length_m: float) -> None:
+    floor = floor_of(f"ring-{length_m:g}")
+    # From the start over the corners back to it; then the drive goes on.
+    stops = np.array([(0.0, 0.0), *floor.stops[:5]])
+    assert stops[-1].tolist() == [0.0, 0.0]
+    assert np.hypot(*np.diff(stops, axis=0).T).sum() == pytest.approx(length_m)
+
+
+def cells_around(floor: Floor, x: float, y: float, half_m: float) -> np.ndarray:
+    row, col = floor.grid.cell_indices(np.array([x, y]))
+    reach = round(half_m / floor.grid.resolution)
+    return floor.grid.cells[row - reach : row + reach, col - reach : col + reach]
+
+
+@pytest.mark.parametrize(
+    ("name", "period_m", "count"), [("wings", 11.0, 2), ("rooms", 4.0, 8), ("pillars", 2.5, 5)]
+)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_copies_are_equal_to_the_cell(name: str, period_m: float, count: int, seed: int) -> None:
+    floor = floor_of(name, seed)
+    # In a wing or a room; in the ring at the lower wall, left of the start.
+    x, y = {"wings": (0.0, 5.6), "rooms": (0.0, 3.0), "pillars": (-5.0, 0.0)}[name]
+    half_m = {"wings": 3.9, "rooms": 1.9, "pillars": 1.2}[name]
+    first = cells_around(floor, x, y, half_m)
+    assert (first == OCCUPIED).any()
+    for number in range(1, count):
+        other = cells_around(floor, x + number * period_m, y, half_m)
+        np.testing.assert_array_equal(other, first)
 
 
 def test_classes_are_open_wall_and_glass() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
 from slamfusion.slam.runner import (
+    FIRST_REPORTED,
     PRODUCERS,
     Resumable,
     make_producer,
     resume_producer,
     run_producer,
 )
+from slamfusion.trajectory import Trajectory
 from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
 
 
@@ -44,7 +47,8 @@ def test_the_record_has_the_promised_keys_and_is_json() -> None:
     document = run_producer(DeadReckoning(), room_drive(8)).to_json()
     promised = {"name", "scans", "scans_used", "time_s", "time_per_scan_ms", "peak_memory_mb"}
     assert promised <= document.keys()
-    assert document["time_per_scan_ms"].keys() == {"mean", "p50", "p95"}
+    times = {"mean", "p50", "p95", "p99", "p999", "max"}
+    assert document["time_per_scan_ms"].keys() == times
     assert document["peak_memory_mb"] == 0.008
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
@@ -55,7 +59,33 @@ def test_time_per_scan_is_that_of_the_feeds() -> None:
     figures = run.time_per_scan_ms()
     assert figures["mean"] == pytest.approx(milliseconds.mean())
     assert figures["p50"] == pytest.approx(np.sort(milliseconds)[2])
-    assert figures["p50"] <= figures["p95"] <= milliseconds.max()
+    shares = [figures[name] for name in ("p50", "p95", "p99", "p999", "max")]
+    assert shares == sorted(shares)
+    assert figures["max"] == milliseconds.max()
+
+
+def test_percentiles_of_the_time_are_those_of_their_names() -> None:
+    feed_s = np.random.default_rng(0).permutation(np.arange(10_001)) * 1e-6
+    run = replace(run_producer(DeadReckoning(), room_drive(2)), feed_s=feed_s)
+    figures = run.time_per_scan_ms()
+    wanted = {"mean": 5.0, "p50": 5.0, "p95": 9.5, "p99": 9.9, "p999": 9.99, "max": 10.0}
+    assert figures == pytest.approx(wanted)
+
+
+def test_the_path_as_first_reported_is_found_where_it_is_kept() -> None:
+    run = run_producer(DeadReckoning(), room_drive(4))
+    assert run.online_path() is None
+    online = Trajectory(run.trajectory.stamps_s, run.trajectory.poses, FIRST_REPORTED)
+    assert replace(run, other_paths=(run.trajectory, online)).online_path() is online
+
+
+def test_the_graph_keeps_the_path_that_it_first_reported() -> None:
+    backend = make_producer("graph", RunConfig(), NumpyBackend())
+    told = [backend.feed(item.scan, item.odometry).pose_map_base for item in room_drive(6)]
+    backend = make_producer("graph", RunConfig(), NumpyBackend())
+    online = run_producer(backend, room_drive(6)).online_path()
+    assert online is not None
+    assert [online.pose(k) for k in range(6)] == told
 
 
 def test_one_scan_makes_a_map() -> None:

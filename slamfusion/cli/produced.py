@@ -1,0 +1,184 @@
+"""What a producer's run is shown and written as; shared by ``slam`` and ``run``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from slamfusion.cli.evaluate import Evaluation
+from slamfusion.cli.output import number, plain
+from slamfusion.cli.trajectory import Measures, measure_trajectory
+from slamfusion.config import RunConfig
+from slamfusion.errors import MapFileError
+
+if TYPE_CHECKING:
+    from slamfusion.evaluation import Relations
+    from slamfusion.grid import OccupancyGrid
+    from slamfusion.io import AtomicFiles
+    from slamfusion.slam.runner import ProducerRun
+    from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "SUFFIXES",
+    "ProducerResult",
+    "add_map",
+    "add_run",
+    "measure_run",
+    "output_files",
+    "run_remarks",
+]
+
+# The files of a run: the map, its picture, the path and the record.
+SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
+
+
+@dataclass(frozen=True)
+class ProducerResult:
+    """A run and everything that was measured of it."""
+
+    run: ProducerRun
+    measures: Measures
+    evaluation: Evaluation | None
+    device: str
+
+    def to_json(self, files: Sequence[Path]) -> dict[str, Any]:
+        """Return the run's record with its errors and files."""
+        return {
+            **self.run.to_json(),
+            **self.measures.to_json(),
+            "map_error": None if self.evaluation is None else self.evaluation.to_json(),
+            "files": list(files),
+        }
+
+    def figures(self) -> list[tuple[str, str]]:
+        """Return the run's numbers with their names."""
+        run = self.run
+        time_ms, health = run.time_per_scan_ms(), run.health
+        stamps_s = run.trajectory.stamps_s
+        fed = len(run.feed_s)
+        return [
+            ("scans", f"{run.scans}, {run.scans_used} of them used"),
+            *([("scans fed in this run", f"{fed}")] if fed != run.scans else []),
+            ("duration of the drive", f"{number(float(stamps_s[-1] - stamps_s[0]), 1)} s"),
+            ("path length", f"{number(run.trajectory.path_length_m(), 1)} m"),
+            (
+                "path length by odometry",
+                "no odometry"
+                if run.odometry is None
+                else f"{number(run.odometry.path_length_m(), 1)} m",
+            ),
+            (
+                "time per scan",
+                (
+                    f"mean {number(time_ms['mean'], 2)} ms, median {number(time_ms['p50'], 2)} ms, "
+                    f"95 % within {number(time_ms['p95'], 2)} ms, "
+                    f"99.9 % within {number(time_ms['p999'], 2)} ms, "
+                    f"longest {number(time_ms['max'], 2)} ms"
+                ),
+            ),
+            ("time in all", f"{number(run.time_s, 1)} s, reading included"),
+            (
+                "peak memory",
+                (
+                    f"{number(run.peak_memory_bytes / 1e6, 1)} MB map and filter, "
+                    f"{number(run.process_peak_memory_bytes / 1e6, 0)} MB whole process"
+                ),
+            ),
+            (
+                "match score",
+                (
+                    f"mean {number(health.mean_match_score)}, last {number(health.match_score)}, "
+                    f"{health.low_scores} below half of the mean, {run.low_in_a_row} of them "
+                    "in a row"
+                ),
+            ),
+            *(
+                [("effective particles", number(health.n_eff, 1))]
+                if health.n_eff is not None
+                else []
+            ),
+            (
+                "map",
+                f"{run.grid.width} x {run.grid.height} cells of {run.grid.resolution:g} m",
+            ),
+            ("device", self.device),
+        ]
+
+
+def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
+    """Return what was left out, what is odd, and what the log says, each with its place."""
+    from slamfusion.slam.runner import skipped_scans  # noqa: PLC0415
+
+    remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
+    if run.log is not None:
+        remarks += [("left out of the log", item) for item in run.log.skips.sentences()]
+        remarks += [("odd in the log", item) for item in run.log.warnings.sentences()]
+        remarks += [("the log", item) for item in run.log.notes]
+    return remarks
+
+
+def measure_run(
+    run: ProducerRun,
+    config: RunConfig,
+    *,
+    relations: Relations | None,
+    odometry: Trajectory | None,
+    truth: Trajectory | None,
+) -> Measures:
+    """Measure the path, and the one that was first reported where the producer keeps it.
+
+    Raises:
+        TrajectoryError: the path does not meet the relations, the odometry or the truth.
+    """
+
+    def measured(path: Trajectory) -> Measures:
+        return measure_trajectory(
+            path,
+            config.trajectory,
+            relations=relations,
+            odometry=odometry,
+            scans=run.odometry,
+            truth=truth,
+        )
+
+    online = run.online_path()
+    final = measured(run.trajectory)
+    if online is None or (relations is None and truth is None):
+        return final
+    return replace(final, online=measured(online))
+
+
+def output_files(stem: Path) -> list[Path]:
+    """Return the files that a run writes: map, its picture, path, record."""
+    return [stem.with_name(stem.name + suffix) for suffix in SUFFIXES]
+
+
+def add_map(files: AtomicFiles, grid: OccupancyGrid, stem: Path, mode: str = "trinary") -> None:
+    """Stage a map's YAML and image with other files.
+
+    Raises:
+        MapFileError: it cannot be written; the message names the file that was wanted.
+    """
+    from slamfusion.io import save_map  # noqa: PLC0415
+
+    with TemporaryDirectory(prefix="slamfusion-") as name:
+        try:
+            made = save_map(grid, Path(name) / stem.name, mode=mode)
+        except MapFileError as error:  # name the file that was wanted, not its draft
+            raise MapFileError(str(error).replace(name, str(stem.parent))) from None
+        for draft in made:
+            files.add(stem.parent / draft.name, draft.read_bytes())
+
+
+def add_run(files: AtomicFiles, run: ProducerRun, document: Mapping[str, Any], stem: Path) -> None:
+    """Stage a run's map, path and record with other files."""
+    from slamfusion.io import write_tum  # noqa: PLC0415
+
+    _, _, tum, record = output_files(stem)
+    add_map(files, run.grid, stem)
+    write_tum(tum, run.trajectory, files=files)
+    files.add(record, (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode())

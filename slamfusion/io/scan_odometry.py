@@ -1,0 +1,170 @@
+"""Odometry that lies beside a log: a CSV file with one row for each laser line of the log.
+
+A corrected log holds what a SLAM made of the drive. Its poses are an answer, and no odometry;
+where the odometry could be had back from elsewhere, it stands in such a file.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import LogError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.io.lines import TextLines
+
+__all__ = ["ScanOdometry", "read_scan_odometry"]
+
+INDEX = "index"
+POSE = ("odom_x", "odom_y", "odom_theta")
+# Where the file has them too: the poses of the log that it belongs to.
+LOGGED = ("corrected_x", "corrected_y", "corrected_theta")
+# A log of six digits is this exact (metres or radians, and share of a coordinate).
+ROUNDING, ROUNDING_SHARE = 2e-5, 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class ScanOdometry:
+    """Odometry of every laser line of a log.
+
+    Attributes:
+        path: the file.
+        poses: (N, 3) float64, x and y in metres, yaw in radians, of the robot at laser line 0 to
+            N - 1 of the log, in the odometry frame.
+        logged: (N, 3) float64, the poses that the log's own lines carry, to tell whether this is
+            the file of a log; None where the file does not say.
+    """
+
+    path: Path
+    poses: npt.NDArray[np.float64]
+    logged: npt.NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        """Laser lines."""
+        return len(self.poses)
+
+    def check_count(self, log: Path, lines: int) -> None:
+        """Refuse a file that has not one row for each laser line.
+
+        Args:
+            log: named in the message.
+            lines: laser lines of the log.
+
+        Raises:
+            LogError: rows are missing, or there are too many.
+        """
+        if len(self) != lines:
+            message = (
+                f"{self.path}: wanted a row for each of the {lines} laser lines of {log}, found "
+                f"{len(self)}; give the odometry of this log"
+            )
+            raise LogError(message)
+
+    def pose(self, index: int, log: Path, logged: tuple[float, float, float]) -> Pose2:
+        """Return the odometry of a laser line.
+
+        Args:
+            index: of the laser line, from 0.
+            log: named in the message.
+            logged: the pose that the line itself carries; metres, radians.
+
+        Raises:
+            LogError: the file was made for a log with another pose there.
+        """
+        if self.logged is not None:
+            own = self.logged[index]
+            away = np.abs(own - np.array(logged))
+            away[2] = abs(wrap_angle(float(away[2])))
+            if (away > ROUNDING + ROUNDING_SHARE * np.abs(own)).any():
+                message = (
+                    f"{self.path}: row {index} belongs to a scan at {_text(own)}, but that laser "
+                    f"line of {log} is at {_text(logged)}; give the odometry of this log"
+                )
+                raise LogError(message)
+        x, y, yaw_rad = self.poses[index].tolist()
+        return Pose2(x, y, yaw_rad)
+
+
+def read_scan_odometry(path: str | Path) -> ScanOdometry:
+    """Read the odometry of a log's scans.
+
+    Args:
+        path: CSV, plain or gzip. The first line names the columns: ``index`` (of the laser line in
+            the log, from 0, without a gap), ``odom_x``, ``odom_y`` (metres), ``odom_theta``
+            (radians), and where known ``corrected_x``, ``corrected_y``, ``corrected_theta``, the
+            pose in the log's line; others are passed over.
+
+    Raises:
+        LogError: a column or a row is missing, or a line is damaged (its number is given).
+        OSError: the file cannot be opened.
+    """
+    where = Path(path)
+    lines = TextLines(where)
+    columns: list[str] = []
+    rows: list[list[float]] = []
+    number = 0
+    for number, line in lines:
+        fields = line.decode("ascii", "replace").strip().split(",")
+        if not columns:
+            columns = [name.strip() for name in fields]
+            missing = [name for name in (INDEX, *POSE) if name not in columns]
+            if missing:
+                message = (
+                    f"{where}: wanted the columns {', '.join((INDEX, *POSE))} in the first line, "
+                    f"found no {', '.join(missing)}; give a CSV file with these"
+                )
+                raise LogError(message)
+        elif fields != [""]:
+            rows.append(_row(fields, columns, len(rows), f"{where}: line {number}"))
+    if lines.is_cut_off:
+        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
+        raise LogError(message)
+    if not rows:
+        message = f"{where}: wanted a row for each scan, found none; check the file"
+        raise LogError(message)
+    table = np.array(rows)
+    has_logged = all(name in columns for name in LOGGED)
+    return ScanOdometry(
+        where,
+        table[:, [columns.index(name) for name in POSE]],
+        table[:, [columns.index(name) for name in LOGGED]] if has_logged else None,
+    )
+
+
+def _row(fields: list[str], columns: list[str], index: int, where: str) -> list[float]:
+    """Return the numbers of one line; only those of the index and the pose need to be finite.
+
+    Args:
+        fields: of the line.
+        columns: their names.
+        index: that the row must have.
+        where: for messages.
+    """
+    try:
+        values = [float(field) for field in fields]
+    except ValueError:
+        values = []
+    has_all = len(values) == len(columns)
+    if not has_all or not all(math.isfinite(values[columns.index(n)]) for n in (INDEX, *POSE)):
+        message = (
+            f"{where}: wanted {len(columns)} finite numbers, found {','.join(fields)[:60]!r}; "
+            "mend the line"
+        )
+        raise LogError(message)
+    found = values[columns.index(INDEX)]
+    if found != index:
+        message = (
+            f"{where}: wanted the row of index {index}, found {found:g}: a row is missing or out "
+            "of order; mend the file"
+        )
+        raise LogError(message)
+    return values
+
+
+def _text(pose: npt.ArrayLike) -> str:
+    x, y, yaw_rad = np.asarray(pose, dtype=np.float64).tolist()
+    return f"({x:.4f}, {y:.4f}) m, {yaw_rad:.4f} rad"
