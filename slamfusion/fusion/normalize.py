@@ -14,7 +14,7 @@ from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 
-__all__ = ["NormalizedGrid", "common_resolution", "normalize_grid"]
+__all__ = ["NormalizedGrid", "common_resolution", "lattice_box", "normalize_grid", "pool_cells"]
 
 # Resolutions this close are one resolution: 0.05 and 0.050000001 need no resampling.
 SAME_RESOLUTION = 1e-4
@@ -120,11 +120,11 @@ def _resample(
         backend.warp(backend.upload(grid.cells), poses, (height * parts, width * parts), UNKNOWN)
     )[0]
     if parts > 1:
-        fine = _pool(fine.reshape(height, parts, width, parts), config)
+        fine = pool_cells(fine.reshape(height, parts, width, parts), config)
     return OccupancyGrid(np.ascontiguousarray(fine), resolution, grid.origin, grid.name)
 
 
-def _pool(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
+def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
     """Return one cell a block (H, n, W, n): any wall wins, else the mean if half is known."""
     highest = blocks.max(axis=(1, 3))
     known = blocks >= 0

@@ -6,7 +6,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -31,7 +31,14 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.memory import check_memory
 
-__all__ = ["choose_reference", "fuse_grids", "warp_onto"]
+__all__ = [
+    "AlignedGroup",
+    "agreement_weights",
+    "align_group",
+    "choose_reference",
+    "fuse_grids",
+    "warp_onto",
+]
 
 Progress = Callable[[str, int, int], None]
 
@@ -76,21 +83,67 @@ def fuse_grids(
             reasons[grid.name] = str(error)
             continue
         features[grid.name] = GridFeatures(normalized, backend)
-    pairs = _align_pairs(features, config, backend, progress)
-    group = _agree(grids, features, pairs, reasons, resolution)
-    reference = choose_reference(group.members, features, config.reference, [g.name for g in grids])
-    alignments = _to_reference(reference, group, features, pairs, backend)
-    shown: dict[str, Alignment | None] = {}
-    for name in features:
-        if name not in group.members:
-            reasons[name], shown[name] = _left_out(name, reference, group, pairs)
+    group = align_group(features, reasons, config, backend, [g.name for g in grids], progress)
+    reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
+    shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     rejected = {
         grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
         for grid in grids
         if grid.name in reasons
     }
-    result = _vote(grids, reference, alignments, features, rejected, config, backend)
-    return replace(result, pairs=tuple(pairs), time_s=time.perf_counter() - began)
+    result = _vote(grids, group.reference, group.alignments, features, rejected, config, backend)
+    return replace(result, pairs=group.pairs, time_s=time.perf_counter() - began)
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedGroup:
+    """Inputs that fit together, and how.
+
+    Attributes:
+        reference: name of the reference.
+        alignments: each member's alignment to the reference; the reference's own is the identity.
+        left_out: why every other input is no member, and the alignment that shows it.
+        pairs: every pair that was aligned.
+    """
+
+    reference: str
+    alignments: dict[str, Alignment]
+    left_out: dict[str, tuple[str, Alignment | None]]
+    pairs: tuple[Alignment, ...]
+
+
+def align_group(
+    features: dict[str, GridFeatures],
+    reasons: dict[str, str],
+    config: FusionConfig,
+    backend: Backend,
+    names: Sequence[str],
+    progress: Progress | None = None,
+) -> AlignedGroup:
+    """Align every pair, find the largest group that fits together, and choose its reference.
+
+    Args:
+        features: the inputs that can be aligned, by name, all at one resolution.
+        reasons: why the other inputs cannot.
+        config: settings of the search; ``reference`` may name the reference.
+        backend: computes.
+        names: all inputs, in order.
+        progress: see ``fuse_grids``.
+
+    Raises:
+        AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
+        ConfigError: the reference named in the config is no member.
+    """
+    pairs = _align_pairs(features, config, backend, progress)
+    group = _agree(names, features, pairs, reasons)
+    reference = choose_reference(group.members, features, config.reference, names)
+    alignments = _to_reference(reference, group, features, pairs, backend)
+    left_out = {
+        name: _left_out(name, reference, group, pairs)
+        for name in features
+        if name not in group.members
+    }
+    return AlignedGroup(reference, alignments, left_out, tuple(pairs))
 
 
 def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
@@ -136,26 +189,26 @@ def _align_pairs(
 
 
 def _agree(
-    grids: Sequence[OccupancyGrid],
+    names: Sequence[str],
     features: dict[str, GridFeatures],
     pairs: Sequence[Alignment],
     reasons: dict[str, str],
-    resolution: float,
 ) -> Group:
     """Return the largest group that fits together, or raise with every input's reason."""
-    if len(grids) == 1 and features:
-        return Group((grids[0].name,), 0.0)
-    centres = {}
+    if len(names) == 1 and features:
+        return Group((names[0],), 0.0)
+    centres, resolution = {}, 1.0
     for name, feature in features.items():
-        own = np.array(feature.centre) * feature.grid.grid.resolution
+        resolution = feature.grid.grid.resolution
+        own = np.array(feature.centre) * resolution
         x, y = feature.grid.grid.origin.transform(own)
         centres[name] = (float(x), float(y))
-    names = [grid.name for grid in grids if grid.name in features]
-    group = largest_group(names, pairs, centres, resolution) if names else Group((), 0.0)
+    usable = [name for name in names if name in features]
+    group = largest_group(usable, pairs, centres, resolution) if usable else Group((), 0.0)
     if len(group.members) < MINIMUM_INPUTS:
         found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
         words = "; ".join([*reasons.values(), *found])
-        listed = ", ".join(grid.name for grid in grids)
+        listed = ", ".join(names)
         message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
         raise AlignmentError(message, tuple(pairs))
     return group
@@ -346,7 +399,7 @@ def _vote(
             percents.append(
                 warp_onto(grid, grid.grid.cells, pair.transform, base.grid, box, backend)
             )
-    weights = _weights(aligned) if config.vote.mode == "weighted" else [1.0] * len(aligned)
+    weights = agreement_weights(aligned) if config.vote.mode == "weighted" else [1.0] * len(aligned)
     voted = vote_grids(
         aligned,
         config.vote,
@@ -382,7 +435,7 @@ def _vote(
     )
 
 
-def _weights(aligned: Sequence[npt.NDArray[np.int8]]) -> list[float]:
+def agreement_weights(aligned: Sequence[npt.NDArray[np.int8]]) -> list[float]:
     """Return each input's weight: the log-odds of its agreement with the others, the largest 1.
 
     The agreement is the share of its known cells, among those that others know, where it says what

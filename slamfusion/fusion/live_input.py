@@ -1,0 +1,325 @@
+"""One input of the live fusion: its newest map, what that changed, and what is believed of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import Backend
+from slamfusion.config import LiveConfig, NormalizeConfig
+from slamfusion.fusion.accept import WALLS_MIN
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.live_canvas import Sheet, carry, hull, lay_out, overlap, padded
+from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import CellBox, OccupancyGrid, known_box
+
+__all__ = ["Change", "Track", "compare", "unusable"]
+
+I8 = npt.NDArray[np.int8]
+
+# Share of the old walls.
+STANDING_MIN = 0.4
+NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a new map changed.
+
+    Attributes:
+        box: cells of the lattice that hold every cell that differs; None where none does.
+        walls: cells that became or ceased to be a wall.
+        standing: old wall cells with a wall within one cell.
+        contradicted: old wall cells that are free now, no wall within one cell.
+        before: all old wall cells.
+    """
+
+    box: CellBox | None
+    walls: int
+    standing: int
+    contradicted: int
+    before: int
+
+    def is_steady(self, share: float) -> bool:
+        """Whether enough old walls still stand to believe that the map's frame did not move.
+
+        Args:
+            share: of those that can be judged, wall or free now. A few that stand by chance tell
+                nothing where most have gone into the unknown.
+        """
+        judged = self.standing + self.contradicted
+        is_enough = self.standing >= max(WALLS_MIN, STANDING_MIN * self.before)
+        return is_enough and self.standing >= share * judged
+
+
+def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
+    """Return in words why a map says too little to take part, or None."""
+    size = f"{grid.height} x {grid.width}"
+    if int(grid.cells.max()) < 0:
+        return f"all {size} cells are unknown"
+    walls = int(np.count_nonzero(grid.cells >= math.ceil(thresholds.occupied_percent)))
+    if walls < WALLS_MIN:
+        return f"too few walls to judge: {walls} of the {WALLS_MIN} needed, on {size} cells"
+    return None
+
+
+def compare(
+    old: Sheet, new: Sheet, walls: int, thresholds: NormalizeConfig, backend: Backend
+) -> Change:
+    """Compare two maps of one input, cell by cell where both lie in its frame.
+
+    Args:
+        old: the map before.
+        new: the map now; on another lattice it is resampled first, and all of it counts as changed.
+        walls: wall cells of ``old``.
+        thresholds: what is a wall, and what is free.
+        backend: resamples.
+    """
+    if new.lattice == old.lattice:
+        box = _changed_box(old, new)
+        if box is None:
+            return Change(None, 0, walls, 0, walls)
+        near = padded(box, 1)
+        before, after = old.window(near), new.window(near)
+    else:
+        box = old.box
+        before = old.cells
+        after = carry(new, Pose2(), old.lattice, box, backend)
+    occupied = math.ceil(thresholds.occupied_percent)
+    was, now = (before >= occupied).view(np.uint8), (after >= occupied).view(np.uint8)
+    near_now = cv2.dilate(now, NEIGHBOURS)
+    free = (after >= 0) & (after <= thresholds.free_percent)
+    gone = (was != 0) & (near_now == 0)
+    lost = int(np.count_nonzero(gone))
+    differ = int(np.count_nonzero(was != now))
+    return Change(box, differ, walls - lost, int(np.count_nonzero(gone & free)), walls)
+
+
+def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
+    """Return the box of cells that differ; outside of a sheet all is unknown."""
+    common = overlap(old.box, new.box)
+    boxes = []
+    if common is None:
+        boxes = [_known(old, old.box), _known(new, new.box)]
+    else:
+        differs = old.window(common) != new.window(common)
+        found = known_box(differs.view(np.int8) - np.int8(1))
+        if found is not None:
+            boxes.append(_moved(found, common.row0, common.col0))
+        for sheet in (old, new):
+            boxes += [_known(sheet, strip) for strip in _around(sheet.box, common)]
+    out: CellBox | None = None
+    for box in boxes:
+        if box is not None:
+            out = box if out is None else hull(out, box)
+    return out
+
+
+def _around(outer: CellBox, inner: CellBox) -> list[CellBox]:
+    """Return the strips of a box around one inside of it."""
+    strips = [
+        CellBox(outer.row0, outer.col0, inner.row0, outer.col1),
+        CellBox(inner.row1, outer.col0, outer.row1, outer.col1),
+        CellBox(inner.row0, outer.col0, inner.row1, inner.col0),
+        CellBox(inner.row0, inner.col1, inner.row1, outer.col1),
+    ]
+    return [strip for strip in strips if strip.height > 0 and strip.width > 0]
+
+
+def _known(sheet: Sheet, box: CellBox) -> CellBox | None:
+    """Return the box of known cells inside a box of the sheet's lattice."""
+    found = known_box(sheet.window(box))
+    return None if found is None else _moved(found, box.row0, box.col0)
+
+
+def _moved(box: CellBox, rows: int, cols: int) -> CellBox:
+    return CellBox(box.row0 + rows, box.col0 + cols, box.row1 + rows, box.col1 + cols)
+
+
+def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
+    """Whether two maps are equal in all that counts."""
+    return (
+        a.origin == b.origin and a.resolution == b.resolution and np.array_equal(a.cells, b.cells)
+    )
+
+
+@dataclass(eq=False)
+class Track:
+    """What the fusion keeps of one input.
+
+    Attributes:
+        name: of the input.
+        grid: its newest usable map.
+        version: counts the maps that differed from the one before.
+        sheet: ``grid`` at the fused resolution; None before the first fusion.
+        known: cells of the sheet's lattice that hold every known one.
+        walls: wall cells of the sheet.
+        is_live: whether its newest message was a usable map, and recent.
+        is_steady: whether the newest map stands where ``transform`` belongs.
+        accepted: whether its last alignment was believed; it votes while it is steady too.
+        reason: why (not), one line.
+        transform: its map frame into the fused frame, metres; the last that was believed.
+        score, overlap, is_tracked: of the last alignment; see ``Alignment``.
+        drift: wall cells that came or went, here and in the reference, since that alignment.
+        key: the map at that alignment, its wall cells, and how many came or went since: what walls
+            that creep a cell at a time are held against.
+        jump: a transform that waits to be found again; ``jump_version`` the map that gave it.
+        tried: own version, the reference's name and version when it was last aligned in vain.
+        searched_s: when it was last searched everywhere.
+        searches: how often.
+        unlaid: cells of the sheet's lattice that the canvas has not seen.
+        relay: whether the canvas has to take the whole sheet anew.
+    """
+
+    name: str
+    grid: OccupancyGrid | None = None
+    version: int = 0
+    sheet: Sheet | None = None
+    known: CellBox | None = None
+    walls: int = 0
+    is_live: bool = False
+    is_steady: bool = False
+    accepted: bool = False
+    reason: str = "no map yet"
+    transform: Pose2 | None = None
+    score: float = 0.0
+    overlap: float = 0.0
+    is_tracked: bool = False
+    drift: int = 0
+    key: tuple[Sheet, int] | None = None
+    key_drift: int = 0
+    jump: Pose2 | None = None
+    jump_version: int = -1
+    tried: tuple[int, str, int] | None = None
+    searched_s: float = -math.inf
+    searches: int = 0
+    unlaid: CellBox | None = None
+    relay: bool = True
+    _features: GridFeatures | None = field(default=None, repr=False)
+    _features_drift: int = 0
+
+    @property
+    def votes(self) -> bool:
+        """Whether it votes."""
+        return self.accepted and self.is_steady
+
+    def place(self, resolution: float, thresholds: NormalizeConfig, backend: Backend) -> None:
+        """Lay the map out at the fused resolution; before the first fusion there is none."""
+        if self.grid is not None:
+            self._take(lay_out(self.grid, None, resolution, thresholds, backend), thresholds)
+            self.relay = True
+
+    def _take(self, sheet: Sheet, thresholds: NormalizeConfig) -> None:
+        self.sheet = sheet
+        self.known = _known(sheet, sheet.box)
+        occupied = math.ceil(thresholds.occupied_percent)
+        self.walls = int(np.count_nonzero(sheet.cells >= occupied))
+
+    def follow(
+        self,
+        grid: OccupancyGrid,
+        resolution: float | None,
+        thresholds: NormalizeConfig,
+        live: LiveConfig,
+        backend: Backend,
+    ) -> Change | None:
+        """Take a new map; return what it changed, None where that cannot be told.
+
+        Args:
+            grid: the map.
+            resolution: of the fused map; None before the first fusion.
+            thresholds: what is a wall, and what is free.
+            live: the share of the old walls that must stand for the transform to hold.
+            backend: resamples.
+        """
+        before, walls, last = self.sheet, self.walls, self.grid
+        self.grid = grid
+        if resolution is None or before is None:
+            if last is not None and _is_same(last, grid):
+                return None
+            self.version += 1
+            self._features = None
+            if resolution is not None:
+                self.place(resolution, thresholds, backend)
+            return None
+        sheet = lay_out(grid, before.lattice, resolution, thresholds, backend)
+        change = compare(before, sheet, walls, thresholds, backend)
+        if change.box is None:
+            self.sheet = sheet
+            return change
+        self.version += 1
+        self._take(sheet, thresholds)
+        self.drift += change.walls
+        self._features_drift += change.walls
+        self.key_drift += change.walls
+        if not (change.is_steady(live.steady_share) and self._stands(thresholds, live, backend)):
+            self.is_steady = False
+            self._features = None
+        if sheet.lattice != before.lattice:
+            self.relay = True
+        else:
+            self.unlaid = change.box if self.unlaid is None else hull(self.unlaid, change.box)
+        return change
+
+    def _stands(self, thresholds: NormalizeConfig, live: LiveConfig, backend: Backend) -> bool:
+        """Whether the walls still stand as in the map that was last aligned."""
+        if self.key is None or self.sheet is None:
+            return True
+        if self.key_drift <= live.track_share * self.walls:
+            return True
+        self.key_drift = 0
+        before, walls = self.key
+        change = compare(before, self.sheet, walls, thresholds, backend)
+        return change.is_steady(live.steady_share)
+
+    def pin(self) -> None:
+        """Note that the newest map was aligned."""
+        self.drift = self.key_drift = 0
+        self.jump = None
+        self.tried = None
+        if self.sheet is not None:
+            self.key = self.sheet, self.walls
+
+    def features(
+        self, resolution: float, thresholds: NormalizeConfig, stale_share: float, backend: Backend
+    ) -> GridFeatures:
+        """Return what alignment looks at; that of an older map while few walls have changed."""
+        if self._features is None or self._features_drift > stale_share * self.walls:
+            if self.grid is None:
+                message = f"{self.name} has no map"
+                raise ValueError(message)
+            normalized = normalize_grid(self.grid, resolution, thresholds, backend)
+            self._features = GridFeatures(normalized, backend)
+            self._features_drift = 0
+        return self._features
+
+    def centre(self) -> tuple[float, float]:
+        """Return the centre of the known box in the input's frame, metres."""
+        corners = self.corners()
+        x, y = corners.mean(axis=0)
+        return float(x), float(y)
+
+    def corners(self) -> npt.NDArray[np.float64]:
+        """Return the corners of the known box in the input's frame, (4, 2) metres."""
+        if self.sheet is None or self.known is None:
+            return np.zeros((4, 2))
+        box, lattice = self.known, self.sheet.lattice
+        cells = [(x, y) for x in (box.col0, box.col1) for y in (box.row0, box.row1)]
+        return lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
+
+    def apart(self, a: Pose2, b: Pose2) -> tuple[float, float, float]:
+        """Return how far two transforms carry this map apart: centre m, turn rad, corners m."""
+        turn = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
+        centre = math.dist(a.transform(self.centre()), b.transform(self.centre()))
+        corners = a.transform(self.corners()) - b.transform(self.corners())
+        return centre, turn, float(np.hypot(corners[:, 0], corners[:, 1]).max())
+
+    def refuse(self, reason: str) -> None:
+        """Let it vote no more."""
+        self.accepted = False
+        self.reason = reason

@@ -1,0 +1,179 @@
+"""Map in to fused map out, live: ``python -m tests.benchmarks.bench_live [SIDE ...]``.
+
+Three maps of one building, each in a frame of its own, grow as a robot drives through: every round
+all three change around it, by a window of 20 m, and are put one after the other, each followed by
+its update. Then every cell of all three is shaken in every round (2 % flipped), which is the worst
+that can come. ``idle`` is the mean time a round that was spent on what may wait (an update without
+a new map). Options: sides in cells (800 4000).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slamfusion.compute import open_backend
+from slamfusion.config import RunConfig
+from slamfusion.fusion.live import LiveFusion, LiveUpdate
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.sim import Degradation, degrade_map, draw_building
+
+RESOLUTION = 0.05
+WINDOW_M = 20.0
+NAMES = ("tinyslam", "gmapping", "graph")
+Maps = dict[str, OccupancyGrid]
+
+
+def draw_maps(side: int) -> Maps:
+    """Return three faulty maps of one building, a frame each."""
+    rng = np.random.default_rng(2016)
+    truth = draw_building(rng, side * RESOLUTION, side * RESOLUTION, RESOLUTION)
+    maps = {}
+    for name in NAMES:
+        faults = Degradation(
+            yaw_rad=float(rng.uniform(-math.pi, math.pi)), flip_share=0.005, speckle_share=0.01
+        )
+        grid, _ = degrade_map(truth, rng, faults)
+        row, col = max(0, grid.height - side) // 2, max(0, grid.width - side) // 2
+        cells = np.ascontiguousarray(grid.cells[row : row + side, col : col + side])
+        x, y = grid.origin.transform((col * RESOLUTION, row * RESOLUTION))
+        origin = Pose2(float(x), float(y), grid.origin.yaw_rad)
+        maps[name] = OccupancyGrid(cells, RESOLUTION, origin, name)
+    return maps
+
+
+def revealed(grid: OccupancyGrid, share: float) -> OccupancyGrid:
+    """Return the middle of the map, a share of its side; the rest is unknown."""
+    cells = np.full_like(grid.cells, UNKNOWN)
+    row, col = (int(size * (1.0 - share) / 2.0) for size in grid.cells.shape)
+    window = np.s_[row : grid.height - row, col : grid.width - col]
+    cells[window] = grid.cells[window]
+    return OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
+
+
+def windowed(grid: OccupancyGrid, rng: np.random.Generator) -> OccupancyGrid:
+    """Return the map with 2 % of the cells flipped in one window."""
+    window = int(WINDOW_M / RESOLUTION)
+    row, col = (int(rng.integers(0, max(1, size - window))) for size in grid.cells.shape)
+    return shaken(grid, rng, np.s_[row : row + window, col : col + window])
+
+
+def shaken(
+    grid: OccupancyGrid, rng: np.random.Generator, window: tuple[slice, slice] = np.s_[:, :]
+) -> OccupancyGrid:
+    """Return the map with 2 % of the cells of a window flipped."""
+    cells = grid.cells.copy()
+    part = cells[window]
+    flip = rng.random(part.shape, dtype=np.float32) < 0.02
+    part[flip & (part >= 0)] = 100 - part[flip & (part >= 0)]
+    return OccupancyGrid(cells, grid.resolution, grid.origin, grid.name)
+
+
+@dataclass
+class Row:
+    """What one kind of rounds took.
+
+    Attributes:
+        name: of the kind.
+        spent: wall time of each update with a new map, seconds.
+        cpu: processor time of the same, all threads.
+        idle: wall time of each round's updates without one.
+        updates: what they did.
+    """
+
+    name: str
+    spent: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    idle: list[float] = field(default_factory=list)
+    updates: list[LiveUpdate] = field(default_factory=list)
+
+    def put(self, live: LiveFusion, grids: list[OccupancyGrid], clock: float) -> None:
+        """Put maps and time the update."""
+        began, cpu = time.perf_counter(), time.process_time()
+        for grid in grids:
+            live.put(grid.name, grid, clock)
+        update = live.update(clock)
+        self.spent.append(time.perf_counter() - began)
+        self.cpu.append(time.process_time() - cpu)
+        if update is not None:
+            self.updates.append(update)
+
+    def rest(self, live: LiveFusion, clock: float) -> None:
+        """Time what could wait."""
+        began = time.perf_counter()
+        while live.update(clock) is not None:
+            pass
+        self.idle.append(time.perf_counter() - began)
+
+    def show(self) -> None:
+        """Print one line."""
+        ms = 1e3 * np.array(self.spent)
+        steps = Counter[str]()
+        for update in self.updates:
+            steps.update(update.time_s)
+        parts = ", ".join(f"{k} {1e3 * s / len(self.updates):.0f}" for k, s in steps.items())
+        searches = sum(update.is_full_search for update in self.updates)
+        voters = min(sum(r.accepted for r in update.inputs) for update in self.updates)
+        idle = 1e3 * np.mean(self.idle) if self.idle else 0.0
+        print(
+            f"{self.name:34} {np.median(ms):7.0f} {np.percentile(ms, 95):7.0f} {ms.max():7.0f} "
+            f"{1e3 * np.mean(self.cpu):7.0f}   {parts}; idle {idle:.0f}; {searches} searches; "
+            f"{voters} voters or more",
+            flush=True,
+        )
+
+
+KINDS = (
+    "grows",
+    "a window of 20 m, one each",
+    "a window of 20 m, three at once",
+    "every cell, one each",
+    "every cell, three at once",
+)
+
+
+def new_maps(kind: str, maps: Maps, rng: np.random.Generator, done: float) -> list[OccupancyGrid]:
+    """Return the maps of a round; ``done`` is the share of the rounds so far."""
+    if kind == "grows":
+        return [revealed(grid, 0.6 + 0.4 * done) for grid in maps.values()]
+    change = shaken if "every" in kind else windowed
+    return [change(grid, rng) for grid in maps.values()]
+
+
+def run(side: int, rounds: int) -> None:
+    """Print the table of one side."""
+    rng = np.random.default_rng(0)
+    maps = draw_maps(side)
+    live = LiveFusion(RunConfig(), open_backend())
+    clock = 0.0
+    first = Row("first fusion")
+    first.put(live, [revealed(grid, 0.6) for grid in maps.values()], clock)
+    first.show()
+    for kind in KINDS:
+        row = Row(kind)
+        for number in range(rounds):
+            clock += 1.0
+            batch = new_maps(kind, maps, rng, (number + 1) / rounds)
+            step = len(batch) if "at once" in kind else 1
+            for index in range(0, len(batch), step):
+                row.put(live, batch[index : index + step], clock)
+            row.rest(live, clock)
+        row.show()
+
+
+def main(sides: list[int]) -> None:
+    """Print a table for each side."""
+    for side in sides:
+        print(f"three maps of {side} x {side} on {open_backend().name}")
+        print(f"{'ms':34} {'median':>7} {'p95':>7} {'worst':>7} {'cpu':>7}")
+        run(side, 20 if side < 2000 else 6)
+
+
+if __name__ == "__main__":
+    main([int(word) for word in sys.argv[1:]] or [800, 4000])

@@ -1,0 +1,104 @@
+"""Live fusion of three SLAMs that map one simulated drive: the fused frame never moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import Backend
+from slamfusion.config import RunConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.slam.runner import make_producer
+from tests.fusion.live_maps import (
+    Drive,
+    assert_same_lattice,
+    live_fusion,
+    moved_frame,
+    share_standing,
+)
+from tests.slam.drives import drive
+
+SCANS, EVERY = 140, 20
+# The frames of the three maps are as foreign to each other as those of any three programs.
+FRAMES = {
+    "tinyslam": Pose2(),
+    "gmapping": Pose2(5.0, -3.0, 1.0),
+    "graph": Pose2(-20.0, 7.0, -2.2),
+}
+
+
+@pytest.fixture(scope="module")
+def rounds(backend: Backend) -> list[dict[str, OccupancyGrid]]:
+    """The maps of the three producers as they grow, every 20 scans."""
+    scans, _ = drive(SCANS, turn_bias=0.003)
+    producers = {name: make_producer(name, RunConfig(), backend) for name in FRAMES}
+    out = []
+    for number, item in enumerate(scans, start=1):
+        for producer in producers.values():
+            producer.feed(item.scan, item.odometry)
+        if number % EVERY == 0:
+            maps = {name: producer.grid() for name, producer in producers.items()}
+            out.append(
+                {
+                    name: moved_frame(grid.with_name(name), FRAMES[name])
+                    for name, grid in maps.items()
+                }
+            )
+    return out
+
+
+def test_maps_grow_and_no_wall_moves(
+    backend: Backend, rounds: list[dict[str, OccupancyGrid]]
+) -> None:
+    fusion = Drive(live_fusion(backend))
+    first = None
+    for maps in rounds:
+        fusion.step(*maps.values())
+        assert fusion.fused is not None
+        assert fusion.accepted() == "tinyslamgmappinggraph"
+        first = first or fusion.fused
+        assert_same_lattice(first, fusion.fused)
+        assert share_standing(first, fusion.fused) > 0.95
+    for record in fusion.live.inputs(fusion.now_s):
+        # The producers share the true frame of the drive, so that their transforms are known.
+        assert record.transform is not None
+        found = record.transform.compose(FRAMES[record.name])
+        reference = fusion.live.inputs(fusion.now_s)
+        base = next(r for r in reference if r.score == 1.0)
+        assert base.transform is not None
+        wanted = base.transform.compose(FRAMES[base.name])
+        assert np.hypot(found.x - wanted.x, found.y - wanted.y) < 0.15
+        assert abs(np.angle(np.exp(1j * (found.yaw_rad - wanted.yaw_rad)))) < 0.03
+
+
+@pytest.mark.parametrize("name", list(FRAMES))
+def test_one_is_refused_lost_and_returns_and_no_wall_moves(
+    backend: Backend, rounds: list[dict[str, OccupancyGrid]], name: str
+) -> None:
+    fusion = Drive(live_fusion(backend))
+    for maps in rounds[:3]:
+        fusion.step(*maps.values())
+    first = fusion.fused
+    assert first is not None
+    others = [other for other in FRAMES if other != name]
+    # Upside down, then gone while the others go on, then back.
+    bad = rounds[3][name]
+    bad = replace(bad, cells=np.ascontiguousarray(bad.cells[::-1]))
+    fusion.step(bad, *(rounds[3][other] for other in others))
+    states = [fusion.accepted()]
+    fusion.live.drop(name, "gone")
+    fusion.step(*(rounds[4][other] for other in others))
+    states.append(fusion.accepted())
+    for state in states:
+        assert state == "".join(others)
+    assert fusion.fused is not None
+    assert_same_lattice(first, fusion.fused)
+    assert share_standing(first, fusion.fused) > 0.95
+    for maps in rounds[5:]:
+        fusion.step(*maps.values())
+    assert fusion.accepted() == "tinyslamgmappinggraph"
+    assert_same_lattice(first, fusion.fused)
+    assert share_standing(first, fusion.fused) > 0.95

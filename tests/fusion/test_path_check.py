@@ -1,0 +1,143 @@
+"""Paths against maps: a producer whose walls fit and whose path does not has no vote."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import Backend
+from slamfusion.errors import AlignmentError
+from slamfusion.fusion.path_check import (
+    PathsApartError,
+    agreeing,
+    fuse_with_paths,
+    moved_path,
+    path_gaps,
+)
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.trajectory import Trajectory
+from tests.fusion.drawings import building, degraded, fusion_config
+
+QUICK = fusion_config()
+TRUE_PATH = Trajectory(
+    np.arange(50.0), np.column_stack((np.linspace(2, 7, 50), np.full(50, 3.0), np.zeros(50))), "way"
+)
+
+
+def shifted(x: float, y: float = 0.0, yaw_rad: float = 0.0) -> Trajectory:
+    return moved_path(TRUE_PATH, Pose2(x, y, yaw_rad))
+
+
+def producers() -> tuple[list[OccupancyGrid], dict[str, Trajectory]]:
+    """Three faulty maps of one place in frames of their own, each with the true path in it."""
+    grids, paths = [], {}
+    for seed, (name, yaw_rad) in enumerate({"a": 0.02, "b": -0.8, "c": 1.9}.items()):
+        grid, pose = degraded(building(1, 11.0, 9.0), seed, name, yaw_rad=yaw_rad, flip_share=0.03)
+        grids.append(grid)
+        paths[name] = moved_path(TRUE_PATH, pose.inverse())
+    return grids, paths
+
+
+def test_gaps_are_measured_between_the_poses_of_one_moment() -> None:
+    (gap,) = path_gaps({"a": TRUE_PATH, "b": shifted(3.0, 4.0)})
+    assert (gap.a, gap.b) == ("a", "b")
+    assert gap.median_m == pytest.approx(5.0)
+    assert gap.max_m == pytest.approx(5.0)
+    assert gap.yaw_rad == 0.0
+    assert gap.to_json() == {
+        "a": "a", "b": "b", "median_m": pytest.approx(5.0), "max_m": pytest.approx(5.0),
+        "start_m": pytest.approx(5.0), "median_yaw_rad": 0.0,
+    }  # fmt: skip
+
+
+def test_a_path_with_fewer_poses_is_met_by_the_nearest_in_time() -> None:
+    few = Trajectory(TRUE_PATH.stamps_s[::10], TRUE_PATH.poses[::10], "few")
+    (gap,) = path_gaps({"a": few, "b": TRUE_PATH})
+    assert len(gap.gaps_m) == 5
+    assert gap.max_m == 0.0
+
+
+def test_a_turned_path_shows_in_the_headings() -> None:
+    (gap,) = path_gaps({"a": TRUE_PATH, "b": shifted(0.0, 0.0, math.pi)})
+    assert gap.yaw_rad == pytest.approx(math.pi)
+
+
+def test_the_largest_group_that_agrees_is_kept() -> None:
+    paths = {"a": TRUE_PATH, "b": shifted(4.0), "c": shifted(0.3), "d": shifted(0.4)}
+    members, reasons = agreeing(tuple(paths), path_gaps(paths), 1.0)
+    assert members == ("a", "c", "d")
+    assert set(reasons) == {"b"}
+    assert "4.00 m from that of a and 3.70 m from that of c" in reasons["b"]
+
+
+def test_of_two_equal_groups_the_closer_is_kept() -> None:
+    paths = {"a": TRUE_PATH, "b": shifted(0.5), "c": shifted(9.0), "d": shifted(9.1)}
+    members, reasons = agreeing(tuple(paths), path_gaps(paths), 1.0)
+    assert members == ("c", "d")
+    assert set(reasons) == {"a", "b"}
+
+
+def test_of_two_that_disagree_neither_is_believed() -> None:
+    paths = {"a": TRUE_PATH, "b": shifted(4.0)}
+    members, reasons = agreeing(("a", "b"), path_gaps(paths), 1.0)
+    assert members == ()
+    assert set(reasons) == {"a", "b"}
+
+
+@pytest.mark.parametrize("names", [(), ("a",)])
+def test_fewer_than_two_have_nobody_to_disagree_with(names: tuple[str, ...]) -> None:
+    assert agreeing(names, (), 1.0) == (names, {})
+
+
+def test_maps_whose_paths_agree_all_vote(backend: Backend) -> None:
+    grids, paths = producers()
+    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, backend)
+    assert [record.name for record in result.accepted] == ["a", "b", "c"]
+    assert len(gaps) == 3
+    assert max(gap.max_m for gap in gaps) < 0.2
+
+
+def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(backend: Backend) -> None:
+    grids, paths = producers()
+    paths["b"] = moved_path(paths["b"], Pose2(0.0, 2.0))
+    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, backend)
+    assert [record.name for record in result.accepted] == ["a", "c"]
+    (rejected,) = result.rejected
+    assert rejected.name == "b"
+    assert "its path lies 2." in rejected.reason
+    assert rejected.alignment is not None
+    assert rejected.alignment.accepted
+    assert [grid.name for grid in grids] == [record.name for record in result.inputs]
+    assert len(gaps) == 3
+    assert len(result.pairs) == 3
+    # The vote is that of the other two alone.
+    without, _ = fuse_with_paths([grids[0], grids[2]], paths, QUICK, 0.5, backend)
+    assert np.array_equal(result.fused.cells, without.fused.cells)
+
+
+def test_a_saved_map_has_no_path_and_votes(backend: Backend) -> None:
+    grids, paths = producers()
+    del paths["b"]
+    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, backend)
+    assert len(result.accepted) == 3
+    assert [(gap.a, gap.b) for gap in gaps] == [("a", "c")]
+
+
+def test_two_producers_that_were_apart_are_not_fused(backend: Backend) -> None:
+    grids, paths = producers()
+    paths["b"] = moved_path(paths["b"], Pose2(0.0, 2.0))
+    with pytest.raises(PathsApartError, match="the paths do not") as caught:
+        fuse_with_paths(grids[:2], paths, QUICK, 0.5, backend)
+    assert len(caught.value.pairs) == 1
+    (gap,) = caught.value.gaps
+    assert gap.median_m == pytest.approx(2.0, abs=0.2)
+
+
+def test_maps_of_two_places_are_told_apart_by_their_walls(backend: Backend) -> None:
+    grids, paths = producers()
+    stranger = building(77, 8.0, 7.5).with_name("b")
+    with pytest.raises(AlignmentError, match="no two of the inputs"):
+        fuse_with_paths([grids[0], stranger], paths, QUICK, 0.5, backend)
