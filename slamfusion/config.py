@@ -30,16 +30,20 @@ __all__ = [
     "ExperimentConfig",
     "FieldInfo",
     "FusionConfig",
+    "FusionNodeConfig",
     "GmappingConfig",
     "GraphConfig",
     "GraphOptimizerConfig",
     "LidarConfig",
+    "LiveConfig",
     "LogConfig",
     "MatcherConfig",
     "NormalizeConfig",
     "ObstacleConfig",
     "OccupancyEstimatorConfig",
     "PersonConfig",
+    "PlayerNodeConfig",
+    "ProducerNodeConfig",
     "RunConfig",
     "SimulateConfig",
     "TinySlamConfig",
@@ -237,6 +241,76 @@ class FusionConfig(_Checked):
         None, "name or index (from 0) of the reference; default: the smallest known box"
     )
     require_all: bool = option(False, "fail when any input is rejected")
+
+
+@dataclass(frozen=True)
+class LiveConfig(_Checked):
+    """Fusing maps that arrive again and again."""
+
+    minimum_inputs: int = option(
+        2,
+        "so many inputs must agree before anything is fused; 1 takes a single input as it is",
+        low=1,
+        high=32,
+    )
+    stale_after_s: float = option(
+        30.0,
+        "an input whose last map is older than another's by more votes no more",
+        unit="s",
+        low=0.1,
+    )
+    extent: str = option(
+        "union",
+        "fused cells: those of the reference, or of all inputs that ever voted",
+        choices=("reference", "union"),
+    )
+    search_share: float = option(
+        0.7,
+        "a tracked score below this share of what the full search gave calls for a new one",
+        low=0.0,
+        high=1.0,
+    )
+    search_pause_s: float = option(
+        2.0, "full searches of one input are at least this far apart", unit="s", low=0.0
+    )
+    jump_m: float = option(
+        0.5,
+        "a transform that moves an input's centre this far must be found twice in a row",
+        unit="m",
+        low=0.0,
+    )
+    jump_rad: float = option(
+        0.05, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
+    )
+    hold_cells: float = option(
+        0.6,
+        "a transform that moves every corner of an input by less is left as it was",
+        unit="cells",
+        low=0.0,
+        high=10.0,
+        level="expert",
+    )
+    track_share: float = option(
+        0.01,
+        "align again once this share of the wall cells has changed",
+        low=0.0,
+        high=1.0,
+        level="expert",
+    )
+    steady_share: float = option(
+        0.75,
+        "a new map belongs to its old transform where this share of the old walls still stands",
+        low=0.0,
+        high=1.0,
+        level="expert",
+    )
+    track_cells: int = option(
+        4_000_000,
+        "cells aligned again while a new map waits to be fused; what is larger waits for a pause",
+        unit="cells",
+        low=1,
+        level="expert",
+    )
 
 
 @dataclass(frozen=True)
@@ -632,7 +706,11 @@ class WorldConfig(_Checked):
     name: str = option(
         "office",
         "which drawn place, or map for a map file",
-        choices=("office", "corridor", "hall", "atrium", "yard", "map"),
+        choices=(
+            *("office", "corridor", "hall", "atrium", "yard"),
+            *("ring-100", "ring-300", "wings", "pillars", "rooms"),
+            "map",
+        ),
     )
     map: str | None = option(None, "map file of the world `map`; from the course file's folder")
     seed: int | None = option(None, "seed of the drawing; default: the run's seed", low=0)
@@ -820,7 +898,9 @@ class SimulateConfig(_Checked):
     """What a simulated drive changes of its course; unset, the course decides."""
 
     world: str | None = option(
-        None, "drawn place (office, corridor, hall, atrium, yard), or a map file"
+        None,
+        "drawn place (office, corridor, hall, atrium, yard, ring-100, ring-300, wings, pillars, "
+        "rooms), or a map file",
     )
     world_seed: int | None = option(None, "seed of the drawn place; default: the run's seed", low=0)
     resolution: float | None = option(
@@ -922,6 +1002,150 @@ class GraphOptimizerConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class SideBySideConfig(_Checked):
+    """The main job: several producers on one log, side by side, then their fusion."""
+
+    producers: str = option("tinyslam,gmapping,graph", "which producers run, with commas")
+    processes: int | None = option(
+        None, "producers at work at once; default: as many as there are cores", low=1, high=64
+    )
+    time_limit_s: float | None = option(
+        None, "stop a producer that takes longer and leave it out", unit="s", low=0.1, high=1e7
+    )
+    path_gap_m: float = option(
+        1.0,
+        "leave out a producer whose path, laid into the fused map, is this far from the others'",
+        unit="m",
+        low=0.05,
+        high=100.0,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class ProducerNodeConfig(_Checked):
+    """The ROS node of a producer; not part of ``RunConfig``, whose sections it has beside these."""
+
+    odometry_source: str = option(
+        "topic",
+        "odometry from nav_msgs/Odometry on `odom`, from the transforms between odom_frame and "
+        "base_frame, or none",
+        choices=("topic", "tf", "none"),
+    )
+    odometry_wait_s: float = option(
+        0.5,
+        "a scan waits this long for the odometry of its time, then it is matched without",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+    base_frame: str = option("base_link", "the robot's frame")
+    odom_frame: str = option("odom", "the odometry frame")
+    map_frame: str | None = option(None, "frame of the map; default: the node's name and _map")
+    laser_source: str = option(
+        "tf",
+        "where the laser sits on the robot: by the transforms, or by laser_x, laser_y, laser_yaw",
+        choices=("tf", "parameter"),
+    )
+    laser_x: float = option(0.0, "the laser is this far ahead of the robot's origin", unit="m")
+    laser_y: float = option(0.0, "the laser is this far to the left of it", unit="m")
+    laser_yaw: float = option(0.0, "the laser looks this far to the left", unit="rad")
+    scan_queue: int = option(
+        20, "scans that may wait; when one more comes the oldest is dropped", low=1, high=10_000
+    )
+    map_update_interval_s: float | None = option(
+        None,
+        "the map is published this often; default: gmapping's map_update_interval, else 1 s",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+    path_poses: int = option(
+        2000, "the published path has at most this many poses", low=2, high=1_000_000
+    )
+    publish_tf: bool = option(
+        False,
+        "send the transform from the map's frame to odom_frame (to base_frame without odometry); "
+        "one node alone may",
+    )
+    scans_stale_s: float = option(
+        2.0, "no scan for this long is named in the diagnostics", unit="s", low=0.1, high=1e6
+    )
+    reset_back_s: float = option(
+        1.0,
+        "a scan that is older than the last one by more begins a new map; by less it is left out",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+    seed: int = option(0, "seed of every random number", low=0)
+
+
+@dataclass(frozen=True)
+class FusionNodeConfig(_Checked):
+    """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has beside these."""
+
+    fused_frame: str = option("fused_map", "frame of the fused map")
+    max_publish_rate_hz: float = option(
+        5.0, "the fused map is published at most so often", unit="Hz", low=0.001, high=1000.0
+    )
+    publish_tf: bool = option(
+        False,
+        "send the transform from fused_frame to odom_frame, by the pose of the healthiest input "
+        "and the odometry; no other node may",
+    )
+    odometry_source: str = option(
+        "topic",
+        "for publish_tf: odometry from nav_msgs/Odometry on `odom`, or from the transforms between "
+        "odom_frame and base_frame",
+        choices=("topic", "tf"),
+    )
+    base_frame: str = option("base_link", "the robot's frame")
+    odom_frame: str = option("odom", "the odometry frame")
+    save_path: str = option("fused_map", "save_map writes this path with .yaml and .pgm")
+    lost_after_s: float = option(
+        3.0, "an input that nobody publishes for this long is lost", unit="s", low=0.1, high=1e6
+    )
+
+
+@dataclass(frozen=True)
+class PlayerNodeConfig(_Checked):
+    """The ROS node that plays a log; not part of ``RunConfig``."""
+
+    file: str | None = option(None, "the log or bag")
+    rate: float = option(1.0, "times as fast as it was recorded", low=1e-3, high=1e4)
+    loop: bool = option(False, "begin again at the end; time jumps back")
+    lockstep: bool = option(
+        False, "send the next scan when every producer of wait_for has told its pose at the last"
+    )
+    lockstep_timeout_s: float = option(
+        30.0, "give up when a producer has not answered for this long", unit="s", low=0.1, high=1e6
+    )
+    start_timeout_s: float = option(
+        30.0, "wait this long for the listeners before the first scan", unit="s", low=0.0, high=1e6
+    )
+    odometry: str = option(
+        "both",
+        "how odometry is sent: on `odom`, as transforms, both, or not at all",
+        choices=("topic", "tf", "both", "none"),
+    )
+    base_frame: str = option("base_link", "the robot's frame")
+    odom_frame: str = option("odom", "the odometry frame")
+    laser_frame: str = option("laser", "the laser's frame")
+    publish_clock: bool = option(True, "send the log's time on /clock, for use_sim_time")
+    save: str | None = option(
+        None, "folder: after the last scan the newest map of every topic in `maps` is written here"
+    )
+    save_timeout_s: float = option(
+        20.0,
+        "wait this long for the maps that hold the last scan, then write what came",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+
+
+@dataclass(frozen=True)
 class DeviceConfig(_Checked):
     """Which device computes."""
 
@@ -935,6 +1159,7 @@ class RunConfig(_Checked):
     """Everything that decides a result; written beside every result."""
 
     fusion: FusionConfig = FusionConfig()
+    live: LiveConfig = LiveConfig()
     log: LogConfig = LogConfig()
     tinyslam: TinySlamConfig = TinySlamConfig()
     gmapping: GmappingConfig = GmappingConfig()
@@ -944,6 +1169,7 @@ class RunConfig(_Checked):
     simulate: SimulateConfig = SimulateConfig()
     experiment: ExperimentConfig = ExperimentConfig()
     graph_optimizer: GraphOptimizerConfig = GraphOptimizerConfig()
+    run: SideBySideConfig = SideBySideConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
 

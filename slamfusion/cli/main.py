@@ -26,6 +26,8 @@ from slamfusion.cli import (
     experiment,
     fuse,
     graph,
+    node,
+    run,
     simulate,
     slam,
     trajectory,
@@ -37,6 +39,7 @@ __all__ = ["COMMANDS", "main"]
 
 # Every subcommand; a new one is a module with a ``command`` and a line here.
 COMMANDS: tuple[click.Command, ...] = (
+    run.command,
     fuse.command,
     align.command,
     evaluate.command,
@@ -48,6 +51,7 @@ COMMANDS: tuple[click.Command, ...] = (
     devices.command,
     doctor.command,
     bench.command,
+    node.command,
 )
 
 EXIT_FAILURE = 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,17 @@ from slamfusion.report.page import (
     write_page,
 )
 
-__all__ = ["write_failure_report", "write_fusion_report"]
+__all__ = [
+    "alignment_section",
+    "dissent_section",
+    "fused_section",
+    "fusion_banner",
+    "inputs_section",
+    "shown_box",
+    "statistics_section",
+    "write_failure_report",
+    "write_fusion_report",
+]
 
 # Overlays of failed pairs: with ten inputs there are 45.
 _MOST_OVERLAYS = 12
@@ -64,17 +74,17 @@ def write_fusion_report(
     Raises:
         SlamFusionError: the directory cannot be written.
     """
-    box = _shown_box(result)
-    sections = [_fused_section(result, box), _inputs_section(result, config)]
+    box = shown_box(result)
+    sections = [fused_section(result, box), inputs_section(result, config)]
     if any(record.dissent is not None for record in result.accepted):
-        sections.append(_dissent_section(result, box))
+        sections.append(dissent_section(result, box))
     if evaluations:
         sections.append(error_section(evaluations))
-    sections.append(_alignment_section(result))
-    sections.append(_statistics_section(result, config))
+    sections.append(alignment_section(result))
+    sections.append(statistics_section(result, config))
     sections.append(circumstances(config, result.device))
     page = Page(
-        "SLAMfusion report", _fusion_banner(result, failure), _facts(result, evaluations), sections
+        "SLAMfusion report", fusion_banner(result, failure), _facts(result, evaluations), sections
     )
     return write_page(page, directory)
 
@@ -150,7 +160,7 @@ _YAW_TEXT = (
 )
 
 
-def _fusion_banner(result: FusionResult, failure: str | None) -> Banner:
+def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
     lines = [(f"{record.name} was rejected:", record.reason) for record in result.rejected]
@@ -192,7 +202,7 @@ def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
     return facts
 
 
-def _fused_section(result: FusionResult, box: CellBox) -> Section:
+def fused_section(result: FusionResult, box: CellBox) -> Section:
     """Return the fused map, the inputs over each other, and where they agree."""
     fused, agreement = result.fused, result.agreement
     pictures = [
@@ -233,7 +243,7 @@ def _fused_section(result: FusionResult, box: CellBox) -> Section:
     return Section("Fused map", "fused", "", pictures)
 
 
-def _shown_box(result: FusionResult) -> CellBox:
+def shown_box(result: FusionResult) -> CellBox:
     """Return what any voter knows: one crop for all pictures on the fused lattice."""
     shown = (result.fused.cells != -1) | (result.agreement.cells != -1)
     for record in result.accepted:
@@ -251,7 +261,7 @@ def _agreement_steps(result: FusionResult) -> list[int]:
     return [steps[index] for index in chosen][::-1]
 
 
-def _inputs_section(result: FusionResult, config: RunConfig) -> Section:
+def inputs_section(result: FusionResult, config: RunConfig) -> Section:
     """Return every input, and for a rejected one also how it would have lain."""
     normalize = config.fusion.normalize
     grids = {record.name: record.grid for record in result.inputs}
@@ -270,7 +280,7 @@ def _inputs_section(result: FusionResult, config: RunConfig) -> Section:
     return Section("Inputs", "inputs", "The maps as they were given, each in its frame.", pictures)
 
 
-def _dissent_section(result: FusionResult, box: CellBox) -> Section:
+def dissent_section(result: FusionResult, box: CellBox) -> Section:
     """Return where each input was outvoted."""
     fused = result.fused
     classes = _classes(fused)
@@ -311,8 +321,13 @@ def _outvoted(record: InputRecord) -> str:
     return f"{cells} cells; {share:.1f} % of those it knows"
 
 
-def _alignment_section(result: FusionResult) -> Section:
-    """Return transforms, scores over yaw, and the table of all pairs."""
+def alignment_section(result: FusionResult, *, only_doubtful: bool = False) -> Section:
+    """Return transforms, scores over yaw, and the table of all pairs.
+
+    Args:
+        result: the fusion.
+        only_doubtful: draw the scores over yaw of rejected pairs alone.
+    """
     to_reference = [
         record.alignment
         for record in result.inputs
@@ -324,12 +339,22 @@ def _alignment_section(result: FusionResult) -> Section:
         *alignment_table(f"Alignment to {result.reference}", to_reference),
         *alignment_table("All other pairs", others, folded=True),
     ]
-    curves = yaw_pictures([*to_reference, *others])
+    drawn = [item for item in (*to_reference, *others) if not (only_doubtful and item.accepted)]
+    curves = yaw_pictures(drawn)
     return Section("Alignment", "alignment", _YAW_TEXT if curves else "", curves, tables)
 
 
-def _statistics_section(result: FusionResult, config: RunConfig) -> Section:
-    """Return who voted with which weight, and the maps in numbers."""
+def statistics_section(
+    result: FusionResult, config: RunConfig, doubled: Mapping[str, float] | None = None
+) -> Section:
+    """Return who voted with which weight, and the maps in numbers.
+
+    Args:
+        result: the fusion.
+        config: what counts as wall and as free.
+        doubled: shares of doubled walls by name, that of the fused map as ``fused map``, where
+            they are known already.
+    """
     roles = {True: Cell("fused", "good"), False: Cell("rejected", "bad")}
     rows = [
         [
@@ -343,7 +368,8 @@ def _statistics_section(result: FusionResult, config: RunConfig) -> Section:
     ]
     votes = Table("Votes", ("map", "", "weight", "outvoted in", "reason"), rows)
     grids = [record.grid for record in result.inputs]
-    table = statistics_table([*grids, result.fused.with_name("fused map")], config.fusion.normalize)
+    shown = [*grids, result.fused.with_name("fused map")]
+    table = statistics_table(shown, config.fusion.normalize, doubled)
     return Section("Votes and maps in numbers", "numbers", "", tables=[votes, table])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -166,12 +166,24 @@ def alignment_table(
     return tables
 
 
-def statistics_table(grids: Sequence[OccupancyGrid], normalize: NormalizeConfig) -> Table:
-    """Return size, known area and walls of maps, with their share of doubled walls."""
+def statistics_table(
+    grids: Sequence[OccupancyGrid],
+    normalize: NormalizeConfig,
+    doubled: Mapping[str, float] | None = None,
+) -> Table:
+    """Return size, known area and walls of maps, with their share of doubled walls.
+
+    Args:
+        grids: the maps.
+        normalize: what counts as wall and as free.
+        doubled: the shares by name, where they are known already; others are found.
+    """
+    shares = doubled or {}
     rows = []
     for grid in grids:
         classes = trinary_cells(grid.cells, normalize)
         known = int(np.count_nonzero(classes != -1))
+        share = shares[grid.name] if grid.name in shares else doubled_wall_share(classes == 1)
         rows.append(
             [
                 Cell(grid.name),
@@ -179,7 +191,7 @@ def statistics_table(grids: Sequence[OccupancyGrid], normalize: NormalizeConfig)
                 number(grid.resolution),
                 number(known * grid.resolution**2, 1),
                 Cell(f"{int(np.count_nonzero(classes == 1)):d}", is_number=True),
-                number(100 * doubled_wall_share(classes == 1), 1),
+                number(100 * share, 1),
             ]
         )
     return Table(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import datetime as dt
 import importlib.metadata
 import importlib.resources
@@ -187,12 +188,13 @@ def circumstances(config: RunConfig, device: str) -> Section:
     )
 
 
-def write_page(page: Page, directory: str | Path) -> Path:
+def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
     """Write ``report.html`` and the pictures beside it, all or none.
 
     Args:
         page: its pictures go into the page and, numbered, beside it.
         directory: made when it is missing; older files of the same names are replaced.
+        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of the page.
@@ -216,10 +218,10 @@ def write_page(page: Page, directory: str | Path) -> Path:
         version=slamfusion.__version__,
     )
     path = directory / "report.html"
-    with AtomicFiles() as files:
+    with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
         for picture in pictures:
-            files.add(directory / names[id(picture)], picture.png)
-        files.add(path, html.encode("utf-8", errors="replace"))
+            whole.add(directory / names[id(picture)], picture.png)
+        whole.add(path, html.encode("utf-8", errors="replace"))
     return path
 
 

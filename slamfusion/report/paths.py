@@ -57,6 +57,9 @@ __all__ = [
     "paths_picture",
     "relations_picture",
     "revisit_legend",
+    "run_colour",
+    "run_paths_legend",
+    "run_paths_picture",
 ]
 
 _NORMALIZE = NormalizeConfig()
@@ -68,6 +71,9 @@ OTHERS_COLOUR: Rgb = (103, 65, 217)
 REVISIT_COLOUR: Rgb = (232, 89, 12)
 START_COLOUR: Rgb = (47, 158, 68)
 END_COLOUR: Rgb = (201, 42, 42)
+# Paths of several producers; told apart also by who sees no red or no green.
+RUN_COLOURS: tuple[Rgb, ...] = ((0, 114, 178), (230, 120, 0), (170, 60, 160), (0, 140, 100))
+INK_RGB: Rgb = (20, 22, 26)
 
 # Ends of both colour scales that would vanish on white are cut off.
 _TIME_SPAN = (0.15, 0.82)
@@ -202,6 +208,50 @@ def paths_picture(
     return to_png(figure)
 
 
+def run_paths_picture(
+    paths: Sequence[Trajectory],
+    *,
+    truth: Trajectory | None = None,
+    odometry: Trajectory | None = None,
+    grid: OccupancyGrid | None = None,
+    normalize: NormalizeConfig = _NORMALIZE,
+) -> bytes:
+    """Draw the paths that several producers found on one drive, each in its colour.
+
+    Args:
+        paths: at least one, all in the frame of ``grid``; the first lies on top.
+        truth: the true path, dashed.
+        odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
+        grid: a map to draw under them.
+        normalize: what counts as wall and as free in it.
+    """
+    extent = _extent_of(paths[0].poses)
+    if grid is not None:
+        extent = extent.grown(_grid_extent(grid, normalize))
+    for path in (*paths[1:], *([] if truth is None else [truth])):
+        extent = extent.grown(_extent_of(path.poses))
+    if odometry is not None:
+        extent = extent.grown(_extent_of(odometry.poses), _DRIFT_SHARE)
+    figure, axes = _map_axes(extent)
+    if grid is not None:
+        _draw_grid(axes, grid, normalize)
+    layers = [] if odometry is None else [(odometry, ODOMETRY_COLOUR, 0.8, "-")]
+    last = len(paths) - 1
+    for index, path in reversed(list(enumerate(paths))):
+        # The lower ones are wider, so that each is seen where all lie on each other.
+        layers.append((path, run_colour(index), 1.0 + 1.2 * index / max(1, last), "-"))
+    for path, colour, width, style in layers:
+        x, y = path.poses[:, 0], path.poses[:, 1]
+        axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
+    if truth is not None:
+        x, y = truth.poses[:, 0], truth.poses[:, 1]
+        axes.plot(
+            x, y, color=unit_rgb(INK_RGB), lw=0.8, ls=(0, (3.0, 2.0)), scalex=False, scaley=False
+        )
+    _draw_marks(axes, paths[0].poses)
+    return to_png(figure)
+
+
 def error_picture(errors: TrajectoryErrors) -> bytes:
     """Draw the absolute errors over travelled metres: of the place above, of the heading below."""
     figure, (upper, lower) = _stacked()
@@ -269,6 +319,23 @@ def paths_legend(*, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
     if odometry:
         entries.append(LegendEntry("raw odometry", ODOMETRY_COLOUR))
     return (*entries, *mark_legend())
+
+
+def run_paths_legend(
+    names: Sequence[str], *, truth: bool, odometry: bool
+) -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``run_paths_picture`` mean."""
+    entries = [LegendEntry(name, run_colour(index)) for index, name in enumerate(names)]
+    if truth:
+        entries.append(LegendEntry("truth, dashed", INK_RGB))
+    if odometry:
+        entries.append(LegendEntry("raw odometry", ODOMETRY_COLOUR))
+    return (*entries, *mark_legend())
+
+
+def run_colour(index: int) -> Rgb:
+    """Return the colour of one of several producers' paths."""
+    return RUN_COLOURS[index % len(RUN_COLOURS)]
 
 
 def others_legend(count: int) -> tuple[LegendEntry, ...]:

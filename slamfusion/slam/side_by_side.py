@@ -1,0 +1,335 @@
+"""Several producers on one log, side by side: each in a process of its own that reads the log.
+
+A producer that fails, dies or takes too long is named with its reason; the others go on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import connection
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from slamfusion.compute import open_backend
+from slamfusion.config import RunConfig
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.io.logs import open_log
+from slamfusion.slam.runner import PRODUCERS, ProducerRun, make_producer, run_producer
+
+__all__ = ["Outcome", "SideBySide", "usable_cores"]
+
+# The longest job first: what a scan takes, roughly, against tinySLAM's.
+COSTS = {"gmapping": 6.0, "graph": 3.0, "tinyslam": 1.0}
+# What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
+THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+TELL_S = 0.2
+# A process that was killed, or that has let go of its pipe, is gone within moments.
+JOIN_S = 10.0
+
+# Told the producer and the share of the log that it has read, 0 to 1.
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one producer.
+
+    Attributes:
+        name: the producer.
+        run: what it made; None where it made nothing.
+        reason: why it made nothing, in one line; empty where it made something.
+        time_s: from the start of its process to its answer, imports included.
+        cpu_s: processor time of its process, user and system; None where it did not live to tell.
+        device: what it computed on, in words; empty where it did not come that far.
+        detail: the traceback of a failure that is a bug; else empty.
+    """
+
+    name: str
+    run: ProducerRun | None
+    reason: str
+    time_s: float
+    cpu_s: float | None = None
+    device: str = ""
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """The last thing that a process sends."""
+
+    run: ProducerRun | None
+    reason: str = ""
+    cpu_s: float | None = None
+    device: str = ""
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A process that is at work."""
+
+    name: str
+    process: SpawnProcess
+    answers: Connection
+    begun_s: float
+
+
+class SideBySide:
+    """Producers at work; use it in a ``with`` block, which leaves no process behind.
+
+    The first producers start at once, so that the caller can prepare what comes after them; the
+    others follow in ``wait``.
+
+    Args:
+        names: of ``PRODUCERS``, each once.
+        log: what each of them reads, for itself.
+        config: their settings; ``config.run`` says how many run at once and for how long.
+        scan_odometry: see ``open_log``.
+
+    Raises:
+        ConfigError: no producer, an unknown one, or one given twice.
+        LogError: the log cannot be opened; nothing was started.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        log: Path,
+        config: RunConfig,
+        scan_odometry: Path | None = None,
+    ) -> None:
+        _check(names)
+        open_log(log, config.log, scan_odometry)
+        self._names = tuple(names)
+        self._arguments = (log, scan_odometry, config)
+        self._limit_s = config.run.time_limit_s
+        cores = usable_cores()
+        self._processes = min(len(names), config.run.processes or cores)
+        self._threads = max(1, cores // self._processes)
+        self._waiting = sorted(names, key=lambda name: -COSTS.get(name, 0.0))
+        self._jobs: list[_Job] = []
+        self._outcomes: dict[str, Outcome] = {}
+
+    def __enter__(self) -> SideBySide:  # noqa: PYI034  typing.Self needs Python 3.11
+        """Start as many as may run at once."""
+        self._start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop what still runs."""
+        for job in self._jobs:
+            _stop(job)
+        self._jobs.clear()
+
+    def process_id(self, name: str) -> int | None:
+        """Return the number of a producer's process; None where it is not at work."""
+        return next((job.process.pid for job in self._jobs if job.name == name), None)
+
+    def wait(self, progress: Progress | None = None) -> tuple[Outcome, ...]:
+        """Return what became of each producer, in the order given, when the last one has ended.
+
+        Args:
+            progress: told of each producer, now and then.
+        """
+        while self._jobs:
+            ready = connection.wait([job.answers for job in self._jobs], self._patience_s())
+            for job in list(self._jobs):
+                if job.answers in ready:
+                    self._listen(job, progress)
+                elif self._is_late(job):
+                    reason = f"ran past its time limit of {self._limit_s:g} s and was stopped"
+                    self._conclude(job, _Answer(None, reason))
+            self._start()
+        return tuple(self._outcomes[name] for name in self._names)
+
+    def _start(self) -> None:
+        """Start processes until as many run as may."""
+        while self._waiting and len(self._jobs) < self._processes:
+            self._jobs.append(_start(self._waiting.pop(0), self._arguments, self._threads))
+
+    def _listen(self, job: _Job, progress: Progress | None) -> None:
+        """Take one thing that a process sent; nothing more to come means that it died."""
+        try:
+            said = job.answers.recv()
+        except (EOFError, OSError):
+            job.process.join(JOIN_S)
+            said = _Answer(None, _how_it_died(job.process.exitcode))
+        if not isinstance(said, _Answer):
+            if progress is not None:
+                progress(job.name, said)
+            return
+        if progress is not None and said.run is not None:
+            progress(job.name, 1.0)
+        self._conclude(job, said)
+
+    def _conclude(self, job: _Job, said: _Answer) -> None:
+        """Write down what became of a producer and end its process."""
+        self._jobs.remove(job)
+        self._outcomes[job.name] = Outcome(
+            job.name,
+            None if said.run is None else _sealed(said.run),
+            said.reason,
+            time.perf_counter() - job.begun_s,
+            said.cpu_s,
+            said.device,
+            said.detail,
+        )
+        _stop(job)  # one that has answered has nothing left to do
+
+    def _patience_s(self) -> float | None:
+        """Return how long nothing may be heard before a limit has to be looked at."""
+        if self._limit_s is None:
+            return None
+        first = min(job.begun_s for job in self._jobs)
+        return max(0.0, first + self._limit_s - time.perf_counter())
+
+    def _is_late(self, job: _Job) -> bool:
+        lasted_s = time.perf_counter() - job.begun_s
+        return self._limit_s is not None and lasted_s >= self._limit_s
+
+
+def _sealed(run: ProducerRun) -> ProducerRun:
+    """Return a run whose values are immutable again: arrays that were sent can be written."""
+    return replace(
+        run,
+        grid=replace(run.grid),
+        trajectory=replace(run.trajectory),
+        odometry=None if run.odometry is None else replace(run.odometry),
+        other_paths=tuple(replace(path) for path in run.other_paths),
+    )
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _check(names: Sequence[str]) -> None:
+    """Refuse what is no list of producers."""
+    known = ", ".join(PRODUCERS)
+    unknown = [name for name in names if name not in PRODUCERS]
+    if not names or unknown or len(set(names)) < len(names):
+        found = ", ".join(names) or "none"
+        message = f"wanted some of the producers {known}, each once, found {found}"
+        raise ConfigError(message)
+
+
+def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
+    """Start a producer's process; its device and its libraries get so many threads."""
+    context = multiprocessing.get_context("spawn")
+    answers, theirs = context.Pipe(duplex=False)
+    process = context.Process(
+        target=_work, args=(name, *arguments, theirs), name=f"slamfusion-{name}", daemon=True
+    )
+    begun_s = time.perf_counter()
+    with _threads_limited(threads):
+        process.start()
+    theirs.close()  # ours: else the end of the process would not be seen as the end of the pipe
+    return _Job(name, process, answers, begun_s)
+
+
+@contextlib.contextmanager
+def _threads_limited(threads: int) -> Iterator[None]:
+    """Let processes started meanwhile share the cores; what is set already is left alone."""
+    added = [name for name in THREAD_VARIABLES if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, str(threads)))
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
+def _stop(job: _Job) -> None:
+    """End a process, by force where it does not end, and let go of what it held."""
+    if job.process.is_alive():
+        job.process.kill()
+        job.process.join(JOIN_S)
+    job.answers.close()
+    with contextlib.suppress(ValueError):  # one that cannot even be killed
+        job.process.close()
+
+
+def _how_it_died(exit_code: int | None) -> str:
+    """Say how a process ended that sent no answer."""
+    if exit_code is None or exit_code >= 0:
+        return f"its process ended with code {exit_code} and no map"
+    try:
+        name = signal.Signals(-exit_code).name
+    except ValueError:
+        name = f"signal {-exit_code}"
+    hint = "; out of memory, perhaps" if name == "SIGKILL" else ""
+    return f"its process was killed by {name}{hint}"
+
+
+# --- in the process of a producer -------------------------------------------------------------
+
+
+def _work(
+    name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
+) -> None:
+    """Run one producer and send what it made."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller is interrupted too, and ends us
+    os.dup2(2, 1)  # whatever a driver prints: standard output belongs to the caller
+    try:
+        answer = _answer(name, log, scan_odometry, config, answers)
+        answers.send(answer)
+    except BrokenPipeError:  # nobody is waiting any more
+        sys.exit(1)
+
+
+def _answer(
+    name: str, log: Path, scan_odometry: Path | None, config: RunConfig, answers: Connection
+) -> _Answer:
+    """Return what the producer made, or why it made nothing."""
+    try:
+        backend = open_backend(config.device.device)
+        producer = make_producer(name, config, backend)
+        source = open_log(log, config.log, scan_odometry)
+        told_s = 0.0
+
+        def tell(_: int) -> None:
+            nonlocal told_s
+            now_s = time.perf_counter()
+            if now_s - told_s >= TELL_S:
+                told_s = now_s
+                answers.send(source.fraction_read)
+
+        run = run_producer(producer, source, log=source, progress=tell)
+    except BrokenPipeError:
+        raise
+    except (SlamFusionError, OSError) as error:
+        return _Answer(None, _one_line(error), _cpu_s())
+    except MemoryError:
+        return _Answer(None, "out of memory; use a coarser cell or fewer processes", _cpu_s())
+    except Exception as error:  # noqa: BLE001 - a bug in one producer must not take the others
+        reason = f"a bug: {type(error).__name__}: {error}"
+        return _Answer(None, _one_line(reason), _cpu_s(), detail=traceback.format_exc())
+    return _Answer(run, "", _cpu_s(), backend.name)
+
+
+def _one_line(error: Exception | str) -> str:
+    return " ".join(str(error).split())
+
+
+def _cpu_s() -> float:
+    times = os.times()
+    return times.user + times.system

@@ -1,0 +1,342 @@
+"""``run`` as a user starts it: three producers, one of them killed, saved maps, and the files."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
+from slamfusion.trajectory import Trajectory
+from tests.cli.command import (
+    INSTALLED,
+    assert_one_line_failure,
+    json_of,
+    run,
+    tree,
+)
+from tests.slam.drives import drive
+from tests.support.datasets import ABSENT, DATASETS
+
+NAMES = ("tinyslam", "gmapping", "graph")
+SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
+TWO = ("--producers", "tinyslam,graph")
+CSAIL = DATASETS / "mit-csail"
+MAPS_OF_FUSION = {
+    f"{name}{end}" for name in ("fused", "fused_agreement") for end in (".yaml", ".pgm")
+}
+
+
+def files_of(*names: str) -> set[str]:
+    return {f"{name}{suffix}" for name in names for suffix in SUFFIXES}
+
+
+def outputs(folder: Path) -> set[str]:
+    """The files in a run's folder, without those of the report."""
+    return {path.name for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive through a flat, its true path, relations, and a saved map of it."""
+    folder = tmp_path_factory.mktemp("place")
+    scans, truth = drive(64)
+    write_carmen(folder / "flat.log", scans)
+    stamps = np.array([item.scan.stamp_s for item in scans])
+    poses = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
+    write_tum(folder / "truth.tum", Trajectory(stamps, poses, "truth"))
+    motion = truth[0].inverse().compose(truth[60])
+    line = f"0.0 6.0 {motion.x} {motion.y} 0 0 0 {motion.yaw_rad}\n"
+    (folder / "flat.relations").write_text(line, encoding="utf-8")
+    done = run("slam", "tinyslam", folder / "flat.log", "--seed", "9", "-o", folder / "saved")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(place: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A run with everything asked for: its folder and its JSON document."""
+    out = tmp_path_factory.mktemp("run") / "out"
+    done = run(
+        "run", place / "flat.log", "-o", out, "--seed", "3", "--json",
+        "--truth", place / "saved.yaml", "--truth-trajectory", place / "truth.tum",
+        "--relations", place / "flat.relations", "--odometry", place / "flat.log",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return out, json_of(done)
+
+
+def test_the_folder_holds_every_map_path_and_record(made: tuple[Path, dict[str, Any]]) -> None:
+    out, _ = made
+    assert outputs(out) == files_of(*NAMES) | MAPS_OF_FUSION
+    assert (out / "report" / "report.html").is_file()
+    assert not list(out.rglob(".slamfusion-*"))
+    for name in NAMES:
+        assert len(read_trajectory(out / f"{name}.tum")) == 64
+
+
+def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[str, Any]]) -> None:
+    out, document = made
+    assert [record["name"] for record in document["producers"]] == list(NAMES)
+    for record in document["producers"]:
+        assert (record["scans"], record["failed"]) == (64, None)
+        assert set(record["time_per_scan_ms"]) >= {"mean", "p50", "p95"}
+        assert record["peak_memory_mb"] > 0
+        assert record["translation"]["mean"] < 0.2
+        assert record["ate"]["rmse"] < 0.2
+        assert record["map_error"]["aligned"] is True
+        assert record["process_cpu_s"] > 0
+        assert [Path(path).name for path in record["files"]] == [
+            f"{record['name']}{suffix}" for suffix in (".yaml", ".pgm", ".tum", ".json")
+        ]
+    assert [record["name"] for record in document["inputs"]] == list(NAMES)
+    assert all(record["accepted"] for record in document["inputs"])
+    assert document["reference"] in NAMES
+    assert document["fused"] == str(out / "fused.yaml")
+    assert document["phantom_cells"] == 0
+    assert [item["name"] for item in document["evaluations"]] == [*NAMES, "fused"]
+    gaps = {(gap["a"], gap["b"]): gap["median_m"] for gap in document["path_gaps"]}
+    assert set(gaps) == {("tinyslam", "gmapping"), ("tinyslam", "graph"), ("gmapping", "graph")}
+    assert max(gaps.values()) < 0.2
+    assert document["error"] is None
+    assert document["seed"] == 3
+    stages = document["stages_s"]
+    assert list(stages) == ["producers", "fusion", "errors", "report"]
+    assert sum(stages.values()) <= document["time_s"]
+
+
+def test_a_producer_makes_the_map_that_slam_makes(
+    made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
+) -> None:
+    out, _ = made
+    done = run("slam", "graph", place / "flat.log", "--seed", "3", "-o", tmp_path / "graph")
+    assert done.returncode == 0, done.stderr
+    for suffix in (".pgm", ".tum", ".yaml"):
+        assert (tmp_path / f"graph{suffix}").read_bytes() == (out / f"graph{suffix}").read_bytes()
+
+
+def test_the_fused_map_is_nearly_what_fuse_makes_of_the_saved_maps(
+    made: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    out, _ = made
+    maps = [out / f"{name}.yaml" for name in NAMES]
+    done = run("fuse", *maps, "--shared-frame", "-o", tmp_path / "fused")
+    assert done.returncode == 0, done.stderr
+    again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
+    assert again.origin == fused.origin
+    # A saved map has three values: what was nearly free is unknown in it.
+    assert np.mean(again.cells == fused.cells) > 0.98
+
+
+def test_the_report_is_one_page_with_everything(made: tuple[Path, dict[str, Any]]) -> None:
+    out, _ = made
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    for anchor in ("maps", "paths", "health", "alignment", "path-errors", "errors", "timings"):
+        assert f'<section id="{anchor}">' in html
+    for name in NAMES:
+        assert html.count(name) > 5
+    pictures = sorted(path.name for path in (out / "report").glob("*.png"))
+    assert all(f'href="{name}"' in html for name in pictures)
+    assert html.count("<img ") == len(pictures)
+
+
+def test_the_tables_name_the_same(place: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run("run", place / "flat.log", "-o", out, *TWO, "--relations", place / "flat.relations")
+    assert done.returncode == 0, done.stderr
+    for word in ("tinyslam", "graph", "relations m", "fused 2 of 2 inputs", "m apart (median)",
+                 "fused.yaml", "report.html"):  # fmt: skip
+        assert word in done.stdout
+    assert "gmapping" not in done.stdout
+
+
+def test_a_killed_producer_is_named_and_the_others_are_fused(place: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    started = subprocess.Popen(
+        [INSTALLED, "run", place / "flat.log", "-o", out, "--json", "--processes", "3"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    os.kill(a_producer_of(started.pid), signal.SIGKILL)
+    stdout, stderr = started.communicate(timeout=180)
+    assert started.returncode == 0, stderr
+    document = json_of(subprocess.CompletedProcess([], 0, stdout, stderr))
+    failed = [record for record in document["producers"] if record["failed"]]
+    (record,) = failed
+    assert "killed by SIGKILL" in record["failed"]
+    assert record["scans"] is None
+    assert record["files"] == []
+    assert f"no map: {record['name']}: its process was killed by SIGKILL" in stderr
+    others = [name for name in NAMES if name != record["name"]]
+    assert document["fused_count"] == 2
+    assert [item["name"] for item in document["inputs"]] == others
+    assert outputs(out) == files_of(*others) | MAPS_OF_FUSION
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Only 2 of 3 maps were fused" in html
+    assert f"{record['name']} made no map:" in html
+
+
+def a_producer_of(parent: int) -> int:
+    """Return a process of one of its producers."""
+    children = Path(f"/proc/{parent}/task/{parent}/children")
+    end_s = time.monotonic() + 60.0
+    while time.monotonic() < end_s:
+        for child in children.read_text(encoding="ascii").split():
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                return int(child)
+        time.sleep(0.02)
+    message = "no producer was started"
+    raise AssertionError(message)
+
+
+def test_with_one_map_left_nothing_is_fused_and_an_old_fused_map_goes(
+    place: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    first = run("run", place / "flat.log", "-o", out, *TWO)
+    assert first.returncode == 0, first.stderr
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    done = run("run", place / "flat.log", "-o", out, "--producers", "graph")
+    assert_one_line_failure(done, "1 of 1 maps was made", "at least 2", str(out))
+    # A map of the run before beside those of this one would be taken for one of them.
+    assert outputs(out) == files_of("graph") | {"notes.txt"}
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Nothing was fused" in html
+    shown = {path.name for path in (out / "report").glob("*.png")}
+    assert len(shown) == html.count("<img ")
+
+
+def test_maps_that_no_run_made_are_left_alone(place: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run("slam", "tinyslam", place / "flat.log", "-o", out / "tinyslam")
+    assert done.returncode == 0, done.stderr
+    done = run("run", place / "flat.log", "-o", out, "--producers", "graph")
+    assert done.returncode == 1
+    assert outputs(out) == files_of("graph", "tinyslam")
+
+
+def test_a_time_limit_leaves_out_who_takes_longer(place: Path, tmp_path: Path) -> None:
+    done = run(
+        "run", place / "flat.log", "-o", tmp_path / "out", *TWO, "--time-limit-s", "0.1", "--json"
+    )
+    assert done.returncode == 1
+    document = json_of(done)
+    assert {record["failed"] for record in document["producers"]} == {
+        "ran past its time limit of 0.1 s and was stopped"
+    }
+    assert document["fused"] is None
+    assert "none of 2 maps was made" in document["error"]
+    assert outputs(tmp_path / "out") == set()
+
+
+@pytest.mark.parametrize("order", ["log first", "log last"])
+def test_saved_maps_vote_too(place: Path, tmp_path: Path, order: str) -> None:
+    save_map(load_map(place / "saved.yaml"), tmp_path / "other" / "graph")
+    maps = ("--inputs", place / "saved.yaml", tmp_path / "other" / "graph.yaml")
+    log = (place / "flat.log",)
+    given = (*log, *maps) if order == "log first" else (*maps, *log)
+    done = run("run", *given, "-o", tmp_path / "out", "--producers", "graph", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json_of(done)
+    assert [item["name"] for item in document["inputs"]] == ["graph", "saved", "graph (saved)"]
+    assert document["fused_count"] == 3
+    assert len(document["producers"]) == 1
+
+
+def test_require_all_fuses_nothing_without_everyone(place: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    empty = np.full((20, 20), -1, dtype=np.int8)
+    save_map(OccupancyGrid(empty, 0.05), tmp_path / "blank")
+    arguments = ("run", place / "flat.log", *TWO, "--inputs", tmp_path / "blank.yaml", "-o", out)
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert "rejected: blank" in done.stderr
+    done = run(*arguments, "--require-all")
+    assert done.returncode == 1
+    assert "--require-all, but rejected: blank" in done.stderr
+    assert outputs(out) == files_of("tinyslam", "graph")
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Do not use this map" in html
+
+
+def test_a_truth_that_does_not_meet_the_drive_keeps_the_maps(place: Path, tmp_path: Path) -> None:
+    later = Trajectory(np.array([1e6, 1e6 + 1]), np.zeros((2, 3)), "later")
+    write_tum(tmp_path / "later.tum", later)
+    out = tmp_path / "out"
+    done = run(
+        "run", place / "flat.log", *TWO, "-o", out, "--truth-trajectory", tmp_path / "later.tum"
+    )
+    assert done.returncode == 1
+    assert "what was made lies in" in done.stderr
+    assert outputs(out) == files_of("tinyslam", "graph") | MAPS_OF_FUSION
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (("--producers", "tinyslam,hector"), 1, "wanted some of the producers"),
+        (("--producers", ","), 1, "found none"),
+        (("--odometry", "flat.log"), 2, "give --relations"),
+        (("-o", "flat.log"), 2, "is not a folder"),
+        (("--inputs", "out/graph.yaml"), 2, "would replace the input"),
+        (("--inputs", "absent.yaml"), 1, "absent.yaml"),
+        (("--truth", "absent.yaml"), 1, "absent.yaml"),
+        (("--processes", "0"), 1, "must lie in"),
+    ],
+)
+def test_what_cannot_end_well_is_refused_before_any_work(
+    place: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, word: str
+) -> None:
+    (tmp_path / "flat.log").write_bytes((place / "flat.log").read_bytes())
+    before = tree(tmp_path)
+    done = run("run", "flat.log", "-o", "out", *TWO, *arguments, cwd=tmp_path)
+    assert done.returncode in {code, 2}
+    assert word in " ".join(done.stderr.split())
+    assert done.stdout == ""
+    assert tree(tmp_path) == before
+
+
+def test_an_interrupted_run_leaves_neither_files_nor_processes(place: Path, tmp_path: Path) -> None:
+    started = subprocess.Popen(
+        [INSTALLED, "run", place / "flat.log", "-o", tmp_path / "out"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    producer = a_producer_of(started.pid)
+    time.sleep(1.0)
+    started.send_signal(signal.SIGINT)
+    _, stderr = started.communicate(timeout=60)
+    assert started.returncode == 130
+    assert "interrupted" in stderr
+    assert not Path(f"/proc/{producer}").exists()
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.full
+@pytest.mark.datasets
+@pytest.mark.skipif(not CSAIL.exists(), reason=ABSENT)
+def test_a_recorded_drive_end_to_end(tmp_path: Path) -> None:
+    done = run(
+        "run", CSAIL / "mit-csail.clf.gz", "--relations", CSAIL / "mit-csail.relations",
+        "-o", tmp_path / "out", "--json", timeout=600.0,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    document = json_of(done)
+    errors = {record["name"]: record["translation"]["mean"] for record in document["producers"]}
+    assert errors["tinyslam"] < 0.5
+    assert errors["gmapping"] < 0.051
+    assert errors["graph"] < 0.038
+    assert document["fused_count"] == 3
+    assert document["phantom_cells"] == 0
+    assert max(gap["median_m"] for gap in document["path_gaps"]) < 0.3
+    assert document["doubled_wall_share"]["added_by_fusion"] < 0.05
