@@ -24,6 +24,10 @@ install_all() {
         say "the ros extra does not install on $("$venv/bin/python" --version); going without it"
         install_into "$venv" dev
     fi
+    if "$venv/bin/python" -c 'import rclpy' >/dev/null 2>&1; then
+        "$root/launch_scripts/build_tf2_msgs.sh" "$venv/bin/python" ||
+            say "no tf2_msgs: the tests of /tf are skipped"
+    fi
     make_venv "$jazzy"
     install_into "$jazzy" test "$constraints"
     if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; then

@@ -1,0 +1,185 @@
+#!/usr/bin/env bash
+# Start the ROS 2 nodes: three producers, the fusion and, with a log, the player. One Ctrl-C ends
+# them all; a node that dies is started again. Works with pip alone; a sourced ROS is left as it is.
+#
+# slamfusion.sh [LOG [-o DIR] [--rate X | --lockstep]] [--params FILE] [--producers NAMES]
+#               [-- ROS ARGUMENTS FOR EVERY NODE]
+#
+#   LOG               play a log or bag (also: --log LOG); at its end everything ends, and DIR has
+#                     the fused map, those of the producers and a report
+#   -o DIR            default: out/live
+#   --rate X          play X times as fast as recorded
+#   --lockstep        play as fast as every producer can follow
+#   --params FILE     a YAML file of parameters for all nodes, as launch_scripts/slamfusion.yaml
+#   --producers NAMES which ones, by commas (also: --only); default: tinyslam,gmapping,graph
+#
+# A node that ends soon after its start is started again later each time, up to 30 s; one that has
+# done so three times and never ran for longer cannot start at all, and everything ends.
+# SLAMFUSION names the installed command to use; default: that of .venv, which is made.
+set -euo pipefail
+# shellcheck source=launch_scripts/setup.sh
+source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+
+log="" out="out/live" producers="tinyslam,gmapping,graph" params=""
+pace=(-p "rate:=1.0")
+while [ $# -gt 0 ]; do
+    case "$1" in
+        --log | -o | --rate | --params | --only | --producers)
+            [ $# -ge 2 ] || die "$1 needs a value"
+            case "$1" in
+                --log) log="$2" ;;
+                -o) out="$2" ;;
+                --rate) pace=(-p "rate:=$2") ;;
+                --params) params="$2" ;;
+                --only | --producers) producers="$2" ;;
+            esac
+            shift 2
+            ;;
+        --lockstep) pace=(-p lockstep:=true) && shift ;;
+        -h | --help) sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//;p;}' "${BASH_SOURCE[0]}" && exit 0 ;;
+        --) shift && break ;;
+        -*) die "unknown option $1; see --help" ;;
+        *)
+            [ -z "$log" ] || die "two logs, $log and $1; one is played at a time"
+            log="$1" && shift
+            ;;
+    esac
+done
+[ -z "$log" ] || [ -e "$log" ] || die "$log: no such log"
+[ -z "$params" ] || [ -f "$params" ] || die "$params: no such file"
+
+slamfusion="${SLAMFUSION:-}"
+if [ -z "$slamfusion" ]; then
+    make_venv "$root/.venv"
+    if [ -n "${ROS_DISTRO:-}" ]; then
+        install_into "$root/.venv" report "$root/launch_scripts/constraints-jazzy.txt"
+    else
+        install_into "$root/.venv" report,ros
+    fi
+    slamfusion="$root/.venv/bin/slamfusion"
+fi
+
+common=("$@")
+[ -z "$params" ] || common+=(--params-file "$params")
+listed="" maps="" nodes=1
+producers="${producers//,/ }"
+for name in $producers; do
+    listed="${listed:+$listed,}$name"
+    maps="${maps:+$maps,}$name/map"
+    nodes=$((nodes + 1))
+done
+[ -n "$listed" ] || die "--producers names no producer"
+
+# The nodes share the cores.
+threads=$(($(nproc) / nodes))
+export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$((threads > 1 ? threads : 1))}"
+export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+
+# name -> process; when it was started, or is to be; how often it has ended soon after its start,
+# one time after the other; whether it has ever run for longer
+declare -A pid started due quick has_run
+GRACE_S=10 SOON_S=10 MOST_QUICK=3 LONGEST_PAUSE_S=30
+# Kernels that were never compiled on this machine take their time.
+START_TIMEOUT_S=300
+
+start() {
+    local name="$1"
+    local arguments=()
+    case "$name" in
+        fusion) arguments=(-p "inputs:=[$maps]") ;;
+        player)
+            arguments=(-p "file:=$log" -p "wait_for:=[$listed]" -p "maps:=[$maps,fused/map]"
+                -p "save:=$out" -p "start_timeout_s:=$START_TIMEOUT_S.0" "${pace[@]}")
+            ;;
+    esac
+    "$slamfusion" node "$name" --ros-args ${arguments[@]+"${arguments[@]}"} \
+        ${common[@]+"${common[@]}"} &
+    pid[$name]=$!
+    started[$name]=$SECONDS
+}
+
+stop_all() {
+    trap '' INT TERM HUP
+    local name until
+    for name in "${!pid[@]}"; do
+        kill -TERM "${pid[$name]}" 2>/dev/null || true
+    done
+    until=$((SECONDS + GRACE_S))
+    for name in "${!pid[@]}"; do
+        while kill -0 "${pid[$name]}" 2>/dev/null && [ "$SECONDS" -lt "$until" ]; do
+            sleep 0.1
+        done
+        if kill -0 "${pid[$name]}" 2>/dev/null; then
+            say "$name has not ended in $GRACE_S s; it is killed"
+            kill -KILL "${pid[$name]}" 2>/dev/null || true
+        fi
+        wait "${pid[$name]}" 2>/dev/null || true
+    done
+    pid=()
+}
+
+trap 'say "stopping every node"; stop_all; exit 0' INT TERM HUP
+trap 'stop_all' EXIT
+
+for name in $producers fusion; do
+    start "$name"
+done
+[ -z "$log" ] || start player
+say "running: $producers fusion${log:+ player}; Ctrl-C ends them all"
+
+# Note that a node has ended, and when it is to be started again.
+take_end() {
+    local name="$1" code="$2" ran=$((SECONDS - started[$1])) pause=0
+    unset "pid[$name]"
+    if [ "$ran" -ge "$SOON_S" ]; then
+        quick[$name]=0 has_run[$name]=yes
+    else
+        quick[$name]=$((${quick[$name]:-0} + 1))
+        if [ "${quick[$name]}" -ge "$MOST_QUICK" ] && [ -z "${has_run[$name]:-}" ]; then
+            die "$name has ended with $code $MOST_QUICK times in a row soon after its start"
+        fi
+        pause=$((quick[$name] > 5 ? LONGEST_PAUSE_S : 2 ** (quick[$name] - 1)))
+    fi
+    due[$name]=$((SECONDS + pause))
+    local when=""
+    [ "$pause" = 0 ] || when=", in $pause s"
+    say "$name has ended with $code; it is started again, with an empty map$when"
+}
+
+is_over=""
+while [ -z "$is_over" ]; do
+    sleep 0.3
+    for name in "${!due[@]}"; do
+        [ "$SECONDS" -ge "${due[$name]}" ] || continue
+        unset "due[$name]"
+        start "$name"
+    done
+    for name in "${!pid[@]}"; do
+        kill -0 "${pid[$name]}" 2>/dev/null && continue
+        code=0
+        wait "${pid[$name]}" || code=$?
+        if [ "$name" = player ]; then
+            unset "pid[player]"
+            [ "$code" = 0 ] || die "the player has ended with $code"
+            is_over=yes
+            break
+        fi
+        take_end "$name" "$code"
+    done
+done
+
+stop_all
+trap 'say "stopping"; stop_all; exit 0' INT TERM HUP
+[ -f "$out/fused.yaml" ] || die "nothing was fused; see what the nodes said above"
+say "the fused map: $out/fused.yaml"
+saved=()
+for name in $producers; do
+    [ ! -f "$out/$name.yaml" ] || saved+=("$out/$name.yaml")
+done
+if [ ${#saved[@]} -ge 2 ]; then
+    # What the last maps give when they are fused once more, with the table and the pictures.
+    "$slamfusion" fuse "${saved[@]}" --extent union -o "$out/fused_again" --report "$out/report" &
+    pid=([report]=$!)
+    wait "${pid[report]}" || die "no report of the saved maps"
+    say "the report, to be opened in a browser: $out/report/report.html"
+fi

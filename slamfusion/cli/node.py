@@ -1,0 +1,69 @@
+"""``slamfusion node``: the ROS 2 nodes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+
+import click
+
+from slamfusion.errors import SlamFusionError
+
+__all__ = ["NODES", "command"]
+
+# Every node and its module, which has ``make_node(kind) -> NodeBase``.
+NODES = {
+    "tinyslam": "slamfusion.ros.producer_node",
+    "gmapping": "slamfusion.ros.producer_node",
+    "graph": "slamfusion.ros.producer_node",
+    "fusion": "slamfusion.ros.fusion_node",
+    "player": "slamfusion.ros.player_node",
+}
+# Set by the ROS wheels' start-up code when it has put their libraries on the path.
+BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+ABSENT = (
+    "rclpy cannot be imported ({}); source a ROS 2 Jazzy, or without one "
+    "pip install 'slamfusion[ros]'"
+)
+
+
+@click.command(
+    "node",
+    context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+    options_metavar="",
+)
+@click.argument("name", type=click.Choice(list(NODES)))
+@click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
+def command(name: str, ros_arguments: tuple[str, ...]) -> int:
+    """Run a ROS 2 node until Ctrl-C.
+
+    Parameters, names and remappings are given as with `ros2 run`: --ros-args -p rate:=2.0 -r
+    scan:=front/scan -r __ns:=/robot1 --params-file FILE.
+    """
+    if ros_arguments and "--ros-args" not in ros_arguments:
+        message = f"{ros_arguments[0]!r}: a node's options stand after --ros-args"
+        raise click.UsageError(message)
+    _import_rclpy()
+    module = importlib.import_module(NODES[name])
+    base = importlib.import_module("slamfusion.ros.base")
+    return int(base.run_node(lambda: module.make_node(name), ros_arguments))
+
+
+def _import_rclpy() -> None:
+    """Import rclpy, or say how to get it.
+
+    A sourced ROS brings its own environment, which is left alone. The wheels of the package index
+    set the library path when Python starts, but not below a Python of another environment that has
+    done so before; then this process starts once more.
+    """
+    try:
+        importlib.import_module("rclpy")
+    except ImportError as error:
+        folder = str(Path(sys.prefix) / "lib")
+        is_known = folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+        if "ROS_DISTRO" not in os.environ and BOOTSTRAPPED in os.environ and not is_known:
+            environment = {key: value for key, value in os.environ.items() if key != BOOTSTRAPPED}
+            os.execve(sys.executable, sys.orig_argv, environment)  # noqa: S606  (itself again)
+        raise SlamFusionError(ABSENT.format(error)) from error

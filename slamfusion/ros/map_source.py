@@ -1,0 +1,179 @@
+"""``MapSource``: one input of the fusion node, a topic with maps and one with poses."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy
+
+from slamfusion.errors import ConfigError, TrajectoryError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid as Grid
+from slamfusion.io.map_server import load_map
+from slamfusion.ros import messages, qos
+from slamfusion.ros.base import Level, NodeBase
+
+__all__ = ["HeardPose", "MapSource", "input_names", "load_saved"]
+
+FILE_PREFIX = "file:"
+MAP_SUFFIX = "/map"
+SHOWN_S = 10.0
+
+
+def input_names(entries: tuple[str, ...]) -> dict[str, str]:
+    """Return a short name for every entry of ``inputs``, and the entry.
+
+    ``tinyslam/map`` is called tinyslam, ``file:lab.yaml`` lab; where two would be called the same,
+    both are called by their whole entry.
+
+    Raises:
+        ConfigError: no entry, or one given twice.
+    """
+    if not entries:
+        message = "inputs is empty; name at least one map: -p inputs:=[tinyslam/map,gmapping/map]"
+        raise ConfigError(message)
+    if len(set(entries)) < len(entries):
+        message = f"inputs names one map twice: {', '.join(entries)}"
+        raise ConfigError(message)
+    short = [_short_name(entry) for entry in entries]
+    return {
+        entry if short.count(name) > 1 else name: entry
+        for name, entry in zip(short, entries, strict=True)
+    }
+
+
+def _short_name(entry: str) -> str:
+    if entry.startswith(FILE_PREFIX):
+        return Path(entry.removeprefix(FILE_PREFIX)).stem
+    return entry.removesuffix(MAP_SUFFIX).strip("/") or entry
+
+
+def load_saved(name: str, entry: str) -> Grid | None:
+    """Return the map of a ``file:`` entry, None of a topic.
+
+    Raises:
+        MapFileError: it cannot be read.
+    """
+    if not entry.startswith(FILE_PREFIX):
+        return None
+    return load_map(entry.removeprefix(FILE_PREFIX), name=name)
+
+
+@dataclass(frozen=True)
+class HeardPose:
+    """Where an input's SLAM says that the robot is.
+
+    Attributes:
+        pose: of the base in the input's map frame; metres, radians.
+        stamp: builtin_interfaces/Time of it.
+        heard_s: when it came, ``time.monotonic``.
+    """
+
+    pose: Pose2
+    stamp: Any
+    heard_s: float
+
+
+class MapSource:
+    """A map topic and the pose topic beside it.
+
+    The callback keeps the newest message; ``take`` hands it out once. The map is read with the
+    durability that is offered: a reader that asks for kept maps never hears a writer that keeps
+    none. The pose comes on ``NAME/pose`` for ``NAME/map``.
+
+    Args:
+        base: the node.
+        name: of the input.
+        topic: of its maps.
+        on_map: called in the executor's thread when a map has come.
+        on_pose: called there with this when a pose has come.
+
+    Attributes:
+        name, topic: as given.
+        frame: of the newest map; empty before the first.
+        stamp_s: of the newest map handed out; None before the first.
+        pose: the newest; None before the first.
+        silent_since_s: since when nobody publishes the map, ``time.monotonic``; None: somebody
+            does.
+    """
+
+    def __init__(
+        self,
+        base: NodeBase,
+        name: str,
+        topic: str,
+        on_map: Callable[[], None],
+        on_pose: Callable[[MapSource], None],
+    ) -> None:
+        self.name = name
+        self.topic = topic
+        self.frame = ""
+        self.stamp_s: float | None = None
+        self.pose: HeardPose | None = None
+        self.silent_since_s: float | None = time.monotonic()
+        self._base = base
+        self._on_map, self._on_pose = on_map, on_pose
+        self._lock = threading.Lock()
+        self._newest: tuple[Any, float] | None = None
+        self._durability: DurabilityPolicy | None = None
+        self._subscription = self._listen()
+        if topic.endswith(MAP_SUFFIX):
+            pose_topic = topic.removesuffix(MAP_SUFFIX) + "/pose"
+            base.subscribe(PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
+
+    def _listen(self) -> Any:
+        profile = qos.map_qos(self._durability)
+        return self._base.subscribe(OccupancyGrid, self.topic, self._keep, profile)
+
+    def look(self) -> None:
+        """See who publishes the map, and read it as it is offered."""
+        durability = qos.offered_durability(self._base.node, self.topic)
+        if durability is None:
+            if self.silent_since_s is None:
+                self.silent_since_s = time.monotonic()
+            return
+        self.silent_since_s = None
+        was_latched = self._durability != DurabilityPolicy.VOLATILE
+        is_latched = durability != DurabilityPolicy.VOLATILE
+        self._durability = durability
+        if was_latched != is_latched:
+            self._base.node.destroy_subscription(self._subscription)
+            self._subscription = self._listen()
+
+    def _keep(self, message: Any) -> None:
+        with self._lock:
+            self._newest = message, time.monotonic()
+        self._on_map()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a map waits to be taken."""
+        with self._lock:
+            return self._newest is not None
+
+    def take(self) -> tuple[Any, float] | None:
+        """Return the newest map and when it came, once; None where none waits."""
+        with self._lock:
+            taken, self._newest = self._newest, None
+        if taken is not None:
+            self.frame = taken[0].header.frame_id.lstrip("/")
+            self.stamp_s = messages.stamp_s(taken[0])
+        return taken
+
+    def _take_pose(self, message: Any) -> None:
+        key = f"pose {self.name}"
+        try:
+            pose = messages.pose2_from_message(message.pose)
+        except TrajectoryError as error:
+            text = f"a pose of {self.name!r} is left out: {error}"
+            self._base.troubles.add(key, Level.WARN, text, SHOWN_S)
+            return
+        self.pose = HeardPose(pose, message.header.stamp, time.monotonic())
+        self._on_pose(self)

@@ -1,0 +1,290 @@
+"""ROS messages to values and back; nothing here needs a running node.
+
+What cannot be a grid, a scan or a pose is refused with a ``SlamFusionError`` that says why, so a
+node can count and name it.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
+from sensor_msgs.msg import LaserScan
+
+from slamfusion import grid as grids
+from slamfusion import scan as scans
+from slamfusion.errors import GridError, ScanError, TrajectoryError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
+from slamfusion.io.tum import quaternion_yaw_rad
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "grid_from_message",
+    "grid_to_message",
+    "metadata_to_message",
+    "odometry_to_message",
+    "path_to_message",
+    "pose2_from_message",
+    "pose_to_message",
+    "scan_from_message",
+    "scan_to_message",
+    "stamp_s",
+    "to_stamp",
+    "transform_to_message",
+]
+
+NS = 10**9
+# A quaternion whose axis leaves the vertical by more (sine of half the tilt) is no yaw rotation.
+TILT_MAX = 0.02
+# A quaternion shorter than this says nothing.
+LENGTH_MIN = 1e-3
+
+
+def stamp_s(message: Any) -> float:
+    """Return a time in seconds, the double nearest to its nanoseconds.
+
+    Args:
+        message: a builtin_interfaces/Time, or a message with a header.
+    """
+    stamp = message.header.stamp if hasattr(message, "header") else message
+    return float((stamp.sec * NS + stamp.nanosec) / NS)
+
+
+def to_stamp(seconds: float) -> Time:
+    """Return seconds as a builtin_interfaces/Time, to the nearest nanosecond.
+
+    Raises:
+        ValueError: not within the 32 bits of seconds that ROS has.
+    """
+    whole = math.floor(seconds)
+    nanoseconds = whole * NS + round((seconds - whole) * NS)
+    if not -(2**31) <= nanoseconds // NS < 2**31:
+        message = f"{seconds} s is no ROS time; wanted less than 2^31 s"
+        raise ValueError(message)
+    return Time(sec=nanoseconds // NS, nanosec=nanoseconds % NS)
+
+
+# --- poses -----------------------------------------------------------------------------------
+
+
+def pose2_from_message(pose: Any) -> Pose2:
+    """Return the pose in the plane of a geometry_msgs/Pose or geometry_msgs/Transform.
+
+    Height is left out. A tilt above 2 degrees, an upside-down frame, a quaternion without length
+    and values that are not finite are refused.
+
+    Raises:
+        TrajectoryError: it is no pose in the plane.
+    """
+    place = pose.position if hasattr(pose, "position") else pose.translation
+    turn = pose.orientation if hasattr(pose, "orientation") else pose.rotation
+    values = (place.x, place.y, turn.x, turn.y, turn.z, turn.w)
+    if not all(math.isfinite(value) for value in values):
+        message = f"pose ({place.x}, {place.y}) with quaternion {_words(turn)} is not finite"
+        raise TrajectoryError(message)
+    length = math.sqrt(turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2)
+    if length < LENGTH_MIN:
+        message = f"quaternion {_words(turn)} is no rotation; for none send w = 1"
+        raise TrajectoryError(message)
+    if math.hypot(turn.x, turn.y) > TILT_MAX * length:
+        message = f"quaternion {_words(turn)} tilts or turns over; wanted a turn about z alone"
+        raise TrajectoryError(message)
+    return Pose2(place.x, place.y, quaternion_yaw_rad(turn.x, turn.y, turn.z, turn.w))
+
+
+def _words(turn: Any) -> str:
+    return f"({turn.x:g}, {turn.y:g}, {turn.z:g}, {turn.w:g})"
+
+
+def _fill(place: Any, turn: Any, pose: Pose2) -> None:
+    place.x, place.y, place.z = float(pose.x), float(pose.y), 0.0
+    turn.x = turn.y = 0.0
+    turn.z, turn.w = math.sin(0.5 * pose.yaw_rad), math.cos(0.5 * pose.yaw_rad)
+
+
+def _pose(pose: Pose2) -> Any:
+    message = Pose()
+    _fill(message.position, message.orientation, pose)
+    return message
+
+
+def pose_to_message(pose: Pose2, frame_id: str, stamp: Time) -> PoseStamped:
+    """Return a geometry_msgs/PoseStamped; metres, height 0."""
+    message = PoseStamped()
+    message.header.frame_id, message.header.stamp = frame_id, stamp
+    message.pose = _pose(pose)
+    return message
+
+
+def odometry_to_message(pose: Pose2, frame_id: str, child: str, stamp: Time) -> Odometry:
+    """Return a nav_msgs/Odometry without speeds and covariances (which stay 0)."""
+    message = Odometry()
+    message.header.frame_id, message.header.stamp = frame_id, stamp
+    message.child_frame_id = child
+    message.pose.pose = _pose(pose)
+    return message
+
+
+def transform_to_message(pose: Pose2, parent: str, child: str, stamp: Time) -> TransformStamped:
+    """Return a geometry_msgs/TransformStamped.
+
+    Args:
+        pose: pose of ``child`` in ``parent``; it carries points of the child into the parent.
+        parent: frame_id of the header.
+        child: child_frame_id.
+        stamp: its time.
+    """
+    message = TransformStamped()
+    message.header.frame_id, message.header.stamp = parent, stamp
+    message.child_frame_id = child
+    _fill(message.transform.translation, message.transform.rotation, pose)
+    return message
+
+
+def path_to_message(
+    trajectory: Trajectory, frame_id: str, stamp: Time, most: int | None = None
+) -> Path:
+    """Return a nav_msgs/Path.
+
+    Args:
+        trajectory: the poses, in ``frame_id``.
+        frame_id: of the path and every pose.
+        stamp: of the path; the poses have their own.
+        most: at most so many poses, evenly chosen, first and last among them; default: all.
+    """
+    chosen = np.arange(len(trajectory))
+    if most is not None and len(chosen) > most:
+        chosen = np.unique(np.linspace(0, len(trajectory) - 1, most).round().astype(np.int64))
+    path = Path()
+    path.header.frame_id, path.header.stamp = frame_id, stamp
+    path.poses = [
+        pose_to_message(
+            trajectory.pose(index), frame_id, to_stamp(float(trajectory.stamps_s[index]))
+        )
+        for index in chosen.tolist()
+    ]
+    return path
+
+
+# --- grids -----------------------------------------------------------------------------------
+
+
+def grid_from_message(message: Any, name: str) -> grids.OccupancyGrid:
+    """Return a nav_msgs/OccupancyGrid as a grid; its cells are copied once.
+
+    Args:
+        message: the map.
+        name: what tables and messages call it, often the topic.
+
+    Raises:
+        GridError: a resolution that is not positive and finite, no cells, another number of cells
+            than width x height, values outside of -1..100, an origin that is not finite, tilted
+            or upside down.
+    """
+    info = message.info
+    resolution = float(info.resolution)
+    if not (math.isfinite(resolution) and resolution > 0.0):
+        text = (
+            f"{name}: resolution must be a positive number of metres per cell, found {resolution}"
+        )
+        raise GridError(text)
+    height, width = int(info.height), int(info.width)
+    if not (height and width):
+        text = f"{name}: a map of {width} x {height} cells is empty"
+        raise GridError(text)
+    if len(message.data) != height * width:
+        text = f"{name}: {len(message.data)} cells sent for a map of {width} x {height}"
+        raise GridError(text)
+    try:
+        origin = pose2_from_message(info.origin)
+    except TrajectoryError as error:
+        text = f"{name}: the map's origin: {error}"
+        raise GridError(text) from None
+    cells = np.array(message.data, dtype=np.int8).reshape(height, width)
+    cells.flags.writeable = False
+    return grids.OccupancyGrid(cells, _short_decimal(resolution), origin, name)
+
+
+def _short_decimal(value: float) -> float:
+    """Return what a float32 was made from: 0.05 travels as 0.05000000074505806.
+
+    Resolutions that are equal as float32 must stay equal to those of saved maps.
+    """
+    return float(str(np.float32(value)))
+
+
+def metadata_to_message(grid: grids.OccupancyGrid, stamp: Time) -> MapMetaData:
+    """Return a nav_msgs/MapMetaData."""
+    info = MapMetaData()
+    info.map_load_time = stamp
+    info.resolution = float(grid.resolution)
+    info.width, info.height = grid.width, grid.height
+    info.origin = _pose(grid.origin)
+    return info
+
+
+def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> OccupancyGrid:
+    """Return a nav_msgs/OccupancyGrid; a 4000 x 4000 map takes some milliseconds."""
+    message = OccupancyGrid()
+    message.header.frame_id, message.header.stamp = frame_id, stamp
+    message.info = metadata_to_message(grid, stamp)
+    data = array("b")
+    data.frombytes(grid.cells.tobytes())
+    message.data = data
+    return message
+
+
+# --- scans -----------------------------------------------------------------------------------
+
+
+def scan_from_message(
+    message: Any, mount: Pose2 = IDENTITY, *, is_flipped: bool = False
+) -> scans.LaserScan:
+    """Return a sensor_msgs/LaserScan as a scan; readings stay as they are (REP-117).
+
+    Args:
+        message: the sweep.
+        mount: pose of the laser in the robot's base frame; metres, radians.
+        is_flipped: the laser hangs upside down, so its beams turn the other way.
+
+    Raises:
+        ScanError: no beam, or angles or limits that are none.
+    """
+    turn = -1.0 if is_flipped else 1.0
+    low, high = float(message.range_min), float(message.range_max)
+    if not low >= 0.0:  # NaN too
+        low = 0.0
+    try:
+        return scans.LaserScan(
+            stamp_s=stamp_s(message),
+            ranges=np.array(message.ranges, dtype=np.float32),
+            angle_min_rad=turn * float(message.angle_min),
+            angle_increment_rad=turn * float(message.angle_increment),
+            range_min_m=low,
+            range_max_m=high,
+            mount=mount,
+        )
+    except ScanError as error:
+        text = f"scan at {stamp_s(message):.3f} s in {message.header.frame_id!r}: {error}"
+        raise ScanError(text) from None
+
+
+def scan_to_message(scan: scans.LaserScan, frame_id: str) -> LaserScan:
+    """Return a sensor_msgs/LaserScan; angles and limits become float32, the mount is left out."""
+    message = LaserScan()
+    message.header.frame_id, message.header.stamp = frame_id, to_stamp(scan.stamp_s)
+    message.angle_min = float(scan.angle_min_rad)
+    message.angle_increment = float(scan.angle_increment_rad)
+    message.angle_max = float(scan.angle_min_rad + scan.angle_increment_rad * (len(scan) - 1))
+    message.range_min = float(scan.range_min_m)
+    message.range_max = float(min(scan.range_max_m, float(np.finfo(np.float32).max)))
+    ranges = array("f")
+    ranges.frombytes(scan.ranges.tobytes())
+    message.ranges = ranges
+    return message

@@ -1,0 +1,251 @@
+"""A node's parameters, declared from the fields of a configuration dataclass.
+
+Names are those of the YAML files of ``--config``: ``tinyslam.resolution``,
+``tinyslam.matcher.beams``. Description, range, default and level come from the field. A value is
+checked by building the dataclass: what that refuses is refused here, in its words.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import sys
+import types
+import typing
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, TypeVar, overload
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterException
+
+from slamfusion.config import FieldInfo, field_infos, from_mapping
+from slamfusion.errors import ConfigError
+
+__all__ = ["declare", "declare_names", "parameter_names", "unknown_parameters"]
+
+T = TypeVar("T")
+
+INT64 = 2**63 - 1
+
+
+@overload
+def declare(
+    node: Any,
+    section: type[T],
+    prefix: str = "",
+    *,
+    changeable: Collection[str] = (),
+    on_change: Callable[[T], None] | None = None,
+) -> T: ...
+
+
+@overload
+def declare(
+    node: Any,
+    section: T,
+    prefix: str = "",
+    *,
+    changeable: Collection[str] = (),
+    on_change: Callable[[T], None] | None = None,
+) -> T: ...
+
+
+def declare(
+    node: Any,
+    section: type[T] | T,
+    prefix: str = "",
+    *,
+    changeable: Collection[str] = (),
+    on_change: Callable[[T], None] | None = None,
+) -> T:
+    """Declare every field of a configuration as a parameter and return what was set.
+
+    Args:
+        node: an rclpy node.
+        section: a configuration dataclass, or an instance whose values are the defaults. Nested
+            sections become ``prefix.section.field``.
+        prefix: before every name, e.g. ``tinyslam``; empty for none.
+        changeable: names of fields (dotted below ``section``, without the prefix) that may be
+            changed while the node runs; the others are read-only.
+        on_change: called in the executor's thread with the whole new configuration after a change
+            was accepted.
+
+    Returns:
+        The configuration, with what the command line and parameter files said.
+
+    Raises:
+        ConfigError: a value of the wrong type, out of its range, or refused beside the others.
+    """
+    config_class: type[T] = section if isinstance(section, type) else type(section)
+    default: T = config_class() if isinstance(section, type) else section
+    unknown = sorted(set(changeable) - set(parameter_names(config_class)))
+    if unknown:
+        message = f"{config_class.__name__} has no field {unknown[0]!r} that could be changeable"
+        raise ValueError(message)
+    fields = _Fields(node, prefix, frozenset(changeable))
+    fields.declare(default, "")
+    current = from_mapping(config_class, fields.tree(), _where(node))
+
+    def check(changes: list[Any]) -> SetParametersResult:
+        values = fields.changed(changes)
+        if not values:
+            return SetParametersResult(successful=True)
+        try:
+            from_mapping(config_class, fields.tree(values), _where(node))
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def take(changes: list[Any]) -> None:
+        if fields.changed(changes) and on_change is not None:
+            on_change(from_mapping(config_class, fields.tree(), _where(node)))
+
+    if changeable:
+        node.add_on_set_parameters_callback(check)
+        node.add_post_set_parameters_callback(take)
+    return current
+
+
+def declare_names(node: Any, name: str, default: Collection[str], text: str) -> tuple[str, ...]:
+    """Declare a read-only parameter that is a list of names, and return it.
+
+    Args:
+        node: an rclpy node.
+        name: of the parameter.
+        default: the names unless others are given.
+        text: the description.
+
+    Returns:
+        The names; one text may be given instead of a list, its names parted by commas.
+
+    Raises:
+        ConfigError: neither a text nor a list of texts.
+    """
+    descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
+    given = node.declare_parameter(name, list(default) or None, descriptor).value
+    if isinstance(given, str):
+        given = given.split(",")
+    names = list(given) if isinstance(given, (list, tuple)) else [given] * (given is not None)
+    if not all(isinstance(item, str) for item in names):
+        message = f"{_where(node)}: {name}: wanted a list of names, found {given!r}"
+        raise ConfigError(message)
+    return tuple(item.strip() for item in names if item.strip())
+
+
+def unknown_parameters(node: Any) -> list[str]:
+    """Return a sentence for each parameter that was given and that the node does not have.
+
+    ROS passes over these in silence.
+    """
+    given = getattr(node, "_parameter_overrides", {})
+    sentences = []
+    for name in sorted(given):
+        if node.has_parameter(name) or name.startswith("qos_overrides."):
+            continue
+        known = list(getattr(node, "_parameters", {}))
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+        hint = f"; the nearest known one is {near[0]!r}" if near else ""
+        sentences.append(f"unknown parameter {name!r} is not used{hint}")
+    return sentences
+
+
+def parameter_names(config_class: type[Any], prefix: str = "") -> list[str]:
+    """Return the names that ``declare`` gives to the fields of a class, in its order."""
+    hints = typing.get_type_hints(config_class)
+    names = [_joined(prefix, info.name) for info in field_infos(config_class)]
+    for item in dataclasses.fields(config_class):
+        if dataclasses.is_dataclass(hints[item.name]):
+            names += parameter_names(hints[item.name], _joined(prefix, item.name))
+    return names
+
+
+class _Fields:
+    """The declared fields of one section, by their dotted names without the prefix."""
+
+    def __init__(self, node: Any, prefix: str, changeable: frozenset[str]) -> None:
+        self._node = node
+        self._prefix = prefix
+        self._changeable = changeable
+        self._names: list[str] = []
+
+    def declare(self, default: Any, below: str) -> None:
+        """Declare the leaf fields of a (nested) section, then its sections."""
+        for info in field_infos(type(default)):
+            name = _joined(below, info.name)
+            descriptor = self._descriptor(info, name)
+            full = _joined(self._prefix, name)
+            try:
+                self._node.declare_parameter(full, getattr(default, info.name), descriptor)
+            except (ParameterException, ValueError) as error:
+                message = f"{_where(self._node)}: {full}: {error}"
+                raise ConfigError(message) from None
+            self._names.append(name)
+        for item in dataclasses.fields(default):
+            value = getattr(default, item.name)
+            if dataclasses.is_dataclass(value):
+                self.declare(value, _joined(below, item.name))
+
+    def tree(self, changed: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the values as nested mappings.
+
+        Args:
+            changed: values to take instead of the node's own, by name without the prefix.
+        """
+        tree: dict[str, Any] = {}
+        for name in self._names:
+            value = self._node.get_parameter(_joined(self._prefix, name)).value
+            *sections, leaf = name.split(".")
+            place = tree
+            for section in sections:
+                place = place.setdefault(section, {})
+            place[leaf] = value if changed is None else changed.get(name, value)
+        return tree
+
+    def changed(self, parameters: list[Any]) -> dict[str, Any]:
+        """Return the values of those parameters that are ours, by name without the prefix."""
+        own = {_joined(self._prefix, name): name for name in self._names}
+        return {own[item.name]: item.value for item in parameters if item.name in own}
+
+    def _descriptor(self, info: FieldInfo, name: str) -> ParameterDescriptor:
+        """Return what ROS tools show of a field."""
+        unit = f" [{info.unit}]" if info.unit else ""
+        wanted = f"one of: {', '.join(info.choices)}" if info.choices else ""
+        descriptor = ParameterDescriptor(
+            description=f"{info.help}{unit} ({info.level})",
+            additional_constraints=wanted,
+            read_only=name not in self._changeable,
+            # A number without a point may be given for a float, and a field may be left open;
+            # the type is checked with the value.
+            dynamic_typing=True,
+        )
+        kinds = typing.get_args(info.type) if isinstance(info.type, types.UnionType) else ()
+        has_range = info.low is not None or info.high is not None
+        if not has_range:
+            return descriptor
+        if int in (info.type, *kinds):
+            low = -INT64 if info.low is None else int(info.low)
+            high = INT64 if info.high is None else int(info.high)
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
+        elif float in (info.type, *kinds):
+            largest = sys.float_info.max
+            descriptor.floating_point_range = [
+                FloatingPointRange(
+                    from_value=float(-largest if info.low is None else info.low),
+                    to_value=float(largest if info.high is None else info.high),
+                    step=0.0,
+                )
+            ]
+        return descriptor
+
+
+def _joined(prefix: str, name: str) -> str:
+    return f"{prefix}.{name}" if prefix else name
+
+
+def _where(node: Any) -> str:
+    return f"node {node.get_name()}"

@@ -1,0 +1,81 @@
+"""The qualities of service that our topics have, and what others offer.
+
+A reader that asks for more than the writer offers hears nothing: a transient-local reader of a
+volatile map, or a reliable reader of a best-effort scan.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+__all__ = [
+    "CLOCK",
+    "MAP",
+    "SENSOR",
+    "STREAM",
+    "TF",
+    "TF_STATIC",
+    "latched",
+    "map_qos",
+    "offered_durability",
+]
+
+
+def _profile(depth: int, *, reliable: bool, latched: bool) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+# Scans and odometry, read: hears every writer.
+SENSOR = _profile(50, reliable=False, latched=False)
+# Scans, odometry and poses, written: every reader can hear them.
+STREAM = _profile(50, reliable=True, latched=False)
+# Maps: who comes late gets the last one at once.
+MAP = _profile(1, reliable=True, latched=True)
+# As tf2 has them.
+TF = _profile(100, reliable=True, latched=False)
+TF_STATIC = _profile(1, reliable=True, latched=True)
+CLOCK = _profile(1, reliable=False, latched=False)
+
+
+def latched(depth: int) -> QoSProfile:
+    """Return reliable and transient local, for many kept messages or many writers."""
+    return _profile(depth, reliable=True, latched=True)
+
+
+def map_qos(durability: DurabilityPolicy | None) -> QoSProfile:
+    """Return how to read a map topic.
+
+    Args:
+        durability: what its writers offer, see ``offered_durability``; None: not known yet, asked
+            for as ours are offered (transient local).
+    """
+    is_latched = durability != DurabilityPolicy.VOLATILE
+    return _profile(1, reliable=True, latched=is_latched)
+
+
+def offered_durability(node: Any, topic: str) -> DurabilityPolicy | None:
+    """Return the durability that every writer of a topic offers.
+
+    Args:
+        node: an rclpy node.
+        topic: as for a subscription: relative names and remapping rules hold.
+
+    Returns:
+        Volatile as soon as one writer is (a volatile reader hears both kinds, but gets no map from
+        before it came); transient local when all are; None while nobody writes.
+    """
+    offered = [
+        info.qos_profile.durability
+        for info in node.get_publishers_info_by_topic(topic)  # remaps by itself
+    ]
+    if not offered:
+        return None
+    is_latched = all(item == DurabilityPolicy.TRANSIENT_LOCAL for item in offered)
+    return DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE

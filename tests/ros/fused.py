@@ -1,0 +1,94 @@
+"""Maps for the fusion node as messages, and what a live fusion makes of them without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+
+from slamfusion.compute import open_backend
+from slamfusion.grid import OccupancyGrid as Grid
+from slamfusion.ros import messages, qos
+from tests.fusion.live_maps import live_fusion, three
+from tests.ros.live import Observer, Processes
+
+INPUTS = ["a/map", "b/map", "c/map"]
+NAMES = "abc"
+
+
+class Makers:
+    """The test itself publishes the maps of three SLAMs."""
+
+    def __init__(self, observer: Observer, names: str = NAMES, prefix: str = "") -> None:
+        self.observer = observer
+        self.prefix = prefix
+        self.stamp_s = 100.0
+        self.topics = {
+            name: observer.publisher(OccupancyGrid, f"{prefix}{name}/map", qos.MAP)
+            for name in names
+        }
+
+    def send(self, grid: Grid, **changes: Any) -> OccupancyGrid:
+        """Publish a map, a second later than the last one; ``changes`` are put into the message."""
+        self.stamp_s += 1.0
+        stamp = messages.to_stamp(self.stamp_s)
+        message = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
+        if "resolution" in changes:
+            message.info.resolution = changes["resolution"]
+        if "width" in changes:
+            message.info.width = changes["width"]
+        if "frame" in changes:
+            message.header.frame_id = changes["frame"]
+        self.topics[grid.name].publish(message)
+        return message
+
+    def send_all(self, grids: Mapping[str, Grid] | None = None) -> None:
+        """Publish every input's map."""
+        for name, grid in (grids or three()).items():
+            if name in self.topics:
+                self.send(grid)
+
+    def stop(self, name: str) -> None:
+        """End a publisher, as when its process has died."""
+        self.observer.node.destroy_publisher(self.topics.pop(name))
+
+    def start(self, name: str) -> None:
+        """Begin to publish again."""
+        topic = f"{self.prefix}{name}/map"
+        self.topics[name] = self.observer.publisher(OccupancyGrid, topic, qos.MAP)
+
+
+def start_fusion(processes: Processes, *ros_arguments: str, **parameters: Any) -> Any:
+    """Start the fusion node on a, b and c."""
+    settings = {"inputs": INPUTS, "live__search_pause_s": 0.0, **parameters}
+    return processes.node("fusion", *ros_arguments, **settings)
+
+
+def fused_without_ros(grids: Mapping[str, Grid] | None = None) -> Grid:
+    """Return what the live fusion makes of the maps in one update."""
+    live = live_fusion(open_backend())
+    for grid in (grids or three()).values():
+        live.put(grid.name, grid, 0.0)
+    update = live.update(0.0)
+    assert update is not None
+    assert update.fused is not None
+    return update.fused
+
+
+def share_equal(message: Any, wanted: Grid) -> float:
+    """Return the share of the known cells that are equal where the wanted map has them."""
+    found = messages.grid_from_message(message, "found")
+    own = wanted.origin.inverse().compose(found.origin)
+    row, col = round(own.y / wanted.resolution), round(own.x / wanted.resolution)
+    whole = np.full((wanted.height + 400, wanted.width + 400), -1, dtype=np.int8)
+    whole[200 + row : 200 + row + found.height, 200 + col : 200 + col + found.width] = found.cells
+    here = whole[200 : 200 + wanted.height, 200 : 200 + wanted.width]
+    known = (wanted.cells >= 0) | (here >= 0)
+    return float((here == wanted.cells)[known].mean())
+
+
+def unlike(grid: Grid) -> Grid:
+    """Return the map upside down."""
+    return Grid(np.ascontiguousarray(grid.cells[::-1]), grid.resolution, grid.origin, grid.name)

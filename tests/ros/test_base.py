@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import importlib.util
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+from slamfusion.ros import qos
+from slamfusion.ros.base import Level, NodeBase, Status, Troubles
+from slamfusion.ros.messages import to_stamp
+from tests.cli.command import run
+from tests.ros.live import Observer, values
+
+pytestmark = pytest.mark.ros
+
+
+def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.INFO)
+    troubles = Troubles(logging.getLogger("drawn"))
+    assert troubles.worst("fine") == (Level.OK, "fine")
+    for _ in range(3):
+        troubles.add("a", Level.WARN, "a is low")
+    troubles.add("b", Level.ERROR, "b is gone")
+    assert troubles.worst() == (Level.ERROR, "b is gone; a is low")
+    assert troubles.count("a") == 3
+    troubles.clear("b")
+    troubles.clear("b")
+    assert troubles.worst() == (Level.WARN, "a is low")
+    assert [record.message for record in caplog.records] == [
+        "a is low",
+        "b is gone",
+        "over: b is gone",
+    ]
+
+
+def test_a_trouble_may_end_by_itself():
+    troubles = Troubles(logging.getLogger("drawn"))
+    troubles.add("a", Level.WARN, "a is low", for_s=0.0)
+    assert not troubles.is_on("a")
+    troubles.add("a", Level.WARN, "a is low", for_s=1000.0)
+    assert troubles.is_on("a")
+
+
+class Drawn(NodeBase):
+    """A node that stumbles over a word."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("drawn", context=context)
+        self.heard: list[str] = []
+        self.jumps_s: list[float] = []
+        self.subscribe(String, "words", self._hear, qos.STREAM)
+
+    def _hear(self, message: Any) -> None:
+        if message.data == "bad":
+            text = "no good"
+            raise ValueError(text)
+        self.heard.append(message.data)
+
+    def on_time_jump(self, delta_s: float) -> None:
+        self.jumps_s.append(delta_s)
+
+    def statuses(self) -> list[Status]:
+        return [Status("ear", *self.troubles.worst(), {"words": len(self.heard), "share": 0.5})]
+
+
+class Spun:
+    """A node that lives in the test's process and is spun by it."""
+
+    def __init__(self, domain: int, *arguments: str) -> None:
+        self.context = Context()
+        rclpy.init(args=list(arguments), context=self.context, domain_id=domain)
+        self.base = Drawn(self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.base.node)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.base.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def spin(self) -> None:
+        self.executor.spin_once(timeout_sec=0.02)
+
+
+@pytest.fixture
+def spun(domain: int) -> Iterator[Spun]:
+    node = Spun(domain, "--ros-args", "-p", "use_sim_time:=true")
+    yield node
+    node.close()
+
+
+def wait(observer: Observer, spun: Spun, is_done: Any, what: str) -> Any:
+    def found() -> Any:
+        spun.spin()
+        return is_done()
+
+    return observer.wait(found, what=what)
+
+
+def test_a_callback_that_raises_is_named_and_the_node_goes_on(spun: Spun, observer: Observer):
+    words = observer.publisher(String, "words")
+    statuses = observer.statuses()
+    wait(observer, spun, words.get_subscription_count, "the listener")
+    for word in ("one", "bad", "two"):
+        words.publish(String(data=word))
+    wait(observer, spun, lambda: spun.base.heard == ["one", "two"], "the words")
+    status = wait(
+        observer,
+        spun,
+        lambda: next((s for s in statuses.values() if "no good" in s.message), None),
+        "the diagnostics",
+    )
+    assert status.name == "drawn: ear"
+    assert status.message == "words: ValueError: no good"
+    assert status.level == bytes([Level.ERROR])
+    assert values(status) == {"words": "2", "share": "0.5"}
+
+
+def test_jumps_of_simulated_time_are_told(spun: Spun, observer: Observer):
+    clock = observer.publisher(Clock, "/clock")
+    wait(observer, spun, clock.get_subscription_count, "the listener")
+    base = spun.base
+    assert base.is_sim_time
+    # The first time, small steps, far forward, back.
+    for time_s in (500.0, 500.1, 500.2, 600.2, 600.3, 5.0):
+
+        def is_there(time_s: float = time_s) -> bool:
+            clock.publish(Clock(clock=to_stamp(time_s)))
+            return abs(base.clock_s() - time_s) < 1e-6
+
+        wait(observer, spun, is_there, f"the time {time_s}")
+    assert base.jumps_s == pytest.approx([100.0, -595.3])
+    assert base.troubles.worst() == (
+        Level.WARN,
+        "time jumped back by 595.300 s to 5.000 s",
+    )
+
+
+def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer):
+    observer.publisher(String, "words", qos.SENSOR)
+    _, words = wait(
+        observer,
+        spun,
+        lambda: spun.base.troubles.is_on("qos words") and spun.base.troubles.worst(),
+        "the mismatch",
+    )
+    assert words == (
+        "a writer on '/words' offers less than is asked for (reliability); nothing is heard from it"
+    )
+
+
+def test_the_command_names_every_node_and_refuses_others():
+    shown = run("node", "--help")
+    assert shown.returncode == 0
+    for name in ("tinyslam", "gmapping", "graph", "fusion", "player"):
+        assert name in shown.stdout
+    assert run("node", "karto").returncode == 2
+    wrong = run("node", "tinyslam", "rate:=2")
+    assert wrong.returncode == 2
+    assert "a node's options stand after --ros-args" in wrong.stderr
+
+
+def test_every_node_has_its_module():
+    from slamfusion.cli.node import NODES  # noqa: PLC0415
+
+    assert all(importlib.util.find_spec(module) for module in NODES.values())

@@ -1,0 +1,433 @@
+"""The fusion node as a process over DDS: what it publishes, answers, survives and names."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.srv import GetMap
+from scipy import ndimage
+from std_srvs.srv import Trigger
+
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid as Grid
+from slamfusion.io.map_server import load_map, save_map
+from slamfusion.ros import messages, qos
+from slamfusion.ros.frames import TransformInput
+from tests.fusion.live_maps import three, touched
+from tests.ros import tf2
+from tests.ros.fused import (
+    Makers,
+    fused_without_ros,
+    share_equal,
+    start_fusion,
+    unlike,
+)
+from tests.ros.live import Observer, Processes, values
+
+pytestmark = pytest.mark.ros
+
+FUSION = "fusion: fusion"
+
+
+def wait_for_all(observer: Observer, timeout_s: float = 40.0) -> Any:
+    return observer.wait_status(FUSION, "all 3 inputs vote", timeout_s=timeout_s)
+
+
+@pytest.fixture
+def makers(observer: Observer) -> Makers:
+    return Makers(observer)
+
+
+def test_three_maps_become_one_as_without_ros(
+    processes: Processes, observer: Observer, makers: Makers, tmp_path: Path
+):
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    agreements = observer.collect(OccupancyGrid, "fused/agreement", qos.MAP)
+    makers.send_all()
+    node = start_fusion(processes, save_path=str(tmp_path / "saved" / "lab"))
+    wait_for_all(observer)
+    observer.wait(lambda: maps and agreements, what="the fused map")
+    wanted = fused_without_ros()
+    assert share_equal(maps[-1], wanted) > 0.98
+    assert maps[-1].header.frame_id == "fused_map"
+    assert messages.stamp_s(maps[-1]) == makers.stamp_s
+    assert agreements[-1].info == maps[-1].info
+    assert max(agreements[-1].data) == 100
+
+    status = observer.wait_status("fusion: input b", "walls match")
+    figures = values(status)
+    assert figures["accepted"] == "yes"
+    assert float(figures["score"]) > 0.3
+    assert int(figures["maps"]) >= 1
+    assert figures["frame"] == "b_map"
+    fused = values(observer.statuses()[FUSION])
+    assert fused["reference"] == "a"
+    assert float(fused["latency p95 [ms]"]) > 0.0
+
+    # Who comes late gets the map at once; the services answer it and write it.
+    late = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    observer.wait(lambda: late, 5.0, "the kept map")
+    assert late[-1] == maps[-1]
+    assert observer.call(GetMap, "get_map", GetMap.Request()).map == maps[-1]
+    answer = observer.call(Trigger, "save_map", Trigger.Request())
+    assert answer.success
+    saved = load_map(answer.message)
+    assert np.array_equal(saved.cells, messages.grid_from_message(maps[-1], "fused").cells)
+    assert observer.call(Trigger, "reset", Trigger.Request()).success
+    observer.wait(lambda: values(observer.statuses()[FUSION])["resets"] == "1")
+    wait_for_all(observer)
+
+    assert node.interrupt() == 0
+    assert "Traceback" not in node.text()
+
+
+def test_before_two_agree_nothing_is_published_and_the_services_say_so(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    makers.send(three()["a"])
+    start_fusion(processes)
+    observer.wait_status("fusion: input a", "waits for 2 inputs", timeout_s=40.0)
+    observer.wait_status("fusion: input b", "no map on '/b/map' yet")
+    observer.wait_status(FUSION, "nothing is fused")
+    assert not maps
+    answer = observer.call(Trigger, "save_map", Trigger.Request())
+    assert not answer.success
+    assert "waits for 2 inputs" in answer.message
+    assert not observer.call(GetMap, "get_map", GetMap.Request()).map.data
+    # The second starts much later, the third never.
+    makers.send(three()["b"])
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: c")
+    observer.wait(lambda: maps, what="the fused map")
+
+
+BAD = {
+    "resolution": (math.nan, "resolution"),
+    "width": (7, "cells sent"),
+    "empty": (None, "empty"),
+    "tiny": (None, "too few walls"),
+    "upside down": (None, "walls do not match"),
+}
+
+
+def test_a_bad_map_is_named_and_the_others_go_on(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    start_fusion(processes, max_publish_rate_hz=50.0)
+    makers.send_all()
+    wait_for_all(observer)
+    observer.wait(lambda: maps, what="the fused map")
+    good = three()["b"]
+    wanted = fused_without_ros({name: three()[name] for name in "ac"})
+    for number, (fault, (value, words)) in enumerate(BAD.items()):
+        count = len(maps)
+        if fault in {"resolution", "width"}:
+            makers.send(good, **{fault: value})
+        elif fault == "empty":
+            message = messages.grid_to_message(good, "b_map", messages.to_stamp(1.0))
+            message.info.width = message.info.height = 0
+            message.data = []
+            makers.topics["b"].publish(message)
+        elif fault == "tiny":
+            makers.send(Grid(np.array([[100]], dtype=np.int8), 0.05, name="b"))
+        else:
+            makers.send(unlike(good))
+        observer.wait_status("fusion: input b", words)
+        observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
+        observer.wait(lambda count=count: len(maps) > count, what=f"a map without b ({fault})")
+        assert share_equal(maps[-1], wanted) > 0.98, fault
+        # The others go on.
+        count = len(maps)
+        makers.send(touched(three()["c"], number))
+        observer.wait(lambda count=count: len(maps) > count, what=f"a map with a new c ({fault})")
+        makers.send(good)
+        wait_for_all(observer)
+    # Another frame's name is said, and its transform follows.
+    makers.send(good, frame="elsewhere")
+    observer.wait_status(FUSION, "'elsewhere' now")
+    wait_for_all(observer)
+    origin = maps[0].info.origin
+    grids = [messages.grid_from_message(item, "fused") for item in maps]
+    first = messages.pose2_from_message(origin)
+    for grid in grids:
+        own = first.inverse().compose(grid.origin)
+        assert abs(own.x / 0.1 - round(own.x / 0.1)) < 1e-3
+        assert abs(own.y / 0.1 - round(own.y / 0.1)) < 1e-3
+        assert abs(own.yaw_rad) < 1e-6
+
+
+def test_a_producer_that_dies_or_freezes_is_named_and_taken_back(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    start_fusion(processes, live__stale_after_s=3.0, lost_after_s=1.0)
+    makers.send_all()
+    wait_for_all(observer)
+    makers.stop("b")
+    observer.wait_status("fusion: input b", "lost: nobody publishes '/b/map'")
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
+    makers.start("b")
+    observer.listen(1.0)
+    makers.send(three()["b"])
+    wait_for_all(observer)
+
+    # It freezes: the topic is there, but only the others have news.
+    until_s = time.monotonic() + 30.0
+    number = 0
+    while "no map for" not in observer.statuses()["fusion: input c"].message:
+        assert time.monotonic() < until_s, "c never went stale"
+        makers.send(touched(three()["a"], number))
+        makers.send(touched(three()["b"], number))
+        observer.listen(0.5)
+        number += 1
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: c")
+    assert maps
+    makers.send(three()["c"])
+    wait_for_all(observer)
+
+
+def test_the_fusion_is_restarted_and_hears_kept_maps_at_once(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    makers.send_all()
+    first = start_fusion(processes)
+    wait_for_all(observer)
+    first.kill()
+    observer.statuses().clear()
+    late = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    start_fusion(processes)
+    observer.wait(lambda: late, 40.0, "the map of the second")
+    assert share_equal(late[-1], fused_without_ros()) > 0.98
+
+
+def test_writers_that_keep_nothing_and_saved_maps_take_part(
+    processes: Processes, observer: Observer, tmp_path: Path
+):
+    yaml, _ = save_map(three()["c"], tmp_path / "lab")
+    writers = {name: observer.publisher(OccupancyGrid, f"{name}/map", qos.STREAM) for name in "ab"}
+    start_fusion(processes, inputs=["a/map", "b/map", f"file:{yaml}"])
+    statuses = observer.statuses()
+    until_s = time.monotonic() + 40.0
+    while FUSION not in statuses or "all 3 inputs vote" not in statuses[FUSION].message:
+        assert time.monotonic() < until_s, {k: v.message for k, v in statuses.items()}
+        for name, writer in writers.items():
+            stamp = messages.to_stamp(5.0)
+            writer.publish(messages.grid_to_message(three()[name], f"{name}_map", stamp))
+        observer.listen(0.5)
+    assert values(statuses["fusion: input lab"])["accepted"] == "yes"
+
+
+def test_a_place_that_cannot_be_written_is_the_answer(
+    processes: Processes, observer: Observer, makers: Makers, tmp_path: Path
+):
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    makers.send_all()
+    node = start_fusion(processes, save_path=str(blocked / "map"))
+    wait_for_all(observer)
+    for path in (str(blocked / "map"), "/proc/slamfusion/map", "/dev/full/map"):
+        assert observer.set_parameter("fusion", "save_path", path).successful
+        answer = observer.call(Trigger, "save_map", Trigger.Request())
+        assert not answer.success
+        assert path.split("/map")[0] in answer.message
+    observer.set_parameter("fusion", "save_path", str(tmp_path / "lab"))
+    assert observer.call(Trigger, "save_map", Trigger.Request()).success
+    assert node.is_running
+
+
+def test_maps_are_published_no_faster_than_asked_and_the_last_one_comes(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    start_fusion(processes, max_publish_rate_hz=0.5)
+    makers.send_all()
+    wait_for_all(observer)
+    observer.wait(lambda: maps, what="the first fused map")
+    began_s, count = time.monotonic(), len(maps)
+    for number in range(15):
+        makers.send(touched(three()["b"], number))
+        observer.listen(0.2)
+    last_s = makers.stamp_s
+    observer.wait(
+        lambda: abs(messages.stamp_s(maps[-1]) - last_s) < 1e-6, what="the map of the last input"
+    )
+    allowed = 0.5 * (time.monotonic() - began_s) + 1.0
+    assert len(maps) - count <= allowed
+
+
+def test_settings_are_changed_and_refused_at_run_time(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    makers.send_all()
+    start_fusion(processes)
+    wait_for_all(observer)
+    assert observer.set_parameter("fusion", "live.jump_m", 0.7).successful
+    answer = observer.set_parameter("fusion", "live.search_share", 3.0)
+    assert not answer.successful
+    assert not observer.set_parameter("fusion", "fusion.vote.mode", "weighted").successful
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"inputs": ["file:/nowhere/lab.yaml"]}, "/nowhere/lab.yaml"),
+        ({"inputs": ["a/map", "a/map"]}, "twice"),
+        ({"live__stale_after_s": -1.0}, "stale_after_s"),
+    ],
+)
+def test_wrong_settings_end_it_with_one_line(
+    processes: Processes, settings: dict[str, Any], words: str
+):
+    node = start_fusion(processes, **settings)
+    assert node.wait(40.0) == 1
+    assert words in node.text()
+    assert "Traceback" not in node.text()
+
+
+def test_in_a_namespace_of_its_own(processes: Processes, observer: Observer):
+    makers = [Makers(observer, prefix=f"/robot{number}/") for number in (1, 2)]
+    fused = [
+        observer.collect(OccupancyGrid, f"/robot{number}/fused/map", qos.MAP) for number in (1, 2)
+    ]
+    for number in (1, 2):
+        start_fusion(processes, "-r", f"__ns:=/robot{number}")
+    makers[0].send_all()
+    for name in "ab":
+        makers[1].send(three()[name])
+    observer.wait_status("robot1/fusion: fusion", "all 3 inputs vote", timeout_s=60.0)
+    observer.wait_status("robot2/fusion: fusion", "2 of 3 inputs vote; not: c", timeout_s=60.0)
+    observer.wait(lambda: all(fused), what="both fused maps")
+    assert share_equal(fused[0][-1], fused_without_ros()) > 0.98
+
+
+# -- frames ----------------------------------------------------------------------------------------
+
+
+class Robot:
+    """Tells where it is, to every SLAM in its own frame, and its odometry."""
+
+    def __init__(self, observer: Observer, names: str = "abc") -> None:
+        self.odometry = observer.publisher(Odometry, "odom")
+        self.poses = {name: observer.publisher(PoseStamped, f"{name}/pose") for name in names}
+        self.drift = Pose2(3.0, 4.0, 0.5)
+
+    def at(self, stamp_s: float, place: Pose2, transforms: dict[str, Pose2]) -> None:
+        """Tell that it is at a place of the fused frame."""
+        stamp = messages.to_stamp(stamp_s)
+        self.odometry.publish(
+            messages.odometry_to_message(self.drift.compose(place), "odom", "base_link", stamp)
+        )
+        for name, publisher in self.poses.items():
+            pose = transforms[name].inverse().compose(place)
+            publisher.publish(messages.pose_to_message(pose, f"{name}_map", stamp))
+
+
+def told_transforms(observer: Observer) -> dict[str, Pose2]:
+    """Return every voter's transform as the diagnostics tell it (four digits)."""
+    out = {}
+    for name in "abc":
+        figures = values(observer.statuses()[f"fusion: input {name}"])
+        out[name] = Pose2(*(float(figures[key]) for key in ("x [m]", "y [m]", "yaw [rad]")))
+    return out
+
+
+def assert_near(a: Pose2, b: Pose2, metres: float, radians: float) -> None:
+    assert math.hypot(a.x - b.x, a.y - b.y) < metres, (a, b)
+    assert abs(math.remainder(a.yaw_rad - b.yaw_rad, math.tau)) < radians, (a, b)
+
+
+def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    tf2.skip_without()
+    fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    poses = observer.collect(PoseStamped, "fused/pose")
+    frames = TransformInput(observer.node)
+    start_fusion(processes, publish_tf=True)
+    robot = Robot(observer)
+    makers.send_all()
+    wait_for_all(observer)
+    transforms = told_transforms(observer)
+    place = Pose2(2.0, 1.5, 0.3)
+    stamp_s = 200.0
+
+    def drive() -> bool:
+        nonlocal stamp_s
+        stamp_s += 0.1
+        robot.at(stamp_s, place, transforms)
+        observer.listen(0.1)
+        return bool(poses) and {"odom", "a_map", "b_map", "c_map"} <= frames.frames
+
+    observer.wait(drive, what="the fused pose and the transforms")
+    observer.listen(0.5)
+    last = poses[-1]
+    time_s = messages.stamp_s(last)
+    told = messages.pose2_from_message(last.pose)
+    assert last.header.frame_id == "fused_map"
+    assert_near(told, place, 0.02, 0.01)
+    # fused_map -> odom, then the odometry, is the pose.
+    to_odom = frames.lookup("fused_map", "odom", time_s)
+    assert_near(to_odom.compose(robot.drift.compose(place)), told, 1e-3, 1e-3)
+    # Walls of each input, driven through its transform, land on walls that are fused.
+    grid = messages.grid_from_message(fused[-1], "fused")
+    near_wall = ndimage.binary_dilation(grid.cells == 100, np.ones((3, 3)))
+    for name in "abc":
+        moved = frames.lookup("fused_map", f"{name}_map", time_s)
+        assert_near(moved, transforms[name], 0.01, 0.01)
+        own = three()[name]
+        rows, cols = np.nonzero(own.cells == 100)
+        row, col = grid.cell_indices(moved.transform(own.cell_centres(rows, cols)))
+        inside = (row >= 0) & (col >= 0) & (row < grid.height) & (col < grid.width)
+        # The rest are walls that this map alone has: cells turned over at random.
+        assert near_wall[row[inside], col[inside]].mean() > 0.85
+    # The one that leads falls silent: the pose goes on by another.
+    leader = observer.wait(
+        lambda: values(observer.statuses()[FUSION])["pose from"].replace("-", ""),
+        what="the name of the one that leads",
+    )
+    silent = robot.poses.pop(leader)
+    count = len(poses)
+
+    def go_on() -> bool:
+        nonlocal stamp_s
+        stamp_s += 0.1
+        robot.at(stamp_s, place, transforms)
+        observer.listen(0.1)
+        return len(poses) > count + 10
+
+    observer.wait(go_on, what="the pose of another input")
+    assert_near(messages.pose2_from_message(poses[-1].pose), place, 0.02, 0.01)
+    observer.node.destroy_publisher(silent)
+
+
+def test_two_inputs_in_one_frame_and_a_rival_are_named(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    tf2.skip_without()
+    start_fusion(processes, publish_tf=True)
+    start_fusion(processes, "-r", "__node:=second", publish_tf=True)
+    for grid in three().values():
+        makers.send(grid, frame="map")
+    observer.wait_status(FUSION, "all 3 inputs vote", timeout_s=60.0)
+    observer.wait_status(FUSION, "more than one is in frame 'map'")
+    robot = Robot(observer)
+    observer.wait_status("second: fusion", "all 3 inputs vote", timeout_s=60.0)
+    transforms = told_transforms(observer)
+    stamp_s = 300.0
+    until_s = time.monotonic() + 40.0
+    while "another node sends the transform to" not in observer.statuses()[FUSION].message:
+        assert time.monotonic() < until_s, observer.statuses()[FUSION].message
+        stamp_s += 0.1
+        robot.at(stamp_s, Pose2(1.0, 1.0, 0.1), transforms)
+        observer.listen(0.1)

@@ -1,0 +1,96 @@
+"""Player, three producers and the fusion as processes, against the same log without ROS."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+
+from slamfusion.compute import open_backend
+from slamfusion.config import AlignConfig, FusionConfig, VoteConfig
+from slamfusion.fusion import fuse_grids
+from slamfusion.ros import messages, qos
+from tests.ros.drives import FIRST_S, offline_log, write_log
+from tests.ros.fused import share_equal
+from tests.ros.live import Observer, Processes, values
+
+pytestmark = pytest.mark.ros
+
+COUNT = 60
+LAST_S = FIRST_S + 0.1 * (COUNT - 1)
+SETTINGS = {"tinyslam": {}, "gmapping": {"particles": 6}, "graph": {}}
+
+
+@pytest.mark.parametrize("space", ["", "/robot1"])
+def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
+    processes: Processes, observer: Observer, tmp_path: Path, space: str
+):
+    log = write_log(tmp_path, COUNT)
+    fused = observer.collect(OccupancyGrid, f"{space}/fused/map", qos.MAP)
+    poses = observer.collect(PoseStamped, f"{space}/fused/pose")
+    names = ("-r", f"__ns:={space}") if space else ()
+    prefix = f"{space.lstrip('/')}/" if space else ""
+    # In a namespace also by other names and by the log's time.
+    renamed = ("-r", "scan:=front/scan", "-r", "odom:=wheels") if space else ()
+    processes.node(
+        "fusion",
+        *names,
+        *(("-r", "odom:=wheels") if space else ()),
+        fusion__reference="graph",
+        live__search_pause_s=0.0,
+        use_sim_time=bool(space),
+        publish_tf=True,
+    )
+    for kind, given in SETTINGS.items():
+        settings = {f"{kind}__{name}": value for name, value in given.items()}
+        processes.node(
+            kind,
+            *names,
+            *renamed,
+            map_update_interval_s=0.3,
+            use_sim_time=bool(space),
+            **settings,
+        )
+    observer.wait_status(f"{prefix}fusion: fusion", "nothing is fused", timeout_s=60.0)
+    player = processes.node(
+        "player", *names, *renamed, file=str(log), lockstep=True, wait_for=list(SETTINGS)
+    )
+    assert player.wait(120.0) == 0
+
+    maps = {}
+    for kind in SETTINGS:
+        maps[kind] = observer.collect(OccupancyGrid, f"{space}/{kind}/map", qos.MAP)
+    observer.wait(
+        lambda: all(m and abs(messages.stamp_s(m[-1]) - LAST_S) < 1e-6 for m in maps.values()),
+        what="the last map of every producer",
+    )
+    observer.wait_status(f"{prefix}fusion: fusion", "all 3 inputs vote")
+    observer.wait(lambda: fused and abs(messages.stamp_s(fused[-1]) - LAST_S) < 1e-6)
+    observer.listen(1.5)
+
+    wanted_maps = [offline_log(kind, log, **given) for kind, given in SETTINGS.items()]
+    config = FusionConfig(
+        align=AlignConfig(prove=False), vote=VoteConfig(extent="union"), reference="graph"
+    )
+    wanted = fuse_grids(wanted_maps, config, open_backend())
+    assert len(wanted.accepted) == 3
+    cell_m = wanted.fused.resolution
+    for record in wanted.inputs:
+        assert record.alignment is not None
+        figures = values(observer.statuses()[f"{prefix}fusion: input {record.name}"])
+        place = record.alignment.transform
+        off_m = math.hypot(float(figures["x [m]"]) - place.x, float(figures["y [m]"]) - place.y)
+        assert off_m < cell_m, record.name
+    assert share_equal(fused[-1], wanted.fused) >= 0.98
+
+    # The robot's pose in the fused frame, up to the last scan.
+    assert poses
+    observer.wait(lambda: abs(messages.stamp_s(poses[-1]) - LAST_S) < 1e-6, what="the last pose")
+    for process in processes.running:
+        assert "Traceback" not in process.text(), process.name

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nav_msgs", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose
+from hypothesis import given
+from hypothesis import strategies as st
+from nav_msgs.msg import OccupancyGrid as GridMessage
+
+from slamfusion.errors import GridError, ScanError, TrajectoryError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.ros import messages
+from slamfusion.scan import LaserScan
+from slamfusion.trajectory import Trajectory
+
+pytestmark = pytest.mark.ros
+
+GRID = OccupancyGrid(
+    np.array([[-1, 0, 100], [37, 100, 0]], dtype=np.int8), 0.05, Pose2(-3.5, 2.25, 0.75), "drawn"
+)
+
+
+def sent(grid: OccupancyGrid = GRID) -> Any:
+    return messages.grid_to_message(grid, "a_map", Time(sec=7, nanosec=5))
+
+
+def test_a_grid_comes_back_as_it_was():
+    back = messages.grid_from_message(sent(), "drawn")
+    assert np.array_equal(back.cells, GRID.cells)
+    assert back.resolution == 0.05
+    assert (back.origin.x, back.origin.y) == (-3.5, 2.25)
+    assert back.origin.yaw_rad == pytest.approx(0.75, abs=1e-12)
+    assert back.name == "drawn"
+
+
+def test_a_large_grid_comes_back_as_it_was():
+    rng = np.random.default_rng(3)
+    cells = rng.integers(-1, 101, (4000, 4000)).astype(np.int8)
+    back = messages.grid_from_message(sent(OccupancyGrid(cells, 0.1)), "large")
+    assert np.array_equal(back.cells, cells)
+
+
+def test_a_received_grid_does_not_change_with_its_message():
+    message = sent()
+    back = messages.grid_from_message(message, "drawn")
+    message.data[1] = 55
+    assert back.cells[0, 1] == 0
+
+
+def test_the_message_has_the_frame_and_the_time():
+    message = sent()
+    assert message.header.frame_id == "a_map"
+    assert messages.stamp_s(message) == 7.000000005
+    assert (message.info.width, message.info.height) == (3, 2)
+
+
+@pytest.mark.parametrize("resolution", [math.nan, 0.0, -0.05, math.inf])
+def test_a_resolution_that_is_none_is_refused(resolution: float):
+    message = sent()
+    message.info.resolution = resolution
+    with pytest.raises(GridError, match=r"odd: resolution must be a positive number .* found"):
+        messages.grid_from_message(message, "odd")
+
+
+def test_a_wrong_number_of_cells_is_refused():
+    message = sent()
+    message.data = message.data[:-1]
+    with pytest.raises(GridError, match=r"odd: 5 cells sent for a map of 3 x 2"):
+        messages.grid_from_message(message, "odd")
+
+
+def test_an_empty_map_is_refused():
+    with pytest.raises(GridError, match=r"odd: a map of 0 x 0 cells is empty"):
+        messages.grid_from_message(GridMessage(info=_info(0.05)), "odd")
+
+
+def _info(resolution: float) -> Any:
+    info = sent().info
+    info.resolution, info.width, info.height = resolution, 0, 0
+    return info
+
+
+@pytest.mark.parametrize("value", [-2, 101, -128, 127])
+def test_a_cell_that_is_none_is_refused(value: int):
+    message = sent()
+    message.data[3] = value
+    with pytest.raises(GridError, match=f"{value}"):
+        messages.grid_from_message(message, "odd")
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        ((1.0, 0.0, 0.0, 0.0), "tilts or turns over"),
+        ((0.0, 0.1, 0.0, 1.0), "tilts or turns over"),
+        ((0.0, 0.0, 0.0, 0.0), "no rotation"),
+        ((0.0, 0.0, math.nan, 1.0), "not finite"),
+    ],
+)
+def test_an_origin_that_is_no_pose_in_the_plane_is_refused(turn: tuple[float, ...], words: str):
+    message = sent()
+    origin = message.info.origin.orientation
+    origin.x, origin.y, origin.z, origin.w = turn
+    with pytest.raises(GridError, match=f"odd: the map's origin: .*{words}"):
+        messages.grid_from_message(message, "odd")
+    with pytest.raises(TrajectoryError, match=words):
+        messages.pose2_from_message(message.info.origin)
+
+
+def test_an_origin_that_is_nowhere_is_refused():
+    message = sent()
+    message.info.origin.position.x = math.inf
+    with pytest.raises(GridError, match="not finite"):
+        messages.grid_from_message(message, "odd")
+
+
+@given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.14, 3.14))
+def test_a_pose_comes_back_as_it_was(x: float, y: float, yaw_rad: float):
+    message = messages.pose_to_message(Pose2(x, y, yaw_rad), "map", Time())
+    back = messages.pose2_from_message(message.pose)
+    assert (back.x, back.y) == (x, y)
+    assert back.yaw_rad == pytest.approx(yaw_rad, abs=1e-12)
+
+
+def test_a_quaternion_of_another_length_is_the_same_turn():
+    pose = Pose()
+    pose.orientation.z, pose.orientation.w = 3.0 * math.sin(0.2), 3.0 * math.cos(0.2)
+    assert messages.pose2_from_message(pose).yaw_rad == pytest.approx(0.4)
+
+
+def test_a_transform_carries_points_of_the_child_into_the_parent():
+    message = messages.transform_to_message(Pose2(1.0, 2.0, math.pi / 2), "map", "odom", Time())
+    assert (message.header.frame_id, message.child_frame_id) == ("map", "odom")
+    motion = messages.pose2_from_message(message.transform)
+    assert motion.transform((1.0, 0.0)) == pytest.approx([1.0, 3.0])
+
+
+@given(st.integers(0, 2**31 - 2), st.integers(0, 999_999_999))
+def test_seconds_are_the_double_nearest_to_the_stamp(sec: int, nanosec: int):
+    seconds = messages.stamp_s(Time(sec=sec, nanosec=nanosec))
+    again = messages.to_stamp(seconds)
+    assert abs((again.sec - sec) * 10**9 + again.nanosec - nanosec) <= 120
+    assert messages.stamp_s(again) == seconds
+
+
+@given(st.integers(0, 10**12))
+def test_stamps_of_logs_come_back_as_they_were(micros: int):
+    seconds = micros / 10**6
+    assert messages.stamp_s(messages.to_stamp(seconds)) == seconds
+
+
+def test_a_time_that_ros_does_not_have_is_refused():
+    with pytest.raises(ValueError, match=r"2\^31"):
+        messages.to_stamp(1e11)
+
+
+SCAN = LaserScan(
+    12.25,
+    np.array([1.0, math.inf, math.nan, 2.5, -math.inf], dtype=np.float32),
+    -1.5,
+    0.25,
+    0.125,
+    8.0,
+    Pose2(0.2, 0.0, 0.1),
+)
+
+
+def test_a_scan_comes_back_as_it_was():
+    message = messages.scan_to_message(SCAN, "laser")
+    assert message.header.frame_id == "laser"
+    assert message.angle_max == -0.5
+    back = messages.scan_from_message(message, SCAN.mount)
+    assert np.array_equal(back.ranges, SCAN.ranges, equal_nan=True)
+    assert (back.stamp_s, back.angle_min_rad, back.angle_increment_rad) == (12.25, -1.5, 0.25)
+    assert (back.range_min_m, back.range_max_m, back.mount) == (0.125, 8.0, SCAN.mount)
+
+
+def test_a_laser_upside_down_turns_the_other_way():
+    message = messages.scan_to_message(SCAN, "laser")
+    back = messages.scan_from_message(message, is_flipped=True)
+    assert (back.angle_min_rad, back.angle_increment_rad) == (1.5, -0.25)
+    assert back.points()[0] == pytest.approx([math.cos(1.5), math.sin(1.5)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("ranges", [], "at least one range"),
+        ("angle_increment", 0.0, "must not be 0"),
+        ("angle_min", math.nan, "must be finite"),
+        ("range_max", 0.0, "range limits"),
+    ],
+)
+def test_what_is_no_scan_is_refused_by_time_and_frame(name: str, value: Any, words: str):
+    message = messages.scan_to_message(SCAN, "laser")
+    setattr(message, name, value)
+    with pytest.raises(ScanError, match=rf"scan at 12\.250 s in 'laser': .*{words}"):
+        messages.scan_from_message(message)
+
+
+def test_a_long_path_keeps_its_ends():
+    stamps_s = np.arange(1000) / 10.0
+    poses = np.column_stack((stamps_s, np.zeros(1000), np.zeros(1000)))
+    path = messages.path_to_message(Trajectory(stamps_s, poses), "a_map", Time(sec=100), most=50)
+    assert len(path.poses) == 50
+    assert [path.poses[0].pose.position.x, path.poses[-1].pose.position.x] == [0.0, 99.9]
+    assert messages.stamp_s(path.poses[-1]) == 99.9
+    assert {pose.header.frame_id for pose in path.poses} == {"a_map"}
+    whole = messages.path_to_message(Trajectory(stamps_s, poses), "a_map", Time())
+    assert len(whole.poses) == 1000

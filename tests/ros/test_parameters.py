@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+import rclpy
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from slamfusion.config import GmappingConfig, TinySlamConfig, _Checked, option
+from slamfusion.errors import ConfigError
+from slamfusion.ros.parameters import declare, parameter_names
+
+pytestmark = pytest.mark.ros
+
+MakeNode = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Inner(_Checked):
+    beams: int = option(10, "beams", low=1, high=100)
+
+
+@dataclass(frozen=True)
+class Drawn(_Checked):
+    """A section of every kind of field."""
+
+    inner: Inner = Inner()
+    period_s: float = option(1.0, "how often", unit="s", low=0.1, high=10.0)
+    mode: str = option("fast", "how", choices=("fast", "slow"))
+    name: str | None = option(None, "what it is called")
+    share: float | None = option(None, "how much", low=0.0, level="expert")
+    is_on: bool = option(True, "whether")
+
+
+@pytest.fixture
+def make_node(domain: int) -> Iterator[MakeNode]:
+    """Makes nodes with parameters given on the command line."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    nodes = []
+
+    def make(**parameters: str) -> Any:
+        words = ["--ros-args"]
+        for name, value in parameters.items():
+            words += ["-p", f"{name.replace('__', '.')}:={value}"]
+        node = rclpy.create_node(f"drawn{len(nodes)}", context=context, cli_args=words)
+        nodes.append(node)
+        return node
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_without_a_word_the_defaults_hold(make_node: MakeNode):
+    assert declare(make_node(), Drawn) == Drawn()
+    assert declare(make_node(), TinySlamConfig, "tinyslam") == TinySlamConfig()
+    assert declare(make_node(), GmappingConfig, "gmapping") == GmappingConfig()
+
+
+def test_an_instance_gives_the_defaults(make_node: MakeNode):
+    asked = Drawn(Inner(7), 2.0, "slow", "one", 0.5, is_on=False)
+    assert declare(make_node(), asked) == asked
+
+
+def test_the_command_line_sets_fields_of_every_kind(make_node: MakeNode):
+    node = make_node(
+        a__inner__beams="20", a__period_s="3", a__name="box", a__share="0.25", a__is_on="false"
+    )
+    found = declare(node, Drawn, "a")
+    assert found == Drawn(Inner(20), 3.0, "fast", "box", 0.25, is_on=False)
+    assert isinstance(found.period_s, float)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("period_s", "20.0", "period_s.*out of range.*20"),
+        ("period_s", "20", r"period_s must lie in \[0\.1, 10\] s, found 20"),
+        ("period_s", "often", "wanted float, found 'often'"),
+        ("inner__beams", "0", "inner.beams.*out of range"),
+        ("inner__beams", "2.5", "wanted int, found 2.5"),
+        ("mode", "medium", "mode must be one of fast, slow, found 'medium'"),
+        ("is_on", "1", "wanted bool, found 1"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_by_node_and_name(
+    make_node: MakeNode, name: str, value: str, words: str
+):
+    with pytest.raises(ConfigError, match=rf"node drawn0.*{words}"):
+        declare(make_node(**{name: value}), Drawn)
+
+
+def test_tools_are_told_what_a_parameter_is(make_node: MakeNode):
+    node = make_node()
+    declare(node, Drawn, "a", changeable=("mode",))
+    period = node.describe_parameter("a.period_s")
+    assert period.description == "how often [s] (public)"
+    (limits,) = period.floating_point_range
+    assert (limits.from_value, limits.to_value) == (0.1, 10.0)
+    assert period.read_only
+    mode = node.describe_parameter("a.mode")
+    assert mode.additional_constraints == "one of: fast, slow"
+    assert not mode.read_only
+    (beams,) = node.describe_parameter("a.inner.beams").integer_range
+    assert (beams.from_value, beams.to_value) == (1, 100)
+    assert "(expert)" in node.describe_parameter("a.share").description
+
+
+def test_a_change_is_checked_and_told(make_node: MakeNode):
+    node = make_node()
+    told: list[Drawn] = []
+    declare(node, Drawn, changeable=("mode", "inner.beams", "share"), on_change=told.append)
+
+    def change(name: str, value: Any) -> Any:
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    assert change("inner.beams", 55).successful
+    assert change("share", 1).successful
+    assert told == [Drawn(Inner(55)), Drawn(Inner(55), share=1.0)]
+    refused = change("mode", "medium")
+    assert not refused.successful
+    assert "mode must be one of fast, slow, found 'medium'" in refused.reason
+    assert "wanted str, found 5" in change("mode", 5).reason
+    assert not change("period_s", 2.0).successful
+    assert len(told) == 2
+    assert node.get_parameter("mode").value == "fast"
+
+
+def test_only_known_fields_can_be_changeable(make_node: MakeNode):
+    with pytest.raises(ValueError, match="no field 'beams'"):
+        declare(make_node(), Drawn, changeable=("beams",))
+
+
+def test_names_are_those_of_the_configuration_file():
+    names = parameter_names(TinySlamConfig, "tinyslam")
+    assert "tinyslam.resolution" in names
+    assert "tinyslam.matcher.beams" in names

@@ -1,0 +1,488 @@
+"""Producers as processes over DDS, against the same scans fed without ROS."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
+from sensor_msgs.msg import LaserScan
+
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid as Grid
+from slamfusion.io import LogScan, open_log
+from slamfusion.ros import messages, qos
+from slamfusion.ros.frames import TransformStore
+from tests.ros import tf2
+from tests.ros.drives import FIRST_S, as_sent, offline, offline_log, scans, write_log
+from tests.ros.live import Observer, Processes, values
+
+pytestmark = pytest.mark.ros
+
+COUNT = 40
+LAST_S = FIRST_S + 0.1 * (COUNT - 1)
+SETTINGS = {"tinyslam": {}, "gmapping": {"particles": 6}, "graph": {}}
+MOUNT = Pose2(0.21, -0.04, 0.3)
+
+
+def wait_for_last_map(observer: Observer, maps: list[Any], stamp_s: float = LAST_S) -> Any:
+    """Listen until the map of a scan has come, and return it."""
+    return observer.wait(
+        lambda: next((m for m in maps if abs(messages.stamp_s(m) - stamp_s) < 1e-6), None),
+        what=f"the map of {stamp_s} s",
+    )
+
+
+def assert_same_map(message: Any, wanted: Grid) -> None:
+    """Cell by cell."""
+    found = messages.grid_from_message(message, "found")
+    assert (found.width, found.height) == (wanted.width, wanted.height)
+    assert found.resolution == wanted.resolution
+    assert (found.origin.x, found.origin.y) == (wanted.origin.x, wanted.origin.y)
+    assert np.array_equal(found.cells, wanted.cells)
+    assert (found.cells >= 65).sum() > 100
+
+
+class Robot:
+    """The test itself sends scans and odometry."""
+
+    def __init__(self, observer: Observer, *, odometry: bool = True) -> None:
+        self.observer = observer
+        self.scans = observer.publisher(LaserScan, "scan")
+        self.odometry = observer.publisher(Odometry, "odom") if odometry else None
+
+    def wait_for(self, listeners: int = 1) -> None:
+        """Wait until producers listen."""
+
+        def are_there() -> bool:
+            topics = [self.scans] if self.odometry is None else [self.scans, self.odometry]
+            return all(item.get_subscription_count() >= listeners for item in topics)
+
+        self.observer.wait(are_there, 40.0, "a producer that listens")
+        self.observer.listen(0.5)
+
+    def send(self, item: LogScan) -> None:
+        """Send a scan and its odometry."""
+        message = messages.scan_to_message(item.scan, "base_link")
+        if self.odometry is not None and item.odometry is not None:
+            self.odometry.publish(
+                messages.odometry_to_message(
+                    item.odometry, "odom", "base_link", message.header.stamp
+                )
+            )
+        self.scans.publish(message)
+
+    def drive(self, items: list[LogScan], poses: list[Any]) -> None:
+        """Send scans one by one, each when the pose at the last one has come."""
+        for item in items:
+            self.send(item)
+            self.observer.wait(
+                lambda item=item: (
+                    poses and abs(messages.stamp_s(poses[-1]) - item.scan.stamp_s) < 1e-6
+                ),
+                what=f"the pose at {item.scan.stamp_s} s",
+            )
+
+
+@pytest.mark.parametrize("kind", sorted(SETTINGS))
+def test_in_lockstep_the_map_is_that_of_the_offline_run(
+    kind: str, processes: Processes, observer: Observer, tmp_path: FilePath
+):
+    log = write_log(tmp_path, COUNT, mount=MOUNT)
+    maps = observer.collect(OccupancyGrid, f"{kind}/map", qos.MAP)
+    metadata = observer.collect(MapMetaData, f"{kind}/map_metadata", qos.MAP)
+    paths = observer.collect(Path, f"{kind}/path", qos.MAP)
+    poses = observer.collect(PoseStamped, f"{kind}/pose")
+    settings = {f"{kind}__{name}": value for name, value in SETTINGS[kind].items()}
+    producer = processes.node(kind, map_update_interval_s=0.2, **settings)
+    player = processes.node("player", file=str(log), lockstep=True, wait_for=[kind])
+    message = wait_for_last_map(observer, maps)
+    assert player.wait() == 0
+    assert f"end of {log}: {COUNT} scans sent" in player.text()
+
+    wanted = offline_log(kind, log, **SETTINGS[kind])
+    assert_same_map(message, wanted)
+    assert message.header.frame_id == f"{kind}_map"
+    observer.wait(lambda: metadata and metadata[-1] == message.info, what="the map's metadata")
+    # Without the way through messages (angles of float32) the map is all but the same.
+    raw = offline(kind, open_log(log), **SETTINGS[kind])
+    assert abs(raw.width - wanted.width) <= 1
+    stamps_s = sorted({messages.stamp_s(pose) for pose in poses})
+    assert stamps_s == pytest.approx([FIRST_S + 0.1 * index for index in range(COUNT)])
+    assert {pose.header.frame_id for pose in poses} == {f"{kind}_map"}
+    path = observer.wait(lambda: [p for p in paths if len(p.poses) == COUNT], what="the path")[0]
+    end, told = path.poses[-1].pose.position, poses[-1].pose.position
+    assert math.hypot(end.x - told.x, end.y - told.y) < 0.05
+    assert path.header.frame_id == f"{kind}_map"
+
+    assert producer.interrupt() == 0
+    assert "Traceback" not in producer.text()
+
+
+def test_in_a_namespace_under_other_names(
+    processes: Processes, observer: Observer, tmp_path: FilePath
+):
+    log = write_log(tmp_path, COUNT)
+    maps = observer.collect(OccupancyGrid, "/robot1/tiny2/map", qos.MAP)
+    heard = observer.collect(LaserScan, "/robot1/front/scan", qos.SENSOR)
+    names = ("-r", "__ns:=/robot1", "-r", "scan:=front/scan", "-r", "odom:=wheels")
+    processes.node("tinyslam", *names, "-r", "__node:=tiny2", map_update_interval_s=0.2)
+    processes.node("player", *names, file=str(log), lockstep=True, wait_for=["tiny2"])
+    message = wait_for_last_map(observer, maps)
+    assert message.header.frame_id == "tiny2_map"
+    assert_same_map(message, offline_log("tinyslam", log))
+    assert {scan.header.frame_id for scan in heard} == {"laser"}
+    assert observer.wait_status("robot1/tiny2: slam")
+
+
+WITH_TF2 = pytest.param(True, id="tf2_msgs")
+WITHOUT_TF2 = pytest.param(False, id="without tf2_msgs")
+
+
+@pytest.mark.parametrize("has_tf2", [WITH_TF2, WITHOUT_TF2])
+def test_odometry_and_laser_by_transforms(
+    has_tf2: bool, processes: Processes, observer: Observer, tmp_path: FilePath
+):
+    if has_tf2:
+        tf2.skip_without()
+    # A folder without tf2_msgs in front of everything.
+    env = {} if has_tf2 else {"PYTHONPATH": ""}
+    log = write_log(tmp_path, COUNT, mount=MOUNT)
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    options = {"odometry_source": "tf", "map_update_interval_s": 0.2}
+    producer = processes.node("tinyslam", env=env, **options)
+    player = processes.node(
+        "player", env=env, file=str(log), lockstep=True, wait_for=["tinyslam"], odometry="tf"
+    )
+    message = wait_for_last_map(observer, maps)
+    assert_same_map(message, offline_log("tinyslam", log))
+    topics = {name for name, _ in observer.node.get_topic_names_and_types()}
+    assert ("/tf" in topics, "/transforms" in topics) == (has_tf2, not has_tf2)
+    for process in (producer, player):
+        said = process.text().count("tf2_msgs cannot be imported, so there is no /tf")
+        assert said == (0 if has_tf2 else 1)
+
+
+def test_without_odometry(processes: Processes, observer: Observer, tmp_path: FilePath):
+    log = write_log(tmp_path, COUNT)
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    processes.node("tinyslam", odometry_source="none", map_update_interval_s=0.2)
+    processes.node("player", file=str(log), lockstep=True, wait_for=["tinyslam"], odometry="none")
+    message = wait_for_last_map(observer, maps)
+    bare = [LogScan(item.scan, None, item.line) for item in open_log(log)]
+    assert_same_map(message, offline("tinyslam", as_sent(bare)))
+
+
+def test_a_laser_offset_by_parameters_and_simulated_time(
+    processes: Processes, observer: Observer, tmp_path: FilePath
+):
+    log = write_log(tmp_path, COUNT, mount=Pose2(0.25, -0.5, 0.0))
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    told = observer.collect(DiagnosticArray, "/diagnostics")
+    processes.node(
+        "tinyslam",
+        laser_source="parameter",
+        laser_x=0.25,
+        laser_y=-0.5,
+        use_sim_time=True,
+        map_update_interval_s=0.2,
+    )
+    processes.node("player", file=str(log), lockstep=True, wait_for=["tinyslam"])
+    # The log's own offset is rounded to its digits.
+    exact = [
+        replace(item, scan=replace(item.scan, mount=Pose2(0.25, -0.5, 0.0)))
+        for item in open_log(log)
+    ]
+    assert_same_map(wait_for_last_map(observer, maps), offline("tinyslam", as_sent(exact)))
+
+    def is_simulated() -> Any:
+        return [
+            item
+            for item in told
+            if item.status[0].name == "tinyslam: slam" and abs(messages.stamp_s(item) - LAST_S) < 1
+        ]
+
+    (_, *_) = observer.wait(is_simulated, what="diagnostics in simulated time")
+
+
+def test_too_many_scans_are_dropped_oldest_first_and_counted(
+    processes: Processes, observer: Observer
+):
+    poses = observer.collect(PoseStamped, "gmapping/pose")
+    robot = Robot(observer)
+    # Many particles keep the worker busy.
+    processes.node("gmapping", scan_queue=3, gmapping__particles=300)
+    robot.wait_for()
+    sent = scans(COUNT)
+    for item in sent:
+        robot.send(item)
+    observer.wait(
+        lambda: poses and abs(messages.stamp_s(poses[-1]) - LAST_S) < 1e-6, 40.0, "the last pose"
+    )
+
+    def figures() -> Any:
+        status = observer.statuses().get("gmapping: slam")
+        found = {} if status is None else values(status)
+        return found if found.get("scans received") == str(COUNT) else None
+
+    found = observer.wait(figures, what="the figures of every scan")
+    dropped, fed = int(found["scans dropped"]), int(found["scans fed"])
+    assert dropped > 0
+    assert dropped + fed == COUNT
+    assert fed == len(poses)
+    assert observer.wait_status("gmapping: slam", "too slow for the scans: the oldest of 3")
+
+
+def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: Observer):
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", map_update_interval_s=0.2)
+    robot.wait_for()
+    robot.drive(scans(20), poses)
+    again = scans(COUNT)[15:]
+    late = [
+        replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s - 50.0)) for item in again
+    ]
+    robot.drive(late, poses)
+    message = wait_for_last_map(observer, maps, late[-1].scan.stamp_s)
+    assert_same_map(message, offline("tinyslam", as_sent(late)))
+    status = observer.wait_status("tinyslam: slam", "scans jumped back by 50.400 s", "new map")
+    assert status.level == DiagnosticStatus.WARN
+    assert values(status)["maps begun anew"] == "1"
+
+    # A gap in time is no reason to begin anew, but worth a word.
+    last = late[-1]
+    later = replace(last, scan=replace(last.scan, stamp_s=last.scan.stamp_s + 20.0))
+    robot.drive([later], poses)
+    status = observer.wait_status("tinyslam: slam", "scans jumped forward by 20.000 s")
+    assert values(status)["maps begun anew"] == "1"
+
+
+def test_odometry_of_other_stamps_is_waited_for_and_interpolated(
+    processes: Processes, observer: Observer
+):
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", map_update_interval_s=0.2, odometry_wait_s=5.0)
+    robot.wait_for()
+    driven = scans(20)
+    store = TransformStore()
+
+    def tell(pose: Pose2, time_s: float) -> None:
+        stamp = messages.to_stamp(time_s)
+        robot.odometry.publish(messages.odometry_to_message(pose, "odom", "base_link", stamp))
+        store.add([messages.transform_to_message(pose, "odom", "base", stamp)])
+
+    tell(driven[0].odometry, driven[0].scan.stamp_s - 0.05)
+    moved = []
+    for item, following in itertools.pairwise(driven):
+        stamp_s = item.scan.stamp_s
+        robot.scans.publish(messages.scan_to_message(item.scan, "base_link"))
+        observer.listen(0.05)
+        assert not poses or messages.stamp_s(poses[-1]) < stamp_s  # it waits
+        tell(following.odometry, stamp_s + 0.05)
+        observer.wait(
+            lambda stamp_s=stamp_s: poses and abs(messages.stamp_s(poses[-1]) - stamp_s) < 1e-6,
+            what=f"the pose at {stamp_s} s",
+        )
+        moved.append(replace(item, odometry=store.lookup("odom", "base", stamp_s)))
+    message = wait_for_last_map(observer, maps, moved[-1].scan.stamp_s)
+    assert_same_map(message, offline("tinyslam", as_sent(moved)))
+
+
+def test_silence_is_named_and_ends(processes: Processes, observer: Observer):
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", scans_stale_s=0.5, odometry_wait_s=0.1)
+    name = "tinyslam: slam"
+    status = observer.wait_status(name, "no scans on '/scan' yet; 1 node(s) could send them")
+    assert status.level == DiagnosticStatus.STALE
+    robot.wait_for()
+    sent = scans(COUNT)
+    robot.drive(sent[:10], poses)
+    status = observer.wait_status(name, "no scans on '/scan' any more")
+    assert status.level == DiagnosticStatus.STALE
+
+    # Odometry stops: the scans go on without it, and say so.
+    without = [LogScan(item.scan, None, item.line) for item in sent[10:20]]
+    robot.drive(without, poses)
+    robot.observer.statuses().clear()
+    status = observer.wait_status(name, "no odometry for the scans, which are matched without it")
+    assert "check the topic '/odom'" in status.message
+    assert status.level in {DiagnosticStatus.WARN, DiagnosticStatus.STALE}
+    assert values(status)["scans without odometry"] == "10"
+
+    # Both come back.
+    for item in sent[20:]:
+        robot.drive([item], poses)
+        observer.listen(0.05)
+    observer.statuses().clear()
+    status = observer.wait(lambda: observer.statuses().get(name), what="the diagnostics")
+    assert "odometry" not in status.message
+    assert values(status)["scans fed"] == str(COUNT)
+    assert values(status)["scans without odometry"] == "10"
+
+
+def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, observer: Observer):
+    robot = Robot(observer, odometry=False)
+    processes.node("tinyslam", odometry_wait_s=0.1)
+    robot.wait_for()
+    for item in scans(5):
+        robot.send(item)
+    status = observer.wait_status("tinyslam: slam", "no odometry for the scans, which are left out")
+    assert "set odometry_source to none" in status.message
+    observer.wait(
+        lambda: (
+            values(observer.statuses()["tinyslam: slam"]).get("left out: laser before odometry")
+            == "5"
+        ),
+        what="five scans left out",
+    )
+
+
+def test_a_laser_without_a_transform_is_named(processes: Processes, observer: Observer):
+    robot = Robot(observer, odometry=False)
+    processes.node("tinyslam", odometry_source="none", odometry_wait_s=0.1)
+    robot.wait_for()
+    message = messages.scan_to_message(scans(1)[0].scan, "front_laser")
+    robot.scans.publish(message)
+    status = observer.wait_status(
+        "tinyslam: slam", "scans in 'front_laser' cannot be used", "laser_source to parameter"
+    )
+    assert status.level == DiagnosticStatus.ERROR
+
+
+def test_what_is_no_scan_is_left_out_and_the_node_goes_on(processes: Processes, observer: Observer):
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam")
+    robot.wait_for()
+    sent = scans(12)
+    robot.drive(sent[:4], poses)
+    for field, value in (("ranges", []), ("angle_increment", 0.0), ("angle_min", math.nan)):
+        message = messages.scan_to_message(sent[4].scan, "base_link")
+        setattr(message, field, value)
+        robot.scans.publish(message)
+    odometry = messages.odometry_to_message(Pose2(), "odom", "base_link", Time(sec=100))
+    odometry.pose.pose.position.x = math.nan
+    robot.odometry.publish(odometry)
+    observer.wait_status("tinyslam: slam", "angle step must be finite", "odometry left out")
+    robot.drive(sent[4:], poses)
+    status = observer.wait(
+        lambda: next(
+            (
+                item
+                for item in observer.statuses().values()
+                if values(item).get("scans fed") == "12"
+            ),
+            None,
+        ),
+        what="twelve scans",
+    )
+    assert values(status)["left out: angles or ranges that cannot be a scan"] == "3"
+
+
+def test_the_transform_to_the_odometry_leads_to_the_pose(processes: Processes, observer: Observer):
+    tf2.skip_without()
+    from tf2_msgs.msg import TFMessage  # noqa: PLC0415
+
+    heard = observer.collect(TFMessage, "/tf", qos.TF)
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", publish_tf=True)
+    robot.wait_for()
+    sent = scans(20)
+    robot.drive(sent, poses)
+    observer.wait(lambda: len(heard) >= 20, what="the transforms")
+    for item, pose, message in zip(sent, poses, heard, strict=True):
+        (transform,) = message.transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("tinyslam_map", "odom")
+        found = messages.pose2_from_message(transform.transform).compose(item.odometry)
+        told = messages.pose2_from_message(pose.pose)
+        assert (found.x, found.y) == pytest.approx((told.x, told.y), abs=1e-9)
+        assert math.remainder(found.yaw_rad - told.yaw_rad, 2.0 * math.pi) == pytest.approx(0.0)
+
+
+def test_two_nodes_that_send_the_same_transform_are_named(processes: Processes, observer: Observer):
+    tinyslam = observer.collect(PoseStamped, "tinyslam/pose")
+    graph = observer.collect(PoseStamped, "graph/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", publish_tf=True)
+    processes.node("graph", publish_tf=True)
+    robot.wait_for(listeners=2)
+    for item in scans(10):
+        robot.drive([item], tinyslam)
+        robot.observer.wait(
+            lambda item=item: graph and abs(messages.stamp_s(graph[-1]) - item.scan.stamp_s) < 1e-6
+        )
+    for name, other in (("tinyslam", "graph_map"), ("graph", "tinyslam_map")):
+        status = observer.wait_status(
+            f"{name}: slam", f"another node sends the transform to 'odom' too (from {other!r})"
+        )
+        assert status.level == DiagnosticStatus.ERROR
+
+
+def test_parameters_may_change_where_that_makes_sense(processes: Processes, observer: Observer):
+    node = processes.node("tinyslam", map_update_interval_s=1000.0)
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    robot.wait_for()
+    sent = scans(COUNT)
+    robot.drive(sent, poses)
+    observer.wait(lambda: maps, what="the first map")
+    assert observer.set_parameter("tinyslam", "map_update_interval_s", 0.1).successful
+    wait_for_last_map(observer, maps)
+    assert 1 <= len(maps) <= 3
+    refused = observer.set_parameter("tinyslam", "map_update_interval_s", -1.0)
+    assert not refused.successful
+    refused = observer.set_parameter("tinyslam", "tinyslam.resolution", 0.1)
+    assert not refused.successful
+    assert "read-only" in refused.reason
+    assert node.is_running
+
+
+def test_who_listens_late_gets_map_and_path(processes: Processes, observer: Observer):
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", map_update_interval_s=0.2)
+    robot.wait_for()
+    robot.drive(scans(COUNT), poses)
+    observer.listen(1.0)
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    paths = observer.collect(Path, "tinyslam/path", qos.MAP)
+    wait_for_last_map(observer, maps)
+    observer.wait(lambda: paths and len(paths[-1].poses) == COUNT, what="the path")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"odometry_source": "wheels"}, "must be one of topic, tf, none, found 'wheels'"),
+        ({"tinyslam__resolution": 5.0}, "tinyslam.resolution"),
+        ({"scan_queue": "many"}, "wanted int, found 'many'"),
+        ({"device": "no such device"}, "no such device"),
+    ],
+)
+def test_a_parameter_that_cannot_be_ends_the_node_with_one_line(
+    parameters: dict[str, Any], words: str, processes: Processes
+):
+    node = processes.node("tinyslam", **parameters)
+    assert node.wait(40.0) == 1
+    said = [line for line in node.text().splitlines() if "tf2_msgs" not in line]
+    assert len(said) == 1
+    assert said[0].startswith("slamfusion: error: ")
+    assert words in said[0]
