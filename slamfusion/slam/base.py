@@ -12,9 +12,10 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
+from slamfusion.slam.node_map import MapJob
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["ClosesLoops", "Closure", "Health", "Series", "SlamBackend", "Step"]
+__all__ = ["ClosesLoops", "Closure", "DrawsAside", "Health", "Series", "SlamBackend", "Step"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,10 @@ class Health:
     low_scores: int = 0
     n_eff: float | None = None
     skips: Skips = field(default_factory=Skips)
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return what speaks against the map in the producer's own words, a sentence each."""
+        return ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the record for a JSON document."""
@@ -157,3 +162,18 @@ class ClosesLoops(SlamBackend, Protocol):
 
     def closures(self) -> list[Closure]:
         """Return the closures so far, as they are judged now."""
+
+
+@runtime_checkable
+class DrawsAside(SlamBackend, Protocol):
+    """A producer whose map a ``NodeMap`` draws in another thread, while scans go on."""
+
+    def map_job(self, *, is_settled: bool = False) -> MapJob:
+        """Return what the map is drawn from.
+
+        Args:
+            is_settled: drawn from it the map is that of ``grid``; else asking takes no time.
+
+        Raises:
+            SlamFusionError: no scan has been used yet, so there is no map.
+        """

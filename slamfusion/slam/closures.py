@@ -56,11 +56,11 @@ SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
 AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
 PENDING_NODES = 12
 # What it takes to believe closures that move the robot, by how it was looked for: nodes that agree,
-# how far it has driven between them, and for how many nodes they wait.
-TRUST: dict[How, tuple[int, float, int]] = {
+# how far it has driven between them, and for how many nodes they wait. For those found anywhere see
+# ``slamfusion.slam.relocation``.
+TRUST: dict[str, tuple[int, float, int]] = {
     "known": (2, 0.0, 12),
     "odometry": (3, 0.8, 12),
-    "anywhere": (6, 4.0, 40),
 }
 # Where the robot may be by a jump between two scans.
 JUMP_M, JUMP_RAD = 1.5, 0.8

@@ -28,11 +28,13 @@ from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.pose_graph import Optimized
 from slamfusion.scan import LaserScan
+from slamfusion.slam import matcher
 from slamfusion.slam.base import Closure, Health, Series, Step
 from slamfusion.slam.closures import ClosureSearch, Found, How, Waiting, WaitingRoom
 from slamfusion.slam.constraints import Constraint, solve_constraints, turned
-from slamfusion.slam.matcher import Guess, Match, ScanOnTiles
+from slamfusion.slam.matcher import Match, ScanOnTiles
 from slamfusion.slam.node_map import MapJob, Node, NodeMap
+from slamfusion.slam.relocation import Guess, Relocation
 from slamfusion.slam.response import response_information
 from slamfusion.slam.state import (
     health_record,
@@ -61,14 +63,17 @@ LEAST_DRIFT_M = 0.3
 # as ever. One worth less than a share of the usual is bad: its scan is not mapped, and odometry is
 # believed instead. So many in a row that fit better elsewhere, and the robot is lost.
 BAD_SHARE, LOST_SCANS = 0.6, 4
+# So many bad ones of the last few, and what comes now may not lie rightly to what was before: the
+# submap is ended there, and closures may bend the graph.
+BREAK_BAD, BREAK_SCANS = 3, 10
 # Of a scan most of whose hits fall into the unseen a match says little.
-MOST_UNSEEN = 0.5
+MOST_UNSEEN = 0.8
 # The new submap is held to the old ones by next to nothing, and by odometry as far as the closures
 # that come agree with it; metres and radians.
 FREE_SIGMAS = (10.0, 10.0, 3.0)
 LOST_SIGMAS = (0.3, 0.3, 0.2)
 # So far from where odometry has it a lost robot is looked for first, metres.
-LOST_DRIFT_M = 2.0
+LOST_DRIFT_M = 1.2
 # A robot that is found again may be off by so much from what the first closure says.
 REFOUND_DRIFT_M = 0.6
 # Once every old submap has been searched all over, it is done again after so many nodes only.
@@ -89,6 +94,8 @@ ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
 ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
 # A step of odometry that differs from the matched one by more spreads is left out.
 ODOMETRY_GATE = 3.0
+# No scan for longer is named, seconds.
+PAUSE_S = 60.0
 STATE_FORMAT = 2
 # Motion, information and ends of an edge.
 EDGE_BYTES = 112
@@ -102,12 +109,17 @@ class GraphHealth(Health):
         nodes: scans that became nodes.
         submaps: of which each holds some of them.
         restarts: times that the robot was lost and a submap of its own was begun.
+        breaks: times that scans fitted badly for a while, and only odometry tells how what came
+            after lies to what was before, until a closure does.
         refound: times that it was found again on submaps of before.
         parts: of the map, that nothing but odometry holds together; 1 for a whole one.
         closures_tried: searches of an older submap.
         closures_accepted: of these, the ones that became an edge.
         closures_rejected: by reason.
         closures_doubted: edges that the last solution left less than half of their weight.
+        largest_correction_m: how far a closure has moved the robot at most.
+        pauses: times that no scan came for more than PAUSE_S.
+        longest_pause_s: the longest of them.
         chi2: of the graph after the last solution.
         solutions: how often it was solved.
         solve_s: duration of the last solution.
@@ -116,12 +128,16 @@ class GraphHealth(Health):
     nodes: int = 0
     submaps: int = 0
     restarts: int = 0
+    breaks: int = 0
     refound: int = 0
     parts: int = 1
     closures_tried: int = 0
     closures_accepted: int = 0
     closures_rejected: dict[str, int] = field(default_factory=dict)
     closures_doubted: int = 0
+    largest_correction_m: float = 0.0
+    pauses: int = 0
+    longest_pause_s: float = 0.0
     chi2: float | None = None
     solutions: int = 0
     solve_s: float | None = None
@@ -132,17 +148,41 @@ class GraphHealth(Health):
             "nodes",
             "submaps",
             "restarts",
+            "breaks",
             "refound",
             "parts",
             "closures_tried",
             "closures_accepted",
             "closures_rejected",
             "closures_doubted",
+            "largest_correction_m",
+            "pauses",
+            "longest_pause_s",
             "chi2",
             "solutions",
             "solve_s",
         )
         return {**super().to_json(), "graph": {name: getattr(self, name) for name in names}}
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return what speaks against the map; see ``Health.doubts``."""
+        sentences = []
+        if self.parts > 1:
+            sentences.append(
+                f"the map is in {self.parts} parts: the robot was lost {self.restarts} times and "
+                f"found again {self.refound} times; only odometry tells how the parts lie"
+            )
+        elif self.restarts:
+            sentences.append(
+                f"the robot was lost {self.restarts} times, and found again in the map each time; "
+                "look at the map"
+            )
+        if self.breaks:
+            sentences.append(
+                f"scans fitted badly for a while {self.breaks} times: there only odometry and "
+                "later closures tell how the map goes on; look at the map"
+            )
+        return tuple(sentences)
 
 
 @dataclass(frozen=True)
@@ -154,12 +194,14 @@ class _Look:
         expected: pose of the robot in the map frame; None: anywhere.
         drift_m: how far off that may be.
         how: it is looked for.
+        guess: that this is to test; None for none.
     """
 
     index: int
     expected: Pose2 | None
     drift_m: float
     how: How = "known"
+    guess: Guess | None = None
 
 
 class GraphSlam:
@@ -207,9 +249,14 @@ class GraphSlam:
         self._map = NodeMap(config, backend)
         self._search = ClosureSearch(config, backend, self._rng)
         self._waiting = WaitingRoom()
+        self._relocation = Relocation()
         self._is_urgent = False
         self._settled: tuple[int, F64] | None = None
         self._bad_row = 0
+        # Numbers of the bad scans among the last few; and the node at which a submap was begun
+        # because of them, until a closure tells how it lies to those before.
+        self._bad: list[int] = []
+        self._broken_at: int | None = None
         # Submaps of one part are placed to each other by matches; those of another, begun by a
         # robot that was lost, are not.
         self._parts: list[int] = []
@@ -232,6 +279,7 @@ class GraphSlam:
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
         """Follow the robot to a scan; make it a node where it has gone far enough."""
         self.health.scans += 1
+        self._count_pause(scan.stamp_s)
         known = None if self._config.odometry == "none" else odometry
         guesses = self._tracker.guesses(scan.stamp_s, known)
         if self._tracker.pose is None:
@@ -247,6 +295,12 @@ class GraphSlam:
         pose = step.pose_map_base
         self._online.append((pose.x, pose.y, pose.yaw_rad))
         return step
+
+    def _count_pause(self, stamp_s: float) -> None:
+        pause_s = 0.0 if self.last_stamp_s is None else stamp_s - self.last_stamp_s
+        if pause_s > PAUSE_S:
+            self.health.pauses += 1
+            self.health.longest_pause_s = max(self.health.longest_pause_s, pause_s)
 
     def trajectory(self) -> Trajectory:
         """Return the pose at every scan by all that is known now."""
@@ -290,10 +344,12 @@ class GraphSlam:
             raise SlamFusionError(message)
         return self._map.draw(MapJob(self._nodes, self._settled_poses(), self.name))
 
-    def map_job(self) -> MapJob:
+    def map_job(self, *, is_settled: bool = False) -> MapJob:
         """Return what a ``NodeMap`` on another backend draws the map from, in another thread.
 
-        Closures since the last solution are not in it: asking takes no time.
+        Args:
+            is_settled: as for ``grid``, by all closures, which may take a solution; else those
+                since the last solution are not in it, and asking takes no time.
 
         Raises:
             SlamFusionError: no scan has been used yet.
@@ -301,7 +357,8 @@ class GraphSlam:
         if not self._nodes:
             message = f"{self.name}: no scan could be used, so there is no map"
             raise SlamFusionError(message)
-        return MapJob(tuple(self._nodes), self._poses.copy(), self.name)
+        poses = self._settled_poses() if is_settled else self._poses
+        return MapJob(tuple(self._nodes), poses.copy(), self.name)
 
     def memory_bytes(self) -> int:
         """Return the bytes of submaps, nodes and edges."""
@@ -310,7 +367,9 @@ class GraphSlam:
 
     # -- one scan ------------------------------------------------------------------------------
 
-    def _skip(self, reason: str, guess: Guess, scan: LaserScan, known: Pose2 | None) -> Step:
+    def _skip(
+        self, reason: str, guess: matcher.Guess, scan: LaserScan, known: Pose2 | None
+    ) -> Step:
         self.health.skips.add(reason, self.health.scans)
         local = _pose(guess.pose)
         self._tracker.advance(local, known, scan.stamp_s)
@@ -336,7 +395,7 @@ class GraphSlam:
         scan: LaserScan,
         points: F64,
         known: Pose2 | None,
-        guesses: list[Guess],
+        guesses: list[matcher.Guess],
     ) -> Step:
         """Match a scan on the growing submap; make it a node where it is due."""
         submap, usual = self._submaps[self._active], self._tracker.usual_score
@@ -352,7 +411,9 @@ class GraphSlam:
         self.health.scans_used += 1
         self._bad_row = 0 if is_sure else self._bad_row + 1
         if self._bad_row >= LOST_SCANS:
-            return self._begin_again(scan, points, known, local)
+            return self._lose(scan, points, known, local)
+        if self._is_broken(is_bad=fit < BAD_SHARE) and is_sure:
+            return self._break(scan, points, known, local)
         if not is_sure:
             return self._report(scan, local, match.score)
         moved = self._node_pose.inverse().compose(local)
@@ -381,20 +442,35 @@ class GraphSlam:
             return 1.0
         return (match.score - unseen * UNSEEN_WALL / 255.0) / (1.0 - unseen) / usual
 
-    def _begin_again(
-        self,
-        scan: LaserScan,
-        points: F64,
-        known: Pose2 | None,
-        local: Pose2,
-    ) -> Step:
-        """Begin a submap for a lost robot; the old ones stay as they are."""
+    def _is_broken(self, *, is_bad: bool) -> bool:
+        """Return whether too many of the last scans were bad."""
+        number = self.health.scans
+        self._bad = [bad for bad in self._bad if number - bad < BREAK_SCANS]
+        if is_bad:
+            self._bad.append(number)
+        return len(self._bad) >= BREAK_BAD
+
+    def _lose(self, scan: LaserScan, points: F64, known: Pose2 | None, local: Pose2) -> Step:
+        """Begin a part for a lost robot; the old ones stay as they are."""
         self.health.restarts += 1
         self._searched = {}
+        self._relocation = Relocation()
         self._in_vain = 0
         self._lost_m = self._travelled_m
         reason = "the robot is lost: a new submap begins, placed by odometry alone"
         self.health.skips.add(reason, self.health.scans)
+        return self._begin_again(scan, points, known, local, part=max(self._parts) + 1)
+
+    def _break(self, scan: LaserScan, points: F64, known: Pose2 | None, local: Pose2) -> Step:
+        """Begin a submap where scans have fitted badly for a while."""
+        self.health.breaks += 1
+        self._broken_at = len(self._nodes)
+        return self._begin_again(scan, points, known, local, part=self._parts[self._active])
+
+    def _begin_again(
+        self, scan: LaserScan, points: F64, known: Pose2 | None, local: Pose2, part: int
+    ) -> Step:
+        """Begin a submap that odometry alone ties to those before, and closures may move."""
         before = len(self._nodes) - 1
         moved = self._node_pose.inverse().compose(local)
         odometry = self._nodes[before].odometry
@@ -409,11 +485,11 @@ class GraphSlam:
             self._edges.append(tie)
         for submap in self._submaps[self._active :]:
             submap.finish()
-        self._append_submap(number, part=max(self._parts) + 1)
+        self._append_submap(number, part=part)
         self._active = len(self._submaps) - 1
         self._submaps[self._active].insert(*self._written(number), IDENTITY)
         self._node_pose = self._tracker.pose = IDENTITY
-        self._bad_row = 0
+        self._bad_row, self._bad = 0, []
         return self._report(scan, IDENTITY, None)
 
     def _report(
@@ -539,7 +615,10 @@ class GraphSlam:
             else:
                 local = _pose(self._poses[submap.anchor]).inverse().compose(look.expected)
                 found = self._search.near(submap, points, _vector(local), look.drift_m, usual)
+            parts = self.health.parts
             self._count_closure(look, number, pose, found)
+            if self.health.parts != parts:
+                break  # all else was looked for where the robot is not
         is_due = number - self._solved_at >= SOLVE_NODES
         if self._unsolved and (is_due or self._is_urgent):
             self._solve()
@@ -548,6 +627,8 @@ class GraphSlam:
         """Take what a search has found into the graph, or count why not."""
         self.health.closures_tried += 1
         reason = found if isinstance(found, str) else self._believe(look, number, pose, found)
+        if look.guess is not None and found == "low response":
+            self._relocation.miss(look.guess)
         if reason:
             rejected = self.health.closures_rejected
             rejected[reason] = rejected.get(reason, 0) + 1
@@ -561,16 +642,36 @@ class GraphSlam:
         there = _pose(self._poses[anchor]).compose(_pose(found.pose))
         correction = there.compose(pose.inverse())
         closure = Waiting(edge, correction, self._travelled_m, look.how)
-        confirmed = self._waiting.confirmed(closure, pose)
+        confirmed = self._confirmed(closure, pose)
         if not confirmed:
             return "not confirmed by another"
         self._edges += [one.edge for one in confirmed]
+        moved = correction.compose(pose)
+        correction_m = math.hypot(moved.x - pose.x, moved.y - pose.y)
+        self.health.largest_correction_m = max(self.health.largest_correction_m, correction_m)
         self.health.closures_accepted += len(confirmed)
         self._linked_m[look.index] = self._travelled_m
         self._is_urgent = self._is_urgent or len(confirmed) > 1
+        if self._broken_at is not None and anchor < self._broken_at <= number:
+            self._broken_at = None
         if look.how != "known":
             self._join(self._parts[look.index], correction)
         return ""
+
+    def _confirmed(self, closure: Waiting, pose: Pose2) -> list[Waiting]:
+        """Return the closures that may be believed now; often none."""
+        if closure.how != "anywhere":
+            return self._waiting.confirmed(closure, pose)
+        self._relocation.add(closure, pose)
+        others = [
+            index
+            for index, part in enumerate(self._parts[: self._active])
+            if part != self._parts[self._active]
+        ]
+        winner = self._relocation.winner()
+        if winner is None or any(index not in self._searched for index in others):
+            return []
+        return winner.hits
 
     def _join(self, other: int, correction: Pose2) -> None:
         """Put the robot's part to another one, now that it is known how they lie.
@@ -591,6 +692,7 @@ class GraphSlam:
         self.health.parts = len(set(self._parts))
         self.health.refound += 1
         self._searched = {}
+        self._relocation = Relocation()
 
     def _part_of_node(self, number: int) -> int:
         """Return the part of the submap that a node was matched on."""
@@ -610,24 +712,20 @@ class GraphSlam:
             for index, submap in enumerate(self._submaps[: self._active])
             if self._parts[index] != self._parts[self._active]
         ]
-        seen = [closure for closure in self._waiting.pending if closure.how == "anywhere"]
-        if seen:
-            expected = seen[-1].correction.compose(pose)
-            near = sorted(
-                (self._distance_m(submap, expected), index)
-                for index, submap in old
-                if index != self._submap_of(seen[-1])
-            )
-            return [
-                _Look(index, expected, REFOUND_DRIFT_M, "anywhere")
-                for _, index in near[:TRIES_PER_NODE]
-            ]
         near = sorted((self._distance_m(submap, pose), index) for index, submap in old)
         drift_m = LOST_DRIFT_M + DRIFT_SHARE * (self._travelled_m - self._lost_m)
         looks = [_Look(near[0][1], pose, drift_m, "odometry")]
         self._in_vain += near[0][0] < INSIDE_M
         if self._in_vain <= IN_VAIN:
             return looks
+        for guess in self._relocation.to_test():
+            guess.tested = len(self._nodes)
+            expected = guess.correction.compose(pose)
+            away_m, index = min(
+                (self._distance_m(submap, expected), index) for index, submap in old
+            )
+            if away_m < INSIDE_M:
+                looks.append(_Look(index, expected, REFOUND_DRIFT_M, "anywhere", guess))
         # The ones that have not been searched yet first, and of these the near ones.
         rounds = sorted((self._searched.get(index, 0), away_m, index) for away_m, index in near)
         is_due = rounds[0][0] == 0 or len(self._nodes) % ANYWHERE_NODES == 0
@@ -650,6 +748,8 @@ class GraphSlam:
                 continue
             since_m = self._travelled_m - self._linked(index)
             drift_m = LEAST_DRIFT_M + DRIFT_SHARE * since_m
+            if self._broken_at is not None and submap.anchor < self._broken_at:
+                drift_m += LOST_DRIFT_M
             distance_m = self._distance_m(submap, pose)
             if distance_m < config.loop_search_maximum_distance + drift_m:
                 found.append((distance_m, index, drift_m))
@@ -661,11 +761,6 @@ class GraphSlam:
         place = np.array([local.x, local.y])
         outside = np.maximum(submap.low - place, place - submap.high).clip(min=0.0)
         return float(np.hypot(*outside))
-
-    def _submap_of(self, closure: Waiting) -> int:
-        """Return the index of the submap that a closure was found on."""
-        anchors = [submap.anchor for submap in self._submaps]
-        return anchors.index(closure.edge.start)
 
     def _linked(self, index: int) -> float:
         """Return the robot's way up to where a submap was last tied to it."""
@@ -700,6 +795,9 @@ class GraphSlam:
 
     def save_state(self, path: Path) -> None:
         """Write graph, scans and submaps; whole or not at all."""
+        hits = [hit for guess in self._relocation.guesses for hit in guess.hits]
+        waiting = [*self._waiting.pending, *hits]
+        edges = [*self._edges, *(one.edge for one in waiting)]
         record = {
             "health": health_record(self.health),
             "tracker": tracker_record(self._tracker),
@@ -713,14 +811,16 @@ class GraphSlam:
             "last_tried": list(self._last_tried.items()),
             "searched": list(self._searched.items()),
             "linked_m": list(self._linked_m.items()),
+            "bad": self._bad,
             "parts": self._parts,
             "edges": len(self._edges),
-            "waiting": [
-                [pose_record(one.correction), one.travelled_m, one.how]
-                for one in self._waiting.pending
+            "waiting": [[pose_record(one.correction), one.travelled_m, one.how] for one in waiting],
+            "pending": len(self._waiting.pending),
+            "guesses": [
+                [len(guess.hits), pose_record(guess.correction), guess.misses, guess.tested]
+                for guess in self._relocation.guesses
             ],
         }
-        edges = [*self._edges, *(one.edge for one in self._waiting.pending)]
         arrays: dict[str, npt.NDArray[Any]] = {
             "poses": self._poses,
             "weights": self._weights,
@@ -805,15 +905,20 @@ class GraphSlam:
                 strict=True,
             )
         ]
-        self._parts = record["parts"]
+        self._bad, self._parts = record["bad"], record["parts"]
         count = record["edges"]
         self._edges = edges[:count]
-        self._waiting.pending = [
+        waiting = [
             Waiting(edge, recorded_pose(correction) or IDENTITY, travelled_m, how)
             for edge, (correction, travelled_m, how) in zip(
                 edges[count:], record["waiting"], strict=True
             )
         ]
+        self._waiting.pending, hits = waiting[: record["pending"]], waiting[record["pending"] :]
+        for size, correction, misses, tested in record["guesses"]:
+            own, hits = hits[:size], hits[size:]
+            guess = Guess(recorded_pose(correction) or IDENTITY, own, misses, tested)
+            self._relocation.guesses.append(guess)
         self._begun = {
             (int(one), int(other)): Pose2(x, y, yaw) for one, other, x, y, yaw in record["begun"]
         }
@@ -844,6 +949,7 @@ _PLAIN = (
     "_travelled_m",
     "_is_urgent",
     "_bad_row",
+    "_broken_at",
     "_in_vain",
     "_lost_m",
     "_unsolved",

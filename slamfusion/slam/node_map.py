@@ -18,7 +18,7 @@ from slamfusion.compute.backend import Backend
 from slamfusion.compute.hit_map_reference import MOST_BEAMS, BeamScan
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.shared_tiles import SharedTileMaps
 
@@ -121,10 +121,14 @@ class NodeMap:
             self._config.occupancy_threshold,
             self._config.min_pass_through,
         )
+        # Cropped in whole cells: the origin is the same whatever the window was.
+        known = percent != UNKNOWN
+        rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+        if len(rows):
+            percent = percent[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+            first = first + np.array((cols[0], rows[0]))
         origin = Pose2(*(float(v) for v in (first + anchor) * cell))
-        grid = OccupancyGrid(percent, cell, origin, job.name)
-        box = grid.known_box()
-        return grid if box is None else grid.crop(box)
+        return OccupancyGrid(percent, cell, origin, job.name)
 
     def _empty(self) -> SharedTileMaps:
         return SharedTileMaps(self._backend, 1, {"counts": np.uint32, "sums": np.uint32})

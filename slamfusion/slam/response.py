@@ -24,7 +24,7 @@ RESPONSE_GAIN = 240.0
 LEAST_SIGMA, MOST_SIGMA = 0.005, 0.5
 # A direction in which a match tells less than this deviation is open: it is left to odometry. In
 # rooms even the weakest direction is told better by half of it; in a bare corridor far worse.
-OPEN_SIGMA = 0.05
+OPEN_SIGMA = 0.06
 # A radian weighs as metres at this distance where eigenvalues are limited.
 _ARM_M = 5.0
 _UNITS = np.outer([1.0, 1.0, 1.0 / _ARM_M], [1.0, 1.0, 1.0 / _ARM_M])
@@ -64,10 +64,23 @@ def settled_by(scan: ScanOnTiles, pose: F64, guess: F64) -> F64:
 
 
 def _bend(scan: ScanOnTiles, pose: F64) -> F64:
-    """Return (3, 3) how fast the response falls: its second derivatives, negative."""
+    """Return (3, 3) how fast the response falls: its second derivatives, negative.
+
+    Measured along x and y and then once more along their own axes: a wall's response is no
+    parabola, and across it differences along other axes see a bend where there is none.
+    """
+    _, vectors = np.linalg.eigh(_bend_along(scan, pose, np.eye(3))[:2, :2])
+    axes = np.eye(3)
+    axes[:2, :2] = vectors
+    return _bend_along(scan, pose, axes)
+
+
+def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64) -> F64:
+    """Return the same by differences along the columns of ``axes``, (3, 3)."""
     steps = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
-    scores = scan.scores(pose + _STENCIL * steps)
-    return np.asarray(-np.einsum("kij,k->ij", _SECOND, scores) / np.outer(steps, steps))
+    scores = scan.scores(pose + (_STENCIL * steps) @ axes.T)
+    local = -np.einsum("kij,k->ij", _SECOND, scores) / np.outer(steps, steps)
+    return np.asarray(axes @ local @ axes.T)
 
 
 def _stencil() -> tuple[F64, F64]:

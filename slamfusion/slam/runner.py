@@ -270,6 +270,7 @@ class ProducerRun:
                 f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
                 f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
             )
+        sentences += health.doubts()
         if self.stopped_by == "deadline":
             sentences.append(
                 f"stopped at the deadline after {health.scans} scans: the rest of the log is "

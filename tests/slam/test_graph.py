@@ -406,7 +406,7 @@ def test_a_loop_closes_whose_one_side_is_smooth(backend: Backend):
     truth = around(1.5, 1.5, 12.5, 7.5)
     slam = run(backend, log_of(read(draw_ring(is_smooth=True), truth, 4.0), truth))
     assert slam.health.closures_accepted > 20
-    assert away(slam.trajectory(), truth)[-1] < 0.3
+    assert away(slam.trajectory(), truth)[-1] < 0.4
 
 
 def test_no_closure_is_one_pillar_off(backend: Backend):

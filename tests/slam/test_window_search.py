@@ -14,7 +14,13 @@ from hypothesis import strategies as st
 from slamfusion.compute import Backend, NumpyBackend, open_backend
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.submap import Pyramid, Submap
-from slamfusion.slam.window_search import LEAST_REACH_CELLS, WindowMatch, search_window
+from slamfusion.slam.window_search import (
+    BESIDE_M,
+    BESIDE_RAD,
+    LEAST_REACH_CELLS,
+    WindowMatch,
+    search_window,
+)
 from tests.slam.drives import CELL_M, scan_at, true_poses
 
 F64 = npt.NDArray[np.float64]
@@ -48,7 +54,9 @@ class Case:
     half_rad: float
     resolution: float
 
-    def search(self, backend: Backend, least: float = 0.0) -> WindowMatch | None:
+    def search(
+        self, backend: Backend, least: float = 0.0, beside: F64 | None = None
+    ) -> WindowMatch | None:
         """Search it."""
         return search_window(
             backend,
@@ -59,6 +67,7 @@ class Case:
             half_rad=self.half_rad,
             resolution=self.resolution,
             least=least,
+            beside=beside,
         )
 
     def poses(self) -> F64:
@@ -82,6 +91,13 @@ class Case:
         inside = (col >= 0) & (row >= 0) & (col < width) & (row < height)
         values = self.field[np.clip(row, 0, height - 1), np.clip(col, 0, width - 1)]
         return np.asarray(np.where(inside, values, 0).sum(axis=1) / (255.0 * len(self.points)))
+
+
+def is_elsewhere(poses: F64, beside: F64) -> npt.NDArray[np.bool_]:
+    """Return of poses (N, 3) whether each is another place than one pose."""
+    away = np.hypot(poses[:, 0] - beside[0], poses[:, 1] - beside[1])
+    turns = np.array([abs(wrap_angle(float(yaw - beside[2]))) for yaw in poses[:, 2]])
+    return np.asarray((away >= BESIDE_M) | (turns >= BESIDE_RAD))
 
 
 def random_case(seed: int, half_cells: float, half_rad: float, points: int) -> Case:
@@ -161,6 +177,87 @@ def test_twins_find_the_same_pose_of_equals(backend: Backend, seed: int, half_ce
     for other in (plain, again):
         assert other.pose.tobytes() == device.pose.tobytes()
         assert (other.score, other.opened) == (device.score, device.opened)
+
+
+BESIDE_CASES = st.builds(
+    random_case,
+    seed=st.integers(0, 2**32 - 1),
+    half_cells=st.sampled_from((0.0, 1.0, 5.7, 16.0)),
+    half_rad=st.sampled_from((0.0, 0.3, 1.0)),
+    points=st.integers(1, 12),
+)
+
+
+@given(case=BESIDE_CASES, seed=st.integers(0, 2**32 - 1), turns=st.sampled_from((0, 1, -2)))
+@settings(max_examples=120, deadline=None)
+def test_finds_the_best_of_every_other_place(backend: Backend, case: Case, seed: int, turns: int):
+    """What lies beside one pose is passed over; whole turns of its heading change nothing."""
+    poses = case.poses()
+    chosen = np.random.default_rng(seed).integers(len(poses))
+    # Off the search set's lattice, so that no pose lies on the limit.
+    beside = poses[chosen] + (0.00123, 0.00217, 0.00031 + turns * math.tau)
+    allowed = poses[is_elsewhere(poses, beside)]
+    found = case.search(backend, beside=beside)
+    best = case.scores(allowed).max() if len(allowed) else 0.0
+    if best == 0.0:
+        assert found is None
+        return
+    assert found is not None
+    assert found.score == pytest.approx(best, abs=1e-12)
+    assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
+    assert is_elsewhere(found.pose[None], beside).all()
+    assert np.abs(allowed - found.pose).max(axis=1).min() < 1e-9
+
+
+@given(
+    case=BESIDE_CASES,
+    place=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    share=st.floats(0.5, 1.0),
+)
+@settings(max_examples=60, deadline=None)
+def test_another_place_must_still_be_better_than_the_least(
+    backend: Backend, case: Case, place: tuple[float, ...], share: float
+):
+    beside = case.centre + np.array(place) * (0.2, 0.2, 0.1)
+    other = case.search(backend, beside=beside)
+    if other is None:
+        assert case.search(backend, share, beside=beside) is None
+        return
+    again = case.search(backend, share * other.score, beside=beside)
+    if share < 1.0 - 1e-9:
+        assert again is not None
+        assert again.score == other.score
+    assert case.search(backend, other.score, beside=beside) is None
+
+
+def test_twins_find_the_same_other_place(backend: Backend):
+    """Also among many equals: a field that is the same everywhere but in one corner."""
+    field = np.full((80, 80), 200, dtype=np.uint8)
+    field[:20, :20] = 210
+    points, corner = np.array([(0.1, 0.2), (0.4, -0.3)]), np.array([-40.0, -40.0])
+    for beside in ((0.0, 0.0, 0.0), (-1.5, -1.5, 0.3), (0.6, -0.6, 0.3 + math.tau)):
+        case = Case(field, corner, points, np.array([0.0, 0.0, 0.3]), *(0.9, 0.5, 0.05))
+        device, plain = (
+            case.search(place, beside=np.array(beside)) for place in (backend, NumpyBackend())
+        )
+        assert device is not None
+        assert plain is not None
+        assert device.pose.tobytes() == plain.pose.tobytes()
+        assert device.opened == plain.opened
+        assert is_elsewhere(device.pose[None], np.array(beside)).all()
+
+
+def test_a_field_that_one_place_fits_has_no_other(backend: Backend):
+    """A single wall cell: every pose that hits it with the only point lies in one place."""
+    field = np.zeros((60, 60), dtype=np.uint8)
+    field[30, 30] = 255
+    case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([1.5, 1.5, 0.0]), 1.0, 0.15, 0.05)
+    found = case.search(backend)
+    assert found is not None
+    assert case.search(backend, beside=found.pose) is None
+    # There with another heading is another place.
+    turned = np.array([*found.pose[:2], 0.15 + BESIDE_RAD + 0.01])
+    assert case.search(backend, beside=turned) is not None
 
 
 def test_many_equals_give_one_pose(backend: Backend):
