@@ -84,16 +84,16 @@ START_TIMEOUT_S=300
 
 start() {
     local name="$1"
-    local arguments=()
+    # The last one to say it is right: a parameter file may name other inputs, but no other log.
+    local arguments=(${common[@]+"${common[@]}"})
     case "$name" in
-        fusion) arguments=(-p "inputs:=[$maps]") ;;
+        fusion) arguments=(-p "inputs:=[$maps]" ${common[@]+"${common[@]}"}) ;;
         player)
-            arguments=(-p "file:=$log" -p "wait_for:=[$listed]" -p "maps:=[$maps,fused/map]"
+            arguments+=(-p "file:=$log" -p "wait_for:=[$listed]" -p "maps:=[$maps,fused/map]"
                 -p "save:=$out" -p "start_timeout_s:=$START_TIMEOUT_S.0" "${pace[@]}")
             ;;
     esac
-    "$slamfusion" node "$name" --ros-args ${arguments[@]+"${arguments[@]}"} \
-        ${common[@]+"${common[@]}"} &
+    "$slamfusion" node "$name" --ros-args ${arguments[@]+"${arguments[@]}"} &
     pid[$name]=$!
     started[$name]=$SECONDS
 }
@@ -176,10 +176,19 @@ saved=()
 for name in $producers; do
     [ ! -f "$out/$name.yaml" ] || saved+=("$out/$name.yaml")
 done
-if [ ${#saved[@]} -ge 2 ]; then
-    # What the last maps give when they are fused once more, with the table and the pictures.
-    "$slamfusion" fuse "${saved[@]}" --extent union -o "$out/fused_again" --report "$out/report" &
+report() {
+    "$slamfusion" "$@" --report "$out/report" &
     pid=([report]=$!)
-    wait "${pid[report]}" || die "no report of the saved maps"
+    wait "${pid[report]}"
+}
+
+if [ ${#saved[@]} -ge 2 ]; then
+    # What the last maps give when they are fused once more, with the table and the pictures. Live
+    # they were followed from their beginnings; without that they may be too different.
+    if ! report fuse "${saved[@]}" --extent union -o "$out/fused_again"; then
+        say "the last maps alone do not show how they lie; they are compared with the fused map"
+        report evaluate "${saved[@]}" --truth "$out/fused.yaml" ||
+            die "no report of the saved maps"
+    fi
     say "the report, to be opened in a browser: $out/report/report.html"
 fi

@@ -1,0 +1,1 @@
+../../gmapping.launch.py

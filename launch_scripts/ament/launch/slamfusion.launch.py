@@ -1,0 +1,1 @@
+../../slamfusion.launch.py

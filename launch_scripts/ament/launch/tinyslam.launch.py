@@ -1,0 +1,1 @@
+../../tinyslam.launch.py

@@ -1,0 +1,102 @@
+"""Start everything: three producers, the fusion, and if asked for the player and RViz.
+
+ros2 launch slamfusion slamfusion.launch.py [log:=FILE] [use_sim_time:=true] [rviz:=true]
+"""
+
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    IncludeLaunchDescription,
+    SetEnvironmentVariable,
+)
+from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import (
+    EnvironmentVariable,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def _file(name: str) -> PythonLaunchDescriptionSource:
+    """Return one of the launch files beside this one."""
+    return PythonLaunchDescriptionSource(
+        PathJoinSubstitution([FindPackageShare("slamfusion"), "launch", name])
+    )
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the nodes and their arguments."""
+    share = FindPackageShare("slamfusion")
+    default_params = PathJoinSubstitution([share, "config", "slamfusion.yaml"])
+    rviz_config = PathJoinSubstitution([share, "config", "slamfusion.rviz"])
+    common = {name: LaunchConfiguration(name) for name in ("namespace", "params_file")}
+    timed = {**common, "use_sim_time": LaunchConfiguration("use_sim_time")}
+    topics = {name: LaunchConfiguration(name) for name in ("scan", "odom")}
+    use_sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+    has_log = IfCondition(NotEqualsSubstitution(LaunchConfiguration("log"), ""))
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="before every relative name"
+            ),
+            DeclareLaunchArgument(
+                "params_file", default_value=default_params, description="YAML of parameters"
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", description="time is that of /clock"
+            ),
+            DeclareLaunchArgument("scan", default_value="scan", description="topic of the scans"),
+            DeclareLaunchArgument("odom", default_value="odom", description="topic of odometry"),
+            DeclareLaunchArgument("log", default_value="", description="play this log or bag"),
+            DeclareLaunchArgument(
+                "rate", default_value="1.0", description="of the log: times as fast as recorded"
+            ),
+            DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
+            # Several nodes share the cores.
+            SetEnvironmentVariable(
+                "POCL_MAX_PTHREAD_COUNT",
+                EnvironmentVariable("POCL_MAX_PTHREAD_COUNT", default_value="1"),
+            ),
+            SetEnvironmentVariable(
+                "OMP_NUM_THREADS", EnvironmentVariable("OMP_NUM_THREADS", default_value="1")
+            ),
+            IncludeLaunchDescription(
+                _file("tinyslam.launch.py"),
+                launch_arguments={**timed, **topics}.items(),
+            ),
+            IncludeLaunchDescription(
+                _file("gmapping.launch.py"),
+                launch_arguments={**timed, **topics}.items(),
+            ),
+            IncludeLaunchDescription(
+                _file("graph.launch.py"),
+                launch_arguments={**timed, **topics}.items(),
+            ),
+            IncludeLaunchDescription(
+                _file("fusion.launch.py"),
+                launch_arguments={**timed, "odom": topics["odom"]}.items(),
+            ),
+            IncludeLaunchDescription(
+                _file("player.launch.py"),
+                launch_arguments={
+                    **common,
+                    "log": LaunchConfiguration("log"),
+                    "rate": LaunchConfiguration("rate"),
+                }.items(),
+                condition=has_log,
+            ),
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                namespace=LaunchConfiguration("namespace"),
+                arguments=["-d", rviz_config],
+                parameters=[{"use_sim_time": use_sim_time}],
+                condition=IfCondition(LaunchConfiguration("rviz")),
+            ),
+        ]
+    )

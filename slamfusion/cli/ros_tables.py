@@ -1,0 +1,418 @@
+"""What the ROS nodes have: topics, services and parameters, for the README and the launch files.
+
+``python -m slamfusion.cli.ros_tables`` rewrites ``launch_scripts/slamfusion.yaml`` and the README's
+tables where it has their marks. Nothing here needs ROS; a test holds the lists against the running
+nodes.
+"""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+import types
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from slamfusion.cli.options import ConfigOption, config_fields, shown_default, shown_value
+from slamfusion.config import (
+    DeviceConfig,
+    FusionConfig,
+    FusionNodeConfig,
+    GmappingConfig,
+    GraphConfig,
+    LiveConfig,
+    LogConfig,
+    PlayerNodeConfig,
+    ProducerNodeConfig,
+    TinySlamConfig,
+)
+
+__all__ = [
+    "NODES",
+    "SERVICES",
+    "TOPICS",
+    "NameList",
+    "Service",
+    "Topic",
+    "node_parameters",
+    "parameter_file",
+    "parameter_table",
+    "service_table",
+    "topic_table",
+    "with_tables",
+]
+
+PRODUCERS = ("tinyslam", "gmapping", "graph")
+NODES = (*PRODUCERS, "fusion", "player")
+LAUNCH_SCRIPTS = Path(__file__).resolve().parents[2] / "launch_scripts"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of one of our nodes.
+
+    Attributes:
+        name: relative unless it begins with a slash; NAME is the producer's name.
+        type: of its messages.
+        writers, readers: of our nodes; ``producers`` stands for the three.
+        qos: what is written, or asked for where only others write it.
+        text: what it carries.
+        needs_tf2: only there where tf2_msgs is; None: no matter.
+    """
+
+    name: str
+    type: str
+    writers: tuple[str, ...]
+    readers: tuple[str, ...]
+    qos: str
+    text: str
+    needs_tf2: bool | None = None
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service of one of our nodes, apart from those that every node has for its parameters."""
+
+    name: str
+    type: str
+    node: str
+    text: str
+
+
+@dataclass(frozen=True)
+class NameList:
+    """A parameter that is a list of names, which no configuration field stands for."""
+
+    name: str
+    default: tuple[str, ...]
+    text: str
+
+
+SENSOR, STREAM = "best effort", "reliable"
+MAP = "reliable, transient local, depth 1"
+
+TOPICS = (
+    Topic("scan", "sensor_msgs/LaserScan", ("player",), ("producers",), SENSOR, "laser scans"),
+    Topic(
+        "odom",
+        "nav_msgs/Odometry",
+        ("player",),
+        ("producers", "fusion"),
+        SENSOR,
+        "odometry, unless it is taken from the transforms",
+    ),
+    Topic(
+        "NAME/map",
+        "nav_msgs/OccupancyGrid",
+        ("producers",),
+        ("fusion", "player"),
+        MAP,
+        "the map of one SLAM, in frame NAME_map",
+    ),
+    Topic(
+        "NAME/map_metadata",
+        "nav_msgs/MapMetaData",
+        ("producers",),
+        (),
+        MAP,
+        "its size and place",
+    ),
+    Topic(
+        "NAME/pose",
+        "geometry_msgs/PoseStamped",
+        ("producers",),
+        ("fusion", "player"),
+        STREAM,
+        "the robot in NAME_map, one for every scan that was used, with its stamp",
+    ),
+    Topic("NAME/path", "nav_msgs/Path", ("producers",), (), MAP, "the path so far, corrected"),
+    Topic("fused/map", "nav_msgs/OccupancyGrid", ("fusion",), (), MAP, "the fused map"),
+    Topic(
+        "fused/agreement",
+        "nav_msgs/OccupancyGrid",
+        ("fusion",),
+        (),
+        MAP,
+        "share of the votes for each cell's value, in percent; -1 unknown",
+    ),
+    Topic(
+        "fused/pose",
+        "geometry_msgs/PoseStamped",
+        ("fusion",),
+        (),
+        STREAM,
+        "the robot in fused_map, by the healthiest producer",
+    ),
+    Topic(
+        "/diagnostics",
+        "diagnostic_msgs/DiagnosticArray",
+        ("producers", "fusion", "player"),
+        (),
+        STREAM,
+        "how each node and each input is, once a second",
+    ),
+    Topic("/clock", "rosgraph_msgs/Clock", ("player",), (), STREAM, "the log's time"),
+    Topic(
+        "/tf",
+        "tf2_msgs/TFMessage",
+        ("fusion", "player"),
+        ("producers", "fusion", "player"),
+        STREAM,
+        "fused_map to every NAME_map, odom to base_link of a log; more with publish_tf",
+        needs_tf2=True,
+    ),
+    Topic(
+        "/tf_static",
+        "tf2_msgs/TFMessage",
+        ("fusion", "player"),
+        ("producers", "fusion", "player"),
+        MAP,
+        "base_link to the laser of a log",
+        needs_tf2=True,
+    ),
+    Topic(
+        "transforms",
+        "geometry_msgs/TransformStamped",
+        ("fusion", "player"),
+        ("producers", "fusion", "player"),
+        STREAM,
+        "the same as /tf where tf2_msgs is absent",
+        needs_tf2=False,
+    ),
+    Topic(
+        "transforms_static",
+        "geometry_msgs/TransformStamped",
+        ("fusion", "player"),
+        ("producers", "fusion", "player"),
+        MAP,
+        "the same as /tf_static where tf2_msgs is absent",
+        needs_tf2=False,
+    ),
+)
+
+SERVICES = (
+    Service("get_map", "nav_msgs/GetMap", "fusion", "answers the last fused map"),
+    Service(
+        "save_map",
+        "std_srvs/Trigger",
+        "fusion",
+        "writes it to save_path; answers the path, or why not",
+    ),
+    Service("reset", "std_srvs/Trigger", "fusion", "the newest maps begin a new fused frame"),
+)
+
+# The sections of each node's parameters with the prefix of their names.
+SECTIONS: dict[str, tuple[tuple[str, type[Any]], ...]] = {
+    "tinyslam": (("", ProducerNodeConfig), ("", DeviceConfig), ("tinyslam", TinySlamConfig)),
+    "gmapping": (("", ProducerNodeConfig), ("", DeviceConfig), ("gmapping", GmappingConfig)),
+    "graph": (("", ProducerNodeConfig), ("", DeviceConfig), ("graph", GraphConfig)),
+    "fusion": (
+        ("", FusionNodeConfig),
+        ("", DeviceConfig),
+        ("live", LiveConfig),
+        ("fusion", FusionConfig),
+    ),
+    "player": (("", PlayerNodeConfig), ("log", LogConfig)),
+}
+NAME_LISTS = {
+    "fusion": (
+        NameList(
+            "inputs",
+            tuple(f"{name}/map" for name in PRODUCERS),
+            "what is fused: map topics, and file:PATH for saved maps",
+        ),
+    ),
+    "player": (
+        NameList(
+            "wait_for",
+            (),
+            "producers that must listen before the first scan, and answer in lockstep",
+        ),
+        NameList(
+            "maps",
+            (),
+            "map topics that are written to the folder save at the end of the log; "
+            "default: those of wait_for",
+        ),
+    ),
+}
+
+
+def node_parameters(node: str) -> Iterator[ConfigOption]:
+    """Yield every parameter of a node that stands for a configuration field, in order."""
+    for prefix, section in SECTIONS[node]:
+        yield from config_fields(section, prefix)
+
+
+def topic_table() -> str:
+    """Return a Markdown table of every topic."""
+    lines = ["| topic | type | from | to | quality of service | what |"]
+    lines.append("| --- | --- | --- | --- | --- | --- |")
+    for topic in TOPICS:
+        cells = (
+            f"`{topic.name}`",
+            topic.type,
+            ", ".join(topic.writers) or "-",
+            ", ".join(topic.readers) or "-",
+            topic.qos,
+            topic.text,
+        )
+        lines.append(_row(*cells))
+    return "\n".join(lines)
+
+
+def service_table() -> str:
+    """Return a Markdown table of every service."""
+    lines = ["| service | type | node | what |", "| --- | --- | --- | --- |"]
+    lines += [_row(f"`{item.name}`", item.type, item.node, item.text) for item in SERVICES]
+    return "\n".join(lines)
+
+
+def parameter_table() -> str:
+    """Return a Markdown table of the parameters that are the nodes' own.
+
+    Those of the sections (``tinyslam.``, ``live.``, ...) have the names of the configuration, whose
+    table the README has too.
+    """
+    lines = ["| node | parameter | default | range | what |", "| --- | --- | --- | --- | --- |"]
+    for title, node in (("producers", "tinyslam"), ("fusion", "fusion"), ("player", "player")):
+        for item in NAME_LISTS.get(node, ()):
+            shown = ", ".join(item.default)
+            lines.append(_row(title, f"`{item.name}`", shown, "names", item.text))
+        for option in node_parameters(node):
+            if not option.section:
+                own = (f"`{option.key}`", shown_default(option), _range(option))
+                lines.append(_row(title, *own, option.info.help))
+    return "\n".join(lines)
+
+
+# What stands between the marks of each table.
+TABLES = {
+    "ROS topics": topic_table,
+    "ROS services": service_table,
+    "ROS parameters": parameter_table,
+}
+
+
+def with_tables(readme: str) -> str:
+    """Return a README with the tables between their marks up to date; without marks as it is."""
+    for name, table in TABLES.items():
+        begin = f"<!-- {name}: written by `python -m slamfusion.cli.ros_tables` -->"
+        end = f"<!-- end of {name} -->"
+        if begin in readme:
+            before, rest = readme.split(begin, 1)
+            readme = f"{before}{begin}\n\n{table()}\n\n{end}{rest.split(end, 1)[1]}"
+    return readme
+
+
+HEAD = """\
+# Parameters of every node, at their defaults; written by `python -m slamfusion.cli.ros_tables`.
+# Copy this file, change what your robot needs, leave out the rest, and name the copy with
+# slamfusion.sh --params FILE, ros2 launch ... params_file:=FILE or --ros-args --params-file FILE.
+# Each key holds for the node of this name in every namespace. A line that is commented out is left
+# open: the words above it, or its profile, say what holds then. Expert settings: see the README.
+"""
+
+
+def parameter_file() -> str:
+    """Return the text of ``launch_scripts/slamfusion.yaml``: the public parameters of every node.
+
+    Parameters without a default are commented out.
+    """
+    lines = [HEAD]
+    for node in NODES:
+        lines += [f"/**/{node}:", "  ros__parameters:"]
+        for item in NAME_LISTS.get(node, ()):
+            lines += _comment(4, item.text)
+            # Whoever starts the nodes sets these too.
+            shown = yaml.safe_dump(list(item.default), default_flow_style=True).strip()
+            lines.append(f"    # {item.name}: {shown}")
+        tree: dict[str, Any] = {}
+        for option in node_parameters(node):
+            if option.info.level == "public":
+                place = tree
+                for part in option.section.split(".") if option.section else ():
+                    place = place.setdefault(part, {})
+                place[option.info.name] = option
+        lines += [*_yaml_lines(tree, 4), ""]
+    return "\n".join(lines)
+
+
+def _yaml_lines(tree: dict[str, Any], indent: int) -> Iterator[str]:
+    """Yield the lines of nested parameters."""
+    pad = " " * indent
+    leaves = [item for item in tree.values() if isinstance(item, ConfigOption)]
+    for option in leaves:
+        yield from _comment(indent, _said(option))
+        value = option.info.default
+        if value is None:
+            shown = "" if option.default is None else _scalar(option.default)
+            yield f"{pad}# {option.info.name}: {shown}".rstrip()
+        else:
+            yield f"{pad}{option.info.name}: {_scalar(value)}"
+    for name, item in tree.items():
+        if isinstance(item, ConfigOption):
+            continue
+        lines = list(_yaml_lines(item, indent + 2))
+        # A section of comments alone would be a null, which is no parameter.
+        is_empty = all(line.lstrip().startswith("#") for line in lines)
+        yield f"{pad}# {name}:" if is_empty else f"{pad}{name}:"
+        yield from lines
+
+
+def _said(option: ConfigOption) -> str:
+    """Return a parameter's help with its unit and range."""
+    wanted = _range(option)
+    unit = option.info.unit
+    notes = ", ".join(filter(None, (unit, "" if wanted in {"yes, no", "text"} else wanted)))
+    text = option.info.help.replace("`", "")
+    return f"{text} ({notes})" if notes else text
+
+
+def _comment(indent: int, text: str) -> list[str]:
+    pad = " " * indent + "# "
+    return textwrap.wrap(text, 100, initial_indent=pad, subsequent_indent=pad)
+
+
+def _scalar(value: Any) -> str:
+    """Return a value as YAML, a float with a point, so that ROS takes it for one."""
+    if isinstance(value, float):
+        return repr(value)
+    return yaml.safe_dump(value, default_flow_style=True).removesuffix("...\n").strip()
+
+
+def _range(option: ConfigOption) -> str:
+    info = option.info
+    if info.choices:
+        return " or ".join(info.choices)
+    low, high = info.low, info.high
+    if low is not None and high is not None:
+        return f"{shown_value(low)} to {shown_value(high)}"
+    if low is not None:
+        return f"at least {shown_value(low)}"
+    if high is not None:
+        return f"at most {shown_value(high)}"
+    kind = info.type
+    if isinstance(kind, types.UnionType):
+        kind = next(item for item in typing.get_args(kind) if item is not type(None))
+    return {bool: "yes, no", str: "text"}.get(kind, "")
+
+
+def _row(*cells: str) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def main(readme: Path) -> None:
+    """Rewrite the parameter file, and the tables of a README."""
+    (LAUNCH_SCRIPTS / "slamfusion.yaml").write_text(parameter_file(), encoding="utf-8")
+    text = readme.read_text(encoding="utf-8")
+    readme.write_text(with_tables(text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "README.md"))

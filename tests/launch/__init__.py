@@ -1,0 +1,1 @@
+"""Tests of ``launch_scripts/``: what starts the nodes, and the files beside it."""

@@ -1,0 +1,95 @@
+"""``colcon build`` of a workspace with a checkout: what ``ros2 run`` and ``ros2 launch`` find."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.dom import minidom
+
+from slamfusion import __version__
+from slamfusion.cli.node import NODES
+from tests.cli.command import ROOT
+
+EXECUTABLES = {f"{name}_node" for name in NODES} | {"slamfusion"}
+
+
+def sourced(workspace: Path, command: str) -> str:
+    """Run a command after ``source install/setup.bash``, with the Python of the tests."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), "/usr/bin", "/bin"])
+    done = subprocess.run(
+        ["bash", "-c", f"source install/setup.bash && cd / && {command}"],
+        cwd=workspace,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60.0,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_executables_are_where_ros2_run_looks(workspace: Path):
+    folder = workspace / "install" / "slamfusion" / "lib" / "slamfusion"
+    assert {item.name for item in folder.iterdir()} == EXECUTABLES
+    assert all(os.access(item, os.X_OK) for item in folder.iterdir())
+    if "copied" in workspace.name:
+        first = (folder / "fusion_node").read_text().splitlines()[0]
+        assert first == "#!/usr/bin/env python3"
+
+
+def test_the_files_are_where_ros2_launch_looks(workspace: Path):
+    share = workspace / "install" / "slamfusion" / "share"
+    marker = share / "ament_index" / "resource_index" / "packages" / "slamfusion"
+    assert marker.is_file()
+    scripts = ROOT / "launch_scripts"
+    for folder, pattern in (("launch", "*.launch.py"), ("config", "slamfusion.yaml")):
+        for path in scripts.glob(pattern):
+            installed = share / "slamfusion" / folder / path.name
+            assert installed.read_bytes() == path.read_bytes()
+    installed = {item.name for item in (share / "slamfusion" / "config").iterdir()}
+    assert installed == {item.name for item in (scripts / "ament" / "config").iterdir()}
+
+
+def test_the_library_of_the_workspace_is_used_with_its_kernels_and_templates(workspace: Path):
+    code = (
+        "import slamfusion.report, pathlib; from slamfusion.compute.program import kernel_folder; "
+        "folder = pathlib.Path(slamfusion.__file__).parent; "
+        "print(folder, kernel_folder(), *(folder / 'report' / 'templates').iterdir(), sep='\\n')"
+    )
+    package, kernels, *templates = sourced(workspace, f'python3 -c "{code}"').splitlines()
+    assert str(workspace) in package
+    assert str(workspace) in kernels
+    assert {Path(item).name for item in templates} == {
+        item.name for item in (ROOT / "slamfusion" / "report" / "templates").iterdir()
+    }
+
+
+def test_an_installed_program_runs(workspace: Path):
+    # A linked one begins with the Python that colcon ran with, which has no NumPy here.
+    folder = workspace / "install" / "slamfusion" / "lib" / "slamfusion"
+    said = sourced(workspace, f"python3 {folder}/slamfusion --version")
+    assert f"version {__version__}" in said
+    assert "Usage: slamfusion node" in sourced(workspace, f"python3 {folder}/fusion_node --help")
+
+
+def test_the_manifests_say_the_same():
+    ament = ROOT / "launch_scripts" / "ament"
+    manifest = minidom.parseString((ament / "package.xml").read_text())  # noqa: S318  (our own)
+
+    def said(tag: str) -> list[str]:
+        return [item.firstChild.data for item in manifest.getElementsByTagName(tag)]
+
+    assert said("name") == ["slamfusion"]
+    assert said("version") == [__version__]
+    setup = (ament / "setup.py").read_text()
+    assert f'version="{__version__}"' in setup
+    project = (ROOT / "pyproject.toml").read_text()
+    assert re.search(r'^description = "(.*)"$', project, re.MULTILINE)[1] == said("description")[0]
+    # Every message package that the nodes import.
+    source = "\n".join(path.read_text() for path in (ROOT / "slamfusion" / "ros").glob("*.py"))
+    imported = set(re.findall(r"^\s*from (\w+)\.(?:msg|srv) import", source, re.MULTILINE))
+    assert imported | {"rclpy"} <= set(said("exec_depend"))

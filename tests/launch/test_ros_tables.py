@@ -1,0 +1,174 @@
+"""The lists of topics, services and parameters are those of the running nodes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from rcl_interfaces.srv import ListParameters
+from rclpy.node import NodeNameNonExistentError
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+from slamfusion.cli.ros_tables import (
+    MAP,
+    NAME_LISTS,
+    PRODUCERS,
+    SENSOR,
+    SERVICES,
+    TOPICS,
+    Topic,
+    node_parameters,
+    parameter_file,
+)
+from tests.cli.command import ROOT
+from tests.ros.drives import write_log
+from tests.ros.live import Observer, Processes
+
+pytestmark = pytest.mark.ros
+
+PARAMETER_FILE = ROOT / "launch_scripts" / "slamfusion.yaml"
+# What every node has.
+EVERYWHERE = {"/rosout", "/parameter_events", "/clock"}
+
+
+@pytest.fixture(params=["tinyslam", "fusion", "player"])
+def started(
+    request: pytest.FixtureRequest, processes: Processes, observer: Observer, tmp_path: Path
+) -> str:
+    """One node of each kind, started with the parameter file; its name."""
+    name: str = request.param
+    more = {}
+    if name == "player":
+        log = write_log(tmp_path, 4)
+        more = {"file": str(log), "wait_for": ["tinyslam"], "save": "maps", "start_timeout_s": 60.0}
+    process = processes.node(name, "--params-file", str(PARAMETER_FILE), **more)
+    statuses = observer.statuses()
+    observer.wait(
+        lambda: any(key.startswith(f"{name}: ") for key in statuses), 60.0, "its diagnostics"
+    )
+    assert "unknown parameter" not in process.text()
+    return name
+
+
+def test_the_tables_of_topics_and_services_are_those_of_a_running_node(
+    started: str, observer: Observer
+):
+    group = "producers" if started in PRODUCERS else started
+    node = observer.node
+
+    def names(ask: Callable[[str, str], list[tuple[str, list[str]]]]) -> dict[str, str]:
+        """What the node has now; nothing while it is not known yet."""
+        try:
+            found = ask(started, "/")
+        except NodeNameNonExistentError:
+            return {}
+        return {name: re.sub("/(msg|srv)/", "/", types[0]) for name, types in found}
+
+    def listed(topics: list[Topic]) -> dict[str, str]:
+        """Rows of the table, with the names of the producers filled in."""
+        who = PRODUCERS if group == "fusion" else ("tinyslam",)
+        return {
+            "/" + topic.name.replace("NAME", producer).lstrip("/"): topic.type
+            for topic in topics
+            for producer in who
+        }
+
+    for wanted, ask in (
+        (
+            [topic for topic in TOPICS if group in topic.writers],
+            node.get_publisher_names_and_types_by_node,
+        ),
+        (
+            [topic for topic in TOPICS if group in topic.readers],
+            node.get_subscriber_names_and_types_by_node,
+        ),
+    ):
+        # Those of transforms depend on tf2_msgs, and on parameters.
+        certain = listed([topic for topic in wanted if topic.needs_tf2 is None])
+        observer.wait(
+            lambda ask=ask, certain=certain: certain.items() <= names(ask).items(),
+            what=f"all of {certain}; there are {names(ask)}",
+        )
+        table = listed(wanted)
+        own = {name for name in names(ask).items() if name[0] not in EVERYWHERE - {*table}}
+        assert own <= table.items()
+
+    wanted_services = {f"/{item.name}": item.type for item in SERVICES if item.node == started}
+
+    def services() -> dict[str, str]:
+        found = names(node.get_service_names_and_types_by_node)
+        return {name: kind for name, kind in found.items() if not name.startswith(f"/{started}/")}
+
+    observer.wait(lambda: services() == wanted_services, what=f"{wanted_services}")
+
+
+def test_the_qualities_of_service_are_those_of_a_running_node(started: str, observer: Observer):
+    group = "producers" if started in PRODUCERS else started
+    for topic in TOPICS:
+        # Scans and odometry are read from anybody; of the others it is said how they are written.
+        is_read = topic.qos == SENSOR
+        if topic.needs_tf2 is not None or group not in (
+            topic.readers if is_read else topic.writers
+        ):
+            continue
+        name = "/" + topic.name.replace("NAME", "tinyslam").lstrip("/")
+        ask = observer.node.get_publishers_info_by_topic
+        if is_read:
+            ask = observer.node.get_subscriptions_info_by_topic
+
+        def own(name: str = name, ask: Callable[[str], list[Any]] = ask) -> list[Any]:
+            return [info.qos_profile for info in ask(name) if info.node_name == started]
+
+        observer.wait(own, what=f"{name} of {started}")
+        for profile in own():
+            is_kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            is_best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            assert (is_kept, is_best_effort) == (topic.qos == MAP, is_read), name
+
+
+def test_the_parameters_are_those_of_a_running_node(started: str, observer: Observer):
+    request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+    answer = observer.call(ListParameters, f"/{started}/list_parameters", request)
+    # Every node of rclpy has these.
+    common = {"use_sim_time", "start_type_description_service"}
+    found = {name for name in answer.result.names if not name.startswith("qos_overrides.")} - common
+    wanted = {option.key for option in node_parameters(started)}
+    wanted |= {item.name for item in NAME_LISTS.get(started, ())}
+    # A parameter that has no value is not listed.
+    open_ones = {option.key for option in node_parameters(started) if option.info.default is None}
+    assert found <= wanted
+    assert wanted - open_ones <= found
+
+
+def test_a_running_node_takes_the_values_of_the_parameter_file(
+    processes: Processes, observer: Observer, tmp_path: Path
+):
+    """In a namespace, with values that are not the defaults; the command line has the last word."""
+    changed = parameter_file()
+    for old, new in (
+        ("max_publish_rate_hz: 5.0", "max_publish_rate_hz: 2.5"),
+        ("fused_frame: fused_map", "fused_frame: ours"),
+        ("stale_after_s: 30.0", "stale_after_s: 12.5"),
+    ):
+        assert changed.count(old) == 1
+        changed = changed.replace(old, new)
+    path = tmp_path / "changed.yaml"
+    path.write_text(changed)
+    processes.node(
+        "fusion", "-r", "__ns:=/robot1", "--params-file", str(path), "-p", "fused_frame:=mine"
+    )
+    client = AsyncParameterClient(observer.node, "/robot1/fusion")
+    observer.wait(client.services_are_ready, 60.0, "the node")
+    names = ["max_publish_rate_hz", "fused_frame", "live.stale_after_s", "inputs"]
+    future = client.get_parameters(names)
+    observer.wait(future.done, what="the parameters")
+    rate, frame, stale, inputs = future.result().values
+    assert (rate.double_value, frame.string_value, stale.double_value) == (2.5, "mine", 12.5)
+    assert list(inputs.string_array_value) == [f"{name}/map" for name in PRODUCERS]

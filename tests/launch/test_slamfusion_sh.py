@@ -1,0 +1,109 @@
+"""``launch_scripts/slamfusion.sh``: what a person at a terminal does with it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from slamfusion.io import load_map
+from tests.cli.command import ROOT
+from tests.ros.drives import write_log
+from tests.ros.live import INSTALLED, Observer, Process, Processes
+from tests.ros.test_launch_script import nodes_in
+
+pytestmark = pytest.mark.ros
+
+PARAMETERS = str(ROOT / "launch_scripts" / "slamfusion.yaml")
+SCRIPT = str(ROOT / "launch_scripts" / "slamfusion.sh")
+
+
+def start(processes: Processes, *words: str, before: tuple[str, ...] = ()) -> Process:
+    env = {"SLAMFUSION": str(INSTALLED)}
+    return processes.start("slamfusion.sh", [*before, SCRIPT, *words], env)
+
+
+def wait_said(observer: Observer, script: Process, words: str, timeout_s: float = 50.0) -> None:
+    observer.wait(lambda: words in script.text(), timeout_s, f"{words!r}")
+
+
+def test_a_log_is_fused_by_all_three_and_reported(
+    domain: int, processes: Processes, tmp_path: Path
+):
+    log, out = write_log(tmp_path, 40), tmp_path / "a folder" / "live"
+    # The file says otherwise of lockstep, and of how long to wait.
+    words = ("-o", str(out), "--lockstep", "--params", PARAMETERS)
+    script = start(processes, str(log), *words)
+    assert script.wait(100.0) == 0
+    assert nodes_in(domain) == {}
+    for name in ("tinyslam", "gmapping", "graph", "fused"):
+        assert (load_map(out / f"{name}.yaml").cells == 100).sum() > 200, name
+    assert (out / "report" / "report.html").stat().st_size > 10_000
+    assert f"the fused map: {out}/fused.yaml" in script.text()
+
+
+def test_ctrl_c_at_a_terminal_reaches_the_whole_group_and_leaves_nothing(
+    domain: int, processes: Processes, observer: Observer
+):
+    script = start(processes, "--producers", "tinyslam,graph", before=("setsid", "--wait"))
+    statuses = observer.statuses()
+    observer.wait(
+        lambda: {key.partition(":")[0] for key in statuses} >= {"tinyslam", "graph", "fusion"},
+        50.0,
+        "three nodes",
+    )
+    (leader,) = {os.getpgid(pid) for pid in nodes_in(domain)}
+    assert leader != os.getpgid(0)
+    os.killpg(leader, signal.SIGINT)
+    assert script.wait(20.0) == 0
+    assert nodes_in(domain) == {}
+    assert "gmapping" not in script.text()
+
+
+def test_a_node_that_dies_again_and_again_is_started_later_each_time(
+    domain: int, processes: Processes, observer: Observer
+):
+    script = start(processes, "--producers", "tinyslam")
+    for number, pause in enumerate((1, 2)):
+        observer.wait(
+            lambda: [pid for pid, words in nodes_in(domain).items() if "node fusion" in words],
+            50.0,
+            "the fusion",
+        )
+        (victim,) = [pid for pid, words in nodes_in(domain).items() if "node fusion" in words]
+        os.kill(victim, signal.SIGKILL)
+        words = f"fusion has ended with 137; it is started again, with an empty map, in {pause} s"
+        wait_said(observer, script, words, 10.0)
+        assert script.is_running, number
+    statuses = observer.statuses()
+    observer.listen(0.5)
+    statuses.clear()
+    observer.wait(
+        lambda: {key.partition(":")[0] for key in statuses} >= {"tinyslam", "fusion"},
+        50.0,
+        "both nodes",
+    )
+    assert script.interrupt(20.0) == 0
+    assert nodes_in(domain) == {}
+
+
+def test_the_parameter_file_is_taken(processes: Processes, observer: Observer):
+    script = start(processes, "--producers", "graph", "--params", PARAMETERS)
+    statuses = observer.statuses()
+    observer.wait(
+        lambda: {key.partition(":")[0] for key in statuses} >= {"graph", "fusion"}, 50.0, "both"
+    )
+    assert script.interrupt(20.0) == 0
+    assert "unknown parameter" not in script.text()
+    assert "fuses graph/map on" in script.text()
+
+
+def test_a_second_log_is_refused(processes: Processes):
+    here = str(ROOT / "README.md")
+    script = start(processes, here, here)
+    assert script.wait(30.0) == 1
+    assert "error: two logs" in script.text()

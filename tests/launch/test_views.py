@@ -1,0 +1,106 @@
+"""RViz configuration, Foxglove layout and node graph show topics and frames that we have."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from slamfusion.cli.ros_tables import PRODUCERS, TOPICS
+from slamfusion.config import FusionNodeConfig
+from tests.cli.command import ROOT
+
+SCRIPTS = ROOT / "launch_scripts"
+# Every topic of ours with its type, NAME filled in.
+TYPES = {
+    topic.name.replace("NAME", name).lstrip("/"): topic.type
+    for topic in TOPICS
+    for name in PRODUCERS
+}
+DISPLAYS = {
+    "Map": "nav_msgs/OccupancyGrid",
+    "Path": "nav_msgs/Path",
+    "Pose": "geometry_msgs/PoseStamped",
+    "LaserScan": "sensor_msgs/LaserScan",
+}
+SHOWN = {f"{name}/{what}" for name in PRODUCERS for what in ("map", "path")} | {
+    "fused/map",
+    "fused/agreement",
+    "fused/pose",
+    "scan",
+}
+
+
+@pytest.fixture
+def rviz() -> dict[str, Any]:
+    return yaml.safe_load((SCRIPTS / "slamfusion.rviz").read_text(encoding="utf-8"))[
+        "Visualization Manager"
+    ]
+
+
+@pytest.fixture
+def foxglove() -> dict[str, Any]:
+    return json.loads((SCRIPTS / "foxglove-layout.json").read_text(encoding="utf-8"))
+
+
+def test_rviz_shows_our_topics_with_their_types(rviz: dict[str, Any]):
+    shown = {}
+    for display in rviz["Displays"]:
+        if "Topic" not in display:
+            continue
+        name, kind = display["Topic"]["Value"], display["Class"].rpartition("/")[2]
+        assert TYPES[name] == DISPLAYS[kind], name
+        shown[name] = display["Topic"]
+    assert set(shown) == SHOWN
+    for name, topic in shown.items():
+        is_kept = name.endswith(("/map", "/path", "agreement"))
+        assert (topic["Durability Policy"] == "Transient Local") == is_kept, name
+
+
+def test_rviz_looks_from_the_fused_frame(rviz: dict[str, Any]):
+    assert rviz["Global Options"]["Fixed Frame"] == FusionNodeConfig().fused_frame
+    assert any(item["Class"].endswith("/TF") for item in rviz["Displays"])
+
+
+def test_foxglove_shows_our_topics_from_the_fused_frame(foxglove: dict[str, Any]):
+    panels = foxglove["configById"]
+    view = panels["3D!map"]
+    assert {name.lstrip("/") for name in view["topics"]} == SHOWN
+    assert view["followTf"] == FusionNodeConfig().fused_frame
+    assert panels["DiagnosticSummary!health"]["topicToRender"].lstrip("/") in TYPES
+    plotted = [item["value"] for item in panels["Plot!pose"]["paths"]]
+    assert all(path.partition(".")[0] == "/fused/pose" for path in plotted)
+    assert TYPES["fused/pose"] == "geometry_msgs/PoseStamped"
+
+
+def test_the_picture_of_the_nodes_is_up_to_date(tmp_path: Path):
+    script = ROOT / "data" / "make_node_graph.py"
+    runpy.run_path(str(script))["main"](tmp_path / "nodes.svg")
+    drawn = (tmp_path / "nodes.svg").read_text(encoding="utf-8")
+    kept = (ROOT / "data" / "nodes.svg").read_text(encoding="utf-8")
+    assert kept == drawn, "run: python data/make_node_graph.py"
+    for name in (
+        *PRODUCERS,
+        "fused/map",
+        "fused/agreement",
+        "fused/pose",
+        "save_map",
+        "scan, odom",
+    ):
+        assert name in drawn
+
+
+def test_every_panel_of_the_foxglove_layout_is_placed(foxglove: dict[str, Any]):
+    def placed(item: dict[str, Any] | str) -> Iterator[str]:
+        if isinstance(item, str):
+            yield item
+        else:
+            yield from placed(item["first"])
+            yield from placed(item["second"])
+
+    assert set(placed(foxglove["layout"])) == set(foxglove["configById"])
