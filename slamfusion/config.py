@@ -11,6 +11,7 @@ import difflib
 import math
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -215,8 +216,9 @@ class VoteConfig(_Checked):
 
     mode: str = option(
         "majority",
-        "majority, weighted by agreement, or log-odds of the kept probabilities",
-        choices=("majority", "weighted", "log-odds"),
+        "majority; consensus of those that know, without doubled walls; weighted by agreement; or "
+        "log-odds of the kept probabilities",
+        choices=("majority", "consensus", "weighted", "log-odds"),
     )
     unknown: str = option(
         "auto",
@@ -227,6 +229,14 @@ class VoteConfig(_Checked):
         "reference",
         "fused cells: those of the reference grid, or of the union of all accepted grids",
         choices=("reference", "union"),
+    )
+    double_reach_m: float = option(
+        0.4,
+        "consensus: a wall of one input alone this near to one of several is its double",
+        unit="m",
+        low=0.0,
+        high=10.0,
+        level="expert",
     )
 
 
@@ -967,11 +977,44 @@ class CellModelsConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class GroundObstacleConfig(_Checked):
+    """The experiment on fusion with and without a ground obstacle, [F16] Tables I to III."""
+
+    repetitions: int = option(
+        30, "drives of each condition in each world; seeds from --seed on", low=1, high=10_000
+    )
+    worlds: int = option(3, "atriums that are driven in", low=1, high=1000)
+    first_world: int = option(1, "seed of the first atrium; the others follow", low=0)
+    particles: int = option(80, "particles of gmapping, as in [F16]", low=1, high=10_000)
+    processes: int | None = option(
+        None, "drives that run at the same time; default: one for each core", low=1, high=64
+    )
+
+
+@dataclass(frozen=True)
+class FailuresConfig(_Checked):
+    """The experiment on fusion where drives or producers fail."""
+
+    repetitions: int = option(
+        3, "drives of each course in each world; seeds from --seed on", low=1, high=10_000
+    )
+    worlds: int = option(1, "worlds that each course is driven in", low=1, high=1000)
+    first_world: int = option(1, "seed of the first world; the others follow", low=0)
+    courses: str = option("all", "courses of the table, with commas, or all")
+    lidars: str = option("kinect,hokuyo,rplidar", "lasers that drive each course, with commas")
+    processes: int | None = option(
+        None, "drives that run at the same time; default: one for each core", low=1, high=64
+    )
+
+
+@dataclass(frozen=True)
 class ExperimentConfig(_Checked):
     """How often the experiments of the papers are repeated, and on what."""
 
     occupancy_estimator: OccupancyEstimatorConfig = OccupancyEstimatorConfig()
     cell_models_trajectories: CellModelsConfig = CellModelsConfig()
+    ground_obstacle: GroundObstacleConfig = GroundObstacleConfig()
+    failures: FailuresConfig = FailuresConfig()
 
 
 @dataclass(frozen=True)
@@ -1215,15 +1258,32 @@ def from_mapping(config_class: type[T], values: Any, where: str = "config") -> T
         raise ConfigError(message) from None
 
 
-def load_config(path: str | Path) -> RunConfig:
-    """Read a ``RunConfig`` from a YAML file; see ``from_mapping`` for the errors."""
+def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
+    """Read a ``RunConfig`` from a YAML file; see ``from_mapping`` for the errors.
+
+    Args:
+        path: the file.
+        base: holds what the file does not say; default: the defaults.
+    """
     text = Path(path).read_text(encoding="utf-8", errors="replace")
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:
         message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
         raise ConfigError(message) from None
+    if base is not None and (values is None or isinstance(values, dict)):
+        values = _laid_over(to_mapping(base), values or {})
     return from_mapping(RunConfig, values, str(path))
+
+
+def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a tree with another one's values in place of its own."""
+    merged = dict(under)
+    for key, value in over.items():
+        own = merged.get(key)
+        is_tree = isinstance(own, dict) and isinstance(value, dict)
+        merged[key] = _laid_over(own, value) if is_tree and own is not None else value
+    return merged
 
 
 def _coerce(value: Any, hint: Any, where: str) -> Any:

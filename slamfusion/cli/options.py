@@ -7,7 +7,7 @@ import functools
 import types
 import typing
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -97,25 +97,29 @@ def config_fields(config_class: type[Any] = RunConfig, section: str = "") -> Ite
             yield from config_fields(hints[item.name], f"{section}.{item.name}".lstrip("."))
 
 
-def with_config(*sections: str) -> Callable[[F], F]:
+def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], F]:
     """Give a command ``--config`` and the public fields of some sections as options.
 
     The command receives one ``config: RunConfig``: defaults, then the file, then the options.
 
     Args:
         sections: dotted places in the tree; ``""`` is the root's own fields.
+        base: defaults of this command, where they are not those of all.
     """
+    defaults = base or RunConfig()
     chosen = [
         option
         for option in config_fields()
         if option.section in sections and option.info.level == "public"
     ]
+    if base is not None:
+        chosen = [_of_base(option, base) for option in chosen]
 
     def decorate(function: F) -> F:
         @functools.wraps(function)
         def wrapper(*args: Any, config_file: Path | None, **values: Any) -> Any:
             explicit = {option.key: values.pop(option.parameter) for option in chosen}
-            config = RunConfig() if config_file is None else load_config(config_file)
+            config = defaults if config_file is None else load_config(config_file, base)
             return function(*args, config=_override(config, chosen, explicit), **values)
 
         command: Any = wrapper
@@ -124,6 +128,14 @@ def with_config(*sections: str) -> Callable[[F], F]:
         return typing.cast("F", _CONFIG_FILE(command))
 
     return decorate
+
+
+def _of_base(option: ConfigOption, base: RunConfig) -> ConfigOption:
+    """Return an option with the default that a command has for it."""
+    value: Any = base
+    for name in option.key.split("."):
+        value = getattr(value, name)
+    return replace(option, info=replace(option.info, default=value))
 
 
 _CONFIG_FILE = click.option(

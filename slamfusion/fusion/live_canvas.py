@@ -18,7 +18,7 @@ from slamfusion.compute.reference import FIXED_ONE, fixed_poses
 from slamfusion.config import FusionConfig, NormalizeConfig
 from slamfusion.fusion.normalize import pool_cells
 from slamfusion.fusion.pipeline import agreement_weights
-from slamfusion.fusion.vote import vote_grids
+from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.memory import check_memory
@@ -309,7 +309,10 @@ class Canvas:
         config = self._config.vote
         if config.mode == "weighted":
             box = whole
-        window = slices(box, whole.row0, whole.col0)
+        # A wall decides what its neighbours become, and theirs are needed to say what it is.
+        reach = double_reach_cells(config, self.lattice.resolution)
+        box, seen = (_grown(box, cells, whole) for cells in (reach, 2 * reach))
+        window = slices(seen, whole.row0, whole.col0)
         percents = [np.ascontiguousarray(self._layers[name][window]) for name in names]
         aligned = [self._classes(cells) for cells in percents]
         weights = agreement_weights(aligned) if config.mode == "weighted" else None
@@ -320,9 +323,11 @@ class Canvas:
             weights=weights,
             percents=percents if config.mode == "log-odds" else None,
             thresholds=self._config.normalize,
+            reach_cells=reach,
         )
-        self._fused[window] = voted.fused
-        self._agreement[window] = voted.agreement
+        window, part = slices(box, whole.row0, whole.col0), slices(box, seen.row0, seen.col0)
+        self._fused[window] = voted.fused[part]
+        self._agreement[window] = voted.agreement[part]
         if box == whole:
             self.phantom_cells = voted.phantom_cells
         elif voted.phantom_cells or self.phantom_cells:
@@ -382,4 +387,14 @@ def slices(box: CellBox, row0: int, col0: int) -> tuple[slice, slice]:
     return (
         slice(box.row0 - row0, box.row1 - row0),
         slice(box.col0 - col0, box.col1 - col0),
+    )
+
+
+def _grown(box: CellBox, cells: int, whole: CellBox) -> CellBox:
+    """Return a box with so many cells more on each side, inside another one."""
+    return CellBox(
+        max(box.row0 - cells, whole.row0),
+        max(box.col0 - cells, whole.col0),
+        min(box.row1 + cells, whole.row1),
+        min(box.col1 + cells, whole.col1),
     )

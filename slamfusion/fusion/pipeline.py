@@ -26,7 +26,7 @@ from slamfusion.fusion.normalize import (
     normalize_grid,
 )
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
-from slamfusion.fusion.vote import vote_grids
+from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.memory import check_memory
@@ -407,6 +407,7 @@ def _vote(
         weights=weights,
         percents=percents or None,
         thresholds=config.normalize,
+        reach_cells=double_reach_cells(config.vote, base.grid.resolution),
     )
     frame = base.grid.crop(box)
     cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.int8)[voted.fused + 1]

@@ -1,4 +1,4 @@
-"""Let aligned grids vote cell by cell: majority, weighted majority, or the sum of log-odds."""
+"""Let aligned grids vote cell by cell: majority, consensus, weights, or the sum of log-odds."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -15,7 +16,13 @@ from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion.records import VoteResult
 
-__all__ = ["log_odds_table", "quantise_weights", "unknown_votes", "vote_grids"]
+__all__ = [
+    "double_reach_cells",
+    "log_odds_table",
+    "quantise_weights",
+    "unknown_votes",
+    "vote_grids",
+]
 
 I8 = npt.NDArray[np.int8]
 I32 = npt.NDArray[np.int32]
@@ -35,14 +42,18 @@ def vote_grids(
     weights: Sequence[float] | None = None,
     percents: Sequence[I8] | None = None,
     thresholds: NormalizeConfig = NormalizeConfig(),  # noqa: B008 - frozen
+    reach_cells: int = 0,
 ) -> VoteResult:
     """Fuse grids that lie on one lattice.
 
     ``majority``: every input has one vote in each cell. ``weighted``: votes count by weight. In
     both a tie for first place is occupied, and ``config.unknown`` says whether unknown is a value
-    or abstains. ``log-odds``: an input votes with the log-odds of its occupancy, unknown and 50 %
-    abstain; the cell is occupied or free where the sum is that of the thresholds, and between
-    them occupied where an input alone says so (a tie), else unknown.
+    or abstains. ``consensus``: a majority of those that know the cell; but a wall that one input
+    alone sees, a little beside a wall that two or more see, is that wall drawn twice, and is left
+    out: maps that differ by a few cells make no doubled walls. ``log-odds``: an input votes with
+    the log-odds of its occupancy, unknown and 50 % abstain; the cell is occupied or free where the
+    sum is that of the thresholds, and between them occupied where an input alone says so (a tie),
+    else unknown.
 
     Args:
         stack: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
@@ -52,6 +63,7 @@ def vote_grids(
         percents: the inputs' occupancy in percent on the same lattice, (H, W) int8, -1 unknown;
             for ``log-odds``.
         thresholds: what the inputs were normalised with; for ``log-odds``.
+        reach_cells: how far from a wall its double may lie; for ``consensus``.
 
     Returns:
         The fused cells, the agreement (share of the votes cast, by weight where votes have one,
@@ -68,6 +80,8 @@ def vote_grids(
         votes = _vote_log_odds(grids, percents, thresholds, backend)
     elif config.mode == "weighted":
         votes = _vote_weighted(grids, weights, config, backend)
+    elif config.mode == "consensus":
+        return _vote_consensus(grids, reach_cells, backend)
     else:
         with_unknown = unknown_votes(config.unknown, [1] * len(grids))
         votes = backend.vote_majority(grids, unknown_votes=with_unknown)
@@ -115,6 +129,37 @@ def log_odds_table() -> I32:
     percent = np.arange(101).clip(100 - SUREST_PERCENT, SUREST_PERCENT)
     odds: I32 = np.rint(LOG_ODDS_ONE * np.log(percent / (100 - percent))).astype(np.int32)
     return odds
+
+
+def double_reach_cells(config: VoteConfig, resolution: float) -> int:
+    """Return ``reach_cells`` of a vote on cells of so many metres; 0 for other modes."""
+    return round(config.double_reach_m / resolution) if config.mode == "consensus" else 0
+
+
+def _vote_consensus(grids: list[I8], reach_cells: int, backend: Backend) -> VoteResult:
+    """Vote of those that know, without walls beside those that several see."""
+    votes = backend.vote_majority(grids, unknown_votes=False)
+    fused, agreement = votes.fused.copy(), votes.agreement.copy()
+    dissent = _join_planes(votes.dissent).copy()
+    occupied = np.zeros(fused.shape, dtype=np.uint8)
+    free = np.zeros(fused.shape, dtype=np.uint8)
+    for grid in grids:
+        occupied += grid == 1
+        free += grid == 0
+    sure = (occupied >= 2).astype(np.uint8)
+    near = cv2.dilate(sure, np.ones((3, 3), np.uint8))
+    side = 2 * reach_cells + 1
+    around = cv2.dilate(sure, np.ones((side, side), np.uint8))
+    is_double = (fused == 1) & (occupied == 1) & (around == 1) & (near == 0)
+    fused[is_double] = np.where(free[is_double] > 0, 0, -1)
+    # One voted for the wall; all others that know the cell say that it is free.
+    share = 100.0 * free[is_double] / (free[is_double] + 1)
+    agreement[is_double] = np.floor(share + 0.5).astype(np.int8)
+    bits = np.zeros(int(is_double.sum()), dtype=dissent.dtype)
+    for index, grid in enumerate(grids):
+        bits |= (grid[is_double] == 1).astype(dissent.dtype) << np.array(index, dissent.dtype)
+    dissent[is_double] = bits
+    return VoteResult(fused, agreement, dissent, votes.phantom_cells)
 
 
 def _vote_weighted(

@@ -78,6 +78,8 @@ LOST_DRIFT_M = 1.2
 REFOUND_DRIFT_M = 0.6
 # Once every old submap has been searched all over, it is done again after so many nodes only.
 ANYWHERE_NODES = 4
+# Submaps that are searched all over at a node.
+ANYWHERE_LOOKS = 3
 # A lost robot is looked for where odometry has it. It may be anywhere once that has put it into old
 # submaps so often in vain.
 IN_VAIN = 12
@@ -663,13 +665,8 @@ class GraphSlam:
         if closure.how != "anywhere":
             return self._waiting.confirmed(closure, pose)
         self._relocation.add(closure, pose)
-        others = [
-            index
-            for index, part in enumerate(self._parts[: self._active])
-            if part != self._parts[self._active]
-        ]
         winner = self._relocation.winner()
-        if winner is None or any(index not in self._searched for index in others):
+        if winner is None or any(index not in self._searched for index in self._to_search()):
             return []
         return winner.hits
 
@@ -727,13 +724,25 @@ class GraphSlam:
             if away_m < INSIDE_M:
                 looks.append(_Look(index, expected, REFOUND_DRIFT_M, "anywhere", guess))
         # The ones that have not been searched yet first, and of these the near ones.
-        rounds = sorted((self._searched.get(index, 0), away_m, index) for away_m, index in near)
-        is_due = rounds[0][0] == 0 or len(self._nodes) % ANYWHERE_NODES == 0
-        if is_due:
-            index = rounds[0][-1]
-            self._searched[index] = self._searched.get(index, 0) + 1
-            looks.append(_Look(index, None, 0.0, "anywhere"))
+        distances = {index: away_m for away_m, index in near}
+        rounds = sorted(
+            (self._searched.get(index, 0), distances[index], index) for index in self._to_search()
+        )
+        for times, _, index in rounds[:ANYWHERE_LOOKS]:
+            if times == 0 or len(self._nodes) % ANYWHERE_NODES == 0:
+                self._searched[index] = times + 1
+                looks.append(_Look(index, None, 0.0, "anywhere"))
         return looks
+
+    def _to_search(self) -> list[int]:
+        """Return submaps that together hold every scan of the other parts: all overlap by half."""
+        own = self._parts[self._active]
+        others = [index for index in range(self._active) if self._parts[index] != own]
+        return [
+            index
+            for place, index in enumerate(others)
+            if place % 2 == 0 or index + 1 not in others or index - 1 not in others
+        ]
 
     def _looks(self, number: int, pose: Pose2) -> list[_Look]:
         """Return older submaps that the robot may be in again, with how far it may have drifted."""

@@ -15,7 +15,7 @@ from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.fusion.live_canvas import Canvas, Lattice, Sheet, carry, lay_out
 from slamfusion.fusion.live_input import compare, unusable
-from slamfusion.fusion.vote import vote_grids
+from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io import memory
@@ -162,9 +162,12 @@ def test_too_few_walls_say_nothing(backend: Backend) -> None:
     assert backend.name
 
 
-@pytest.mark.parametrize("unknown", ["auto", "value", "abstain"])
-def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, unknown: str) -> None:
-    config = FusionConfig(vote=VoteConfig(unknown=unknown))
+@pytest.mark.parametrize(
+    ("mode", "unknown"),
+    [("majority", "auto"), ("majority", "value"), ("majority", "abstain"), ("consensus", "auto")],
+)
+def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, mode: str, unknown: str) -> None:
+    config = FusionConfig(vote=VoteConfig(mode=mode, unknown=unknown))
     stack = [random_cells(seed, 40, 40) for seed in (1, 2, 3)]
     size = tuple(max(cells.shape[axis] for cells in stack) for axis in (0, 1))
     full = [np.full(size, -1, dtype=np.int8) for _ in stack]
@@ -180,7 +183,10 @@ def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, unknown: str) 
         for col in range(0, size[1], 17):
             part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
             canvas.vote("abc", part)
-    wanted = vote_grids([trinary_cells(cells, RULES) for cells in full], config.vote, backend)
+    reach = double_reach_cells(config.vote, 0.1)
+    wanted = vote_grids(
+        [trinary_cells(cells, RULES) for cells in full], config.vote, backend, reach_cells=reach
+    )
     fused, agreement = canvas.grids()
     assert np.array_equal(trinary_cells(fused.cells, RULES), wanted.fused)
     assert np.array_equal(agreement.cells, wanted.agreement)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -335,3 +336,60 @@ def open_shared() -> Backend:
 
 
 _SHARED: list[Backend] = []
+
+
+def wall_at(*cols: int, width: int = 40, beyond: int = F) -> npt.NDArray[np.int8]:
+    """A row of free cells with walls; what lies behind the last wall is ``beyond``."""
+    row = np.full((5, width), F, dtype=np.int8)
+    row[:, max(cols, default=width) :] = beyond
+    row[:, list(cols)] = O
+    return row
+
+
+CONSENSUS = VoteConfig(mode="consensus")
+
+
+@pytest.mark.parametrize("away", [2, 5, 8])
+@pytest.mark.parametrize(("beyond", "left"), [(F, F), (U, U)])
+def test_consensus_leaves_out_the_double_of_a_wall(
+    backend: Backend, away: int, beyond: int, left: int
+):
+    """Two inputs have a wall at 10, the third has it ``away`` cells further on."""
+    grids = [wall_at(10, beyond=beyond), wall_at(10, beyond=beyond), wall_at(10 + away)]
+    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    assert (result.fused[:, 10] == O).all()
+    assert (result.fused[:, 10 + away] == left).all()
+    assert result.phantom_cells == 0
+    assert (result.dissent[:, 10 + away] == 0b100).all()
+    assert (result.agreement[:, 10 + away] == (67 if left == F else 0)).all()
+
+
+@pytest.mark.parametrize("col", [11, 19, 30])
+def test_consensus_keeps_walls_that_are_thick_or_far(backend: Backend, col: int):
+    """Where the others know nothing."""
+    grids = [wall_at(10, beyond=U), wall_at(10, beyond=U), wall_at(10, col)]
+    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    assert (result.fused[:, col] == O).all()
+
+
+def test_consensus_of_two_is_the_vote_of_those_that_know(backend: Backend):
+    grids = [wall_at(10, beyond=U), wall_at(14)]
+    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    assert same(result, vote_grids(grids, VoteConfig(unknown="abstain"), backend))
+
+
+@given(
+    cells=st.lists(st.sampled_from((U, F, O)), min_size=3 * 48, max_size=3 * 48),
+    reach=st.integers(0, 6),
+)
+def test_consensus_only_takes_lone_walls_away(backend: Backend, cells: list[int], reach: int):
+    grids = list(np.array(cells, dtype=np.int8).reshape(3, 6, 8))
+    result = vote_grids(grids, CONSENSUS, backend, reach_cells=reach)
+    plain = vote_grids(grids, VoteConfig(unknown="abstain"), backend)
+    changed = result.fused != plain.fused
+    assert (plain.fused[changed] == O).all()
+    assert (np.sum(np.array(grids) == O, axis=0)[changed] == 1).all()
+    assert result.phantom_cells == 0
+    assert ((result.agreement >= -1) & (result.agreement <= 100)).all()
+    if reach < 2:
+        assert same(result, plain)
