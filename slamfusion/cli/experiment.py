@@ -21,12 +21,20 @@ from slamfusion.cli.output import (
     versions,
 )
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError
 
 if TYPE_CHECKING:
     from slamfusion.compute import Backend
-    from slamfusion.experiments import CellModelRow, Drive, DriveFiles, Results
-    from slamfusion.report.experiment_report import Panel
+    from slamfusion.experiments import (
+        CellModelRow,
+        Drive,
+        DriveFiles,
+        ErrorTable,
+        Results,
+        Trial,
+    )
+    from slamfusion.report.experiment_report import Difference, Panel
+    from slamfusion.report.page import Table
 
 __all__ = ["command"]
 
@@ -291,7 +299,7 @@ def _sweep_panels(results: Results, measure: str) -> list[Panel]:
 def cell_models_trajectories(
     folder: Path, logs: tuple[str, ...], config: RunConfig, as_json: bool
 ) -> int:
-    """Compare tinySLAM's cell models by the errors of the trajectory: Table I of [H16].
+    """Compare tinySLAM's cell models and gmapping by errors of the trajectory: Table I of [H16].
 
     On simulated office floors, whose truth is known, and on the logs given.
     """
@@ -318,6 +326,128 @@ def _drive_files(text: str) -> DriveFiles:
         message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found {text!r}"
         raise click.UsageError(message)
     return DriveFiles(*map(Path, parts))
+
+
+# --- fusion --------------------------------------------------------------------------------------
+
+
+@command.command("ground-obstacle")
+@OUTPUT
+@with_config("experiment.ground_obstacle", "device", "")
+@common_options
+def ground_obstacle(folder: Path, config: RunConfig, as_json: bool) -> int:
+    """Compare three producers and their fusions, with and without an obstacle on the ground.
+
+    Tables I to III of [F16]: each drive is simulated, mapped by all producers and fused in every
+    way; then every two methods are tested. What is done stays in DIR/trials: started again after
+    an interruption, only the rest is run.
+    """
+    from slamfusion.experiments import compare_with_obstacle, obstacle_trials  # noqa: PLC0415
+    from slamfusion.experiments.ground_obstacle import NAME  # noqa: PLC0415
+
+    device = _prepare(folder, config).name
+    with progress_bar() as progress:
+        table = compare_with_obstacle(config, folder, progress)
+    _finish_fusion(folder, NAME, table, obstacle_trials(config), config, device, as_json=as_json)
+    return 0
+
+
+@command.command("failures")
+@OUTPUT
+@with_config("experiment.failures", "device", "")
+@common_options
+def failures(folder: Path, config: RunConfig, as_json: bool) -> int:
+    """Compare three producers and their fusions where the place, the drive or a producer fails.
+
+    Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good; each
+    with each laser. What is done stays in DIR/trials: started again after an interruption, only
+    the rest is run.
+    """
+    from slamfusion.experiments import compare_failures, failure_trials  # noqa: PLC0415
+    from slamfusion.experiments.failures import NAME  # noqa: PLC0415
+
+    try:
+        trials = failure_trials(config)
+    except ConfigError as error:
+        raise click.UsageError(str(error)) from None
+    device = _prepare(folder, config).name
+    with progress_bar() as progress:
+        table = compare_failures(config, folder, progress)
+    _finish_fusion(folder, NAME, table, trials, config, device, as_json=as_json)
+    return 0
+
+
+def _finish_fusion(
+    folder: Path,
+    stem: str,
+    table: ErrorTable,
+    trials: Sequence[Trial],
+    config: RunConfig,
+    device: str,
+    *,
+    as_json: bool,
+) -> None:
+    """Write the tables and the page, and print them."""
+    from slamfusion.experiments import write_error_table  # noqa: PLC0415
+    from slamfusion.report.experiment_report import write_fusion_experiment  # noqa: PLC0415
+
+    sentences = table.sentences()
+    full = {**_circumstances(config, device), "sentences": sentences}
+    files = write_error_table(folder, stem, table, full, details=True)
+    page = write_fusion_experiment(
+        table.title,
+        {name: values["ratio"] for name, values in table.overall().items()},
+        sentences,
+        _page_tables(table),
+        _differences(folder, trials),
+        folder,
+        config=config,
+        device=device,
+    )
+    files.append(page)
+    if as_json:
+        print_json({**table.to_json(), **full, "files": files})
+        return
+    print(table.title)
+    for sheet in table.sheets(details=False):
+        columns = [f"{sheet.heading[0]} ", *sheet.heading[1:]]
+        print_table(columns, sheet.rows, title=sheet.title)
+    for sentence in sentences:
+        print(sentence)
+    _print_files(files)
+
+
+def _page_tables(table: ErrorTable) -> list[Table]:
+    """Return the tables as the page has them; all but the first are folded."""
+    from slamfusion.report.page import Cell, Table  # noqa: PLC0415
+
+    return [
+        Table(
+            sheet.title,
+            sheet.heading,
+            [[Cell(text, is_number=text[:1].isdigit()) for text in row] for row in sheet.rows],
+            sheet.note,
+            folded=number > 0,
+        )
+        for number, sheet in enumerate(table.sheets(details=True))
+    ]
+
+
+def _differences(folder: Path, trials: Sequence[Trial]) -> dict[str, list[Difference]]:
+    """Return the maps of the examples against the truth, by condition."""
+    from slamfusion.experiments import read_example  # noqa: PLC0415
+    from slamfusion.report.experiment_report import Difference  # noqa: PLC0415
+
+    shown = {}
+    for trial in trials:
+        if trial.is_example:
+            example = read_example(folder, trial)
+            caption = f"{trial.condition}, world {trial.world}, seed {trial.seed}."
+            shown[f"One drive: {trial.condition}"] = [
+                Difference(method, caption, codes, example.resolution)
+                for method, codes in example.differences.items()
+            ]
+    return shown
 
 
 # --- what the repeated ones share ----------------------------------------------------------------
@@ -365,7 +495,7 @@ def _keeper(
     from slamfusion.experiments import write_results  # noqa: PLC0415
 
     def keep(results: Results) -> None:
-        write_results(folder, stem, results, document=_circumstances(config, backend))
+        write_results(folder, stem, results, document=_circumstances(config, backend.name))
 
     return keep
 
@@ -385,7 +515,7 @@ def _finish(
     from slamfusion.experiments import write_results  # noqa: PLC0415
     from slamfusion.experiments.table import measure_label  # noqa: PLC0415
 
-    full = {**document, "sentences": list(sentences), **_circumstances(config, backend)}
+    full = {**document, "sentences": list(sentences), **_circumstances(config, backend.name)}
     text = "\n".join(["## In words", "", *(f"- {sentence}" for sentence in sentences)])
     files = write_results(folder, stem, results, text=text, document=full, pictures=pictures)
     if as_json:
@@ -401,9 +531,9 @@ def _finish(
     _print_files(files)
 
 
-def _circumstances(config: RunConfig, backend: Backend) -> dict[str, Any]:
+def _circumstances(config: RunConfig, device: str) -> dict[str, Any]:
     found = {
-        "device": backend.name,
+        "device": device,
         "seed": config.seed,
         "config": to_mapping(config),
         "versions": versions(),

@@ -1,4 +1,4 @@
-"""The README's parameter tables, from the configuration: ``python -m slamfusion.cli.readme``."""
+"""The README's tables, from settings and nodes: ``python -m slamfusion.cli.readme``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import types
 import typing
 from pathlib import Path
 
+from slamfusion.cli import ros_tables
 from slamfusion.cli.options import (
     ConfigOption,
     config_fields,
@@ -17,6 +18,9 @@ from slamfusion.cli.options import (
 from slamfusion.config import FieldInfo
 
 __all__ = ["gmapping_table", "parameter_table", "with_tables"]
+
+# Sections that no command has as options: the fusion node has them as parameters.
+NODE_SECTIONS = ("live",)
 
 
 def parameter_table() -> str:
@@ -53,12 +57,14 @@ def with_tables(readme: str) -> str:
         before, rest = readme.split(begin, 1)
         after = rest.split(end, 1)[1]
         readme = f"{before}{begin}\n\n{table()}\n\n{end}{after}"
-    return readme
+    return ros_tables.with_tables(readme)
 
 
 def _row(option: ConfigOption) -> str:
     info = option.info
     name = f"`{option_name(option)}`" if info.level == "public" else "(expert)"
+    if option.section in NODE_SECTIONS and info.level == "public":
+        name = "(fusion node)"
     return _line(name, f"`{option.key}`", shown_default(option), _range(info), info.help)
 
 

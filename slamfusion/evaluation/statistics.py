@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,9 +14,15 @@ __all__ = [
     "Difference",
     "ErrorStatistics",
     "Interval",
+    "Moments",
+    "PairedDifference",
     "Summary",
+    "compare_pairs",
     "compare_samples",
+    "correct_by_holm",
     "mean_interval",
+    "pooled_p_value",
+    "t_interval",
 ]
 
 # So many samples are drawn anew for an interval, so many of them at once.
@@ -186,7 +194,154 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> Interval:
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 13.3.
     """
-    values = np.abs(_checked(errors))
+    return _bootstrap(np.abs(_checked(errors)), share)
+
+
+def t_interval(values: npt.ArrayLike, share: float = 0.95) -> Interval | None:
+    """Return the interval that holds the mean of a normal distribution, by Student's t.
+
+    Args:
+        values: (N,) a sample; the sign counts.
+        share: of the cases in which the interval holds the mean, between 0 and 1.
+
+    Returns:
+        The interval; None for a single value.
+
+    Raises:
+        ValueError: there is no value, or one is not finite.
+    """
+    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
+
+    known = _checked(values)
+    if len(known) < 2:
+        return None
+    error = float(known.std(ddof=1)) / math.sqrt(len(known))
+    half = error * float(stats.t.ppf(0.5 + share / 2.0, len(known) - 1))
+    mean = float(known.mean())
+    return Interval(mean - half, mean + half)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What a published table says of repetitions.
+
+    Attributes:
+        mean: their mean.
+        std: their sample standard deviation (divided by N - 1).
+        count: how many there were, at least 2.
+    """
+
+    mean: float
+    std: float
+    count: int
+
+
+def pooled_p_value(first: Moments, second: Moments) -> float:
+    """Return the two-sided p-value of Student's t-test with one variance for both methods.
+
+    It is the test of [F16]: its Table I with 3 repetitions gives all of its 12 p-values, the
+    printed deviations taken for sample deviations.
+
+    Source: Student, The Probable Error of a Mean, Biometrika 6(1), 1908.
+    """
+    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
+
+    if first.std == 0.0 and second.std == 0.0:
+        # Without any spread the t statistic is 0 / 0 or infinite.
+        return 1.0 if first.mean == second.mean else 0.0
+    moments = (first.mean, first.std, first.count, second.mean, second.std, second.count)
+    return float(stats.ttest_ind_from_stats(*moments, equal_var=True).pvalue)
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """How two methods differ that were given the same cases; first minus second.
+
+    Attributes:
+        count: pairs.
+        mean: of the differences; below 0 the first method's figures are the smaller ones.
+        interval: of the mean, 95 %, by Student's t.
+        bootstrap: of the mean, 95 %, by the percentile bootstrap; needs no normal distribution.
+        t_test: two-sided p-value of the paired t-test.
+        wilcoxon: two-sided p-value of Wilcoxon's signed-rank test; pairs without a difference are
+            left out. Needs no normal distribution, but with few pairs it cannot be small (5: 0.06).
+    """
+
+    count: int
+    mean: float
+    interval: Interval
+    bootstrap: Interval
+    t_test: float
+    wilcoxon: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        return {
+            **asdict(self),
+            "interval": self.interval.to_json(),
+            "bootstrap": self.bootstrap.to_json(),
+        }
+
+
+def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifference | None:
+    """Test whether two methods differ on the same cases.
+
+    Args:
+        first: (N,) one figure of each case by one method.
+        second: (N,) the same by the other, in the same order.
+
+    Returns:
+        The difference; None for fewer than two pairs. Differences that do not vary at all have
+        p-values of the t-test of 1 when they are 0, else 0.
+
+    Raises:
+        ValueError: there is no value, one is not finite, or the lengths differ.
+    """
+    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
+
+    a, b = _checked(first), _checked(second)
+    if len(a) != len(b):
+        message = f"pairs need as many values of both methods, found {len(a)} and {len(b)}"
+        raise ValueError(message)
+    differences = a - b
+    interval = t_interval(differences)
+    if interval is None:
+        return None
+    if np.ptp(differences) == 0.0:
+        t_test = 1.0 if differences[0] == 0.0 else 0.0
+    else:
+        t_test = float(stats.ttest_rel(a, b).pvalue)
+    rank_test = float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
+    return PairedDifference(
+        len(a),
+        float(differences.mean()),
+        interval,
+        _bootstrap(differences, 0.95),
+        t_test,
+        rank_test,
+    )
+
+
+def correct_by_holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values that allow for how many were asked for at once, in the order given.
+
+    A value below 0.05 then is so by chance in at most 5 % of all such tables.
+
+    Args:
+        p_values: each in 0 to 1.
+
+    Source: Holm, A Simple Sequentially Rejective Multiple Test Procedure, Scand. J. Stat., 1979.
+    """
+    corrected = [0.0] * len(p_values)
+    least = 0.0
+    for rank, index in enumerate(np.argsort(p_values, kind="stable").tolist()):
+        least = min(1.0, max(least, (len(p_values) - rank) * p_values[index]))
+        corrected[index] = least
+    return corrected
+
+
+def _bootstrap(values: npt.NDArray[np.float64], share: float) -> Interval:
+    """Return the percentile interval of the mean; the same values give the same interval."""
     rng = np.random.default_rng(0)
     means = [
         values[rng.integers(0, len(values), (DRAWS_AT_ONCE, len(values)))].mean(axis=1)

@@ -1,8 +1,9 @@
 """The experiments of the papers, run again here: conditions, seeds, tables and p-values.
 
-An experiment runs producers and measures them; it draws nothing and prints nothing. Runs are made
-one after the other, so that the times that they take mean something, and the results so far are
-handed out after each condition.
+An experiment runs producers and measures them; it draws nothing and prints nothing. Where times are
+measured runs are made one after the other, so that they mean something, and the results so far are
+handed out after each condition. Where only errors are, drives run side by side, and each one that
+is done is kept.
 """
 
 from __future__ import annotations
@@ -10,22 +11,35 @@ from __future__ import annotations
 from slamfusion.experiments.cell_models import CellModelRow, table_two
 from slamfusion.experiments.cell_models_trajectories import compare_models, model_sentences
 from slamfusion.experiments.drives import Drive, DriveFiles, read_drive, simulated_office
+from slamfusion.experiments.error_table import ErrorTable, write_error_table
+from slamfusion.experiments.failures import compare_failures, failure_trials
+from slamfusion.experiments.ground_obstacle import compare_with_obstacle, obstacle_trials
 from slamfusion.experiments.occupancy_estimator import sweep_estimators, verdicts
 from slamfusion.experiments.table import Results, Run, repeat, write_results
+from slamfusion.experiments.trials import Trial, TrialRecord, read_example
 
 __all__ = [
     "CellModelRow",
     "Drive",
     "DriveFiles",
+    "ErrorTable",
     "Results",
     "Run",
+    "Trial",
+    "TrialRecord",
+    "compare_failures",
     "compare_models",
+    "compare_with_obstacle",
+    "failure_trials",
     "model_sentences",
+    "obstacle_trials",
     "read_drive",
+    "read_example",
     "repeat",
     "simulated_office",
     "sweep_estimators",
     "table_two",
     "verdicts",
+    "write_error_table",
     "write_results",
 ]

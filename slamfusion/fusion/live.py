@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from slamfusion.compute import Backend
@@ -206,20 +207,28 @@ class LiveFusion:
 
     # -- update -----------------------------------------------------------------------------------
 
-    def update(self, now_s: float) -> LiveUpdate | None:
+    def update(
+        self, now_s: float, is_wanted: Callable[[], bool] | None = None
+    ) -> LiveUpdate | None:
         """Bring the fused map up to date; None when nothing came and nothing changed.
 
         Call it for every map that comes, and again until it answers None: what can wait (aligning
-        large maps again) is done while no map does.
+        large maps again) is done while no map does, and given up for one that comes.
 
         Args:
             now_s: on the clock of ``put``.
+            is_wanted: whether maps wait that were not put yet; asked often, so it must be quick.
         """
         clock = [time.perf_counter()]
         before = self._state()
         has_mail = self._collect(now_s)
         clock.append(time.perf_counter())
-        self._judge.judge(now_s, self._last_fused, is_idle=not has_mail)
+        self._judge.judge(
+            now_s,
+            self._last_fused,
+            is_idle=not has_mail,
+            is_wanted=lambda: self._has_mail() or (is_wanted is not None and is_wanted()),
+        )
         if self._canvas is None and self._judge.lattice is not None:
             self._canvas = Canvas(self._judge.lattice, self._config, self._backend)
         clock.append(time.perf_counter())
@@ -242,6 +251,10 @@ class LiveFusion:
             box,
             "" if self._voters else self._judge.problem,
         )
+
+    def _has_mail(self) -> bool:
+        with self._lock:
+            return any(mail.is_new for mail in self._mail.values())
 
     def _last_fused(self) -> OccupancyGrid | None:
         if self._canvas is None or self._canvas.box is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import cast
 
 from slamfusion.compute import Backend
 from slamfusion.config import FusionConfig, LiveConfig
@@ -12,6 +13,7 @@ from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live_canvas import Lattice
 from slamfusion.fusion.live_input import Track, unusable
+from slamfusion.fusion.live_pause import Pausable, PausedError
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.pipeline import AlignedGroup, align_group
 from slamfusion.fusion.records import Alignment
@@ -55,12 +57,14 @@ class Judge:
         self.has_searched = False
         self._config = replace(config, align=replace(config.align, prove=False))
         self._live = live
-        self._backend = backend
+        self._pausable = Pausable(backend)
+        self._backend = cast("Backend", self._pausable)
         # What the search, or the first fusion, gave for a pair.
         self._scores: dict[frozenset[str], float] = {}
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
         self._now_s = 0.0
         self._fused: Callable[[], OccupancyGrid | None] | None = None
+        self._is_wanted: Callable[[], bool] | None = None
 
     def configure(self, live: LiveConfig) -> None:
         """Take other settings for what comes."""
@@ -72,7 +76,12 @@ class Judge:
         return [track for track in self.tracks.values() if track.votes]
 
     def judge(
-        self, now_s: float, fused: Callable[[], OccupancyGrid | None], *, is_idle: bool
+        self,
+        now_s: float,
+        fused: Callable[[], OccupancyGrid | None],
+        *,
+        is_idle: bool,
+        is_wanted: Callable[[], bool] | None = None,
     ) -> None:
         """Align what is new, came back or changed.
 
@@ -80,8 +89,9 @@ class Judge:
             now_s: paces the searches.
             is_idle: whether no new map waits for the answer.
             fused: gives the last fused map; asked for only when no input is left to align to.
+            is_wanted: asked while steady voters are aligned that no map waits for; True: give up.
         """
-        self._now_s, self._fused = now_s, fused
+        self._now_s, self._fused, self._is_wanted = now_s, fused, is_wanted
         self.has_searched = False
         if self.lattice is None:
             self._begin()
@@ -155,7 +165,8 @@ class Judge:
     def _realign(self, *, is_idle: bool) -> None:
         """Align what is due: doubtful inputs always, steady voters as far as time allows.
 
-        A steady voter's transform holds meanwhile, so a large one waits until no new map does.
+        A steady voter's transform holds meanwhile, so a large one waits until no new map does, and
+        is given up for one that comes.
         """
         due = [track for track in self.tracks.values() if self._is_due(track)]
         due.sort(key=lambda track: (track.votes, -track.drift))
@@ -167,13 +178,17 @@ class Judge:
             if track is reference:
                 continue
             own = 0 if track.sheet is None else track.sheet.box.area
-            if track.votes:
-                is_first = is_idle and cells == 0
-                is_late = track.drift > LATE * self._few(track, reference)
-                if cells + own > self._live.track_cells and not (is_first or is_late):
+            may_wait = track.votes and cells + own > self._live.track_cells
+            if may_wait and track.drift <= LATE * self._few(track, reference):
+                if not (is_idle and cells == 0):
                     continue
+                try:
+                    self._align(track, reference, self._is_wanted)
+                except PausedError:
+                    return
+            else:
+                self._align(track, reference)
             cells += own
-            self._align(track, reference)
 
     def _few(self, track: Track, reference: Track) -> float:
         """Return the changed wall cells below which nothing needs to be aligned again."""
@@ -188,11 +203,20 @@ class Judge:
             return track.tried != (track.version, reference.name, reference.version)
         return not track.is_steady or track.drift > self._few(track, reference)
 
-    def _align(self, track: Track, reference: Track) -> None:
-        """Align an input to the reference: tracked, or else searched everywhere."""
+    def _align(
+        self, track: Track, reference: Track, is_wanted: Callable[[], bool] | None = None
+    ) -> None:
+        """Align an input to the reference: tracked, or else searched everywhere.
+
+        Raises:
+            PausedError: ``is_wanted`` answered True while it was tracked; nothing was changed.
+        """
         was_voting = track.votes
-        if track.transform is not None and self._follow(track, self._held(reference)):
-            return
+        if track.transform is not None:
+            with self._pausable.until(is_wanted):
+                is_followed = self._follow(track, self._held(reference))
+            if is_followed:
+                return
         if not self._may_search(track):
             if not was_voting:
                 track.refuse("waits for a full search")

@@ -1,4 +1,4 @@
-"""The pictures of the experiments: errors against cell size, and a cell's value as it is told.
+"""What experiments show: errors against cell size, a cell's value as it is told, fused maps.
 
 Colours and line styles tell the lines apart; their meaning stands in a legend, because these
 pictures are looked at without a page around them.
@@ -6,17 +6,40 @@ pictures are looked at without a page around them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 from matplotlib.ticker import MaxNLocator  # noqa: TID251
 
+from slamfusion.config import RunConfig
+from slamfusion.geometry import Pose2
+from slamfusion.report import plots
 from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png
+from slamfusion.report.page import (
+    Banner,
+    Fact,
+    LegendEntry,
+    Page,
+    Picture,
+    Section,
+    Table,
+    circumstances,
+    write_page,
+)
 
-__all__ = ["Line", "Panel", "cell_values_picture", "sweep_picture"]
+__all__ = [
+    "Difference",
+    "Line",
+    "Panel",
+    "cell_values_picture",
+    "sweep_picture",
+    "write_fusion_experiment",
+]
 
 _COLOURS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
 _MARKERS = ("o", "D", "s", "^")
@@ -128,6 +151,86 @@ def cell_values_picture(panels: Sequence[Panel]) -> bytes:
         _finish(axes, panel, "value of the cell")
     all_axes[-1].set_xlabel("observations", color=INK, fontsize=7.5)
     return to_png(figure)
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A map against the truth, to be drawn.
+
+    Attributes:
+        title: what is seen; plain text.
+        caption: which drive it is of.
+        codes: (H, W) int8, codes of ``slamfusion.evaluation``.
+        resolution: metres per cell.
+    """
+
+    title: str
+    caption: str
+    codes: npt.NDArray[np.int8]
+    resolution: float
+
+
+def write_fusion_experiment(
+    title: str,
+    ratios: Mapping[str, float],
+    sentences: Sequence[str],
+    tables: Sequence[Table],
+    examples: Mapping[str, Sequence[Difference]],
+    directory: str | Path,
+    *,
+    config: RunConfig,
+    device: str,
+) -> Path:
+    """Write an experiment on fusion as one self-contained page with its pictures beside it.
+
+    Args:
+        title: of the page.
+        ratios: error of every way to vote over that of the best inputs, by name; at least one.
+        sentences: what was found, in words.
+        tables: the first one is shown at the top, the others after the pictures.
+        examples: the maps of a drive, by the name of its section.
+        directory: for ``report.html`` and the PNG files; made when missing.
+        config: the effective configuration, written out in full.
+        device: the device that computed, in words.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: the directory cannot be written.
+    """
+    best = min(ratios, key=ratios.__getitem__)
+    is_better = ratios[best] < 1.0
+    headline = f"{best} is {'better' if is_better else 'not better'} than the best inputs"
+    lines = [(f"{head}:", rest) for head, _, rest in (text.partition(": ") for text in sentences)]
+    banner = Banner("good" if is_better else "warn", headline, lines)
+    facts = [
+        Fact(
+            f"{100.0 * (ratio - 1.0):+.1f} %",
+            f"{name} against the best inputs",
+            "good" if ratio < 1.0 else "bad",
+        )
+        for name, ratio in ratios.items()
+    ]
+    sections = [Section("Errors", "errors", tables=tables[:1])]
+    for number, (name, maps) in enumerate(examples.items(), start=1):
+        pictures = [_difference(item) for item in maps]
+        sections.append(Section(name, f"example-{number}", pictures=pictures))
+    if len(tables) > 1:
+        sections.append(Section("In detail", "detail", tables=tables[1:]))
+    sections.append(circumstances(config, device))
+    return write_page(Page(title, banner, facts, sections), directory)
+
+
+def _difference(item: Difference) -> Picture:
+    """Draw a map against the truth, with the colours that are used in it."""
+    legend = tuple(
+        LegendEntry(text, rgb)
+        for code, (text, rgb) in plots.DIFFERENCE_COLOURS.items()
+        if (item.codes == code).any()
+    )
+    png = plots.difference_picture(item.codes, item.resolution, Pose2())
+    return Picture(item.title, png, item.title, item.caption, legend=legend)
 
 
 def _figure(panels: Sequence[Panel], height_in: float) -> tuple[Figure, list[Axes]]:

@@ -96,9 +96,11 @@ class Troubles:
             is_new = key not in self._alive()
             self._now[key] = (level, text, until_s)
             self._counts[key] = self._counts.get(key, 0) + 1
-        if is_new:
-            say = self._log.error if level == Level.ERROR else self._log.warning
-            say(text)
+        # Two calls: rclpy ties a place in the code to one level.
+        if is_new and level == Level.ERROR:
+            self._log.error(text)
+        elif is_new:
+            self._log.warning(text)
 
     def clear(self, key: str) -> None:
         """Say that something is right again, if it was wrong."""

@@ -225,10 +225,11 @@ class FusedFrames:
             if child is None
             else f"another node sends the transform to {child!r} too (from {rivals[child]!r}): set "
             "publish_tf to false in all but one",
+            Level.ERROR,
         )
 
-    def _say(self, key: str, text: str | None) -> None:
+    def _say(self, key: str, text: str | None, level: Level = Level.WARN) -> None:
         if text is None:
             self._base.troubles.clear(key)
         else:
-            self._base.troubles.add(key, Level.WARN, text)
+            self._base.troubles.add(key, level, text)

@@ -34,8 +34,8 @@ __all__ = ["FusionNode", "make_node"]
 DEFAULT_INPUTS = ("tinyslam/map", "gmapping/map", "graph/map")
 MAP_TOPIC, AGREEMENT_TOPIC = "fused/map", "fused/agreement"
 CHANGEABLE = ("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s")
-# How often the node looks whether something is due, and who publishes its inputs.
-LOOK_S, LOOK_AROUND_S = 0.1, 1.0
+# How often the node looks whether a fused map may go out, at frames, and who publishes its inputs.
+TURN_S, LOOK_S, LOOK_AROUND_S = 0.02, 0.1, 1.0
 SHOWN_S = 10.0
 LATENCIES = 300
 # Updates of one turn of the worker; it is woken again each second.
@@ -160,7 +160,8 @@ class FusionNode(NodeBase):
         node.create_service(Trigger, "reset", self._serve(self._reset))
         for name, grid in self._saved.items():
             self._live.put(name, grid, time.monotonic(), is_saved=True)
-        self.timer(LOOK_S, self._look)
+        self.timer(TURN_S, self._look_turn)
+        self.timer(LOOK_S, self._frames.look)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
             f"fuses {', '.join(entries.values())} on {self._backend.name}; the fused map is on "
@@ -173,11 +174,10 @@ class FusionNode(NodeBase):
     def _wake(self) -> None:
         self._worker.put(_Wake())
 
-    def _look(self) -> None:
+    def _look_turn(self) -> None:
         """Wake the worker for a fused map that had to wait for its turn."""
         if self._waiting is not None and self._is_turn():
             self._wake()
-        self._frames.look()
 
     def _look_around(self) -> None:
         """See who publishes the inputs, and let ages be looked at."""
@@ -272,13 +272,17 @@ class FusionNode(NodeBase):
         for _ in range(ROUNDS):
             for source in self._sources.values():
                 self._take(source)
-            update = self._live.update(time.monotonic())
+            update = self._live.update(time.monotonic(), self._has_maps)
             if update is not None:
                 self._note(update)
             if self._waiting is not None and self._is_turn():
                 self._publish(self._waiting)
-            if update is None and not any(s.is_waiting for s in self._sources.values()):
-                return
+            if not self._has_maps() and (update is None or self._waiting is not None):
+                return  # what could wait is not begun while a fused map waits for its turn
+
+    def _has_maps(self) -> bool:
+        """Whether a map waits to be taken."""
+        return any(source.is_waiting for source in self._sources.values())
 
     def _take(self, source: MapSource) -> None:
         """Convert the newest map of an input and hand it to the fusion."""

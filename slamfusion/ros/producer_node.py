@@ -1,7 +1,8 @@
 """``ProducerNode``: a SLAM as a ROS node; scans and odometry in, map, pose and path out.
 
 The callbacks only queue. One worker feeds the SLAM, another one turns maps into messages, so a
-map of many cells does not hold up the next scan for longer than it takes to read the map.
+map of many cells does not hold up the next scan for longer than it takes to read the map; where the
+SLAM lets its map be drawn aside (``DrawsAside``) that worker draws it, and no scan waits at all.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ from slamfusion.ros.frames import (
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.worker import Worker
 from slamfusion.scan import LaserScan as Scan
-from slamfusion.slam.base import SlamBackend, Step
+from slamfusion.slam.base import DrawsAside, SlamBackend, Step
+from slamfusion.slam.node_map import MapJob, NodeMap
 from slamfusion.slam.runner import make_producer
 from slamfusion.trajectory import Trajectory
 
@@ -62,6 +64,8 @@ LOOK_S = 0.1
 ODOMETRY_ALIVE_S = 1.0
 # A scan whose stamp is later than the last one's by more is worth a word.
 FORWARD_JUMP_S = 10.0
+# Scans that pause for longer leave the time to solve all closures for the map.
+PAUSE_S = 1.0
 # A scan that is worked on for longer is named.
 SLOW_SCAN_S = 5.0
 # Words on what has passed stay in the diagnostics this long.
@@ -97,11 +101,12 @@ class _MapDue:
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """A map on its way out."""
+    """A map on its way out, drawn or to be drawn."""
 
-    grid: grids.OccupancyGrid
+    grid: grids.OccupancyGrid | MapJob
     trajectory: Trajectory | None
     stamp_s: float
+    generation: int
 
 
 @dataclass
@@ -153,7 +158,11 @@ class ProducerNode(NodeBase):
         self._kind = kind
         self._map_frame = self.settings.map_frame or f"{self.name}_map"
         self._backend = open_backend(device.device)
-        self._producer = _warm(kind, self._config, self._backend)
+        # Drawing aside has a backend of its own: a device's queue is one thread's.
+        self._drawing: Backend | None = None
+        if isinstance(make_producer(kind, self._config, self._backend), DrawsAside):
+            self._drawing = open_backend(device.device)
+        self._producer = _warm(kind, self._config, self._backend, self._drawing)
 
         # Shared between the executor's thread and the workers'; each counter has one writer.
         self._counts = _Counts()
@@ -167,7 +176,10 @@ class ProducerNode(NodeBase):
         self._last_pose = IDENTITY
         self._busy_since_s: float | None = None
         self._map_at_s = -1e9
-        self._map_time_s = 0.0
+        self._map_time_s = self._draw_time_s = 0.0
+        self._job: MapJob | None = None
+        self._is_settled = True
+        self._drawer: tuple[int, NodeMap] | None = None
         self._map_shape = (0, 0)
         self._unmapped = 0
         self._is_path_due = False
@@ -290,8 +302,16 @@ class ProducerNode(NodeBase):
     def _look(self) -> None:
         """Ask for a map where scans pause, and for the path where somebody begins to listen."""
         is_due = time.monotonic() - self._map_at_s >= self._map_interval_s()
-        if self._worker.is_idle and is_due and (self._unmapped or self._is_path_wanted()):
+        wanted = (
+            self._unmapped or self._is_path_wanted() or (self._is_paused and not self._is_settled)
+        )
+        if self._worker.is_idle and is_due and wanted:
             self._worker.put(_MapDue())
+
+    @property
+    def _is_paused(self) -> bool:
+        """Whether no scan has come for a while."""
+        return time.monotonic() - self._last_scan_s > PAUSE_S
 
     def _is_path_wanted(self) -> bool:
         return self._is_path_due and self._path_topic.get_subscription_count() > 0
@@ -323,7 +343,7 @@ class ProducerNode(NodeBase):
         if item.generation != self._producer_generation:
             self._producer = make_producer(self._kind, self._config, self._backend)
             self._producer_generation = item.generation
-            self._fed_s, self._unmapped = None, 0
+            self._fed_s, self._unmapped, self._job, self._is_settled = None, 0, None, True
         if self._fed_s is not None and item.stamp_s <= self._fed_s:
             self._skip(NOT_NEWER)
             if item.stamp_s == self._fed_s:  # sent again: who waits for the answer gets it again
@@ -455,8 +475,10 @@ class ProducerNode(NodeBase):
         if self._fed_s is None:
             return
         try:
-            grid = self._producer.grid()
+            grid, is_old = self._read_map()
         except SlamFusionError:  # no scan has been used yet
+            return
+        if is_old and not self._unmapped and not self._is_path_wanted():
             return
         self._unmapped = 0
         has_listeners = self._path_topic.get_subscription_count() > 0
@@ -464,7 +486,21 @@ class ProducerNode(NodeBase):
         self._is_path_due = trajectory is None
         self._memory_bytes = self._producer.memory_bytes()
         self._map_time_s = time.monotonic() - begun_s
-        self._messages.put(_Map(grid, trajectory, self._fed_s))
+        self._messages.put(_Map(grid, trajectory, self._fed_s, self._producer_generation))
+
+    def _read_map(self) -> tuple[grids.OccupancyGrid | MapJob, bool]:
+        """Return the map, or what it is drawn from, and whether that is known to be as before.
+
+        Raises:
+            SlamFusionError: no scan has been used yet.
+        """
+        producer = self._producer
+        if not isinstance(producer, DrawsAside):
+            return producer.grid(), False
+        self._is_settled = self._is_paused
+        before, job = self._job, producer.map_job(is_settled=self._is_settled)
+        self._job = job
+        return job, before is not None and np.array_equal(before.poses, job.poses)
 
     def _failed(self, _: Any, error: Exception) -> None:
         """Name what a worker stumbled over."""
@@ -476,8 +512,11 @@ class ProducerNode(NodeBase):
     # --- the thread of messages --------------------------------------------------------------
 
     def _publish_map(self, item: _Map) -> None:
+        grid = item.grid
+        if isinstance(grid, MapJob):
+            grid = self._draw(grid, item.generation)
         stamp = messages.to_stamp(item.stamp_s)
-        message = messages.grid_to_message(item.grid, self._map_frame, stamp)
+        message = messages.grid_to_message(grid, self._map_frame, stamp)
         self._map_topic.publish(message)
         self._metadata_topic.publish(message.info)
         if item.trajectory is not None and len(item.trajectory):
@@ -486,8 +525,18 @@ class ProducerNode(NodeBase):
                     item.trajectory, self._map_frame, stamp, self.settings.path_poses
                 )
             )
-        self._map_shape = (item.grid.width, item.grid.height)
+        self._map_shape = (grid.width, grid.height)
         self._counts.maps += 1
+
+    def _draw(self, job: MapJob, generation: int) -> grids.OccupancyGrid:
+        """Draw a map aside, on the last one of its generation."""
+        begun_s = time.monotonic()
+        if self._drawer is None or self._drawer[0] != generation:
+            assert self._drawing is not None  # noqa: S101  (opened for a producer that draws aside)
+            self._drawer = generation, NodeMap(self._config.graph, self._drawing)
+        grid = self._drawer[1].draw(job)
+        self._draw_time_s = time.monotonic() - begun_s
+        return grid
 
     # --- diagnostics -------------------------------------------------------------------------
 
@@ -516,6 +565,7 @@ class ProducerNode(NodeBase):
             "latency p95 [ms]": float(latency_ms[1]),
             "map [cells]": f"{self._map_shape[0]} x {self._map_shape[1]}",
             "reading the map [ms]": 1e3 * self._map_time_s,
+            "drawing the map [ms]": None if self._drawing is None else 1e3 * self._draw_time_s,
             "memory [MB]": self._memory_bytes / 1e6,
             "last scan [s ago]": now_s - self._last_scan_s if counts.received else None,
             "last odometry [s ago]": None
@@ -563,7 +613,7 @@ class ProducerNode(NodeBase):
         self._messages.close()
 
 
-def _warm(kind: str, config: RunConfig, backend: Backend) -> SlamBackend:
+def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | None) -> SlamBackend:
     """Return a fresh producer, after another one has had its kernels compiled and run."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     # A square room of 6 m.
@@ -572,5 +622,8 @@ def _warm(kind: str, config: RunConfig, backend: Backend) -> SlamBackend:
     for index in range(3):
         scan = Scan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
         trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
-    trial.grid()
+    if isinstance(trial, DrawsAside) and drawing is not None:
+        NodeMap(config.graph, drawing).draw(trial.map_job())
+    else:
+        trial.grid()
     return make_producer(kind, config, backend)

@@ -123,6 +123,26 @@ COURSES: dict[str, tuple[str, dict[str, Any]]] = {
         "eight rooms in a row that are copies of each other, seen to 8 m",
         {"world": "rooms", "lidar": _SHORT},
     ),
+    "loop": (
+        "a corridor loop with few features, driven briskly once around and on",
+        {"world": "corridor", "lidar": _SPARSE, "drive": _BRISK},
+    ),
+    "glass": (
+        "an office floor of whose walls three in ten are glass",
+        {"world": {"name": "office", "glass_share": 0.3}, "lidar": _SPARSE, "drive": _BRISK},
+    ),
+    "crowd": (
+        "an office floor in which ten people walk about",
+        {"world": "office", "lidar": _SPARSE, "drive": _BRISK, "people": 10},
+    ),
+    "slip": (
+        "an office floor on tracks that slip throughout, the right one more",
+        {
+            "world": "office",
+            "lidar": _SPARSE,
+            "drive": {"model": "tracks", "speed_mps": 1.2, "slip_left": 0.1, "slip_right": 0.2},
+        },
+    ),
     "f16": (
         "turn 360 deg at 90 deg/s, 5 m forward at 0.5 m/s over an obstacle, turn 360 deg [F16]",
         {

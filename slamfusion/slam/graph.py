@@ -63,6 +63,8 @@ LEAST_DRIFT_M = 0.3
 # as ever. One worth less than a share of the usual is bad: its scan is not mapped, and odometry is
 # believed instead. So many in a row that fit better elsewhere, and the robot is lost.
 BAD_SHARE, LOST_SCANS = 0.6, 4
+# One scan is enough where odometry has been set anew meanwhile.
+CARRIED_SHARE = 0.8
 # So many bad ones of the last few, and what comes now may not lie rightly to what was before: the
 # submap is ended there, and closures may bend the graph.
 BREAK_BAD, BREAK_SCANS = 3, 10
@@ -80,8 +82,8 @@ REFOUND_DRIFT_M = 0.6
 ANYWHERE_NODES = 4
 # Submaps that are searched all over at a node.
 ANYWHERE_LOOKS = 3
-# A lost robot is looked for where odometry has it. It may be anywhere once that has put it into old
-# submaps so often in vain.
+# A lost robot is looked for where odometry has it; after so many nodes in vain it may be anywhere.
+# A guess is tested where it puts the robot into an old submap.
 IN_VAIN = 12
 INSIDE_M = 0.5
 # Hits on a wall are no farther apart in a submap, cells.
@@ -264,8 +266,7 @@ class GraphSlam:
         self._parts: list[int] = []
         # How often submaps of other parts were searched all over.
         self._searched: dict[int, int] = {}
-        # Searches where odometry put a lost robot into an old submap, and it was not there; and
-        # its way when it was lost.
+        # Searches for a lost robot where odometry has it, and its way when it was lost.
         self._in_vain = 0
         self._lost_m = 0.0
         self._last_tried: dict[int, int] = {}
@@ -412,7 +413,9 @@ class GraphSlam:
         self._tracker.advance(local, known, scan.stamp_s)
         self.health.scans_used += 1
         self._bad_row = 0 if is_sure else self._bad_row + 1
-        if self._bad_row >= LOST_SCANS:
+        # Odometry is set anew where the robot was switched off: it may have been carried.
+        is_carried = self._tracker.has_jumped and fit < CARRIED_SHARE
+        if self._bad_row >= LOST_SCANS or is_carried:
             return self._lose(scan, points, known, local)
         if self._is_broken(is_bad=fit < BAD_SHARE) and is_sure:
             return self._break(scan, points, known, local)
@@ -436,7 +439,7 @@ class GraphSlam:
 
     def _fit(self, submap: Submap, points: F64, match: Match, usual: float | None) -> float:
         """Return what a match is worth where the submap has seen something, to the usual."""
-        if usual is None or match.score >= BAD_SHARE * usual:
+        if usual is None or match.score >= CARRIED_SHARE * usual:
             return 1.0
         scan = ScanOnTiles(self._backend, submap.walls(), points, self._config.matcher.beams)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
@@ -476,7 +479,7 @@ class GraphSlam:
         before = len(self._nodes) - 1
         moved = self._node_pose.inverse().compose(local)
         odometry = self._nodes[before].odometry
-        if known is not None and odometry is not None:
+        if known is not None and odometry is not None and not self._tracker.has_jumped:
             moved = odometry.inverse().compose(known)
         self._travelled_m += math.hypot(moved.x, moved.y)
         pose = _pose(self._poses[before]).compose(moved)
@@ -712,7 +715,7 @@ class GraphSlam:
         near = sorted((self._distance_m(submap, pose), index) for index, submap in old)
         drift_m = LOST_DRIFT_M + DRIFT_SHARE * (self._travelled_m - self._lost_m)
         looks = [_Look(near[0][1], pose, drift_m, "odometry")]
-        self._in_vain += near[0][0] < INSIDE_M
+        self._in_vain += 1
         if self._in_vain <= IN_VAIN:
             return looks
         for guess in self._relocation.to_test():

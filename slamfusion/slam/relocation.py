@@ -17,7 +17,7 @@ from slamfusion.slam.closures import AGREEMENT_M, AGREEMENT_RAD, Waiting
 __all__ = ["Guess", "Relocation"]
 
 # A guess is believed after so many nodes that fit, over such a way in metres.
-HITS, WAY_M = 6, 4.0
+HITS, WAY_M = 14, 4.0
 # It is given up after so many misses in a row. One that has fewer hits, or less than a share of the
 # best one's, is no rival: where it has the robot now there is nothing to test it on.
 MISSES = 3

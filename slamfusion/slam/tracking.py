@@ -56,6 +56,7 @@ class Tracker:
         step: what the robot did before the last scan, in its own frame.
         step_s: how long that took.
         stamp_s: time of the last scan.
+        has_jumped: whether odometry has just been set anew.
         usual_score: what a match is worth lately; None before the first.
     """
 
@@ -71,10 +72,12 @@ class Tracker:
     step: Pose2 = IDENTITY
     step_s: float = 0.0
     stamp_s: float = 0.0
+    has_jumped: bool = False
     usual_score: float | None = None
 
     def guesses(self, stamp_s: float, odometry: Pose2 | None) -> list[Guess]:
         """Return where the robot may be: by its odometry, and if it goes on as it went."""
+        self.has_jumped = False
         if self.pose is None:
             return [Guess(_vector(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
         onward = self._onward(stamp_s - self.stamp_s)
@@ -84,6 +87,7 @@ class Tracker:
         if math.hypot(step.x, step.y) > JUMP_M:
             reason = f"odometry jumped by more than {JUMP_M:g} m: not believed"
             self.health.skips.add(reason, self.health.scans)
+            self.has_jumped = True
             return [self._guess(onward, NO_ODOMETRY_SPREAD, 0.0)]
         # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
         return [self._guess(step, 1.0, 0.0), self._guess(onward, 1.0, self.config.drift_loss)]

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from slamfusion.experiments.trials import FUSIONS
 from slamfusion.io import write_carmen, write_tum
+from slamfusion.slam.runner import PRODUCERS
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.experiments.drives import room
 
@@ -98,7 +100,36 @@ def test_cell_models_trajectories_on_logs(drive: Path, tmp_path: Path) -> None:
     assert "room#2, relations mean in m: " in done.stdout
     with (tmp_path / "cell-models-trajectories.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [row["drive"] for row in rows] == ["room"] * 4 + ["room#2"] * 4
+    assert [row["drive"] for row in rows] == ["room"] * 6 + ["room#2"] * 6
+    assert "gmapping" in {row["method"] for row in rows}
+
+
+def test_ground_obstacle_small(tmp_path: Path) -> None:
+    arguments = (
+        "experiment", "ground-obstacle", "-o", tmp_path,
+        "--repetitions", "3", "--worlds", "1", "--particles", "8", "--json",
+    )  # fmt: skip
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    document = json_of(done)
+    methods = [*PRODUCERS, *FUSIONS]
+    assert len(document["trials"]) == 6
+    assert [item["method"] for item in document["summaries"]] == methods * 2
+    assert {item["condition"] for item in document["pairs"]} == {"no obstacle", "obstacle"}
+    assert document["config"]["experiment"]["ground_obstacle"]["repetitions"] == 3
+    files = tree(tmp_path)
+    assert {f"ground-obstacle.{kind}" for kind in ("csv", "md", "json")} < set(files)
+    assert len([name for name in files if name.endswith(".png")]) == 2 * len(methods)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "p-values as in [F16], obstacle" in page
+    assert page.count("data:image/png;base64") == 2 * len(methods)
+    # All of it is there: nothing is driven again, and everything is the same.
+    again = json_of(run(*arguments, timeout=20.0))
+    assert again["trials"] == document["trials"]
+    unchanged = {name: data for name, data in files.items() if name.startswith("trials")}
+    assert len(unchanged) > 6
+    assert unchanged.items() <= tree(tmp_path).items()
 
 
 @pytest.mark.full
@@ -122,6 +153,9 @@ def test_simulated_floor_is_the_default(tmp_path: Path) -> None:
         (("cell-models-trajectories", "--log", "only.log"), "wanted LOG:RELATIONS"),
         (("cell-models-trajectories", "--log", "a:b:c:d"), "wanted LOG:RELATIONS"),
         (("occupancy-estimator", "--resolutions", "0.6..0.1"), "must be like 0.1..0.6"),
+        (("failures", "--courses", "glas"), "wanted some of corridor loop, glass"),
+        (("failures", "--lidars", "sonar"), "wanted some of kinect, hokuyo"),
+        (("ground-obstacle", "--repetitions", "0"), "must lie in [1, 10000]"),
         (("no-such",), "No such command"),
     ],
 )

@@ -5,14 +5,19 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from slamfusion.cli.doctor import INSTALL
 from slamfusion.cli.main import COMMANDS
-from slamfusion.cli.readme import TABLES, gmapping_table, with_tables
+from slamfusion.cli.readme import TABLES, gmapping_table, parameter_table, with_tables
+from slamfusion.cli.ros_tables import TABLES as ROS_TABLES
 from slamfusion.config import GMAPPING_PROFILES, GmappingConfig, field_infos
+from slamfusion.grid import OCCUPIED
+from slamfusion.io import load_map
 from tests.cli.command import ROOT, run
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -31,9 +36,9 @@ def test_parameter_tables_are_up_to_date() -> None:
     assert with_tables(README) == README, "run: python -m slamfusion.cli.readme"
 
 
-@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize("name", TABLES | ROS_TABLES)
 def test_a_table_that_is_behind_is_noticed(name: str) -> None:
-    table = TABLES[name]()
+    table = (TABLES | ROS_TABLES)[name]()
     assert table in README
     row = table.splitlines()[-1]
     assert with_tables(README.replace(table, table.removesuffix(row))) == README
@@ -73,6 +78,17 @@ def test_commands_run_on_the_bundled_data(tmp_path: Path, block: list[str]) -> N
         assert done.stdout
 
 
+def test_the_program_runs_on_the_bundled_data(tmp_path: Path) -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    shutil.copytree(ROOT / "data", tmp_path / "data")
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    truth = load_map(ROOT / "data" / "sample" / "truth.yaml")
+    found = (load_map(tmp_path / "fused_live.yaml").cells == OCCUPIED).sum()
+    assert found == pytest.approx((truth.cells == OCCUPIED).sum(), rel=0.5)
+
+
 def test_every_command_and_driver_is_listed() -> None:
     for command in COMMANDS:
         assert f"| `{command.name}" in README
@@ -80,7 +96,17 @@ def test_every_command_and_driver_is_listed() -> None:
         assert f"| {device} | {line} |" in README
 
 
-def test_links_lead_to_files() -> None:
+def test_a_setting_that_no_command_takes_is_not_shown_as_an_option() -> None:
+    rows = {row.split(" | ")[1]: row.split(" | ")[0] for row in parameter_table().splitlines()[2:]}
+    assert rows["`live.extent`"] == "| (fusion node)"
+    assert rows["`fusion.vote.extent`"] == "| `--extent`"
+
+
+def test_links_lead_to_files_and_headings() -> None:
+    headings = re.findall(r"^#+ (.*)$", README, flags=re.MULTILINE)
+    anchors = {"#" + re.sub(r"[^\w -]", "", head).lower().replace(" ", "-") for head in headings}
     for target in re.findall(r"\]\(([^)]+)\)", README):
-        if "://" not in target:
+        if target.startswith("#"):
+            assert target in anchors, target
+        elif "://" not in target:
             assert (ROOT / target).exists(), target

@@ -8,7 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from slamfusion.evaluation import ErrorStatistics, Summary, compare_samples, mean_interval
+from slamfusion.evaluation import (
+    ErrorStatistics,
+    Moments,
+    Summary,
+    compare_pairs,
+    compare_samples,
+    correct_by_holm,
+    mean_interval,
+    pooled_p_value,
+    t_interval,
+)
 
 FINITE = st.floats(-1e6, 1e6)
 # Steps that no difference of nearly equal values can lose.
@@ -131,3 +141,128 @@ def test_errors_that_do_not_vary_have_an_interval_without_width() -> None:
 def test_no_error_has_no_interval() -> None:
     with pytest.raises(ValueError, match="at least one value"):
         mean_interval([])
+
+
+# Table I of [F16]: mean and deviation of the error over 3 repetitions.
+PUBLISHED = {
+    "no obstacle": {
+        "gmapping": (148.63, 2.24),
+        "karto": (128.36, 2.03),
+        "rtabmap": (106.38, 7.74),
+        "fused": (97.88, 6.58),
+    },
+    "obstacle": {
+        "gmapping": (151.28, 5.30),
+        "karto": (132.58, 0.75),
+        "rtabmap": (110.03, 2.27),
+        "fused": (97.45, 4.73),
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("condition", "first", "second", "printed"),
+    [
+        ("no obstacle", "gmapping", "karto", "3.1e-04"),
+        ("no obstacle", "gmapping", "rtabmap", "8.1e-04"),
+        ("no obstacle", "gmapping", "fused", "2.3e-04"),
+        ("no obstacle", "karto", "rtabmap", "8.9e-03"),
+        ("no obstacle", "karto", "fused", "1.6e-03"),
+        ("no obstacle", "rtabmap", "fused", "2.2e-01"),
+        ("obstacle", "gmapping", "karto", "3.8e-03"),
+        ("obstacle", "gmapping", "rtabmap", "2.4e-04"),
+        ("obstacle", "gmapping", "fused", "1.9e-04"),
+        ("obstacle", "karto", "rtabmap", "8.2e-05"),
+        ("obstacle", "karto", "fused", "2.2e-04"),
+        ("obstacle", "rtabmap", "fused", "1.4e-02"),
+    ],
+)
+def test_published_p_values_are_the_pooled_test_of_sample_deviations(
+    condition: str, first: str, second: str, printed: str
+) -> None:
+    a, b = (PUBLISHED[condition][name] for name in (first, second))
+    assert f"{pooled_p_value(Moments(*a, 3), Moments(*b, 3)):.1e}" == printed
+    # Taken for population deviations (divided by N) they would give other values.
+    wider = [Moments(mean, std * 1.5**0.5, 3) for mean, std in (a, b)]
+    assert f"{pooled_p_value(*wider):.1e}" != printed
+
+
+def test_pooled_test_without_any_spread() -> None:
+    assert pooled_p_value(Moments(1.0, 0.0, 3), Moments(1.0, 0.0, 3)) == 1.0
+    assert pooled_p_value(Moments(1.0, 0.0, 3), Moments(2.0, 0.0, 3)) == 0.0
+
+
+def test_t_interval_of_a_worked_example() -> None:
+    # Mean 2, deviation 1, three values; the quantile for 2 degrees of freedom is 4.303.
+    found = t_interval([1.0, 2.0, 3.0])
+    assert found is not None
+    assert found.low == pytest.approx(2.0 - 4.303 / 3**0.5, abs=1e-3)
+    assert found.high == pytest.approx(2.0 + 4.303 / 3**0.5, abs=1e-3)
+    narrow = t_interval([1.0, 2.0, 3.0], 0.5)
+    assert narrow is not None
+    assert narrow.high < found.high
+    assert t_interval([4.0]) is None
+
+
+def test_t_interval_keeps_the_sign() -> None:
+    found = t_interval([-1.0, -3.0])
+    assert found is not None
+    assert (found.low + found.high) / 2.0 == pytest.approx(-2.0)
+
+
+def test_t_interval_holds_the_mean_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(3)
+    found = [t_interval(rng.normal(5.0, 2.0, 6)) for _ in range(1000)]
+    held = sum(item is not None and item.low < 5.0 < item.high for item in found)
+    # 950 are expected; four deviations are 28.
+    assert 922 <= held <= 978
+
+
+def test_pairs_show_what_samples_hide() -> None:
+    cases = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+    gains = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
+    found, apart = compare_pairs(cases - gains, cases), compare_samples(cases - gains, cases)
+    assert found is not None
+    assert apart is not None
+    assert found.mean == pytest.approx(-1.0)
+    assert found.t_test < 1e-4
+    assert apart.welch > 0.9
+    # All six of one sign: two of 2^6 outcomes are as extreme.
+    assert found.wilcoxon == pytest.approx(2 / 64)
+    assert found.interval.low < found.bootstrap.low < -1.0 < found.bootstrap.high
+    assert found.bootstrap.high < found.interval.high < 0.0
+    assert found.t_test == pytest.approx(stats.ttest_1samp(-gains, 0.0).pvalue)
+    assert found.to_json()["interval"] == [found.interval.low, found.interval.high]
+
+
+def test_pairs_that_differ_by_one_value_or_nothing() -> None:
+    same, shifted = (
+        compare_pairs([1.0, 2.0, 3.0], [1.0 + d, 2.0 + d, 3.0 + d]) for d in (0.0, 1.0)
+    )
+    assert same is not None
+    assert shifted is not None
+    assert (same.t_test, same.wilcoxon) == (1.0, 1.0)
+    assert shifted.t_test == 0.0
+    assert shifted.mean == -1.0
+
+
+def test_single_pairs_and_odd_ones() -> None:
+    assert compare_pairs([1.0], [2.0]) is None
+    with pytest.raises(ValueError, match="as many values of both"):
+        compare_pairs([1.0, 2.0], [1.0])
+
+
+def test_holm_of_a_worked_example() -> None:
+    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04, never falling.
+    assert correct_by_holm([0.04, 0.01, 0.03, 0.02]) == pytest.approx([0.06, 0.04, 0.06, 0.06])
+    assert correct_by_holm([0.9, 0.8]) == [1.0, 1.0]
+    assert correct_by_holm([]) == []
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20))
+def test_holm_never_lowers_and_keeps_the_order(p_values: list[float]) -> None:
+    found = correct_by_holm(p_values)
+    assert all(b >= a for a, b in zip(p_values, found, strict=True))
+    assert min(found) <= min(1.0, len(p_values) * min(p_values))
+    in_order = [found[index] for index in np.argsort(p_values, kind="stable")]
+    assert in_order == sorted(in_order)

@@ -160,12 +160,12 @@ def test_cell_models_are_compared_on_every_drive() -> None:
         [room(drift=0.3), room("hall", drift=0.3, relations=False)], CONFIG, NumpyBackend()
     )
     assert results.is_complete
-    assert results.levels(1) == ["tinyslam base", "tinyslam mean"]
-    assert len(results.runs) == 8
-    base, mean = (results.values(("room", method), ATE) for method in results.levels(1))
-    assert base != mean
+    assert results.levels(1) == ["tinyslam base", "tinyslam mean", "gmapping"]
+    assert len(results.runs) == 12
+    base, mean, gmapping = (results.values(("room", method), ATE) for method in results.levels(1))
+    assert base != mean != gmapping
     sentences = model_sentences(results)
-    assert len(sentences) == 3
+    assert len(sentences) == 9
     assert sentences[0].startswith("room, relations mean in m: ")
 
 

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 import rclpy
+import rclpy.logging
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
@@ -41,6 +42,14 @@ def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCapt
         "b is gone",
         "over: b is gone",
     ]
+
+
+def test_a_log_of_ros_takes_troubles_of_every_level():
+    # rclpy ties a place in the code to one level, and raises at the second.
+    troubles = Troubles(rclpy.logging.get_logger("drawn"))
+    for number, level in enumerate((Level.WARN, Level.ERROR, Level.STALE, Level.ERROR)):
+        troubles.add(f"trouble {number}", level, f"it is {level.name}")
+    assert troubles.worst()[0] == Level.STALE
 
 
 def test_a_trouble_may_end_by_itself():

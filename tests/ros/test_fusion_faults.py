@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
 from collections.abc import Callable
 
 import pytest
@@ -36,6 +37,7 @@ class Robot:
         there = scans(80)
         self.way = [*there, *there[-2:0:-1]]
         self.count = 0
+        self.has_odometry = True
 
     def next(self) -> LogScan:
         """Return the next scan of the way, a tenth of a second after the last."""
@@ -51,9 +53,10 @@ class Robot:
             message = messages.scan_to_message(item.scan, "base_link")
             assert item.odometry is not None
             stamp = message.header.stamp
-            self.odometry.publish(
-                messages.odometry_to_message(item.odometry, "odom", "base_link", stamp)
-            )
+            if self.has_odometry:
+                self.odometry.publish(
+                    messages.odometry_to_message(item.odometry, "odom", "base_link", stamp)
+                )
             self.scans.publish(message)
             self.observer.listen(PERIOD_S)
             if is_done():
@@ -100,6 +103,32 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
         start(kind)
         robot.drive_until(says("all 3 inputs vote"), f"{kind} is taken back")
         assert_unmoved()
+
+    # One freezes, and goes on with what it was about.
+    running["gmapping"].signal(signal.SIGSTOP)
+    robot.drive_until(says("2 of 3 inputs vote", "gmapping"), "gmapping is missed")
+    assert "no map for" in statuses["fusion: input gmapping"].message
+    count = len(heard)
+    robot.drive_until(lambda: len(heard) > count + 1, "maps without it")
+    running["gmapping"].signal(signal.SIGCONT)
+    robot.drive_until(says("all 3 inputs vote"), "gmapping is taken back")
+    assert_unmoved()
+
+    # Nobody sends odometry: every producer says so, and maps by scans alone.
+    robot.has_odometry = False
+    robot.drive_until(
+        lambda: all(
+            "no odometry for the scans, which are matched without it"
+            in statuses[f"{kind}: slam"].message
+            for kind in PRODUCERS
+        ),
+        "the odometry is missed",
+    )
+    count = len(heard)
+    robot.drive_until(lambda: len(heard) > count + 1, "maps without odometry")
+    assert says("all 3 inputs vote")(), statuses[FUSION].message
+    robot.has_odometry = True
+    assert_unmoved()
 
     # Nobody sends scans: no map is any staler than the others, and all stay.
     observer.listen(6.0)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import resource
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +17,17 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.srv import GetMap
+from rosgraph_msgs.msg import Clock
 from scipy import ndimage
 from std_srvs.srv import Trigger
 
 from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
-from tests.fusion.live_maps import three, touched
+from tests.fusion.live_maps import assert_same_lattice, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (
     Makers,
@@ -117,6 +121,8 @@ BAD = {
     "empty": (None, "empty"),
     "tiny": (None, "too few walls"),
     "upside down": (None, "walls do not match"),
+    "negative": (-0.1, "resolution"),
+    "hung from the ceiling": (None, "origin"),
 }
 
 
@@ -134,6 +140,13 @@ def test_a_bad_map_is_named_and_the_others_go_on(
         count = len(maps)
         if fault in {"resolution", "width"}:
             makers.send(good, **{fault: value})
+        elif fault == "negative":
+            makers.send(good, resolution=value)
+        elif fault == "hung from the ceiling":
+            message = messages.grid_to_message(good, "b_map", messages.to_stamp(1.0))
+            turn = message.info.origin.orientation
+            turn.x, turn.w, turn.z = 1.0, 0.0, 0.0
+            makers.topics["b"].publish(message)
         elif fault == "empty":
             message = messages.grid_to_message(good, "b_map", messages.to_stamp(1.0))
             message.info.width = message.info.height = 0
@@ -165,6 +178,41 @@ def test_a_bad_map_is_named_and_the_others_go_on(
         assert abs(own.x / 0.1 - round(own.x / 0.1)) < 1e-3
         assert abs(own.y / 0.1 - round(own.y / 0.1)) < 1e-3
         assert abs(own.yaw_rad) < 1e-6
+
+
+def test_one_that_starts_ten_minutes_late_and_grows_by_its_origin(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    clock = observer.publisher(Clock, "/clock")
+    start_fusion(processes, use_sim_time=True, max_publish_rate_hz=50.0)
+    observer.wait(clock.get_subscription_count, what="the node")
+    clock.publish(Clock(clock=messages.to_stamp(makers.stamp_s)))
+    for name in "ab":
+        makers.send(three()[name])
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: c")
+    observer.wait(lambda: maps, what="the fused map")
+    for minute in range(1, 11):
+        clock.publish(Clock(clock=messages.to_stamp(100.0 + 60.0 * minute)))
+        observer.listen(0.05)
+    observer.wait_status(FUSION, "time jumped forward by 60.000 s")
+    makers.stamp_s = 700.0
+    first = messages.grid_from_message(maps[-1], "fused")
+    # Its first cell lies elsewhere in every map, by cells and by parts of a cell.
+    whole = three()["c"]
+    for share in (0.55, 0.7, 0.85, 1.0):
+        row, col = (int(size * (1.0 - share) / 2.0) for size in whole.cells.shape)
+        part = whole.crop(CellBox(row, col, whole.height - row, whole.width - col))
+        x, y = part.origin.transform((0.013 * share, -0.021 * share))
+        origin = Pose2(float(x), float(y), part.origin.yaw_rad)
+        count = len(maps)
+        makers.send(replace(part, origin=origin))
+        wait_for_all(observer)
+        observer.wait(lambda count=count: len(maps) > count, what=f"a map with {share} of c")
+        fused = messages.grid_from_message(maps[-1], "fused")
+        assert_same_lattice(first, fused)
+        assert share_standing(first, fused) > 0.9
+    assert messages.stamp_s(maps[-1]) == makers.stamp_s > 700.0
 
 
 def test_a_producer_that_dies_or_freezes_is_named_and_taken_back(
@@ -241,8 +289,20 @@ def test_a_place_that_cannot_be_written_is_the_answer(
         answer = observer.call(Trigger, "save_map", Trigger.Request())
         assert not answer.success
         assert path.split("/map")[0] in answer.message
-    observer.set_parameter("fusion", "save_path", str(tmp_path / "lab"))
-    assert observer.call(Trigger, "save_map", Trigger.Request()).success
+    # A place that is full after 8 kB: nothing is left behind.
+    pid = node.process.pid
+    observer.set_parameter("fusion", "save_path", str(tmp_path / "lab" / "map"))
+    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (8000, before[1]))
+    answer = observer.call(Trigger, "save_map", Trigger.Request())
+    assert not answer.success
+    assert "not saved" in answer.message
+    assert not list((tmp_path / "lab").rglob("*.*"))
+    observer.wait_status(FUSION, "not saved")
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+    answer = observer.call(Trigger, "save_map", Trigger.Request())
+    assert answer.success
+    assert load_map(answer.message).cells.size > 8000
     assert node.is_running
 
 
@@ -379,8 +439,13 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
     # fused_map -> odom, then the odometry, is the pose.
     to_odom = frames.lookup("fused_map", "odom", time_s)
     assert_near(to_odom.compose(robot.drift.compose(place)), told, 1e-3, 1e-3)
-    # Walls of each input, driven through its transform, land on walls that are fused.
+    # A wall as the odometry knows it lands on its own cell of the fused map.
     grid = messages.grid_from_message(fused[-1], "fused")
+    walls = np.nonzero(grid.cells == 100)
+    from_robot = told.inverse().transform(grid.cell_centres(*walls))
+    in_odom = robot.drift.compose(place).transform(from_robot)
+    assert np.array_equal(grid.cell_indices(to_odom.transform(in_odom)), walls)
+    # Walls of each input, driven through its transform, land on walls that are fused.
     near_wall = ndimage.binary_dilation(grid.cells == 100, np.ones((3, 3)))
     for name in "abc":
         moved = frames.lookup("fused_map", f"{name}_map", time_s)
@@ -426,8 +491,10 @@ def test_two_inputs_in_one_frame_and_a_rival_are_named(
     transforms = told_transforms(observer)
     stamp_s = 300.0
     until_s = time.monotonic() + 40.0
-    while "another node sends the transform to" not in observer.statuses()[FUSION].message:
+    while observer.statuses()[FUSION].level != b"\x02":
         assert time.monotonic() < until_s, observer.statuses()[FUSION].message
         stamp_s += 0.1
         robot.at(stamp_s, Pose2(1.0, 1.0, 0.1), transforms)
         observer.listen(0.1)
+    assert "another node sends the transform to" in observer.statuses()[FUSION].message
+    assert all(process.is_running for process in processes.running)

@@ -259,7 +259,8 @@ def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: O
     message = wait_for_last_map(observer, maps, late[-1].scan.stamp_s)
     assert_same_map(message, offline("tinyslam", as_sent(late)))
     status = observer.wait_status("tinyslam: slam", "scans jumped back by 50.400 s", "new map")
-    assert status.level == DiagnosticStatus.WARN
+    # On a busy machine the comparison took so long that scans are missed by now.
+    assert status.level in {DiagnosticStatus.WARN, DiagnosticStatus.STALE}
     assert values(status)["maps begun anew"] == "1"
 
     # A gap in time is no reason to begin anew, but worth a word.

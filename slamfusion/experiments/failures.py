@@ -1,0 +1,133 @@
+"""Fusion where something fails: the place, the drive, or one of the producers.
+
+Each course is driven with each laser; with a Kinect most of them in a small place. A fault of the
+drive befalls all producers; broken odometry and a laser upside down befall one of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import ConfigError
+from slamfusion.experiments.error_table import ErrorTable
+from slamfusion.experiments.trials import Trial, run_trials
+from slamfusion.sim import Course, named_course
+from slamfusion.sim.lidar import LIDARS
+
+__all__ = ["FAILURES", "NAME", "Failure", "compare_failures", "failure_trials"]
+
+NAME = "failures"
+TITLE = "Fusion where something fails"
+# Drives are brisk, and so lasers that see far sweep seldom: fewer scans of as much place.
+RATE_HZ = 5.0
+HOKUYO_BEAMS = 361
+# A Kinect sees 4 m: but for the loop it drives in [F16]'s atrium, where four are a crowd.
+SMALL_WORLD, SMALL_CROWD = "atrium", 4
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A way to fail.
+
+    Attributes:
+        course: of ``slamfusion.sim.COURSES``.
+        fault: of ``slamfusion.experiments.faults.FAULTS``; empty: what the course does suffices.
+        harmed: the producer that it befalls; empty: all.
+    """
+
+    course: str
+    fault: str = ""
+    harmed: str = ""
+
+
+FAILURES: dict[str, Failure] = {
+    "corridor loop": Failure("loop"),
+    "glass": Failure("glass"),
+    "people": Failure("crowd"),
+    "slip": Failure("slip"),
+    "kidnapping": Failure("loop", "carry_away"),
+    "broken odometry": Failure("loop", "break_odometry", "gmapping"),
+    "lost for good": Failure("loop", "lose", "tinyslam"),
+}
+
+
+def failure_trials(config: RunConfig) -> list[Trial]:
+    """Return every drive of the experiment.
+
+    Args:
+        config: drives, worlds, courses and lasers in ``experiment.failures``; the first seed.
+
+    Raises:
+        ConfigError: an unknown course or laser.
+    """
+    settings = config.experiment.failures
+    wanted = settings.courses if settings.courses != "all" else ",".join(FAILURES)
+    names = _listed(wanted, tuple(FAILURES), "course")
+    lidars = _listed(settings.lidars, tuple(LIDARS), "laser")
+    trials = []
+    for name, lidar in itertools.product(names, lidars):
+        failure = FAILURES[name]
+        for world in range(settings.first_world, settings.first_world + settings.worlds):
+            for seed in range(config.seed, config.seed + settings.repetitions):
+                course = named_course(failure.course, seed)
+                course = replace(course, world=replace(course.world, seed=world))
+                course = _seen_by(lidar, course, is_loop=failure == FAILURES["corridor loop"])
+                trials.append(
+                    Trial(
+                        f"{name}, {lidar}",
+                        course,
+                        world,
+                        seed,
+                        failure.fault,
+                        failure.harmed,
+                        is_example=world == settings.first_world and seed == config.seed,
+                    )
+                )
+    return trials
+
+
+def compare_failures(
+    config: RunConfig, folder: Path, progress: Callable[[str, int, int], None] | None = None
+) -> ErrorTable:
+    """Run every drive that ``folder`` does not hold yet, and return the errors of all.
+
+    Args:
+        config: settings of experiment, producers and fusion.
+        folder: keeps what is done.
+        progress: told the drives that are done.
+
+    Raises:
+        ConfigError: an unknown course or laser.
+        SlamFusionError: a drive failed.
+    """
+    trials = failure_trials(config)
+    processes = config.experiment.failures.processes
+    records = run_trials(trials, config, folder, processes=processes, progress=progress)
+    return ErrorTable(TITLE, tuple(records))
+
+
+def _seen_by(name: str, course: Course, *, is_loop: bool) -> Course:
+    """Return a course for a laser: with it, and of a size that suits it."""
+    lidar = LIDARS[name]
+    if name != "kinect":
+        beams = HOKUYO_BEAMS if name == "hokuyo" else lidar.beams
+        return replace(course, lidar=replace(lidar, rate_hz=RATE_HZ, beams=beams))
+    course = replace(course, lidar=lidar)
+    if is_loop:
+        return course
+    people = min(course.people, SMALL_CROWD) if isinstance(course.people, int) else course.people
+    return replace(course, world=replace(course.world, name=SMALL_WORLD), people=people)
+
+
+def _listed(text: str, known: tuple[str, ...], what: str) -> list[str]:
+    """Return the names of a list with commas, each once."""
+    names = list(dict.fromkeys(part.strip() for part in text.split(",")))
+    for name in names:
+        if name not in known:
+            message = f"no {what} {name!r}; wanted some of {', '.join(known)}, with commas"
+            raise ConfigError(message)
+    return names

@@ -1,0 +1,479 @@
+"""Trials: one drive, three producers, their fusions, and the [F16] error of every map.
+
+Trials do not depend on each other: many run at once, each in a process of its own, and each one
+that is done is a small JSON file. What is there already is not run again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import slamfusion
+from slamfusion.compute import open_backend
+from slamfusion.compute.backend import Backend
+from slamfusion.config import FusionConfig, RunConfig, VoteConfig, field_infos, to_mapping
+from slamfusion.errors import AlignmentError, GridError, SlamFusionError
+from slamfusion.evaluation import MapError, compare_to_truth
+from slamfusion.experiments.faults import FAULTS
+from slamfusion.fusion.align import align_grids
+from slamfusion.fusion.path_check import fuse_with_paths
+from slamfusion.fusion.pipeline import fuse_grids
+from slamfusion.fusion.records import FusionResult
+from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.io.atomic import AtomicFiles
+from slamfusion.sim.courses import Course, course_to_mapping
+from slamfusion.sim.simulate import Recording, simulate
+from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from slamfusion.slam.side_by_side import THREAD_VARIABLES, usable_cores
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "FUSIONS",
+    "Example",
+    "Trial",
+    "TrialRecord",
+    "alone",
+    "measure_trial",
+    "read_example",
+    "run_trials",
+]
+
+# Every way to vote, the plain one first.
+FUSIONS: tuple[str, ...] = next(
+    info.choices for info in field_infos(VoteConfig) if info.name == "mode"
+)
+PLAIN = "majority"
+FOLDER = "trials"
+# Of the files: others are not believed.
+FORMAT = 2
+LEAST_FUSED = 2
+# Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
+PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One repetition.
+
+    Attributes:
+        condition: what the table compares under: a course, or a course with an obstacle.
+        course: with its own seed for everything that chance decides on the drive.
+        world: seed of the place.
+        seed: of the drive and of the producers.
+        fault: of ``FAULTS``, done to the scans; empty: none.
+        harmed: the producer that the fault befalls; empty: all of them.
+        is_example: keep its maps' differences to the truth, to be drawn.
+    """
+
+    condition: str
+    course: Course
+    world: int
+    seed: int
+    fault: str = ""
+    harmed: str = ""
+    is_example: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of its files: condition, world and seed."""
+        return f"{self.condition.replace(' ', '-')}-w{self.world}-s{self.seed}"
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """What came of one repetition.
+
+    Attributes:
+        condition, world, seed: of the trial.
+        errors: [F16] error of each producer's map and each fused map, by method.
+        wall_f1: harmonic mean of the walls' precision and recall, by method; 0 without a map.
+        notes: what went wrong, by method: no map, a producer left out.
+    """
+
+    condition: str
+    world: int
+    seed: int
+    errors: Mapping[str, float]
+    wall_f1: Mapping[str, float]
+    notes: Mapping[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the record for a JSON document."""
+        return {
+            "condition": self.condition,
+            "world": self.world,
+            "seed": self.seed,
+            "errors": dict(self.errors),
+            "wall_f1": dict(self.wall_f1),
+            "notes": dict(self.notes),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """The maps of one trial against the truth, to be drawn.
+
+    Attributes:
+        differences: by method (H, W) int8, codes of ``slamfusion.evaluation``, all on one lattice.
+        resolution: metres per cell.
+    """
+
+    differences: Mapping[str, npt.NDArray[np.int8]]
+    resolution: float
+
+
+def alone(fusion: str) -> str:
+    """Return what a way to vote is called where the harmed producer is left out beforehand."""
+    return f"{fusion}, others alone"
+
+
+# --- one trial -----------------------------------------------------------------------------------
+
+
+def measure_trial(
+    trial: Trial, config: RunConfig, backend: Backend
+) -> tuple[TrialRecord, dict[str, MapError]]:
+    """Drive, run the producers, fuse their maps in every way, and measure all maps.
+
+    Each map is laid on the truth where its [F16] error is smaller: in the frame that drive and
+    truth share, or where the alignment search puts it. Where there is no map (a producer that
+    failed, maps of which no two agree), the error is that of a map that knows nothing.
+
+    Args:
+        trial: what to drive.
+        config: settings of producers and fusion; its seed gives way to the trial's.
+        backend: computes.
+
+    Returns:
+        The record, and each map's error with its difference to the truth.
+
+    Raises:
+        SimulationError: the course cannot be driven.
+    """
+    config = replace(config, seed=trial.seed)
+    recording = simulate(trial.course, backend)
+    notes: dict[str, str] = {}
+    maps, paths = _produce(trial, recording, config, backend, notes)
+    fused = _fuse(trial, maps, paths, config, backend, notes)
+    found = {
+        name: _against_truth(grid, recording.world.grid, config, backend)
+        for name, grid in (maps | fused).items()
+    }
+    record = TrialRecord(
+        trial.condition,
+        trial.world,
+        trial.seed,
+        {name: item.error for name, item in found.items()},
+        {name: item.wall_f1 or 0.0 for name, item in found.items()},
+        notes,
+    )
+    return record, found
+
+
+def _produce(
+    trial: Trial, recording: Recording, config: RunConfig, backend: Backend, notes: dict[str, str]
+) -> tuple[dict[str, OccupancyGrid | None], dict[str, Trajectory]]:
+    """Return each producer's map, None where it made none, and the paths found with them."""
+    faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
+    maps: dict[str, OccupancyGrid | None] = {}
+    paths = {}
+    for name in PRODUCERS:
+        scans = faulty if trial.harmed in {"", name} else recording.scans
+        try:
+            run = run_producer(make_producer(name, config, backend), scans)
+        except SlamFusionError as error:
+            maps[name], notes[name] = None, str(error)
+            continue
+        maps[name], paths[name] = run.grid, run.trajectory
+    return maps, paths
+
+
+def _fuse(
+    trial: Trial,
+    maps: Mapping[str, OccupancyGrid | None],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    backend: Backend,
+    notes: dict[str, str],
+) -> dict[str, OccupancyGrid | None]:
+    """Fuse as ``run`` does: the plain vote decides who votes, then the same maps vote otherwise."""
+    grids = [grid for grid in maps.values() if grid is not None]
+    align = replace(config.fusion.align, shared_frame=True, deadline_s=PATIENCE_S)
+    config = replace(config, fusion=replace(config.fusion, align=align))
+    fused = _vote_every_way(grids, paths, config, backend, notes)
+    if trial.harmed:
+        rest = [grid for grid in grids if grid.name != trial.harmed]
+        own_notes: dict[str, str] = {}
+        others = _vote_every_way(rest, paths, config, backend, own_notes)
+        fused |= {alone(mode): grid for mode, grid in others.items()}
+        notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}
+    return fused
+
+
+def _vote_every_way(
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    backend: Backend,
+    notes: dict[str, str],
+) -> dict[str, OccupancyGrid | None]:
+    """Return the fused map of every way to vote, None where nothing is fused."""
+    fused: dict[str, OccupancyGrid | None] = dict.fromkeys(FUSIONS)
+    plain = _vote_plainly(grids, paths, config, backend, notes)
+    if plain is not None:
+        voters = [record.grid for record in plain.accepted]
+        fused[PLAIN] = plain.fused
+        for mode in FUSIONS:
+            if mode != PLAIN:
+                fused[mode] = fuse_grids(voters, _voting(config.fusion, mode), backend).fused
+    return fused
+
+
+def _vote_plainly(
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    backend: Backend,
+    notes: dict[str, str],
+) -> FusionResult | None:
+    """Return the plain vote of maps, None where there is none; ``notes`` say what went wrong."""
+    if len(grids) < LEAST_FUSED:
+        notes[PLAIN] = f"fewer than {LEAST_FUSED} maps were made"
+        return None
+    kept = {grid.name: paths[grid.name] for grid in grids}
+    settings = _voting(config.fusion, PLAIN)
+    try:
+        result, _ = fuse_with_paths(grids, kept, settings, config.run.path_gap_m, backend)
+    except AlignmentError as error:
+        notes[PLAIN] = str(error)
+        return None
+    for record in result.rejected:
+        notes[f"{PLAIN} without {record.name}"] = record.reason
+    return result
+
+
+def _voting(config: FusionConfig, mode: str) -> FusionConfig:
+    return replace(config, vote=replace(config.vote, mode=mode))
+
+
+def _against_truth(
+    grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, backend: Backend
+) -> MapError:
+    """Measure a map where it lies best on the truth; None is a map that knows nothing."""
+    nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
+    known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
+    transforms = [IDENTITY]
+    align = replace(config.fusion.align, deadline_s=PATIENCE_S)
+    settings = replace(config.fusion, align=align)
+    if grid is not None:
+        with suppress(GridError):  # not one known cell: it lies as well anywhere
+            transforms.append(align_grids(truth, grid, settings, backend).transform)
+    errors = [
+        compare_to_truth(
+            known,
+            truth,
+            transform,
+            normalize=config.fusion.normalize,
+            tolerance_m=config.evaluate.tolerance_m,
+        )
+        for transform in transforms
+    ]
+    return min(errors, key=lambda item: item.error)
+
+
+# --- many trials ---------------------------------------------------------------------------------
+
+
+def run_trials(
+    trials: Sequence[Trial],
+    config: RunConfig,
+    folder: Path,
+    *,
+    processes: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[TrialRecord]:
+    """Run the trials that no file of an earlier run holds, several at a time.
+
+    Args:
+        trials: their keys differ.
+        config: settings of everything; a file that was made with others is not believed.
+        folder: each trial that is done is at once a JSON file in its folder ``trials``.
+        processes: trials at the same time; None: as many as cores.
+        progress: told the trials that are done.
+
+    Returns:
+        The records in the order of the trials: the same whether made now or before.
+
+    Raises:
+        SlamFusionError: a course that cannot be driven, or a process that died. What is done stays
+            done: started again, the rest is run.
+    """
+    folder = folder / FOLDER
+    marks = {trial.key: _fingerprint(trial, config) for trial in trials}
+    done = {
+        trial.key: record
+        for trial in trials
+        if (record := _read(folder, trial, marks[trial.key])) is not None
+    }
+    missing = [trial for trial in trials if trial.key not in done]
+
+    def tell() -> None:
+        if progress is not None:
+            progress("drives", len(done), len(trials))
+
+    tell()
+    count = min(processes or usable_cores(), len(missing))
+    for trial, (record, pictures) in _run(missing, config, count):
+        _write(folder, trial, marks[trial.key], record, pictures)
+        done[trial.key] = record
+        tell()
+    return [done[trial.key] for trial in trials]
+
+
+Done = tuple[TrialRecord, bytes | None]
+
+
+def _run(
+    trials: Sequence[Trial], config: RunConfig, processes: int
+) -> Iterator[tuple[Trial, Done]]:
+    """Yield each trial with what came of it, in the order in which they end."""
+    if processes <= 1:
+        for trial in trials:
+            yield trial, _work(trial, config)
+        return
+    threads = max(1, usable_cores() // processes)
+    context = multiprocessing.get_context("spawn")
+    with _threads_limited(threads):
+        pool = ProcessPoolExecutor(processes, context, _begin)
+        jobs = {pool.submit(_work, trial, config): trial for trial in trials}
+    try:
+        for job in as_completed(jobs):
+            yield jobs[job], job.result()
+    except BrokenProcessPool:
+        message = "a process of the experiment died (out of memory?); start it again, it goes on"
+        raise SlamFusionError(message) from None
+    finally:
+        # Those at work come to their end unheard, which takes seconds; the others do not begin.
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _threads_limited(threads: int) -> Iterator[None]:
+    """Let processes started meanwhile share the cores; what is set already is left alone."""
+    added = [name for name in THREAD_VARIABLES if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, str(threads)))
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
+def _begin() -> None:
+    """Prepare a process: the caller alone is interrupted, and none outlives it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow, daemon=True).start()
+
+
+def _follow() -> None:
+    """End with the caller."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+_backends: dict[str | None, Backend] = {}
+
+
+def _work(trial: Trial, config: RunConfig) -> Done:
+    """Run a trial; a process opens its device once."""
+    device = config.device.device
+    if device not in _backends:
+        _backends[device] = open_backend(device)
+    return _done(trial, config, _backends[device])
+
+
+def _done(trial: Trial, config: RunConfig, backend: Backend) -> Done:
+    """Run a trial, and pack what an example shows."""
+    try:
+        record, found = measure_trial(trial, config, backend)
+    except SlamFusionError as error:
+        message = f"{trial.key}: {error}"
+        raise SlamFusionError(message) from None
+    if not trial.is_example:
+        return record, None
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = {f"map {name}": item.difference for name, item in found.items()}
+    arrays["resolution"] = np.float64(trial.course.world.resolution)
+    np.savez_compressed(buffer, **arrays)
+    return record, buffer.getvalue()
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def _fingerprint(trial: Trial, config: RunConfig) -> str:
+    """Return what tells trials apart that have one name but other settings."""
+    settings = to_mapping(replace(config, seed=trial.seed))
+    for unrelated in ("experiment", "live", "log", "graph_optimizer", "simulate"):
+        del settings[unrelated]
+    course = course_to_mapping(trial.course)
+    versions = [FORMAT, slamfusion.__version__, FUSIONS]
+    facts = [course, trial.fault, trial.harmed, trial.is_example, settings, versions]
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _read(folder: Path, trial: Trial, mark: str) -> TrialRecord | None:
+    """Return what an earlier run left of a trial; None where it is missing, damaged or another."""
+    try:
+        values = json.loads((folder / f"{trial.key}.json").read_text(encoding="utf-8"))
+        if values.pop("fingerprint") != mark:
+            return None
+        if trial.is_example and not (folder / f"{trial.key}.npz").is_file():
+            return None
+        return TrialRecord(**values)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _write(
+    folder: Path, trial: Trial, mark: str, record: TrialRecord, pictures: bytes | None
+) -> None:
+    """Write what came of a trial, whole or not at all; the same trial gives the same bytes."""
+    text = json.dumps({"fingerprint": mark, **record.to_json()}, indent=1, allow_nan=False)
+    with AtomicFiles() as files:
+        files.add(folder / f"{trial.key}.json", f"{text}\n".encode())
+        if pictures is not None:
+            files.add(folder / f"{trial.key}.npz", pictures)
+
+
+def read_example(folder: Path, trial: Trial) -> Example:
+    """Return the maps of an example that was run.
+
+    Raises:
+        OSError: it was not.
+    """
+    with np.load(folder / FOLDER / f"{trial.key}.npz") as stored:
+        differences = {
+            name.removeprefix("map "): np.asarray(stored[name], dtype=np.int8)
+            for name in stored.files
+            if name != "resolution"
+        }
+        return Example(differences, float(stored["resolution"]))

@@ -1,0 +1,186 @@
+"""Player, three producers and the fusion as a robot runs them, beside the same log offline.
+
+    python -m tests.benchmarks.bench_nodes --minutes 10
+
+A simulated laser of 360 beams at 10 Hz drives through an office; the player sends at rate 1, each
+node is a process, all over DDS. Shown for each producer: the error of the poses that it told (root
+mean square of the places, and the 95th percentile) against that of the same scans fed one by one,
+scans dropped, the longest queue, the latency over scans (median and 95th percentile of the last
+300, at the end and at its worst), what it keeps in memory a quarter of the way in and at the end,
+and its processor time a second. For the fusion: the latency from a map's arrival to the fused
+map's publication. A busy machine shows in all of it: the load is printed too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rich.console import Console
+from rich.table import Table
+
+from slamfusion.compute import open_backend
+from slamfusion.config import RunConfig, SimulateConfig, TrajectoryConfig
+from slamfusion.evaluation.trajectory_error import trajectory_errors
+from slamfusion.io import open_log
+from slamfusion.io.carmen import write_carmen
+from slamfusion.io.log import LogScan
+from slamfusion.ros import messages
+from slamfusion.sim.courses import named_course, with_overrides
+from slamfusion.sim.simulate import Recording, simulate
+from slamfusion.slam.runner import make_producer
+from slamfusion.trajectory import Trajectory
+from tests.ros.drives import as_sent
+from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
+
+PRODUCERS = ("tinyslam", "gmapping", "graph")
+RATE_HZ = 10.0
+SAMPLE_S = 5.0
+
+
+def record(minutes: float) -> Recording:
+    """Return a drive of at least so many minutes, stop by stop again and again."""
+    backend = open_backend()
+    course = with_overrides(named_course("office", 0), SimulateConfig(lidar="rplidar"))
+    course = dataclasses.replace(
+        course, lidar=dataclasses.replace(course.lidar, rate_hz=RATE_HZ), people=0
+    )
+    once = simulate(course, backend)
+    assert once.course.waypoints is not None
+    times = int(60.0 * minutes / (len(once.scans) / RATE_HZ)) + 1
+    again = dataclasses.replace(once.course, waypoints=once.course.waypoints * times)
+    return simulate(again, backend)
+
+
+@dataclass
+class Watch:
+    """What is seen of one process while it runs."""
+
+    process: Process
+    status: str
+    resident_mb: list[float] = field(default_factory=list)
+    waiting: list[int] = field(default_factory=list)
+    p95_ms: list[float] = field(default_factory=list)
+    figures: dict[str, str] = field(default_factory=dict)
+    cpu_s: float = 0.0
+
+    def look(self, observer: Observer) -> None:
+        """Note memory, processor time and what the diagnostics say."""
+        number = self.process.process.pid
+        pages = Path(f"/proc/{number}/statm").read_text().split()[1]
+        self.resident_mb.append(int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6)
+        ticks = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[11:13]
+        self.cpu_s = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+        told = observer.statuses().get(self.status)
+        if told is not None:
+            self.figures = values(told)
+            self.waiting.append(int(self.figures.get("scans waiting", 0)))
+            self.p95_ms.append(float(self.figures["latency p95 [ms]"]))
+
+
+def error_cm(poses: Trajectory, truth: Trajectory) -> str:
+    """Return the root mean square and 95th percentile of the places' errors, as text."""
+    errors = trajectory_errors(poses, truth, TrajectoryConfig()).translation_m
+    return f"{100 * np.sqrt((errors**2).mean()):.2f} / {100 * np.percentile(errors, 95):.2f}"
+
+
+def offline(kind: str, scans: list[LogScan]) -> Trajectory:
+    """Return the poses that a producer tells at each scan, fed one by one."""
+    producer = make_producer(kind, RunConfig(), open_backend())
+    rows = []
+    for item in scans:
+        pose = producer.feed(item.scan, item.odometry).pose_map_base
+        rows.append((item.scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
+    table = np.array(rows)
+    return Trajectory(table[:, 0], table[:, 1:], kind)
+
+
+def heard(kind: str, poses: list[PoseStamped]) -> Trajectory:
+    """Return the poses that a node told."""
+    found = {messages.stamp_s(item): messages.pose2_from_message(item.pose) for item in poses}
+    stamps = sorted(found)
+    table = np.array([(found[s].x, found[s].y, found[s].yaw_rad) for s in stamps])
+    return Trajectory(np.array(stamps), table, kind)
+
+
+def play(log: Path, folder: Path, seconds: float) -> tuple[dict[str, Watch], dict[str, Trajectory]]:
+    """Run all nodes on the log, and return what was seen of each and the poses they told."""
+    with (
+        free_domain() as domain,
+        Processes(ros_environment(domain), folder) as run,
+        Observer(domain) as observer,
+    ):
+        poses = {kind: observer.collect(PoseStamped, f"{kind}/pose") for kind in PRODUCERS}
+        watches = {"fusion": Watch(run.node("fusion"), "fusion: fusion")}
+        for kind in PRODUCERS:
+            watches[kind] = Watch(run.node(kind), f"{kind}: slam")
+        player = run.node("player", file=str(log), wait_for=list(PRODUCERS))
+        observer.wait(lambda: all(poses.values()), 120.0, "the first poses")
+        began_s = next_s = time.monotonic()
+        while player.is_running and time.monotonic() - began_s < seconds + 60.0:
+            next_s += SAMPLE_S
+            observer.listen(next_s - time.monotonic())
+            for watch in watches.values():
+                watch.look(observer)
+        observer.listen(3.0)
+        for watch in watches.values():
+            watch.look(observer)
+        return watches, {kind: heard(kind, items) for kind, items in poses.items()}
+
+
+def show(watches: dict[str, Watch], online: dict[str, str], alone: dict[str, str]) -> None:
+    """Print a row for each node."""
+    table = Table(title=f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f} over five minutes")
+    columns = (
+        "node", "error cm: live", "offline", "fed", "dropped", "longest queue",
+        "latency ms: median", "p95", "worst p95", "MB: a quarter in", "at the end", "CPU share",
+    )  # fmt: skip
+    for column in columns:
+        table.add_column(column)
+    for name, watch in watches.items():
+        told = watch.figures
+        mb = watch.resident_mb
+        table.add_row(
+            name,
+            online.get(name, "-"),
+            alone.get(name, "-"),
+            told.get("scans fed", f"{told.get('maps published')} maps"),
+            told.get("scans dropped", "-"),
+            str(max(watch.waiting, default=0)),
+            told["latency median [ms]"],
+            told["latency p95 [ms]"],
+            f"{max(watch.p95_ms):.4g}",
+            f"{mb[len(mb) // 4]:.0f}",
+            f"{mb[-1]:.0f}",
+            f"{watch.cpu_s / (SAMPLE_S * len(mb)):.2f}",
+        )
+    Console(width=160).print(table)
+
+
+def main() -> None:
+    """Record, play, feed the same offline, and print."""
+    parser = argparse.ArgumentParser(description="The nodes at rate 1 beside the offline run.")
+    parser.add_argument("--minutes", type=float, default=10.0)
+    minutes = parser.parse_args().minutes
+    recording = record(minutes)
+    scans = recording.scans[: int(60.0 * minutes * RATE_HZ)]
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "office.log"
+        write_carmen(log, scans)
+        watches, told = play(log, Path(folder), 60.0 * minutes)
+        sent = list(as_sent(open_log(log)))
+    truth = recording.truth
+    online = {kind: error_cm(path, truth) for kind, path in told.items()}
+    alone = {kind: error_cm(offline(kind, sent), truth) for kind in PRODUCERS}
+    show(watches, online, alone)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Tables over drawn errors: means by hand, the best input, tests by pairs, and what is written."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.experiments import ErrorTable, TrialRecord, write_error_table
+from slamfusion.experiments.trials import FUSIONS, alone
+
+PRODUCERS = ("tinyslam", "gmapping", "graph")
+
+
+def record(condition: str, seed: int, errors: dict[str, float], **notes: str) -> TrialRecord:
+    full = {**dict.fromkeys(PRODUCERS, 100.0), **dict.fromkeys(FUSIONS, 100.0), **errors}
+    return TrialRecord(condition, 1, seed, full, dict.fromkeys(full, 0.5), notes)
+
+
+def drawn(gain: float, count: int = 12) -> ErrorTable:
+    """The graph is the best input at 90 on the mean; the plain vote is better by ``gain``."""
+    rng = np.random.default_rng(0)
+    records = []
+    for seed in range(count):
+        hard = float(rng.normal(0.0, 8.0))
+        fused = 90.0 + hard - gain + float(rng.normal(0.0, 0.5))
+        records.append(record("hall", seed, {"graph": 90.0 + hard, "majority": fused}))
+    return ErrorTable("drawn", tuple(records))
+
+
+def test_the_best_input_has_the_smallest_mean_not_the_smallest_error() -> None:
+    table = ErrorTable(
+        "t",
+        (
+            record("hall", 0, {"tinyslam": 10.0, "gmapping": 50.0}),
+            record("hall", 1, {"tinyslam": 99.0, "gmapping": 50.0}),
+        ),
+    )
+    assert table.best_input("hall") == "gmapping"
+
+
+def test_a_clear_gain_is_found_by_pairs_and_not_without() -> None:
+    table = drawn(3.0)
+    (pair,) = (item for item in table.pairs("hall") if item.second == "majority" == item.second
+               and item.first == "graph")  # fmt: skip
+    assert pair.pooled > 0.2
+    assert pair.holm < 1e-3
+    assert pair.holm >= pair.paired.t_test
+    against = table.against_best("hall")[FUSIONS.index("majority")]
+    assert (against.best, against.fusion) == ("graph", "majority")
+    assert against.ratio < 0.98
+    assert against.interval is not None
+    assert against.interval.low < against.ratio < against.interval.high < 1.0
+    assert "below graph, the best input (95 % interval -" in against.sentence()
+    assert "chance" not in against.sentence()
+
+
+def test_no_gain_is_called_chance() -> None:
+    (against, *_) = drawn(0.0).against_best("hall")
+    assert "may be chance" in against.sentence()
+
+
+def test_a_single_drive_proves_nothing() -> None:
+    table = drawn(3.0, count=1)
+    assert table.pairs("hall") == []
+    assert table.p_sheets("hall") == []
+    assert "nothing can be tested" in table.sentences()[0]
+    assert table.to_json()["summaries"][0]["interval"] is None
+
+
+def test_overall_weighs_conditions_and_tells_the_worst() -> None:
+    table = ErrorTable(
+        "t",
+        (
+            record("a", 0, {"graph": 50.0, "majority": 60.0}),
+            record("b", 0, {"graph": 90.0, "majority": 45.0}),
+        ),
+    )
+    overall = table.overall()["majority"]
+    assert overall["ratio"] == pytest.approx(105.0 / 140.0)
+    assert overall["worst"] == pytest.approx(1.2)
+    assert table.sentences()[-len(FUSIONS)] == (
+        "all conditions: majority -25.0 % against the best inputs, +20.0 % where it stands worst."
+    )
+
+
+def test_a_harmed_producer_is_held_against_the_others_alone() -> None:
+    others = {alone(fusion): 80.0 for fusion in FUSIONS}
+    table = ErrorTable("t", (record("a", 0, {}), record("b", 0, {"weighted": 84.0, **others})))
+    assert table.methods() == [*PRODUCERS, *FUSIONS]
+    assert table.against_others("a") == {}
+    assert table.against_others("b")["weighted"] == pytest.approx(1.05)
+    (row,) = (row for row in table.harmed_sheet().rows if "weighted" in row)
+    assert row == ("b", "weighted", "84.00", "80.00", "+5.0 %")
+    assert "b: weighted +5.0 % against fusing the others alone." in table.sentences()
+    assert list(table.to_json()["against_others_alone"]) == ["b"]
+
+
+def test_what_was_left_out_is_counted_with_its_reason() -> None:
+    table = ErrorTable(
+        "t", (record("a", 0, {}, majority="no two agree"), record("a", 1, {}), record("a", 2, {}))
+    )
+    assert table.notes_sheet().rows == (("a", "majority", "1 of 3", "no two agree"),)
+    assert table.sheets(details=False)[-1].title == "What was left out"
+
+
+def test_files_hold_every_error_and_the_tables(tmp_path: Path) -> None:
+    table = drawn(3.0)
+    files = write_error_table(tmp_path, "stem", table, {"device": "none"}, details=True)
+    assert [path.name for path in files] == ["stem.csv", "stem.md", "stem.json"]
+    with (tmp_path / "stem.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12 * len(table.methods())
+    read = [float(row["error"]) for row in rows if row["method"] == "majority"]
+    assert read == table.errors("hall", "majority")
+    document = json.loads((tmp_path / "stem.json").read_text(encoding="utf-8"))
+    assert document["device"] == "none"
+    assert len(document["pairs"]) == len(table.methods()) * (len(table.methods()) - 1) // 2
+    text = (tmp_path / "stem.md").read_text(encoding="utf-8")
+    for title in ("Errors of the maps", "p-values as in [F16], hall", "p-values of pairs, hall"):
+        assert f"## {title}" in text

@@ -1,0 +1,219 @@
+"""Trials of the fusion experiments: what they measure, and how they go on after an interruption."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import (
+    ExperimentConfig,
+    FailuresConfig,
+    GroundObstacleConfig,
+    RunConfig,
+)
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.experiments import failure_trials, obstacle_trials, read_example
+from slamfusion.experiments import trials as module
+from slamfusion.experiments.failures import FAILURES
+from slamfusion.experiments.faults import FAULTS
+from slamfusion.experiments.trials import FUSIONS, Trial, TrialRecord, alone, run_trials
+from slamfusion.sim import COURSES, simulate
+from slamfusion.slam.runner import PRODUCERS
+
+PARTICLES = 5
+
+
+def small(config: RunConfig = RunConfig()) -> RunConfig:  # noqa: B008 - frozen
+    """Few particles, one drive."""
+    return replace(
+        config,
+        gmapping=replace(config.gmapping, particles=PARTICLES),
+        experiment=ExperimentConfig(
+            ground_obstacle=GroundObstacleConfig(repetitions=1, worlds=1),
+            failures=FailuresConfig(repetitions=1),
+        ),
+    )
+
+
+def short(trial: Trial) -> Trial:
+    """The same trial with a turn of 90 degrees and a metre of way."""
+    turn, forward, _ = trial.course.script
+    script = (replace(turn, turn_deg=90.0), replace(forward, forward_m=1.0))
+    return replace(trial, course=replace(trial.course, script=script))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Trial], list[TrialRecord]]:
+    """Both conditions, run once; in the second one gmapping is lost."""
+    folder = tmp_path_factory.mktemp("trials")
+    trials = [short(trial) for trial in obstacle_trials(small())]
+    trials[1] = replace(trials[1], fault="lose", harmed="gmapping")
+    return folder, trials, run_trials(trials, small(), folder, processes=1)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "trials").iterdir()}
+
+
+def test_every_method_has_an_error(
+    done: tuple[Path, list[Trial], list[TrialRecord]],
+) -> None:
+    _, _, (plain, harmed) = done
+    assert list(plain.errors) == [*PRODUCERS, *FUSIONS]
+    assert list(harmed.errors) == [*PRODUCERS, *FUSIONS, *map(alone, FUSIONS)]
+    assert all(0.0 < error < 200.0 for item in (plain, harmed) for error in item.errors.values())
+    assert (plain.condition, harmed.condition) == ("no obstacle", "obstacle")
+    assert min(plain.wall_f1.values()) > 0.1
+
+
+def test_the_same_seeds_give_the_same_bytes_in_other_processes(
+    done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
+) -> None:
+    folder, trials, records = done
+    told: list[tuple[int, int]] = []
+    again = run_trials(
+        trials, small(), tmp_path, processes=2, progress=lambda _, n, of: told.append((n, of))
+    )
+    assert again == records
+    assert files(tmp_path) == files(folder)
+    assert told == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_what_is_done_is_not_run_again_and_the_rest_is(
+    done: tuple[Path, list[Trial], list[TrialRecord]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, trials, records = done
+    (tmp_path / "trials").mkdir()
+    for name, data in files(folder).items():
+        (tmp_path / "trials" / name).write_bytes(data)
+    ran: list[str] = []
+
+    def work(trial: Trial, _: RunConfig) -> tuple[TrialRecord, bytes | None]:
+        ran.append(trial.key)
+        return records[trials.index(trial)], files(folder)[f"{trial.key}.npz"]
+
+    monkeypatch.setattr(module, "_work", work)
+    assert run_trials(trials, small(), tmp_path, processes=1) == records
+    assert ran == []
+    # A missing file, a damaged one, a lost picture: only that trial is run.
+    for path in ("json", "npz"):
+        (tmp_path / "trials" / f"{trials[0].key}.{path}").unlink()
+        run_trials(trials, small(), tmp_path, processes=1)
+        assert ran == [trials[0].key]
+        ran.clear()
+    (tmp_path / "trials" / f"{trials[1].key}.json").write_text('{"half', encoding="utf-8")
+    assert run_trials(trials, small(), tmp_path, processes=1) == records
+    assert ran == [trials[1].key]
+
+
+def test_other_settings_are_run_anew(
+    done: tuple[Path, list[Trial], list[TrialRecord]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, trials, _ = done
+
+    class RanError(Exception):
+        pass
+
+    def work(*_: object) -> None:
+        raise RanError
+
+    monkeypatch.setattr(module, "_work", work)
+    config = small()
+    other = replace(config, gmapping=replace(config.gmapping, particles=PARTICLES + 1))
+    with pytest.raises(RanError):
+        run_trials(trials, other, folder, processes=1)
+    # How many repetitions there are in all does not matter to one of them.
+    run_trials(trials, replace(config, experiment=ExperimentConfig()), folder, processes=1)
+
+
+def test_an_example_keeps_its_maps(done: tuple[Path, list[Trial], list[TrialRecord]]) -> None:
+    folder, trials, records = done
+    example = read_example(folder, trials[0])
+    assert list(example.differences) == list(records[0].errors)
+    assert example.resolution == trials[0].course.world.resolution
+    squares = np.array([0, 0, 0, 1, 1, 1, 1])  # at least, for each code of a difference
+    for method, codes in example.differences.items():
+        assert math.sqrt(squares[codes].sum()) <= records[0].errors[method]
+
+
+def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:
+    trial = obstacle_trials(small())[0]
+    turn, forward, _ = trial.course.script
+    course = replace(trial.course, script=(replace(forward, forward_m=100.0), turn))
+    with pytest.raises(SlamFusionError, match="no-obstacle-w1-s0: "):
+        run_trials([replace(trial, course=course)], small(), tmp_path, processes=1)
+
+
+def test_where_fewer_than_two_maps_are_made_nothing_is_fused(
+    done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
+) -> None:
+    _, trials, _ = done
+    config = small()
+    blind = replace(
+        config,
+        gmapping=replace(config.gmapping, maxUrange=0.1),
+        tinyslam=replace(config.tinyslam, usable_range_m=0.1),
+    )
+    (record,) = run_trials(trials[:1], blind, tmp_path, processes=1)
+    assert set(record.notes) == {"tinyslam", "gmapping", "majority"}
+    # All of them count as a map that knows nothing, which is worse than the one that was made.
+    nothing = {record.errors[name] for name in ("tinyslam", "gmapping", *FUSIONS)}
+    assert len(nothing) == 1
+    assert nothing.pop() > record.errors["graph"]
+    assert record.wall_f1["majority"] == 0.0
+
+
+def test_drives_are_paired_and_worlds_are_numbered() -> None:
+    settings = GroundObstacleConfig(repetitions=2, worlds=2, first_world=7)
+    config = RunConfig(seed=3, experiment=ExperimentConfig(ground_obstacle=settings))
+    trials = obstacle_trials(config)
+    assert len({trial.key for trial in trials}) == len(trials) == 8
+    assert {trial.world for trial in trials} == {7, 8}
+    assert {trial.course.world.seed for trial in trials} == {7, 8}
+    assert {trial.seed for trial in trials} == {3, 4}
+    assert sum(trial.is_example for trial in trials) == 2
+    without, over = trials[0].course, trials[4].course
+    assert (without.obstacles, over.obstacles) == (False, True)
+    assert replace(over, obstacles=False) == without
+
+
+def test_failures_are_courses_times_lasers() -> None:
+    trials = failure_trials(small())
+    assert len(trials) == 3 * len(FAILURES)
+    assert len({trial.key for trial in trials}) == len(trials)
+    assert {trial.course.lidar.model for trial in trials} == {"kinect", "hokuyo", "rplidar"}
+    assert {trial.harmed for trial in trials} == {"", "gmapping", "tinyslam"}
+    for failure in FAILURES.values():
+        assert failure.course in COURSES
+        assert failure.fault in {"", *FAULTS}
+        assert failure.harmed in {"", *PRODUCERS}
+    places = {trial.condition: trial.course.world.name for trial in trials}
+    assert places["slip, kinect"] == "atrium"
+    assert (places["slip, hokuyo"], places["corridor loop, kinect"]) == ("office", "corridor")
+    few = FailuresConfig(courses="slip, glass", lidars="hokuyo", repetitions=2)
+    config = RunConfig(experiment=ExperimentConfig(failures=few))
+    assert [trial.condition for trial in failure_trials(config)] == (
+        ["slip, hokuyo"] * 2 + ["glass, hokuyo"] * 2
+    )
+
+
+@pytest.mark.parametrize("options", [{"courses": "glas"}, {"lidars": "kinect,sonar"}])
+def test_an_unknown_course_or_laser_is_refused(options: dict[str, str]) -> None:
+    config = RunConfig(experiment=ExperimentConfig(failures=FailuresConfig(**options)))
+    with pytest.raises(ConfigError, match=r"no (course|laser) '(glas|sonar)'; wanted some of"):
+        failure_trials(config)
+
+
+@pytest.mark.parametrize("name", ["loop", "glass", "crowd", "slip"])
+def test_failing_courses_are_driven(name: str) -> None:
+    trials = [item for item in failure_trials(small()) if item.course.name == name]
+    for trial in trials[:2]:
+        recording = simulate(trial.course, module.open_backend("auto"))
+        assert recording.truth.path_length_m() > 30.0
+        assert 200 < len(recording.scans) < 1500

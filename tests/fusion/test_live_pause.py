@@ -1,0 +1,94 @@
+"""What may wait is given up for a map that comes, and nothing is lost by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from slamfusion.compute import Backend
+from slamfusion.fusion.live import LiveInput, LiveUpdate
+from tests.fusion.live_maps import Drive, started, three, touched
+
+
+class Doorbell:
+    """Says that a map waits, from the given question on; counts the questions."""
+
+    def __init__(self, rings_at: int | None) -> None:
+        self.asked = 0
+        self._rings_at = rings_at
+
+    def __call__(self) -> bool:
+        self.asked += 1
+        return self._rings_at is not None and self.asked >= self._rings_at
+
+
+def drifted(backend: Backend) -> Drive:
+    """Return a drive whose ``b`` has changed so much that it waits to be aligned again."""
+    drive = started(backend, track_cells=1)
+    drive.step(touched(three()["b"], 1, 0.003))
+    assert drive.accepted() == "abc"
+    assert not drive.input("b").is_tracked
+    return drive
+
+
+def rest(drive: Drive, is_wanted: Callable[[], bool]) -> LiveUpdate | None:
+    drive.now_s += 0.1
+    return drive.live.update(drive.now_s, is_wanted)
+
+
+def figures(drive: Drive) -> list[object]:
+    shown: list[LiveInput] = list(drive.live.inputs(drive.now_s))
+    return [(r.name, r.transform, r.score, r.overlap, r.accepted, r.reason) for r in shown]
+
+
+def test_an_alignment_that_may_wait_is_given_up_and_begun_again(backend: Backend) -> None:
+    undisturbed = drifted(backend)
+    bell = Doorbell(None)
+    assert rest(undisturbed, bell) is not None
+    assert undisturbed.input("b").is_tracked
+    assert bell.asked > 20
+
+    drive = drifted(backend)
+    before = figures(drive)
+    # What was looked at in its map is kept, so each later try has less to do.
+    for rings_at in (1, 2, 5, 10, bell.asked // 4):
+        ringing = Doorbell(rings_at)
+        assert rest(drive, ringing) is None
+        assert ringing.asked == rings_at
+        assert figures(drive) == before
+    # The map that it was given up for is fused at once; then there is time.
+    drive.step(touched(three()["c"], 2, 0.001))
+    assert not drive.input("b").is_tracked
+    rest(drive, Doorbell(None))
+    assert drive.input("b").is_tracked
+    assert drive.input("b").transform == undisturbed.input("b").transform
+
+
+def test_a_map_that_is_put_meanwhile_ends_it_too(backend: Backend) -> None:
+    drive = drifted(backend)
+    asked = 0
+
+    def put_at_fifth() -> bool:
+        nonlocal asked
+        asked += 1
+        if asked == 5:
+            drive.live.put("c", touched(three()["c"], 2), drive.now_s)
+        return False
+
+    assert rest(drive, put_at_fifth) is None
+    assert asked == 5
+    update = rest(drive, Doorbell(None))
+    assert update is not None
+    assert update.fused is not None
+    assert not drive.input("b").is_tracked
+
+
+def test_what_changed_too_much_to_wait_is_aligned_whatever_comes(backend: Backend) -> None:
+    drive = started(backend, track_cells=1, track_share=1e-4, steady_share=0.5)
+    bell = Doorbell(1)
+    drive.live.put("b", touched(three()["b"], 1, 0.05), drive.now_s)
+    assert rest(drive, bell) is not None
+    assert drive.input("b").is_tracked
+    assert bell.asked == 0
+    assert np.isfinite(drive.input("b").score)
