@@ -167,14 +167,14 @@ class LiveFusion:
 
         Args:
             name: of the input.
-            grid: its map, in its own frame.
+            grid: its map, in its own frame; whatever it is called, it goes by the input's name.
             received_s: when it came, on the clock of ``update``.
             is_saved: read from a file: it never grows stale.
         """
         with self._lock:
             mail = self._mail.setdefault(name, _Mail())
             mail.count(received_s)
-            mail.grid, mail.refused, mail.is_saved = grid, None, is_saved
+            mail.grid, mail.refused, mail.is_saved = grid.with_name(name), None, is_saved
 
     def reject(self, name: str, reason: str, received_s: float) -> None:
         """Count a message that could not be read; the input votes no more until one can."""

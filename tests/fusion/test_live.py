@@ -35,7 +35,17 @@ from tests.fusion.live_maps import (
 # -- the first fusion ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", ["majority", "weighted", "log-odds"])
+def test_a_map_goes_by_the_name_of_its_input(backend: Backend) -> None:
+    live = live_fusion(backend)
+    for index, (name, grid) in enumerate(three().items()):
+        live.put(name, grid.with_name(f"map {index}"), 1.0)
+    update = live.update(1.0)
+    assert update is not None
+    assert update.fused is not None
+    assert [item.name for item in update.inputs if item.accepted] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])
 def test_the_first_fusion_is_that_of_the_offline_command(backend: Backend, mode: str) -> None:
     grids = list(three().values())
     config = replace(fusion_config(), vote=VoteConfig(mode=mode, extent="union"))
