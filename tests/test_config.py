@@ -82,7 +82,10 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
         ({"fusion": {"align": {"step": "x"}}}, "wanted int or NoneType, found 'x'"),
         ({"fusion": {"align": {"window_yaw_rad": 4.0}}}, "[0, 3.14159] rad, found 4.0"),
         ({"fusion": {"align": {"deadline_s": float("nan")}}}, "found nan"),
-        ({"fusion": {"vote": {"mode": "coin"}}}, "majority, weighted, log-odds, found 'coin'"),
+        (
+            {"fusion": {"vote": {"mode": "coin"}}},
+            "majority, consensus, weighted, log-odds, found 'coin'",
+        ),
         ({"fusion": [1]}, "run.yaml: fusion: wanted a mapping of settings, found list"),
         ([1], "run.yaml: wanted a mapping of settings, found list"),
         (

@@ -74,6 +74,8 @@ HOPELESS_TIMES = 10.0
 ROUNDS = 20
 # The square of an error from which dynamic covariance scaling starts to weaken an edge.
 SCALING_FROM = 5.0
+# Sums of squared errors that differ by less are equal.
+EQUAL_COST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,9 +408,10 @@ class _Search:
         return descent
 
     def _keep_better(self, descent: Descent, squares: Array, closures: Mask) -> bool:
-        """Take over a fit if its truncated sum of squares is lower."""
+        """Take over a fit of a lower truncated sum of squares, or of as low a one with more."""
         cost = self._problem.truncated_cost(squares, self._limit)
-        if not cost < self._cost:
+        more = bool((self.used <= closures).all() and (closures & ~self.used).any())
+        if not (cost < self._cost or (more and cost <= self._cost + EQUAL_COST)):
             return False
         self.poses, self._squares, self.used = descent.poses, squares, closures
         self._cost, self._is_converged = cost, descent.is_converged

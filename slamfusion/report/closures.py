@@ -60,7 +60,10 @@ def closures_picture(
         told = compose_poses(path.poses[starts], motions)[:, :2]
         here = path.poses[ends, :2]
         lines = LineCollection(
-            list(np.stack((here, told), axis=1)), colors=[(*unit_rgb(colour), 0.7)], linewidths=0.8
+            list(np.stack((here, told), axis=1)),
+            colors=[unit_rgb(colour)],
+            linewidths=0.8,
+            zorder=3.0,  # above the path
         )
         axes.add_collection(lines, autolim=False)
         axes.plot(
