@@ -68,6 +68,7 @@ def test_there_are_commands_to_run() -> None:
     assert all(blocks())
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("block", blocks(), ids=lambda block: block[0].split()[1])
 def test_commands_run_on_the_bundled_data(tmp_path: Path, block: list[str]) -> None:
     shutil.copytree(ROOT / "data", tmp_path / "data")

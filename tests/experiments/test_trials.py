@@ -24,6 +24,8 @@ from slamfusion.experiments.trials import FUSIONS, Trial, TrialRecord, alone, ru
 from slamfusion.sim import COURSES, simulate
 from slamfusion.slam.runner import PRODUCERS
 
+pytestmark = pytest.mark.once
+
 PARTICLES = 5
 
 

@@ -31,6 +31,8 @@ from tests.slam.places import (
     way_along,
 )
 
+pytestmark = pytest.mark.once
+
 REACH_M = 6.0
 # Way from scan to scan once it has been carried.
 STEP_M = 0.1
