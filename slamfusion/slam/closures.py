@@ -23,7 +23,7 @@ from slamfusion.slam.constraints import Constraint
 from slamfusion.slam.matcher import Guess, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.response import response_information
 from slamfusion.slam.submap import UNSEEN_WALL, Submap
-from slamfusion.slam.window_search import search_window
+from slamfusion.slam.window_search import WindowMatch, search_window
 
 __all__ = ["ClosureSearch", "Found", "How", "Waiting", "WaitingRoom"]
 
@@ -81,6 +81,21 @@ class Found:
     information: F64
 
 
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Poses that are searched.
+
+    Attributes:
+        centre: (3,) in the submap's frame, metres and radians.
+        half_m: how far x and y reach from there.
+        half_rad: how far the yaw does.
+    """
+
+    centre: F64
+    half_m: float
+    half_rad: float
+
+
 class ClosureSearch:
     """Looks for scans in old submaps."""
 
@@ -113,33 +128,19 @@ class ClosureSearch:
             return self._fine(submap, points, guess, least, MOST_UNSEEN)
         most = config.loop_search_space_dimension / 2.0
         half_m = min(drift_m, most)
-        coarse = self._window(submap, points, expected, half_m, turn, WINDOW_SHARE * least)
-        if coarse is None:
-            return "low response"
-        around = Guess(coarse, Spread(0.1, 0.02))
-        found = self._fine(submap, points, around, least, MOST_UNSEEN)
-        if isinstance(found, str):
-            return found
         wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
-        if self._rival(submap, points, expected, wider, turn, found):
-            return "two places fit"
-        return found
+        windows = (_Window(expected, half_m, turn), _Window(expected, wider, turn))
+        return self._only_place(submap, points, windows, least, MOST_UNSEEN)
 
     def anywhere(self, submap: Submap, points: F64, usual: float) -> Found | str:
         """Search all of a submap, for a robot that is lost; see ``near``."""
         least = max(self._config.loop_match_minimum_response, USUAL_SHARE_ANYWHERE * usual)
         middle = np.array([*(0.5 * (submap.low + submap.high)), 0.0])
         half_m = 0.5 * float((submap.high - submap.low).max()) + AROUND_M
-        coarse = self._window(submap, points, middle, half_m, math.pi, WINDOW_SHARE * least)
-        if coarse is None:
-            return "low response"
-        around = Guess(coarse, Spread(0.1, 0.02))
-        found = self._fine(submap, points, around, least, MOST_UNSEEN_ANYWHERE)
-        if isinstance(found, str):
-            return found
-        if self._rival(submap, points, middle, half_m, math.pi, found):
-            return "two places fit"
-        return found
+        everything = _Window(middle, half_m, math.pi)
+        return self._only_place(
+            submap, points, (everything, everything), least, MOST_UNSEEN_ANYWHERE
+        )
 
     def around(
         self, submap: Submap, points: F64, guess: F64, usual: float, *, by_odometry: bool
@@ -158,13 +159,15 @@ class ClosureSearch:
             else nearly as well; or it fits badly, but best where it is expected: then the world
             has changed, not the place.
         """
-        coarse = self._window(submap, points, guess, JUMP_M, JUMP_RAD, 0.0)
-        if coarse is None:
+        window = _Window(guess, JUMP_M, JUMP_RAD)
+        best = self._searched(submap, points, window, 0.0)
+        if best is None:
             return guess, False
+        coarse = best.pose
         least = USUAL_SHARE_ANYWHERE * usual
-        found = self._fine(submap, points, Guess(coarse, Spread(0.1, 0.02)), least, MOST_UNSEEN)
+        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN)
         if isinstance(found, Found):
-            if self._rival(submap, points, guess, JUMP_M, JUMP_RAD, found):
+            if self._rival(submap, points, window, found):
                 return guess, False
             return found.pose, True
         if not by_odometry:
@@ -172,6 +175,23 @@ class ClosureSearch:
         away = np.hypot(*(coarse - guess)[:2])
         turn = abs(wrap_angle(float(coarse[2] - guess[2])))
         return guess, bool(away <= EXPECTED_M and turn <= EXPECTED_RAD)
+
+    def _only_place(
+        self,
+        submap: Submap,
+        points: F64,
+        windows: tuple[_Window, _Window],
+        least: float,
+        most_unseen: float,
+    ) -> Found | str:
+        """Search the first window, judge what is found, and look for a rival in the second."""
+        best = self._searched(submap, points, windows[0], WINDOW_SHARE * least)
+        if best is None:
+            return "low response"
+        found = self._fine(submap, points, _around(best.pose), least, most_unseen)
+        if isinstance(found, Found) and self._rival(submap, points, windows[1], found):
+            return "two places fit"
+        return found
 
     def _fine(
         self, submap: Submap, points: F64, guess: Guess, least: float, most_unseen: float
@@ -191,50 +211,36 @@ class ClosureSearch:
             return "place left open"
         return Found(match.pose, information)
 
-    def _window(
+    def _searched(
         self,
         submap: Submap,
         points: F64,
-        centre: F64,
-        half_m: float,
-        half_rad: float,
+        window: _Window,
         least: float,
         beside: F64 | None = None,
-    ) -> F64 | None:
-        """Return the best pose (3,) of a window, or None where nothing fits."""
+    ) -> WindowMatch | None:
+        """Return the best of a window, not ``beside`` a pose (3,); None where nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)
-        match = search_window(
+        return search_window(
             self._backend,
             submap.pyramid(),
             points[::every],
-            centre,
-            half_m=half_m,
-            half_rad=half_rad,
+            window.centre,
+            half_m=window.half_m,
+            half_rad=window.half_rad,
             resolution=self._config.resolution,
             least=least,
             beside=beside,
         )
-        return None if match is None else match.pose
 
-    def _rival(
-        self, submap: Submap, points: F64, centre: F64, half_m: float, half_rad: float, found: Found
-    ) -> bool:
+    def _rival(self, submap: Submap, points: F64, window: _Window, found: Found) -> bool:
         """Return whether another place of a window fits nearly as well."""
-        every = -(-len(points) // self._config.matcher.beams)
-        own = search_window(
-            self._backend,
-            submap.pyramid(),
-            points[::every],
-            found.pose,
-            half_m=2.0 * self._config.resolution,
-            half_rad=0.02,
-            resolution=self._config.resolution,
-        )
+        peak = _Window(found.pose, 2.0 * self._config.resolution, 0.02)
+        own = self._searched(submap, points, peak, 0.0)
         if own is None:
             return True
         least = RIVAL_SHARE * own.score
-        rival = self._window(submap, points, centre, half_m, half_rad, least, found.pose)
-        return rival is not None
+        return self._searched(submap, points, window, least, found.pose) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,6 +294,11 @@ class WaitingRoom:
             return []
         self.pending = []
         return [closure, *agreeing]
+
+
+def _around(coarse: F64) -> Guess:
+    """Return where the fine search looks around what a window has found."""
+    return Guess(coarse, Spread(0.1, 0.02))
 
 
 def _is_small(pose: Pose2, moved: Pose2) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ from slamfusion.slam.constraints import Constraint, solve_constraints, turned
 from slamfusion.slam.matcher import Match, ScanOnTiles
 from slamfusion.slam.node_map import MapJob, Node, NodeMap
 from slamfusion.slam.relocation import Guess, Relocation
-from slamfusion.slam.response import response_information
+from slamfusion.slam.response import information_of, response_information
 from slamfusion.slam.state import (
     health_record,
     pose_record,
@@ -148,24 +148,8 @@ class GraphHealth(Health):
 
     def to_json(self) -> dict[str, Any]:
         """Return the record for a JSON document."""
-        names = (
-            "nodes",
-            "submaps",
-            "restarts",
-            "breaks",
-            "refound",
-            "parts",
-            "closures_tried",
-            "closures_accepted",
-            "closures_rejected",
-            "closures_doubted",
-            "largest_correction_m",
-            "pauses",
-            "longest_pause_s",
-            "chi2",
-            "solutions",
-            "solve_s",
-        )
+        common = {item.name for item in fields(Health)}
+        names = [item.name for item in fields(self) if item.name not in common]
         return {**super().to_json(), "graph": {name: getattr(self, name) for name in names}}
 
     def doubts(self) -> tuple[str, ...]:
@@ -342,10 +326,7 @@ class GraphSlam:
 
     def grid(self) -> OccupancyGrid:
         """Return the map of all nodes at their poses of today; see ``SlamBackend.grid``."""
-        if not self._nodes:
-            message = f"{self.name}: no scan could be used, so there is no map"
-            raise SlamFusionError(message)
-        return self._map.draw(MapJob(self._nodes, self._settled_poses(), self.name))
+        return self._map.draw(self.map_job(is_settled=True))
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
         """Return what a ``NodeMap`` on another backend draws the map from, in another thread.
@@ -404,8 +385,9 @@ class GraphSlam:
         submap, usual = self._submaps[self._active], self._tracker.usual_score
         match = self._tracker.match(submap.walls(), points, guesses)
         fit = self._fit(submap, points, match, usual)
-        at, is_sure = match.pose, True
+        at, bend, is_sure = match.pose, match.bend, True
         if fit < BAD_SHARE and usual is not None:
+            bend = None
             at, is_sure = self._search.around(
                 submap, points, guesses[0].pose, usual, by_odometry=len(guesses) > 1
             )
@@ -430,7 +412,7 @@ class GraphSlam:
         pose = _pose(self._poses[submap.anchor]).compose(local)
         self._responses.append((scan.stamp_s, match.score))
         number = self._add_node(scan, points, known, pose)
-        self._tie(number, points, local)
+        self._tie(number, points, local, bend)
         local = self._grow(number, local)
         self._tracker.pose = local  # another submap may be the growing one now
         if config.do_loop_closing:
@@ -458,8 +440,7 @@ class GraphSlam:
     def _lose(self, scan: LaserScan, points: F64, known: Pose2 | None, local: Pose2) -> Step:
         """Begin a part for a lost robot; the old ones stay as they are."""
         self.health.restarts += 1
-        self._searched = {}
-        self._relocation = Relocation()
+        self._look_anew()
         self._in_vain = 0
         self._lost_m = self._travelled_m
         reason = "the robot is lost: a new submap begins, placed by odometry alone"
@@ -552,10 +533,21 @@ class GraphSlam:
         laser = node.laser.astype(np.float64)
         return fill_walls(node.points(), laser, WALL_CELLS * self._config.resolution), laser
 
-    def _tie(self, number: int, points: F64, local: Pose2) -> None:
-        """Tie a node to the anchors of the submaps that it is written into, and to odometry."""
+    def _tie(self, number: int, points: F64, local: Pose2, bend: F64 | None) -> None:
+        """Tie a node to the anchors of the submaps that it is written into, and to odometry.
+
+        Args:
+            number: of the node.
+            points: (P, 2) its hits in the robot's frame, metres.
+            local: its pose in the growing submap.
+            bend: (3, 3) of the response there; None: not measured yet.
+        """
         active = self._submaps[self._active]
-        information = self._information(active, points, _vector(local))
+        if bend is None:
+            scan = ScanOnTiles(self._backend, active.walls(), points, self._config.matcher.beams)
+            information = response_information(scan, _vector(local))
+        else:
+            information = information_of(bend)
         self._edges.append(Constraint(active.anchor, number, _vector(local), information))
         if self._active + 1 < len(self._submaps):
             other = self._submaps[self._active + 1]
@@ -600,11 +592,6 @@ class GraphSlam:
             begun.insert(*points, IDENTITY)
         self._node_pose = local
         return local
-
-    def _information(self, submap: Submap, points: F64, pose: F64) -> F64:
-        """Return (3, 3) how surely a match on a submap tells a pose."""
-        scan = ScanOnTiles(self._backend, submap.walls(), points, self._config.matcher.beams)
-        return response_information(scan, pose)
 
     # -- closures --------------------------------------------------------------------------------
 
@@ -691,6 +678,10 @@ class GraphSlam:
         self._parts = [kept if part == moved else part for part in self._parts]
         self.health.parts = len(set(self._parts))
         self.health.refound += 1
+        self._look_anew()
+
+    def _look_anew(self) -> None:
+        """Forget what was searched for a lost robot, and what was guessed."""
         self._searched = {}
         self._relocation = Relocation()
 
@@ -707,29 +698,24 @@ class GraphSlam:
         """
         if self.health.parts < 2:
             return []
-        old = [
-            (index, submap)
-            for index, submap in enumerate(self._submaps[: self._active])
-            if self._parts[index] != self._parts[self._active]
-        ]
-        near = sorted((self._distance_m(submap, pose), index) for index, submap in old)
+        others = self._others()
+        away_m = self._distances_m(pose)
         drift_m = LOST_DRIFT_M + DRIFT_SHARE * (self._travelled_m - self._lost_m)
-        looks = [_Look(near[0][1], pose, drift_m, "odometry")]
+        looks = [_Look(others[int(away_m[others].argmin())], pose, drift_m, "odometry")]
         self._in_vain += 1
         if self._in_vain <= IN_VAIN:
             return looks
         for guess in self._relocation.to_test():
             guess.tested = len(self._nodes)
             expected = guess.correction.compose(pose)
-            away_m, index = min(
-                (self._distance_m(submap, expected), index) for index, submap in old
-            )
-            if away_m < INSIDE_M:
-                looks.append(_Look(index, expected, REFOUND_DRIFT_M, "anywhere", guess))
+            outside_m = self._distances_m(expected)[others]
+            nearest = int(outside_m.argmin())
+            if outside_m[nearest] < INSIDE_M:
+                looks.append(_Look(others[nearest], expected, REFOUND_DRIFT_M, "anywhere", guess))
         # The ones that have not been searched yet first, and of these the near ones.
-        distances = {index: away_m for away_m, index in near}
         rounds = sorted(
-            (self._searched.get(index, 0), distances[index], index) for index in self._to_search()
+            (self._searched.get(index, 0), float(away_m[index]), index)
+            for index in self._to_search()
         )
         for times, _, index in rounds[:ANYWHERE_LOOKS]:
             if times == 0 or len(self._nodes) % ANYWHERE_NODES == 0:
@@ -739,19 +725,28 @@ class GraphSlam:
 
     def _to_search(self) -> list[int]:
         """Return submaps that together hold every scan of the other parts: all overlap by half."""
-        own = self._parts[self._active]
-        others = [index for index in range(self._active) if self._parts[index] != own]
+        others = self._others()
+        known = set(others)
         return [
             index
             for place, index in enumerate(others)
-            if place % 2 == 0 or index + 1 not in others or index - 1 not in others
+            if place % 2 == 0 or not {index - 1, index + 1} <= known
         ]
+
+    def _others(self) -> list[int]:
+        """Return the submaps of other parts than the robot's."""
+        own = self._parts[self._active]
+        return [index for index in range(self._active) if self._parts[index] != own]
 
     def _looks(self, number: int, pose: Pose2) -> list[_Look]:
         """Return older submaps that the robot may be in again, with how far it may have drifted."""
         config = self._config
+        away_m = self._distances_m(pose)
+        reach_m = config.loop_search_maximum_distance
+        farthest_m = reach_m + LEAST_DRIFT_M + DRIFT_SHARE * self._travelled_m + LOST_DRIFT_M
         found = []
-        for index, submap in enumerate(self._submaps[: self._active]):
+        for index in np.flatnonzero(away_m < farthest_m).tolist():
+            submap = self._submaps[index]
             if submap.scans < config.loop_match_minimum_chain_size:
                 continue
             if number - self._last_tried.get(index, -RETRY_NODES) < RETRY_NODES:
@@ -762,17 +757,24 @@ class GraphSlam:
             drift_m = LEAST_DRIFT_M + DRIFT_SHARE * since_m
             if self._broken_at is not None and submap.anchor < self._broken_at:
                 drift_m += LOST_DRIFT_M
-            distance_m = self._distance_m(submap, pose)
-            if distance_m < config.loop_search_maximum_distance + drift_m:
-                found.append((distance_m, index, drift_m))
+            if away_m[index] < reach_m + drift_m:
+                found.append((float(away_m[index]), index, drift_m))
         return [_Look(index, pose, drift_m) for _, index, drift_m in sorted(found)[:TRIES_PER_NODE]]
 
-    def _distance_m(self, submap: Submap, pose: Pose2) -> float:
-        """Return how far a pose in the map frame is from where the robot was in a submap."""
-        local = _pose(self._poses[submap.anchor]).inverse().compose(pose)
-        place = np.array([local.x, local.y])
-        outside = np.maximum(submap.low - place, place - submap.high).clip(min=0.0)
-        return float(np.hypot(*outside))
+    def _distances_m(self, pose: Pose2) -> F64:
+        """Return how far a pose in the map frame is from where the robot was in old submaps, (S,).
+
+        Of the submaps before the growing one, in their order; 0 within a box around its places.
+        """
+        old = self._submaps[: self._active]
+        anchors = self._poses[[submap.anchor for submap in old]].reshape(-1, 3)
+        low = np.array([submap.low for submap in old]).reshape(-1, 2)
+        high = np.array([submap.high for submap in old]).reshape(-1, 2)
+        x, y = pose.x - anchors[:, 0], pose.y - anchors[:, 1]
+        cos, sin = np.cos(anchors[:, 2]), np.sin(anchors[:, 2])
+        places = np.column_stack((cos * x + sin * y, cos * y - sin * x))
+        outside = np.maximum(low - places, places - high).clip(min=0.0)
+        return np.asarray(np.hypot(outside[:, 0], outside[:, 1]))
 
     def _linked(self, index: int) -> float:
         """Return the robot's way up to where a submap was last tied to it."""

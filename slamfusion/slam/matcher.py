@@ -82,12 +82,14 @@ class Match:
         score: mean wall value under the hits there, 0 to 1.
         objective: the score less the loss for leaving the nearest guess.
         moved: how far the pose lies from the first guess, in spreads, along the worst axis.
+        bend: (3, 3) of the response there, see ``slamfusion.slam.response``; None: not measured.
     """
 
     pose: F64
     score: float
     objective: float
     moved: float
+    bend: F64 | None = None
 
 
 class FieldMap(NamedTuple):

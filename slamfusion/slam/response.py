@@ -11,7 +11,14 @@ import numpy.typing as npt
 
 from slamfusion.slam.matcher import ScanOnTiles
 
-__all__ = ["LEAST_SIGMA", "MOST_SIGMA", "response_information", "settled_by"]
+__all__ = [
+    "LEAST_SIGMA",
+    "MOST_SIGMA",
+    "information_of",
+    "response_bend",
+    "response_information",
+    "settled_by",
+]
 
 F64 = npt.NDArray[np.float64]
 
@@ -37,25 +44,30 @@ def response_information(scan: ScanOnTiles, pose: F64) -> F64:
         scan: over the map.
         pose: (3,) the match, metres and radians.
     """
-    values, vectors = np.linalg.eigh(RESPONSE_GAIN * _bend(scan, pose) * _UNITS)
+    return information_of(response_bend(scan, pose))
+
+
+def information_of(bend: F64) -> F64:
+    """Return (3, 3) the information of a match around which the response bends so, (3, 3)."""
+    values, vectors = np.linalg.eigh(RESPONSE_GAIN * bend * _UNITS)
     kept = np.clip(values, MOST_SIGMA**-2.0, LEAST_SIGMA**-2.0)
     is_place = np.hypot(vectors[0], vectors[1]) > np.abs(vectors[2])
     kept[is_place & (values < OPEN_SIGMA**-2.0)] = MOST_SIGMA**-2.0
     return np.asarray((vectors * kept) @ vectors.T / _UNITS)
 
 
-def settled_by(scan: ScanOnTiles, pose: F64, guess: F64) -> F64:
+def settled_by(bend: F64, pose: F64, guess: F64) -> F64:
     """Return a match moved to a guess along the direction in which it tells nothing, if any.
 
     Where walls run along, new readings lie thinner than old ones, which draws a match back;
     odometry knows better.
 
     Args:
-        scan: over the map.
-        pose: (3,) the match.
+        bend: (3, 3) of the response at the match.
+        pose: (3,) the match; it is this array that comes back where every direction is told.
         guess: (3,) where odometry has the robot.
     """
-    values, vectors = np.linalg.eigh(RESPONSE_GAIN * _bend(scan, pose)[:2, :2])
+    values, vectors = np.linalg.eigh(RESPONSE_GAIN * bend[:2, :2])
     if values[0] >= OPEN_SIGMA**-2.0:
         return pose
     settled, along = pose.copy(), vectors[:, 0]
@@ -63,11 +75,15 @@ def settled_by(scan: ScanOnTiles, pose: F64, guess: F64) -> F64:
     return settled
 
 
-def _bend(scan: ScanOnTiles, pose: F64) -> F64:
+def response_bend(scan: ScanOnTiles, pose: F64) -> F64:
     """Return (3, 3) how fast the response falls: its second derivatives, negative.
 
     Measured along x and y and then once more along their own axes: a wall's response is no
     parabola, and across it differences along other axes see a bend where there is none.
+
+    Args:
+        scan: over the map.
+        pose: (3,) the match, metres and radians.
     """
     _, vectors = np.linalg.eigh(_bend_along(scan, pose, np.eye(3))[:2, :2])
     axes = np.eye(3)

@@ -19,7 +19,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.base import Health
 from slamfusion.slam.matcher import FieldMap, Guess, Match, ScanOnTiles, Spread, search_pose
-from slamfusion.slam.response import settled_by
+from slamfusion.slam.response import response_bend, settled_by
 
 __all__ = ["Tracker"]
 
@@ -113,7 +113,10 @@ class Tracker:
             if again.score > match.score + SECOND_LOOK_GAIN:
                 match = again
         if self.minds_open and len(guesses) > 1:
-            match = replace(match, pose=settled_by(scan, match.pose, guesses[0].pose))
+            bend = response_bend(scan, match.pose)
+            pose = settled_by(bend, match.pose, guesses[0].pose)
+            is_settled = pose is not match.pose  # the bend is that of another place then
+            match = replace(match, pose=pose, bend=None if is_settled else bend)
         self._remember(match.score)
         return match
 

@@ -18,6 +18,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.matcher import ScanOnTiles
+from slamfusion.slam.response import response_information
 from slamfusion.slam.submap import Submap
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import CELL_M
@@ -246,7 +248,8 @@ class Place:
     def information(self, pose: Pose2, points: F64) -> F64:
         """Return (3, 3) what a match tells."""
         at = np.array([pose.x, pose.y, pose.yaw_rad])
-        return self.slam._information(self.submap, points, at)
+        scan = ScanOnTiles(self.slam._backend, self.submap.walls(), points, 180)
+        return response_information(scan, at)
 
 
 def place_of(backend: Backend, cells: U8, poses: list[Pose2]) -> Place:

@@ -16,12 +16,12 @@ from slamfusion.compute import Backend, open_backend
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.constraints import turned
-from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.matcher import Guess, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.response import (
     LEAST_SIGMA,
     MOST_SIGMA,
     OPEN_SIGMA,
+    response_bend,
     response_information,
     settled_by,
 )
@@ -54,7 +54,7 @@ def test_two_even_walls_tell_nothing_along_them(backend: Backend, yaw_rad: float
 
     Oblique to the cells the score changes by a thousandth from place to place, which is told.
     """
-    slam, submap = GraphSlam(GraphConfig(), backend), Submap(backend, 0, CELL_M, 0.1)
+    submap = Submap(backend, 0, CELL_M, 0.1)
     frame, walls = Pose2(0.4, -0.3, yaw_rad), {}
     for half_m in (3.0, 6.0):
         along = np.arange(-half_m, half_m, 0.01)
@@ -62,7 +62,8 @@ def test_two_even_walls_tell_nothing_along_them(backend: Backend, yaw_rad: float
         walls[half_m] = np.concatenate(both)
     submap.insert(walls[6.0], NO_LASER, frame)
     at = np.array([frame.x, frame.y, yaw_rad])
-    found = turned(slam._information(submap, walls[3.0], at), -yaw_rad)
+    scan = ScanOnTiles(backend, submap.walls(), walls[3.0], 180)
+    found = turned(response_information(scan, at), -yaw_rad)
     assert 0.99 * MOST_SIGMA**-2.0 < found[0, 0] < most
     assert found[1, 1] > 1000.0
     assert found[2, 2] > 1000.0
@@ -179,6 +180,11 @@ def scan_of(backend: Backend, frame: Pose2, written: F64, points: F64) -> ScanOn
     return ScanOnTiles(backend, submap.walls(), points, 100_000)
 
 
+def settle(scan: ScanOnTiles, match: F64, guess: F64) -> F64:
+    """Return a match as odometry settles it."""
+    return settled_by(response_bend(scan, match), match, guess)
+
+
 def vector(pose: Pose2) -> F64:
     return np.array([pose.x, pose.y, pose.yaw_rad])
 
@@ -195,7 +201,7 @@ def test_along_bare_walls_odometry_has_its_way(
     match = vector(frame)
     guess = vector(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
     before = match.copy()
-    settled = settled_by(scan, match, guess)
+    settled = settle(scan, match, guess)
     wanted = vector(frame.compose(Pose2(ahead_m, 0.0, 0.0)))
     np.testing.assert_allclose(settled[:2], wanted[:2], atol=1e-3)
     assert settled[2] == match[2]
@@ -207,7 +213,7 @@ def test_along_walls_a_little_oblique_to_the_cells_too(backend: Backend, yaw_rad
     frame = Pose2(0.4, -0.3, yaw_rad)
     scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
     guess = frame.compose(Pose2(1.0, 0.2, 0.1))
-    settled = Pose2(*(float(v) for v in settled_by(scan, vector(frame), vector(guess))))
+    settled = Pose2(*(float(v) for v in settle(scan, vector(frame), vector(guess))))
     moved = frame.inverse().compose(settled)
     assert moved.x == pytest.approx(1.0, abs=0.02)
     assert moved.y == pytest.approx(0.0, abs=0.02)
@@ -222,7 +228,7 @@ def test_in_a_drawn_corridor_odometry_decides_along_it(corridor: Place):
         points = corridor.points(pose, 100 + index, 0.015)
         scan = ScanOnTiles(corridor.slam._backend, corridor.submap.walls(), points, 180)
         match = vector(pose)
-        settled = settled_by(scan, match, match + np.array([0.2, 0.2, 0.1]))
+        settled = settle(scan, match, match + np.array([0.2, 0.2, 0.1]))
         moved.append(settled - match)
     along, across, turn = np.array(moved).T
     assert np.median(along) > 0.19
@@ -237,7 +243,7 @@ def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
         points = flat.points(pose, seed, 0.015)
         scan = ScanOnTiles(flat.slam._backend, flat.submap.walls(), points, 180)
         match = vector(pose)
-        settled = settled_by(scan, match, match + np.array([1.0, -2.0, 0.5]))
+        settled = settle(scan, match, match + np.array([1.0, -2.0, 0.5]))
         assert settled.tobytes() == vector(pose).tobytes()
 
 
@@ -247,7 +253,7 @@ def test_one_wall_across_closes_a_corridor(backend: Backend):
     points = np.concatenate((two_walls(2.5), end))
     scan = scan_of(backend, Pose2(), points, points)
     match, guess = np.zeros(3), np.array([-0.3, 0.1, 0.0])
-    assert settled_by(scan, match, guess).tobytes() == match.tobytes()
+    assert settle(scan, match, guess).tobytes() == match.tobytes()
     information = response_information(scan, match)
     assert information[0, 0] > OPEN_SIGMA**-2.0
 
@@ -267,7 +273,7 @@ def test_a_match_is_moved_along_one_line_and_never_beyond_the_guess(
     scan = ScanOnTiles(flat.slam._backend, flat.submap.walls(), points, 180)
     match = np.array([x, y, yaw_rad])
     guess = match + np.array([*ahead, 0.3])
-    settled = settled_by(scan, match, guess)
+    settled = settle(scan, match, guess)
     assert settled[2] == match[2]
     moved, left = (settled - match)[:2], (guess - settled)[:2]
     assert abs(moved @ left) < 1e-9  # what is left lies across
