@@ -28,7 +28,11 @@ __kernel void polyphase(__global const uchar *field, const int height, const int
   for (int j = to; j < cols; j++) line[j] = fill;
 }
 
-/* bounds[b] = sum over points of the pooled field of the point's class at start + shift.
+/* Points between two looks at whether a block can still be of use. */
+#define POINTS_BETWEEN 16
+
+/* bounds[b] = sum over points of the pooled field of the point's class at start + shift; -1 where
+ * that is not above `least`, which is seen before all points are read.
  * blocks (count, 3) int: yaw group, row and column of the block's first shift;
  * starts (groups, points, 2) int: row and column of each point's window for shift 0;
  * classes (points) uchar: which pooled field a point reads; fields (classes, height, width) uchar,
@@ -36,16 +40,20 @@ __kernel void polyphase(__global const uchar *field, const int height, const int
 __kernel void bound_blocks(__global const int *blocks, const int count,
                            __global const int *starts, __global const uchar *classes,
                            const int points, __global const uchar *fields, const int height,
-                           const int width, const uchar fill, __global int *bounds) {
+                           const int width, const uchar fill, const int least,
+                           __global int *bounds) {
   const int b = get_global_id(0);
   if (b >= count) return;
   const int row0 = blocks[3 * b + 1], col0 = blocks[3 * b + 2];
   __global const int *start = starts + (size_t)blocks[3 * b] * points * 2;
   int sum = 0;
-  for (int n = 0; n < points; n++) {
-    const int row = start[2 * n] + row0, col = start[2 * n + 1] + col0;
-    const bool inside = row >= 0 && col >= 0 && row < height && col < width;
-    sum += inside ? fields[((size_t)classes[n] * height + row) * width + col] : fill;
+  for (int n = 0; n < points && sum + 255 * (points - n) > least;) {
+    const int end = min(n + POINTS_BETWEEN, points);
+    for (; n < end; n++) {
+      const int row = start[2 * n] + row0, col = start[2 * n + 1] + col0;
+      const bool inside = row >= 0 && col >= 0 && row < height && col < width;
+      sum += inside ? fields[((size_t)classes[n] * height + row) * width + col] : fill;
+    }
   }
-  bounds[b] = sum;
+  bounds[b] = sum > least ? sum : -1;
 }

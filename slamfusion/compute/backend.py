@@ -99,6 +99,8 @@ class Backend(Protocol):
         classes: npt.NDArray[np.uint8],
         fields: Handle,
         fill: int,
+        *,
+        least: int = -1,
     ) -> npt.NDArray[np.int32]:
         """See ``reference.bound_blocks``."""
 

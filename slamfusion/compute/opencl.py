@@ -249,6 +249,8 @@ class OpenCLBackend(SlamOperations, HitMapOperations):
         classes: npt.NDArray[np.uint8],
         fields: DeviceArray,
         fill: int,
+        *,
+        least: int = -1,
     ) -> npt.NDArray[np.int32]:
         """See ``reference.bound_blocks``."""
         bounds = self.empty((len(blocks),), np.int32)
@@ -265,6 +267,7 @@ class OpenCLBackend(SlamOperations, HitMapOperations):
             np.int32(height),
             np.int32(width),
             np.uint8(fill),
+            np.int32(least),
             bounds,
         )
         return self.download(bounds)

@@ -286,7 +286,9 @@ def polyphase(
     return np.ascontiguousarray(planes)
 
 
-def bound_blocks(blocks: I32, starts: I32, classes: U8, fields: U8, fill: int) -> I32:
+def bound_blocks(
+    blocks: I32, starts: I32, classes: U8, fields: U8, fill: int, *, least: int = -1
+) -> I32:
     """Return the sum over points of their pooled field at the block's first shift.
 
     Args:
@@ -295,9 +297,10 @@ def bound_blocks(blocks: I32, starts: I32, classes: U8, fields: U8, fill: int) -
         classes: (N,) uint8: the pooled field that a point reads.
         fields: (C, H, W) uint8; outside counts as ``fill``.
         fill: value outside.
+        least: a sum at or below it is of no use.
 
     Returns:
-        (B,) int32.
+        (B,) int32; -1 where the sum is of no use.
     """
     _, height, width = fields.shape
     out = np.zeros(len(blocks), dtype=np.int32)
@@ -306,7 +309,7 @@ def bound_blocks(blocks: I32, starts: I32, classes: U8, fields: U8, fill: int) -
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         values = fields[classes[inside], row[inside], col[inside]]
         out[b] = values.sum(dtype=np.int32) + fill * np.count_nonzero(~inside)
-    return out
+    return np.where(out > least, out, np.int32(-1))
 
 
 def tile_peaks(forward: I32, backward: I32, width: int, tile: int) -> tuple[I32, I32]:

@@ -243,7 +243,12 @@ def _bound_blocks(backend: Backend, sample: Sample) -> Arrays:
     groups = sample.rng.integers(0, 2, (13, 1))
     blocks = np.concatenate((groups, shifts), axis=1).astype(np.int32)
     lent = backend.upload(starts), backend.upload(fields)
-    return [backend.bound_blocks(blocks, lent[0], classes, lent[1], FLAT_FILL)]
+    bounds = backend.bound_blocks(blocks, lent[0], classes, lent[1], FLAT_FILL)
+    least = int(np.median(bounds))
+    return [
+        bounds,
+        backend.bound_blocks(blocks, lent[0], classes, lent[1], FLAT_FILL, least=least),
+    ]
 
 
 def _tile_peaks(backend: Backend, sample: Sample) -> Arrays:

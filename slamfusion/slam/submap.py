@@ -44,7 +44,7 @@ class Pyramid:
         corner: (2,) x and y of the first cell's lower-left corner in the submap's frame, cells.
     """
 
-    windows = (16, 4, 1)
+    windows = (16, 8, 4, 2, 1)
 
     def __init__(self, backend: Backend, values: npt.NDArray[np.uint8], corner: F64) -> None:
         """Pool the field of a submap; what lies beyond it is no wall.

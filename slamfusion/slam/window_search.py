@@ -1,9 +1,9 @@
 """The best pose of a scan on a submap over a whole window, exactly: branch and bound [H16c].
 
 The search set is every whole-cell shift within the window times yaw steps that move the farthest
-hit by at most a cell. A block of shifts is bounded by reading, for each hit, the greatest cell of
-the square that the hit can reach within the block; blocks whose bound is below the best pose found
-are never opened.
+hit by at most ``YAW_CELLS``. A block of shifts is bounded by reading, for each hit, the greatest
+cell of the square that the hit can reach within the block; blocks whose bound is below the best
+pose found are never opened.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 # Blocks that are opened together: the device is asked few times.
-BATCH = 128
+BATCH = 256
+# Walls are smeared about as far, so that a hit half a step off still counts.
+YAW_CELLS = 2.0
 # Poses this near to each other are one place.
 BESIDE_M, BESIDE_RAD = 0.5, 0.35
 # No hit is farther than this in the choice of the yaw step.
@@ -76,7 +78,7 @@ def search_window(
     """
     cells = points / resolution
     reach = max(float(np.hypot(cells[:, 0], cells[:, 1]).max()), LEAST_REACH_CELLS)
-    yaw_count = int(np.ceil(half_rad * reach))
+    yaw_count = int(np.ceil(half_rad * reach / YAW_CELLS))
     yaws = centre[2] + np.arange(-yaw_count, yaw_count + 1) * (half_rad / max(1, yaw_count))
     half = int(np.ceil(half_m / resolution))
     start = centre[:2] / resolution - pyramid.corner - half
@@ -88,8 +90,12 @@ def search_window(
     classes = np.zeros(len(points), dtype=np.uint8)
     span = 2 * half + 1
 
+    # A sum is whole: what is added undoes the rounding of a score that was one.
+    best_sum = int(np.floor(least * 255.0 * len(points) + 1e-6))
+
     def bounds(blocks: I32, level: int) -> npt.NDArray[np.int32]:
-        return backend.bound_blocks(blocks, handle, classes, pyramid.fields[level], 0)
+        field = pyramid.fields[level]
+        return backend.bound_blocks(blocks, handle, classes, field, 0, least=best_sum)
 
     window = pyramid.windows[0]
     firsts = np.arange(0, span, window, dtype=np.int32)
@@ -99,8 +105,6 @@ def search_window(
     opened = len(blocks)
     # A stack of open blocks by level; the most promising of the deepest level come first.
     queues: list[tuple[I32, npt.NDArray[np.int32]]] = [(blocks, values)]
-    # A sum is whole: what is added undoes the rounding of a score that was one.
-    best_sum = int(np.floor(least * 255.0 * len(points) + 1e-6))
     best: I32 | None = None
     while queues:
         blocks, values = queues.pop()

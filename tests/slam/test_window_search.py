@@ -18,6 +18,7 @@ from slamfusion.slam.window_search import (
     BESIDE_M,
     BESIDE_RAD,
     LEAST_REACH_CELLS,
+    YAW_CELLS,
     WindowMatch,
     search_window,
 )
@@ -75,7 +76,7 @@ class Case:
         far = max(np.hypot(*self.points.T).max() / self.resolution, LEAST_REACH_CELLS)
         half = math.ceil(self.half_m / self.resolution)
         shifts = np.arange(-half, half + 1) * self.resolution
-        count = math.ceil(self.half_rad * far)
+        count = math.ceil(self.half_rad * far / YAW_CELLS)
         turns = np.linspace(-self.half_rad, self.half_rad, 2 * count + 1) if count else np.zeros(1)
         axes = np.meshgrid(shifts, shifts, turns, indexing="ij")
         return self.centre + np.stack([axis.ravel() for axis in axes], axis=-1)
