@@ -49,6 +49,9 @@ WINDOW_SHARE = 0.8
 # far beyond what is expected.
 RIVAL_SHARE = 0.93
 RIVAL_TIMES, RIVAL_M = 1.5, 0.5
+# Where a scan is found no farther than this from where it was expected, nothing else is looked for
+# unless the window is wide.
+NEWS_M, NEWS_RAD = 0.2, 0.05
 # Around the robot's places in a submap from where its walls can be seen too, metres.
 AROUND_M = 1.0
 # A closure that moves the robot by more is believed when others say the same.
@@ -125,7 +128,12 @@ class ClosureSearch:
         turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
         if drift_m <= LOCAL_DRIFT_M:
             guess = Guess(expected, Spread(max(drift_m / 2.0, 0.15), turn / 2.0))
-            return self._fine(submap, points, guess, least, MOST_UNSEEN)
+            found = self._fine(submap, points, guess, least, MOST_UNSEEN)
+            if isinstance(found, Found) and _is_news(expected, found.pose):
+                window = _Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
+                if self._rival(submap, points, window, found):
+                    return "two places fit"
+            return found
         most = config.loop_search_space_dimension / 2.0
         half_m = min(drift_m, most)
         wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
@@ -294,6 +302,12 @@ class WaitingRoom:
             return []
         self.pending = []
         return [closure, *agreeing]
+
+
+def _is_news(expected: F64, found: F64) -> bool:
+    """Return whether a scan lies elsewhere than the graph has it, poses (3,)."""
+    away = found - expected
+    return bool(np.hypot(away[0], away[1]) > NEWS_M or abs(wrap_angle(float(away[2]))) > NEWS_RAD)
 
 
 def _around(coarse: F64) -> Guess:

@@ -91,6 +91,9 @@ WALL_CELLS = 1.0
 # Nodes between two searches of one submap, and submaps searched at a node.
 RETRY_NODES = 2
 TRIES_PER_NODE = 2
+# Of what matches and odometry tell so much is believed: scans on one submap share its errors, and
+# what wheels do wrong they do all the way. Without it true closures of long loops are doubted.
+BELIEVED_SHARE = 0.5
 # The graph is solved when so many nodes have come since, if there are new closures.
 SOLVE_NODES = 30
 # Odometry between nodes: metres and radians of error, fixed and for a metre and a radian.
@@ -548,6 +551,7 @@ class GraphSlam:
             information = response_information(scan, _vector(local))
         else:
             information = information_of(bend)
+        information = BELIEVED_SHARE * information
         self._edges.append(Constraint(active.anchor, number, _vector(local), information))
         if self._active + 1 < len(self._submaps):
             other = self._submaps[self._active + 1]
@@ -567,7 +571,8 @@ class GraphSlam:
         away = _vector(step.inverse().compose(found))
         away[2] = wrap_angle(away[2])
         if (np.abs(away / sigmas) < ODOMETRY_GATE).all():
-            self._edges.append(Constraint(number - 1, number, _vector(step), np.diag(sigmas**-2.0)))
+            information = BELIEVED_SHARE * np.diag(sigmas**-2.0)
+            self._edges.append(Constraint(number - 1, number, _vector(step), information))
 
     def _between(self, one: Submap, other: Submap) -> Pose2:
         """Return the pose of a growing submap in the frame of another, as it was begun."""
@@ -630,7 +635,8 @@ class GraphSlam:
     def _believe(self, look: _Look, number: int, pose: Pose2, found: Found) -> str:
         """Accept a closure that changes little, or that others confirm; or say why not."""
         anchor = self._submaps[look.index].anchor
-        edge = Constraint(anchor, number, found.pose, found.information, is_closure=True)
+        information = BELIEVED_SHARE * found.information
+        edge = Constraint(anchor, number, found.pose, information, is_closure=True)
         there = _pose(self._poses[anchor]).compose(_pose(found.pose))
         correction = there.compose(pose.inverse())
         closure = Waiting(edge, correction, self._travelled_m, look.how)
