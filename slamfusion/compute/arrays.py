@@ -88,6 +88,10 @@ class DeviceArrays:
         cl.enqueue_copy(self.queue, out, handle.buffer)
         return out
 
+    def finish(self) -> None:
+        """Wait until the device has done all that it was told."""
+        self.queue.finish()
+
     def empty(self, shape: tuple[int, ...], dtype: Any) -> DeviceArray:
         """Reserve an array on the device; its content is undefined."""
         kind = np.dtype(dtype)

@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 from slamfusion.compute import Backend
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import GridError, MemoryBudgetError
-from slamfusion.fusion.live_canvas import Canvas, hull
+from slamfusion.fusion.live_canvas import Canvas, hull, joined
 from slamfusion.fusion.live_input import Track, unusable
 from slamfusion.fusion.live_judge import Judge
 from slamfusion.geometry import Pose2
@@ -89,7 +89,7 @@ class LiveUpdate:
         time_s: seconds by step: ``prepare``, ``align``, ``vote``.
         is_full_search: whether an input was searched everywhere.
         reference: name of the input that others are aligned to; empty without.
-        changed_box: cells of ``fused`` that were voted on; None with ``fused``.
+        changed_box: holds the cells of ``fused`` that were voted on; None with ``fused``.
         problem: why nothing is fused, one line; empty while something is.
     """
 
@@ -174,7 +174,8 @@ class LiveFusion:
         with self._lock:
             mail = self._mail.setdefault(name, _Mail())
             mail.count(received_s)
-            mail.grid, mail.refused, mail.is_saved = grid.with_name(name), None, is_saved
+            mail.grid = grid if grid.name == name else grid.with_name(name)
+            mail.refused, mail.is_saved = None, is_saved
 
     def reject(self, name: str, reason: str, received_s: float) -> None:
         """Count a message that could not be read; the input votes no more until one can."""
@@ -375,16 +376,23 @@ class LiveFusion:
             self._voters = names
             return None
         parts = [self._lay(canvas, track) for track in voters]
-        box = canvas.box if any(grown) or names != self._voters else None
+        boxes = [part for part in parts if part is not None]
+        if any(grown) or names != self._voters or (boxes and self._is_weighted):
+            boxes = [canvas.box]
         self._voters = names
-        for part in parts:
-            if part is not None:
-                box = part if box is None else hull(box, part)
-        if box is None:
+        if not boxes:
             return None
-        box, whole = canvas.vote(names, box), canvas.box
+        box, *others = (canvas.vote(names, part) for part in joined(boxes))
+        for other in others:
+            box = hull(box, other)
+        whole = canvas.box
         rows, cols = (box.row0 - whole.row0, box.row1 - whole.row0), box.col0 - whole.col0
         return CellBox(rows[0], cols, rows[1], cols + box.width)
+
+    @property
+    def _is_weighted(self) -> bool:
+        """Whether what changed in one place weighs in all others."""
+        return self._config.vote.mode == "weighted"
 
     def _make_room(self, canvas: Canvas, track: Track) -> bool:
         """Grow the canvas to hold an input's new cells; return whether it grew."""

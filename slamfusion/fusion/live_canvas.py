@@ -29,6 +29,7 @@ __all__ = [
     "Sheet",
     "carry",
     "hull",
+    "joined",
     "lay_out",
     "overlap",
     "padded",
@@ -43,6 +44,8 @@ CANVAS_BYTES = 6
 SAME_PHASE = 1e-3
 SAME_YAW_RAD = 1e-6
 SAME_RESOLUTION = 1e-4
+# Cells between two boxes that are sooner voted on again than left out.
+SPARE_CELLS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -367,6 +370,27 @@ def hull(a: CellBox, b: CellBox) -> CellBox:
     return CellBox(
         min(a.row0, b.row0), min(a.col0, b.col0), max(a.row1, b.row1), max(a.col1, b.col1)
     )
+
+
+def joined(boxes: Sequence[CellBox]) -> list[CellBox]:
+    """Return boxes that hold all the cells of some, joined where hardly any cell lies between."""
+    out: list[CellBox] = []
+    for box in boxes:
+        grown = box
+        # A box that took another in may reach a third one.
+        while True:
+            near = [
+                other
+                for other in out
+                if hull(grown, other).area <= grown.area + other.area + SPARE_CELLS
+            ]
+            if not near:
+                break
+            for other in near:
+                out.remove(other)
+                grown = hull(grown, other)
+        out.append(grown)
+    return out
 
 
 def overlap(a: CellBox, b: CellBox) -> CellBox | None:

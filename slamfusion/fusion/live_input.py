@@ -24,6 +24,8 @@ I8 = npt.NDArray[np.int8]
 
 # Share of the old walls.
 STANDING_MIN = 0.4
+# Cells that are looked at together, few enough for the processor's cache.
+BAND_CELLS = 1 << 18
 NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
@@ -37,6 +39,8 @@ class Change:
         standing: old wall cells with a wall within one cell.
         contradicted: old wall cells that are free now, no wall within one cell.
         before: all old wall cells.
+        after: all new wall cells; None where not all of them were looked at.
+        is_lost: whether a known cell became unknown.
     """
 
     box: CellBox | None
@@ -44,6 +48,8 @@ class Change:
     standing: int
     contradicted: int
     before: int
+    after: int | None = None
+    is_lost: bool = True
 
     def is_steady(self, share: float) -> bool:
         """Whether enough old walls still stand to believe that the map's frame did not move.
@@ -59,13 +65,21 @@ class Change:
 
 def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
     """Return in words why a map says too little to take part, or None."""
+    occupied, walls = math.ceil(thresholds.occupied_percent), 0
+    for band in _bands(grid.height, grid.width):
+        walls += int(np.count_nonzero(grid.cells[band] >= occupied))
+        if walls >= WALLS_MIN:
+            return None
     size = f"{grid.height} x {grid.width}"
     if int(grid.cells.max()) < 0:
         return f"all {size} cells are unknown"
-    walls = int(np.count_nonzero(grid.cells >= math.ceil(thresholds.occupied_percent)))
-    if walls < WALLS_MIN:
-        return f"too few walls to judge: {walls} of the {WALLS_MIN} needed, on {size} cells"
-    return None
+    return f"too few walls to judge: {walls} of the {WALLS_MIN} needed, on {size} cells"
+
+
+def _bands(height: int, width: int) -> list[slice]:
+    """Return rows that are looked at together, all of them one after the other."""
+    step = max(1, BAND_CELLS // width)
+    return [slice(row, min(row + step, height)) for row in range(0, height, step)]
 
 
 def compare(
@@ -83,13 +97,15 @@ def compare(
     if new.lattice == old.lattice:
         box = _changed_box(old, new)
         if box is None:
-            return Change(None, 0, walls, 0, walls)
+            return Change(None, 0, walls, 0, walls, walls, is_lost=False)
         near = padded(box, 1)
         before, after = old.window(near), new.window(near)
+        is_lost = bool(((before >= 0) & (after < 0)).any())
     else:
         box = old.box
         before = old.cells
         after = carry(new, Pose2(), old.lattice, box, backend)
+        is_lost = True
     occupied = math.ceil(thresholds.occupied_percent)
     was, now = (before >= occupied).view(np.uint8), (after >= occupied).view(np.uint8)
     near_now = cv2.dilate(now, NEIGHBOURS)
@@ -97,7 +113,11 @@ def compare(
     gone = (was != 0) & (near_now == 0)
     lost = int(np.count_nonzero(gone))
     differ = int(np.count_nonzero(was != now))
-    return Change(box, differ, walls - lost, int(np.count_nonzero(gone & free)), walls)
+    total = None
+    if new.lattice == old.lattice:
+        total = walls - int(np.count_nonzero(was)) + int(np.count_nonzero(now))
+    contradicted = int(np.count_nonzero(gone & free))
+    return Change(box, differ, walls - lost, contradicted, walls, total, is_lost)
 
 
 def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
@@ -107,8 +127,7 @@ def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
     if common is None:
         boxes = [_known(old, old.box), _known(new, new.box)]
     else:
-        differs = old.window(common) != new.window(common)
-        found = known_box(differs.view(np.int8) - np.int8(1))
+        found = _differing(old.window(common), new.window(common))
         if found is not None:
             boxes.append(_moved(found, common.row0, common.col0))
         for sheet in (old, new):
@@ -118,6 +137,42 @@ def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
         if box is not None:
             out = box if out is None else hull(out, box)
     return out
+
+
+def _differing(a: I8, b: I8) -> CellBox | None:
+    """Return the box of cells that differ, None without any; two arrays of one shape."""
+    out: CellBox | None = None
+    for band in _bands(*a.shape):
+        differs = a[band] != b[band]
+        if not differs.any():
+            continue
+        rows, cols = (np.flatnonzero(differs.any(axis=axis)) for axis in (1, 0))
+        top = band.start
+        found = CellBox(
+            top + int(rows[0]), int(cols[0]), top + int(rows[-1]) + 1, int(cols[-1]) + 1
+        )
+        out = found if out is None else hull(out, found)
+    return out
+
+
+def _known_after(old: CellBox | None, new: Sheet, change: Change) -> CellBox | None:
+    """Return the box of a sheet's known cells, from that of the one before on its lattice."""
+    box = change.box
+    if box is None:
+        return old
+    is_inside = (
+        old is not None
+        and old.row0 < box.row0
+        and box.row1 < old.row1
+        and old.col0 < box.col0
+        and box.col1 < old.col1
+    )
+    if is_inside:
+        return old  # the cells that bound it did not change
+    if change.is_lost:
+        return _known(new, new.box)
+    found = _known(new, overlap(box, new.box) or box)
+    return found if old is None else old if found is None else hull(old, found)
 
 
 def _around(outer: CellBox, inner: CellBox) -> list[CellBox]:
@@ -214,8 +269,14 @@ class Track:
             self._take(lay_out(self.grid, None, resolution, thresholds, backend), thresholds)
             self.relay = True
 
-    def _take(self, sheet: Sheet, thresholds: NormalizeConfig) -> None:
+    def _take(
+        self, sheet: Sheet, thresholds: NormalizeConfig, change: Change | None = None
+    ) -> None:
+        """Keep a sheet; ``change`` is what it changed, so that only that is looked at."""
         self.sheet = sheet
+        if change is not None and change.after is not None:
+            self.known, self.walls = _known_after(self.known, sheet, change), change.after
+            return
         self.known = _known(sheet, sheet.box)
         occupied = math.ceil(thresholds.occupied_percent)
         self.walls = int(np.count_nonzero(sheet.cells >= occupied))
@@ -253,7 +314,7 @@ class Track:
             self.sheet = sheet
             return change
         self.version += 1
-        self._take(sheet, thresholds)
+        self._take(sheet, thresholds, change)
         self.drift += change.walls
         self._features_drift += change.walls
         self.key_drift += change.walls

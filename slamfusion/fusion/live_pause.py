@@ -19,13 +19,15 @@ class Pausable:
     """A backend that asks, inside of ``until``, before each operation whether to give up.
 
     An alignment of maps of 16 million cells takes half a second in two hundred operations, so
-    what waits for it waits no longer than the longest of these.
+    what waits for it waits no longer than the longest of these: a device that takes orders ahead
+    finishes each before the next is given.
     """
 
     def __init__(self, backend: Backend) -> None:
         """Start without asking; ``backend`` does the operations."""
         self._backend = backend
         self._is_wanted: Callable[[], bool] | None = None
+        self._finish: Callable[[], None] | None = getattr(backend, "finish", None)
 
     @contextlib.contextmanager
     def until(self, is_wanted: Callable[[], bool] | None) -> Iterator[None]:
@@ -38,6 +40,9 @@ class Pausable:
 
     def __getattr__(self, name: str) -> Any:
         """Return an operation of the backend."""
-        if self._is_wanted is not None and self._is_wanted():
-            raise PausedError
+        if self._is_wanted is not None:
+            if self._finish is not None:
+                self._finish()
+            if self._is_wanted():
+                raise PausedError
         return getattr(self._backend, name)

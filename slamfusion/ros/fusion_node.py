@@ -40,6 +40,9 @@ SHOWN_S = 10.0
 LATENCIES = 300
 # Updates of one turn of the worker; it is woken again each second.
 ROUNDS = 8
+# A fused map waits no longer than this for maps that came while it was made: sending one of 16 MB
+# keeps them waiting longer than fusing them does.
+GATHER_S = 0.25
 
 
 def make_node(_: str, **options: Any) -> NodeBase:
@@ -56,7 +59,7 @@ class _Fused:
     """A fused map on its way out.
 
     Attributes:
-        grid, agreement: of one update.
+        grid, agreement: of one update; the agreement goes out after it, when somebody listens.
         stamp_s: of the newest map in it; 0 where all were saved maps.
         arrived_s: when the first map came that it shows and none before it did.
     """
@@ -82,13 +85,15 @@ class FusionNode(NodeBase):
 
     Reads the map topics of ``inputs`` and the poses beside them (``NAME/pose`` for ``NAME/map``);
     an entry ``file:PATH`` is a saved map. Writes ``fused/map`` and ``fused/agreement`` (reliable,
-    transient local: who comes late gets the last ones), ``fused/pose``, ``/diagnostics`` and the
-    transforms of ``FusedFrames``. Services: ``get_map``; ``save_map``, which answers the path or
+    transient local: who comes late gets the last ones; the agreement is sent only while somebody
+    listens, and to the first who does), ``fused/pose``, ``/diagnostics`` and the transforms of
+    ``FusedFrames``. Services: ``get_map``; ``save_map``, which answers the path or
     the reason; ``reset``, after which the newest maps begin a new fused frame.
 
     The callbacks only keep the newest message. One worker converts, fuses and publishes: of maps
-    that come while it works only the newest of each input counts. When several fused maps fall
-    into one period of ``max_publish_rate_hz`` only the last is published.
+    that come while it works only the newest of each input counts, and a fused map waits a moment
+    for those. When several fused maps fall into one period of ``max_publish_rate_hz`` only the last
+    is published.
 
     Args:
         context: rclpy's; default: the one of ``rclpy.init``.
@@ -134,6 +139,7 @@ class FusionNode(NodeBase):
         self._inputs: tuple[tuple[LiveInput, ...], float] = ((), time.monotonic())
         self._last: LiveUpdate | None = None
         self._waiting: _Fused | None = None
+        self._untold: _Fused | None = None
         self._published: OccupancyGrid | None = None
         self._grid: grids.OccupancyGrid | None = None
         self._published_s = float("-inf")
@@ -175,8 +181,8 @@ class FusionNode(NodeBase):
         self._worker.put(_Wake())
 
     def _look_turn(self) -> None:
-        """Wake the worker for a fused map that had to wait for its turn."""
-        if self._waiting is not None and self._is_turn():
+        """Wake the worker for what had to wait for its turn, or for somebody who listens."""
+        if (self._waiting is not None and self._is_turn()) or self._is_agreement_wanted():
             self._wake()
 
     def _look_around(self) -> None:
@@ -262,6 +268,31 @@ class FusionNode(NodeBase):
 
     def _work(self, _wake: _Wake) -> None:
         """Take what came, fuse, publish; then do what could wait, until a map comes."""
+        self._obey()
+        for _ in range(ROUNDS):
+            took = [self._take(source) for source in self._sources.values()]
+            if not any(took):
+                self._send()
+                if self._waiting is not None:
+                    return  # what could wait is not begun while a fused map waits for its turn
+            update = self._live.update(time.monotonic(), self._has_maps)
+            if update is not None:
+                self._note(update)
+            if self._waiting is not None and not self._may_gather(self._waiting):
+                self._send(with_agreement=not self._has_maps())
+            if update is None and not self._has_maps():
+                return
+        self._send()  # however many maps come
+
+    def _send(self, *, with_agreement: bool = True) -> None:
+        """Publish what waits, if its turn has come; the agreement where somebody listens."""
+        if self._waiting is not None and self._is_turn():
+            self._publish(self._waiting)
+        if with_agreement and self._is_agreement_wanted():
+            self._tell_agreement()
+
+    def _obey(self) -> None:
+        """Do what was asked for since the last turn."""
         wanted, self._wanted_live = self._wanted_live, None
         if wanted is not None:
             self._live.configure(wanted)
@@ -269,27 +300,38 @@ class FusionNode(NodeBase):
             self._is_reset_wanted.clear()
             self._live.reset()
             self._counts.resets += 1
-        for _ in range(ROUNDS):
-            for source in self._sources.values():
-                self._take(source)
-            update = self._live.update(time.monotonic(), self._has_maps)
-            if update is not None:
-                self._note(update)
-            if self._waiting is not None and self._is_turn():
-                self._publish(self._waiting)
-            if not self._has_maps() and (update is None or self._waiting is not None):
-                return  # what could wait is not begun while a fused map waits for its turn
 
     def _has_maps(self) -> bool:
         """Whether a map waits to be taken."""
         return any(source.is_waiting for source in self._sources.values())
 
-    def _take(self, source: MapSource) -> None:
-        """Convert the newest map of an input and hand it to the fusion."""
+    def _may_gather(self, fused: _Fused) -> bool:
+        """Whether a fused map waits for the maps that came while it was made."""
+        arrived_s = fused.arrived_s
+        is_young = arrived_s is not None and time.monotonic() - arrived_s < GATHER_S
+        return is_young and self._has_maps()
+
+    def _is_agreement_wanted(self) -> bool:
+        """Whether somebody listens to an agreement that was not sent."""
+        return self._untold is not None and self._agreement_topic.get_subscription_count() > 0
+
+    def _tell_agreement(self) -> None:
+        """Send the agreement of the map that was published last."""
+        fused, self._untold = self._untold, None
+        if fused is not None:
+            self._agreement_topic.publish(self._message(fused, fused.agreement))
+
+    def _message(self, fused: _Fused, grid: grids.OccupancyGrid) -> OccupancyGrid:
+        """Return a grid of a fused map as a message in the fused frame."""
+        stamp = messages.to_stamp(fused.stamp_s)
+        return messages.grid_to_message(grid, self.settings.fused_frame, stamp)
+
+    def _take(self, source: MapSource) -> bool:
+        """Convert the newest map of an input and hand it to the fusion; say if there was one."""
         frame = source.frame
         taken = source.take()
         if taken is None:
-            return
+            return False
         message, arrived_s = taken
         if frame and source.frame != frame:
             text = f"the map of {source.name!r} was in {frame!r} and is in {source.frame!r} now"
@@ -300,8 +342,9 @@ class FusionNode(NodeBase):
             grid = messages.grid_from_message(message, source.name)
         except SlamFusionError as error:
             self._live.reject(source.name, str(error), arrived_s)
-            return
-        self._live.put(source.name, grid, arrived_s)
+        else:
+            self._live.put(source.name, grid, arrived_s)
+        return True
 
     def _note(self, update: LiveUpdate) -> None:
         """Keep what an update did; a fused map waits for its turn to be published."""
@@ -339,16 +382,13 @@ class FusionNode(NodeBase):
         return time.monotonic() - self._published_s >= period_s
 
     def _publish(self, fused: _Fused) -> None:
-        self._waiting = None
+        self._waiting, self._untold = None, fused
         self._published_s = time.monotonic()
-        stamp = messages.to_stamp(fused.stamp_s)
-        frame = self.settings.fused_frame
-        message = messages.grid_to_message(fused.grid, frame, stamp)
+        message = self._message(fused, fused.grid)
         self._published, self._grid = message, fused.grid
         self._map_topic.publish(message)
         if fused.arrived_s is not None:
             self._latencies_s.append(time.monotonic() - fused.arrived_s)
-        self._agreement_topic.publish(messages.grid_to_message(fused.agreement, frame, stamp))
         self._counts.maps += 1
 
     def _failed(self, _: Any, error: Exception) -> None:

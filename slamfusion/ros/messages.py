@@ -235,7 +235,7 @@ def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> Oc
     message.header.frame_id, message.header.stamp = frame_id, stamp
     message.info = metadata_to_message(grid, stamp)
     data = array("b")
-    data.frombytes(grid.cells.tobytes())
+    data.frombytes(grid.cells.reshape(-1).view(np.uint8).data)
     message.data = data
     return message
 

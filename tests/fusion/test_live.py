@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import Backend
 from slamfusion.config import NormalizeConfig, VoteConfig
-from slamfusion.fusion import fuse_grids
+from slamfusion.fusion import fuse_grids, live_canvas
 from slamfusion.fusion.live_canvas import Canvas
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
@@ -155,17 +155,25 @@ def test_unknown_margins_of_an_input_change_nothing(
     assert after == before
 
 
-@pytest.mark.parametrize("mode", ["majority", "weighted", "log-odds"])
-def test_what_was_not_voted_on_again_is_as_if_it_had_been(backend: Backend, mode: str) -> None:
+@pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])
+@pytest.mark.parametrize("at_once", [1, 3])
+def test_what_was_not_voted_on_again_is_as_if_it_had_been(
+    backend: Backend, mode: str, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What changed in several places is several votes also in a small map.
+    monkeypatch.setattr(live_canvas, "SPARE_CELLS", 0)
     drive = Drive(live_fusion(backend, mode))
     drive.step(*three().values())
     rng = np.random.default_rng(4)
     for number in range(6):
-        grid = three()["abc"[number % 3]]
-        cells = grid.cells.copy()
-        row, col = rng.integers(0, grid.height - 20), rng.integers(0, grid.width - 20)
-        cells[row : row + 8, col : col + 8] = rng.integers(-1, 101, (8, 8))
-        drive.step(replace(grid, cells=cells))
+        grids = []
+        for name in "abc"[number % 3 :][:at_once]:
+            grid = three()[name]
+            cells = grid.cells.copy()
+            row, col = rng.integers(0, grid.height - 20), rng.integers(0, grid.width - 20)
+            cells[row : row + 8, col : col + 8] = rng.integers(-1, 101, (8, 8))
+            grids.append(replace(grid, cells=cells))
+        drive.step(*grids)
     live = drive.live
     canvas = live._canvas
     assert canvas is not None

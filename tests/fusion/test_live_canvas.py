@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import Backend
-from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
+from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live_canvas import Canvas, Lattice, Sheet, carry, lay_out
-from slamfusion.fusion.live_input import compare, unusable
+from slamfusion.fusion import live_canvas, live_input
+from slamfusion.fusion.live_canvas import Canvas, Lattice, Sheet, carry, joined, lay_out, overlap
+from slamfusion.fusion.live_input import Track, compare, unusable
 from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
@@ -140,6 +141,65 @@ def test_what_is_cut_off_changed_and_contradicts_nothing(backend: Backend) -> No
     assert change.contradicted == 0
     margin = sheet_of(padded(grid, 4, 4, 4, 4), backend, old)
     assert compare(old, margin, walls, RULES, backend).box is None
+
+
+BOX = st.tuples(
+    st.integers(-9, 40), st.integers(-9, 40), st.integers(1, 12), st.integers(1, 12)
+).map(lambda box: CellBox(box[0], box[1], box[0] + box[2], box[1] + box[3]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 999), boxes=st.lists(BOX, min_size=1, max_size=5))
+def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
+    backend: Backend, seed: int, boxes: list[CellBox]
+) -> None:
+    rng = np.random.default_rng(seed)
+    grid = replace(random_grid(seed), resolution=0.1)
+    track, live = Track("a"), LiveConfig()
+    with pytest.MonkeyPatch.context() as patch:
+        # Several bands in a map of a few cells.
+        patch.setattr(live_input, "BAND_CELLS", 100)
+        for box in boxes:
+            track.follow(grid, 0.1, RULES, live, backend)
+            sheet, known = track.sheet, track.known
+            assert sheet is not None
+            assert known is not None
+            assert track.walls == np.count_nonzero(grid.cells >= 65)
+            found = grid.known_box()
+            assert found is not None
+            moved = CellBox(
+                *(
+                    corner - first
+                    for corner, first in zip(
+                        (known.row0, known.col0, known.row1, known.col1),
+                        (sheet.row, sheet.col) * 2,
+                        strict=True,
+                    )
+                )
+            )
+            assert moved == found
+            cells = grid.cells.copy()
+            part = cells[max(0, box.row0) : box.row1, max(0, box.col0) : box.col1]
+            part[:] = rng.choice([-1, 0, 40, 100], part.shape, p=rng.dirichlet(np.ones(4)))
+            grid = replace(grid, cells=cells)
+            if rng.random() < 0.3:
+                grid = padded(grid, *rng.integers(0, 4, 4).tolist())
+            if rng.random() < 0.3:
+                rows, cols = rng.integers(0, 4, 2).tolist()
+                grid = grid.crop(CellBox(rows, cols, grid.height, grid.width))
+
+
+@settings(max_examples=60, deadline=None)
+@given(boxes=st.lists(BOX, min_size=1, max_size=6), spare=st.sampled_from((0, 30)))
+def test_boxes_are_joined_where_hardly_a_cell_lies_between(
+    boxes: list[CellBox], spare: int
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_canvas, "SPARE_CELLS", spare)
+        out = joined(boxes)
+        assert joined(out) == out
+    assert all(any(overlap(box, whole) == box for whole in out) for box in boxes)
+    assert sum(box.area for box in out) <= sum(box.area for box in boxes) + spare * len(boxes)
 
 
 def test_a_map_on_another_lattice_is_compared_where_it_lies(backend: Backend) -> None:

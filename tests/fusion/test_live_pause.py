@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from slamfusion.compute import Backend
 from slamfusion.fusion.live import LiveInput, LiveUpdate
+from slamfusion.fusion.live_pause import Pausable, PausedError
 from tests.fusion.live_maps import Drive, started, three, touched
 
 
@@ -82,6 +84,22 @@ def test_a_map_that_is_put_meanwhile_ends_it_too(backend: Backend) -> None:
     assert update is not None
     assert update.fused is not None
     assert not drive.input("b").is_tracked
+
+
+def test_what_a_device_was_told_is_done_before_it_is_asked_whether_to_go_on(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(backend, "finish", lambda: said.append("done"), raising=False)
+    pausable = Pausable(backend)
+    cells = pausable.upload(np.zeros((3, 4), np.uint8))
+    assert not said
+    bell = Doorbell(2)
+    with pausable.until(lambda: said.append("asked") or bell()):
+        assert pausable.download(cells).shape == (3, 4)
+        with pytest.raises(PausedError):
+            pausable.download(cells)
+    assert said == ["done", "asked"] * 2
 
 
 def test_what_changed_too_much_to_wait_is_aligned_whatever_comes(backend: Backend) -> None:
