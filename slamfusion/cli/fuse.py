@@ -21,7 +21,13 @@ from slamfusion.cli.fused import (
     print_pairs,
 )
 from slamfusion.cli.inputs import check_writable, load_maps
-from slamfusion.cli.options import common_options, map_resolution_option, with_config
+from slamfusion.cli.options import (
+    common_options,
+    file_option,
+    map_resolution_option,
+    report_option,
+    with_config,
+)
 from slamfusion.cli.output import notice, print_json, progress_bar
 from slamfusion.cli.produced import add_map
 from slamfusion.config import RunConfig
@@ -74,20 +80,10 @@ class _Outputs:
     metavar="OUT",
     help="Write OUT.yaml, OUT.pgm and OUT_agreement.yaml, OUT_agreement.pgm.",
 )
-@click.option(
-    "--truth",
-    "truth_path",
-    type=click.Path(path_type=Path),
-    metavar="MAP",
-    help="Evaluate every input and the fused map against this one.",
+@file_option(
+    "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one."
 )
-@click.option(
-    "--report",
-    "report_dir",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Write a self-contained HTML report with its pictures here.",
-)
+@report_option("report_dir")
 @map_resolution_option
 @with_config(
     "fusion",

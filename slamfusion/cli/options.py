@@ -28,8 +28,11 @@ __all__ = [
     "ConfigOption",
     "common_options",
     "config_fields",
+    "drive_options",
+    "file_option",
     "map_resolution_option",
     "option_name",
+    "report_option",
     "shown_default",
     "shown_value",
     "with_config",
@@ -138,13 +141,69 @@ def _of_base(option: ConfigOption, base: RunConfig) -> ConfigOption:
     return replace(option, info=replace(option.info, default=value))
 
 
-_CONFIG_FILE = click.option(
+def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:
+    """Return the option of a command that names a file or folder, which need not exist.
+
+    Args:
+        name: on the command line.
+        parameter: of the command, a path; None where it is not given.
+        metavar: what help calls the value.
+        text: of help.
+    """
+    return click.option(
+        name, parameter, type=click.Path(path_type=Path), metavar=metavar, help=text
+    )
+
+
+_CONFIG_FILE = file_option(
     "--config",
     "config_file",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="YAML file with settings, also the expert ones; options given here override it.",
+    "FILE",
+    "YAML file with settings, also the expert ones; options given here override it.",
 )
+
+
+def report_option(parameter: str) -> Callable[[F], F]:
+    """Return the option ``--report`` of a command that can write one."""
+    text = "Write a self-contained HTML report with its pictures here."
+    return file_option("--report", parameter, "DIR", text)
+
+
+def drive_options(judged: str) -> Callable[[F], F]:
+    """Give a command ``--relations``, ``--odometry`` and ``--scan-odometry``: files beside LOG.
+
+    Args:
+        judged: what the errors by the relations are of, as help says it.
+    """
+    options = (
+        file_option(
+            "--relations",
+            "relations",
+            "FILE",
+            f"Known motions between pairs of times [K09]: errors of the {judged}.",
+        ),
+        file_option(
+            "--odometry",
+            "odometry",
+            "FILE",
+            "Raw odometry of the whole run, to carry poses on to the times of the relations.",
+        ),
+        file_option(
+            "--scan-odometry",
+            "scan_odometry",
+            "FILE",
+            "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, "
+            "odom_theta), taken instead of the poses in LOG: those of a corrected log are the "
+            "answer of a SLAM.",
+        ),
+    )
+
+    def decorate(function: F) -> F:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate
 
 
 def map_resolution_option(function: F) -> F:

@@ -6,7 +6,7 @@ import importlib.util
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,7 +26,13 @@ from slamfusion.cli.fused import (
     print_pairs,
 )
 from slamfusion.cli.inputs import check_writable, load_maps
-from slamfusion.cli.options import common_options, map_resolution_option, with_config
+from slamfusion.cli.options import (
+    common_options,
+    drive_options,
+    file_option,
+    map_resolution_option,
+    with_config,
+)
 from slamfusion.cli.output import (
     Progress,
     Settings,
@@ -61,7 +67,6 @@ __all__ = ["command"]
 
 PROGRESS_STEPS = 1000
 FUSED, AGREEMENT, REPORT = "fused", "fused_agreement", "report"
-LEAST_FUSED = 2
 # On recorded and simulated drives the consensus is nearest to the truth and doubles no walls; see
 # the README.
 BASE = replace(
@@ -181,6 +186,7 @@ class _Job:
         gaps: between the producers' paths in the fused frame.
         doubled: the doubled walls of the fusion.
         evaluations: errors of the inputs and of the fused map.
+        best_founded: where nothing is fused, the input whose walls the others' fit best; else None.
         failure: why the job is to end with exit code 1; None where it is well.
         troubles: what could not be measured, a sentence each.
         stages: seconds of each stage, in order.
@@ -198,6 +204,7 @@ class _Job:
     gaps: tuple[PathGap, ...] = ()
     doubled: DoubledWalls | None = None
     evaluations: list[Evaluation] = field(default_factory=list)
+    best_founded: str | None = None
     failure: SlamFusionError | None = None
     troubles: list[str] = field(default_factory=list)
     stages: dict[str, float] = field(default_factory=dict)
@@ -211,12 +218,6 @@ class _Job:
     def usable(self) -> FusionResult | None:
         """The fusion where it may be used."""
         return None if self.failure is not None else self.fused
-
-
-def _file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[Any], Any]:
-    return click.option(
-        name, parameter, type=click.Path(path_type=Path), metavar=metavar, help=text
-    )
 
 
 class _ManyInputs(click.Command):
@@ -258,28 +259,11 @@ class _ManyInputs(click.Command):
     metavar="MAP",
     help="Saved maps of other SLAMs that vote too: one or several.",
 )
-@_file_option("--truth", "truth", "MAP", "The true map: errors of every map and the fused one.")
-@_file_option(
+@file_option("--truth", "truth", "MAP", "The true map: errors of every map and the fused one.")
+@file_option(
     "--truth-trajectory", "truth_trajectory", "FILE", "The true trajectory: errors of the paths."
 )
-@_file_option(
-    "--relations",
-    "relations",
-    "FILE",
-    "Known motions between pairs of times [K09]: errors of the paths.",
-)
-@_file_option(
-    "--odometry",
-    "odometry",
-    "FILE",
-    "Raw odometry of the whole run, to carry poses on to the times of the relations.",
-)
-@_file_option(
-    "--scan-odometry",
-    "scan_odometry",
-    "FILE",
-    "CSV with the odometry of each scan of a CARMEN log, taken instead of the poses in LOG.",
-)
+@drive_options("paths")
 @map_resolution_option
 @with_config(
     "run",
@@ -387,10 +371,16 @@ def _fuse(
     equally well, in places that look alike under two turns. Saved maps may have any frame, so with
     them the settings decide.
     """
-    from slamfusion.fusion.path_check import PathsApartError, fuse_with_paths  # noqa: PLC0415
+    from slamfusion.fusion.path_check import (  # noqa: PLC0415
+        LEAST_FUSED,
+        PathsApartError,
+        best_founded,
+        fuse_with_paths,
+    )
 
     count = len(job.grids)
     if count < LEAST_FUSED:
+        job.best_founded = job.grids[0].name if job.grids else None
         reasons = "; ".join(f"{outcome.name}: {outcome.reason}" for outcome in job.failed)
         message = f"{count or 'none'} of {len(request.names) + len(request.maps)} maps was made"
         job.failure = SlamFusionError(
@@ -406,7 +396,12 @@ def _fuse(
             job.grids, paths, fusion, config.run.path_gap_m, backend, bar
         )
     except AlignmentError as error:
-        job.failure, job.pairs = error, error.pairs
+        job.best_founded = best_founded(job.grids, error.pairs).name
+        job.failure = AlignmentError(
+            f"{error}; the map to go on with is that of {job.best_founded}, the best founded",
+            error.pairs,
+        )
+        job.pairs = error.pairs
         job.gaps = error.gaps if isinstance(error, PathsApartError) else ()
         return
     if config.fusion.require_all and (job.fused.rejected or job.failed):
@@ -607,6 +602,7 @@ def _document(
         **fusion,
         "fused": None if usable is None else files[FUSED][0],
         "agreement": None if usable is None else files[AGREEMENT][0],
+        "best_founded": job.best_founded,
         "path_gaps": [gap.to_json() for gap in job.gaps],
         "evaluations": [item.to_json() for item in job.evaluations],
         "error": None if failure is None else str(failure),

@@ -12,7 +12,13 @@ import click
 
 from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
 from slamfusion.cli.inputs import check_writable, load_maps
-from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.options import (
+    common_options,
+    drive_options,
+    file_option,
+    report_option,
+    with_config,
+)
 from slamfusion.cli.output import (
     notice,
     print_json,
@@ -135,11 +141,6 @@ def _stem(out: Path) -> Path:
     return out.with_suffix("") if out.suffix in SUFFIXES else out
 
 
-def _file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[Any], Any]:
-    kind = click.Path(path_type=Path)
-    return click.option(name, parameter, type=kind, metavar=metavar, help=text)
-
-
 def _state_options(name: str) -> Callable[[Any], Any]:
     """Give the command of a producer that can go on from a file what that takes."""
 
@@ -154,14 +155,14 @@ def _state_options(name: str) -> Callable[[Any], Any]:
                 metavar="N",
                 help="Stop after N scans fed in this run.",
             ),
-            _file_option(
+            file_option(
                 "--resume",
                 "resume",
                 "FILE",
                 "Go on from a saved state, with the settings that it was made with; scans of LOG "
                 "up to its last one are passed over.",
             ),
-            _file_option(
+            file_option(
                 "--save-state",
                 "state",
                 "FILE",
@@ -188,33 +189,10 @@ def _make_command(name: str) -> click.Command:
         metavar="OUT",
         help="Write the map OUT.yaml and OUT.pgm, the path OUT.tum and the record OUT.json.",
     )
-    @_file_option(
-        "--relations",
-        "relations",
-        "FILE",
-        "Known motions between pairs of times [K09]: errors of the path.",
-    )
-    @_file_option(
-        "--odometry",
-        "odometry",
-        "FILE",
-        "Raw odometry of the whole run, to carry poses on to the times of the relations.",
-    )
-    @_file_option(
-        "--scan-odometry",
-        "scan_odometry",
-        "FILE",
-        "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, odom_theta), "
-        "taken instead of the poses in LOG: those of a corrected log are the answer of a SLAM.",
-    )
-    @_file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
-    @_file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
-    @_file_option(
-        "--report",
-        "report",
-        "DIR",
-        "Write a self-contained HTML report with its pictures here.",
-    )
+    @drive_options("path")
+    @file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
+    @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
+    @report_option("report")
     @_state_options(name)
     @with_config(name, "log", "trajectory", "device", "")
     @common_options

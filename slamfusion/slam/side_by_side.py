@@ -27,7 +27,7 @@ from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
 from slamfusion.slam.runner import PRODUCERS, ProducerRun, make_producer, run_producer
 
-__all__ = ["Outcome", "SideBySide", "usable_cores"]
+__all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 
 # The longest job first: what a scan takes, roughly, against tinySLAM's.
 COSTS = {"gmapping": 6.0, "graph": 3.0, "tinyslam": 1.0}
@@ -240,15 +240,20 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
         target=_work, args=(name, *arguments, theirs), name=f"slamfusion-{name}", daemon=True
     )
     begun_s = time.perf_counter()
-    with _threads_limited(threads):
+    with threads_limited(threads):
         process.start()
     theirs.close()  # ours: else the end of the process would not be seen as the end of the pipe
     return _Job(name, process, answers, begun_s)
 
 
 @contextlib.contextmanager
-def _threads_limited(threads: int) -> Iterator[None]:
-    """Let processes started meanwhile share the cores; what is set already is left alone."""
+def threads_limited(threads: int) -> Iterator[None]:
+    """Let processes that are started in a ``with`` block share the cores.
+
+    Args:
+        threads: what device and libraries of each of them may start; what the user has set in the
+            environment is left alone.
+    """
     added = [name for name in THREAD_VARIABLES if name not in os.environ]
     os.environ.update(dict.fromkeys(added, str(threads)))
     try:

@@ -17,23 +17,12 @@ as the command line does.
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
-
-from rich.console import Console
-
-from slamfusion.compute import open_backend
-from slamfusion.config import DeviceConfig, RunConfig, load_config
-from tests.benchmarks.gmapping.bench import Bench
 from tests.benchmarks.graph.recorded import logs, recordings
 from tests.benchmarks.graph.simulated import events, floors
+from tests.benchmarks.parts import Parts, measure, parser_of
 
 PRODUCER = "graph"
-# Each part, and how many seeds it takes where none are asked for.
-PARTS: dict[str, tuple[Callable[[Bench, Sequence[str]], None], int]] = {
+PARTS: Parts = {
     "recordings": (recordings, 5),
     "logs": (logs, 1),
     "floors": (floors, 5),
@@ -42,32 +31,12 @@ PARTS: dict[str, tuple[Callable[[Bench, Sequence[str]], None], int]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--part", choices=tuple(PARTS), action="append", help="default: all")
+    parser = parser_of(PARTS, __doc__, "5; events 3, logs 1")
     parser.add_argument(
         "--only", action="append", metavar="NAME", help="drive, log, floor or event"
     )
-    parser.add_argument("--seeds", type=int, help="default: 5; events 3, logs 1")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--maps", type=Path, metavar="DIR")
-    parser.add_argument("--config", type=Path, metavar="FILE")
-    parser.add_argument("--device")
     options = parser.parse_args()
-    config = load_config(options.config) if options.config else RunConfig()
-    if options.device:
-        config = replace(config, device=DeviceConfig(options.device))
-    backend = open_backend(config.device.device)
-    console = Console(width=230)
-    for name in options.part or PARTS:
-        part, count = PARTS[name]
-        first = options.first_seed
-        seeds = tuple(range(first, first + (options.seeds or count)))
-        maps = None if options.maps is None else options.maps / name
-        began_s = time.perf_counter()
-        part(Bench(PRODUCER, config, backend, seeds, maps, console), options.only or ())
-        console.print(f"{name}: {time.perf_counter() - began_s:.0f} s in all\n", highlight=False)
+    measure(PARTS, options, PRODUCER, 230, options.only or ())
 
 
 if __name__ == "__main__":

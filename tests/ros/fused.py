@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ from nav_msgs.msg import OccupancyGrid
 from slamfusion.compute import open_backend
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from tests.fusion.live_maps import live_fusion, three
+from tests.fusion.live_maps import live_fusion, three, touched
 from tests.ros.live import Observer, Processes
 
 INPUTS = ["a/map", "b/map", "c/map"]
@@ -50,6 +51,20 @@ class Makers:
             if name in self.topics:
                 self.send(grid)
 
+    def send_until(self, name: str, *words: str, of: str = NAMES, timeout_s: float = 60.0) -> None:
+        """Publish new maps of some inputs until the diagnostics of a name hold all the words.
+
+        An input is stale when others have news and it has none, so those that are well must go on.
+        """
+        statuses = self.observer.statuses()
+        until_s = time.monotonic() + timeout_s
+        while name not in statuses or any(word not in statuses[name].message for word in words):
+            said = {key: item.message for key, item in statuses.items()}
+            assert time.monotonic() < until_s, f"{name!r} never said {words}; last {said}"
+            for well in of:
+                self.send(touched(three()[well], int(self.stamp_s)))
+            self.observer.listen(0.5)
+
     def stop(self, name: str) -> None:
         """End a publisher, as when its process has died."""
         self.observer.node.destroy_publisher(self.topics.pop(name))
@@ -61,8 +76,9 @@ class Makers:
 
 
 def start_fusion(processes: Processes, *ros_arguments: str, **parameters: Any) -> Any:
-    """Start the fusion node on a, b and c."""
-    settings = {"inputs": INPUTS, "live__search_pause_s": 0.0, **parameters}
+    """Start the fusion node on a, b and c; however slow the machine, none grows stale by itself."""
+    patient = {"live__search_pause_s": 0.0, "live__stale_after_s": 1000.0}
+    settings = {"inputs": INPUTS, **patient, **parameters}
     return processes.node("fusion", *ros_arguments, **settings)
 
 

@@ -126,13 +126,13 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
     )
     count = len(heard)
     robot.drive_until(lambda: len(heard) > count + 1, "maps without odometry")
-    assert says("all 3 inputs vote")(), statuses[FUSION].message
+    robot.drive_until(says("all 3 inputs vote"), "all without odometry")
     robot.has_odometry = True
     assert_unmoved()
 
     # Nobody sends scans: no map is any staler than the others, and all stay.
     observer.listen(6.0)
-    assert says("all 3 inputs vote")(), statuses[FUSION].message
+    observer.wait_status(FUSION, "all 3 inputs vote")
     # Time jumps back to the beginning: every producer begins a new map.
     robot.count = 0
     observer.listen(1.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +19,10 @@ from slamfusion.scan import LaserScan
 CELL_M = 0.05
 BEAMS = 181
 REACH_M = 8.0
+# What a producer's health says of ``jumped``.
+ONE_JUMP = [
+    {"reason": "odometry jumped by more than 5 m: not believed", "count": 1, "first_lines": [31]}
+]
 
 
 def draw_flat() -> npt.NDArray[np.uint8]:
@@ -101,3 +107,20 @@ def drive(
             odometry = odometry.compose(Pose2(step.x, step.y, step.yaw_rad + turn_bias))
         scans.append(LogScan(scan, odometry, index + 1))
     return scans, [moved.compose(pose) for pose in truth]
+
+
+def stalled(scans: Sequence[LogScan]) -> list[LogScan]:
+    """Return a drive whose odometry stands still from scan 61 to 65 and then catches up."""
+    return [
+        replace(item, odometry=scans[60].odometry) if 60 < index < 66 else item
+        for index, item in enumerate(scans)
+    ]
+
+
+def jumped(scans: Sequence[LogScan]) -> list[LogScan]:
+    """Return a drive whose odometry goes on elsewhere from scan 30, which is line 31: 50 m away."""
+    away = Pose2(50.0, 0.0, 1.0)
+    return [
+        replace(item, odometry=away.compose(item.odometry or Pose2())) if index >= 30 else item
+        for index, item in enumerate(scans)
+    ]

@@ -24,7 +24,17 @@ from slamfusion.slam import gmapping
 from slamfusion.slam.gmapping import STATE_FORMAT, Gmapping
 from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.shared_tiles import SharedTileMaps
-from tests.slam.drives import CELL_M, draw_flat, drive, scan_at, scans_at, true_poses
+from tests.slam.drives import (
+    CELL_M,
+    ONE_JUMP,
+    draw_flat,
+    drive,
+    jumped,
+    scan_at,
+    scans_at,
+    stalled,
+    true_poses,
+)
 
 PUBLISHED: dict[str, Any] = {
     "particles": 30,
@@ -256,11 +266,7 @@ def test_without_odometry_the_published_profile_follows_the_robot(backend: Backe
 
 def test_odometry_that_stalls_and_catches_up(backend: Backend):
     scans, truth = drive(120)
-    stalled = [
-        replace(item, odometry=scans[60].odometry) if 60 < index < 66 else item
-        for index, item in enumerate(scans)
-    ]
-    assert errors(run(backend, stalled), truth)[0] < 0.25
+    assert errors(run(backend, stalled(scans)), truth)[0] < 0.25
 
 
 def test_odometry_that_goes_the_wrong_way_for_some_scans(backend: Backend):
@@ -283,21 +289,9 @@ def test_odometry_that_goes_the_wrong_way_for_some_scans(backend: Backend):
 
 def test_an_odometry_jump_is_named_and_not_believed(backend: Backend):
     scans, truth = drive(60)
-    jumped = [
-        replace(item, odometry=Pose2(50.0, 0.0, 1.0).compose(item.odometry or Pose2()))
-        if index >= 30
-        else item
-        for index, item in enumerate(scans)
-    ]
-    slam = run(backend, jumped)
+    slam = run(backend, jumped(scans))
     assert errors(slam, truth)[0] < 0.2
-    assert slam.health.skips.to_json() == [
-        {
-            "reason": "odometry jumped by more than 5 m: not believed",
-            "count": 1,
-            "first_lines": [31],
-        }
-    ]
+    assert slam.health.skips.to_json() == ONE_JUMP
 
 
 def test_a_start_far_from_zero_costs_nothing(backend: Backend):

@@ -22,7 +22,16 @@ from slamfusion.pose_graph import Optimized, PoseGraph
 from slamfusion.scan import LaserScan
 from slamfusion.slam import constraints
 from slamfusion.slam.graph import GraphSlam
-from tests.slam.drives import CELL_M, draw_flat, drive, scan_at, true_poses
+from tests.slam.drives import (
+    CELL_M,
+    ONE_JUMP,
+    draw_flat,
+    drive,
+    jumped,
+    scan_at,
+    stalled,
+    true_poses,
+)
 from tests.slam.places import (
     around,
     away,
@@ -96,30 +105,14 @@ def test_odometry_that_is_not_to_be_used_is_not_used(backend: Backend):
 
 def test_odometry_that_stalls_and_catches_up(backend: Backend):
     scans, truth = drive(120)
-    stalled = [
-        replace(item, odometry=scans[60].odometry) if 60 < index < 66 else item
-        for index, item in enumerate(scans)
-    ]
-    assert errors(run(backend, stalled), truth)[0] < 0.1
+    assert errors(run(backend, stalled(scans)), truth)[0] < 0.1
 
 
 def test_an_odometry_jump_is_named_and_not_believed(backend: Backend):
     scans, truth = drive(60)
-    jumped = [
-        replace(item, odometry=Pose2(50.0, 0.0, 1.0).compose(item.odometry or Pose2()))
-        if index >= 30
-        else item
-        for index, item in enumerate(scans)
-    ]
-    slam = run(backend, jumped)
+    slam = run(backend, jumped(scans))
     assert errors(slam, truth)[0] < 0.1
-    assert slam.health.skips.to_json() == [
-        {
-            "reason": "odometry jumped by more than 5 m: not believed",
-            "count": 1,
-            "first_lines": [31],
-        }
-    ]
+    assert slam.health.skips.to_json() == ONE_JUMP
     slam._solve()  # nor does the graph believe it
     assert errors(slam, truth)[0] < 0.1
 

@@ -242,17 +242,25 @@ def _without(path: Trajectory, first: int, last: int) -> Trajectory:
     return Trajectory(stamps_s, np.delete(path.poses, left_out, axis=0), path.name)
 
 
-def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording]:
-    """Simulate the first half of an office drive, the stand at its end, and the second half."""
+def half_an_office(bench: Bench, seed: int) -> tuple[Recording, Course]:
+    """Simulate the first half of an office drive; return it and the course of the second half.
+
+    That one begins where the first ends, and wants another seed: else laser and odometry err twice
+    in the same way.
+    """
     course = replace(named_course("office", seed), people=0)
     course = replace(course, world=replace(course.world, seed=seed))
     stops = simulate(replace(course, lidar=replace(course.lidar, beams=1)), bench.backend)
     waypoints = stops.course.waypoints or ()
     half = len(waypoints) // 2
     there = simulate(replace(course, waypoints=waypoints[:half]), bench.backend)
-    # Other seeds, so that neither laser nor odometry errs twice in the same way.
-    here = replace(course, start=there.truth.pose(-1))
+    return there, replace(course, start=there.truth.pose(-1), waypoints=waypoints[half:])
+
+
+def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording]:
+    """Simulate half an office drive, the stand at its end, and the other half."""
+    there, rest = half_an_office(bench, seed)
     wait = (ActionConfig(wait_s=STAND_S),)
-    stand = simulate(replace(here, seed=seed + 1_000_000, script=wait), bench.backend)
-    back = replace(here, seed=seed + 2_000_000, waypoints=waypoints[half:])
-    return there, stand, simulate(back, bench.backend)
+    standing = replace(rest, seed=seed + 1_000_000, waypoints=None, script=wait)
+    stand = simulate(standing, bench.backend)
+    return there, stand, simulate(replace(rest, seed=seed + 2_000_000), bench.backend)

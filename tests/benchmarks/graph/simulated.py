@@ -21,7 +21,13 @@ from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.gmapping.bench import WALLS, Bench, Judged, mean_walls, shown
-from tests.benchmarks.gmapping.simulated import PATHS, drive_course, judge, path_figures
+from tests.benchmarks.gmapping.simulated import (
+    PATHS,
+    drive_course,
+    half_an_office,
+    judge,
+    path_figures,
+)
 from tests.benchmarks.graph.recorded import BELIEVED, TIMES, chosen, times
 from tests.support.events import (
     Drive,
@@ -180,19 +186,12 @@ def _events(bench: Bench, seed: int) -> Iterator[_Event]:
 
 
 def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording]:
-    """Simulate the first half of an office drive, and the second from its end or another room."""
-    course = replace(named_course("office", seed), people=0)
-    course = replace(course, world=replace(course.world, seed=seed))
-    stops = simulate(replace(course, lidar=replace(course.lidar, beams=1)), bench.backend)
-    waypoints = stops.course.waypoints or ()
-    half = len(waypoints) // 2
-    there = simulate(replace(course, waypoints=waypoints[:half]), bench.backend)
-    end = there.truth.pose(-1)
-    # Other seeds, so that neither laser nor odometry errs twice in the same way.
-    rest = replace(course, seed=seed + 1_000_000, waypoints=waypoints[half:])
-    back = simulate(replace(rest, start=end), bench.backend)
+    """Simulate half an office drive, and the other half from its end or from another room."""
+    there, rest = half_an_office(bench, seed)
+    back = simulate(replace(rest, seed=seed + 1_000_000), bench.backend)
     # The room that was seen first and lies farthest away.
-    seen = waypoints[: half // 2 + 1]
+    end, waypoints = there.truth.pose(-1), there.course.waypoints or ()
+    seen = waypoints[: len(waypoints) // 2 + 1]
     x, y = max(seen, key=lambda stop: float(np.hypot(stop[0] - end.x, stop[1] - end.y)))
     start = Pose2(x, y, end.yaw_rad + 2.0)
     elsewhere = simulate(replace(rest, seed=seed + 2_000_000, start=start), bench.backend)
