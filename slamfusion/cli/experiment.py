@@ -14,6 +14,7 @@ from slamfusion.cli.inputs import check_writable
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import (
     Progress,
+    notice,
     plain,
     print_json,
     print_table,
@@ -29,10 +30,11 @@ if TYPE_CHECKING:
         CellModelRow,
         Drive,
         DriveFiles,
-        ErrorTable,
+        RealLogTable,
         Results,
         Trial,
     )
+    from slamfusion.experiments.error_table import Tables
     from slamfusion.report.experiment_report import Difference, Panel
     from slamfusion.report.page import Table
 
@@ -348,7 +350,8 @@ def ground_obstacle(folder: Path, config: RunConfig, as_json: bool) -> int:
     device = _prepare(folder, config).name
     with progress_bar() as progress:
         table = compare_with_obstacle(config, folder, progress)
-    _finish_fusion(folder, NAME, table, obstacle_trials(config), config, device, as_json=as_json)
+    pictures = _differences(folder, obstacle_trials(config))
+    _finish_fusion(folder, NAME, table, pictures, config, device, as_json=as_json)
     return 0
 
 
@@ -373,15 +376,67 @@ def failures(folder: Path, config: RunConfig, as_json: bool) -> int:
     device = _prepare(folder, config).name
     with progress_bar() as progress:
         table = compare_failures(config, folder, progress)
-    _finish_fusion(folder, NAME, table, trials, config, device, as_json=as_json)
+    pictures = _differences(folder, trials)
+    _finish_fusion(folder, NAME, table, pictures, config, device, as_json=as_json)
     return 0
+
+
+@command.command("real-logs")
+@OUTPUT
+@click.option(
+    "--datasets",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of the recordings, with mit-csail/ and intel/ in it.",
+)
+@with_config("device", "")
+@common_options
+def real_logs(folder: Path, datasets: Path, config: RunConfig, as_json: bool) -> int:
+    """Compare three producers and their fusions on recorded drives: mit-csail and Intel.
+
+    Against the map drawn from the best trajectory known, the nearest thing to the truth. A drive
+    whose files are not in the folder is skipped, and named.
+    """
+    from slamfusion.experiments import REAL_LOGS, compare_on_logs  # noqa: PLC0415
+    from slamfusion.experiments.real_logs import NAME  # noqa: PLC0415
+
+    names = []
+    for name, files in REAL_LOGS.items():
+        absent = [path for path in (files.log, files.reference) if not (datasets / path).is_file()]
+        if absent:
+            notice(f"skipped: {name}: {datasets / absent[0]} is not there")
+        else:
+            names.append(name)
+    if not names:
+        message = f"no recorded drive in {datasets}; wanted {' or '.join(REAL_LOGS)} there"
+        raise SlamFusionError(message)
+    backend = _prepare(folder, config)
+    with progress_bar() as progress:
+        table = compare_on_logs(datasets, names, config, backend, progress)
+    pictures = _map_differences(table)
+    _finish_fusion(folder, NAME, table, pictures, config, backend.name, as_json=as_json)
+    return 0
+
+
+def _map_differences(table: RealLogTable) -> dict[str, list[Difference]]:
+    """Return the maps of recorded drives against the reference maps, by drive."""
+    from slamfusion.report.experiment_report import Difference  # noqa: PLC0415
+
+    shown: dict[str, list[Difference]] = {}
+    for row in table.rows:
+        if row.error is not None:
+            caption = f"{row.log}, against the reference map."
+            codes, size = row.error.difference, row.error.resolution
+            shown.setdefault(row.log, []).append(Difference(row.method, caption, codes, size))
+    return shown
 
 
 def _finish_fusion(
     folder: Path,
     stem: str,
-    table: ErrorTable,
-    trials: Sequence[Trial],
+    table: Tables,
+    pictures: Mapping[str, Sequence[Difference]],
     config: RunConfig,
     device: str,
     *,
@@ -399,7 +454,7 @@ def _finish_fusion(
         {name: values["ratio"] for name, values in table.overall().items()},
         sentences,
         _page_tables(table),
-        _differences(folder, trials),
+        pictures,
         folder,
         config=config,
         device=device,
@@ -417,8 +472,8 @@ def _finish_fusion(
     _print_files(files)
 
 
-def _page_tables(table: ErrorTable) -> list[Table]:
-    """Return the tables as the page has them; all but the first are folded."""
+def _page_tables(table: Tables) -> list[Table]:
+    """Return the tables as the page has them; all but the first two are folded."""
     from slamfusion.report.page import Cell, Table  # noqa: PLC0415
 
     return [
@@ -427,7 +482,7 @@ def _page_tables(table: ErrorTable) -> list[Table]:
             sheet.heading,
             [[Cell(text, is_number=text[:1].isdigit()) for text in row] for row in sheet.rows],
             sheet.note,
-            folded=number > 0,
+            folded=number > 1,
         )
         for number, sheet in enumerate(table.sheets(details=True))
     ]

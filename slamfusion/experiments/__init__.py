@@ -15,20 +15,24 @@ from slamfusion.experiments.error_table import ErrorTable, write_error_table
 from slamfusion.experiments.failures import compare_failures, failure_trials
 from slamfusion.experiments.ground_obstacle import compare_with_obstacle, obstacle_trials
 from slamfusion.experiments.occupancy_estimator import sweep_estimators, verdicts
+from slamfusion.experiments.real_logs import REAL_LOGS, RealLogTable, compare_on_logs
 from slamfusion.experiments.table import Results, Run, repeat, write_results
 from slamfusion.experiments.trials import Trial, TrialRecord, read_example
 
 __all__ = [
+    "REAL_LOGS",
     "CellModelRow",
     "Drive",
     "DriveFiles",
     "ErrorTable",
+    "RealLogTable",
     "Results",
     "Run",
     "Trial",
     "TrialRecord",
     "compare_failures",
     "compare_models",
+    "compare_on_logs",
     "compare_with_obstacle",
     "failure_trials",
     "model_sentences",

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from slamfusion.evaluation import (
     Interval,
@@ -27,7 +27,7 @@ from slamfusion.experiments.trials import FUSIONS, TrialRecord, alone
 from slamfusion.io import AtomicFiles
 from slamfusion.slam.runner import PRODUCERS
 
-__all__ = ["Against", "ErrorTable", "MethodPair", "Sheet", "write_error_table"]
+__all__ = ["Against", "ErrorTable", "MethodPair", "Sheet", "Tables", "write_error_table"]
 
 SIGNIFICANT = 0.05
 NO_TEST = "-"
@@ -267,6 +267,35 @@ class ErrorTable:
             "[F16] error against the truth, mean ± sample deviation; smaller is better.",
         )
 
+    def intervals_sheet(self) -> Sheet:
+        """Return fused minus best input with its interval: of each world, and of all together."""
+        rows = []
+        for condition in self.conditions():
+            records = self.of(condition)
+            worlds = list(dict.fromkeys(record.world for record in records))
+            groups = [
+                (str(world), [record for record in records if record.world == world])
+                for world in worlds
+            ]
+            if len(worlds) > 1:
+                groups.append(("all", records))
+            for name, group in groups:
+                part = ErrorTable(self.title, tuple(group))
+                best = part.best_input(condition)
+                base = part.errors(condition, best)
+                cells = [
+                    _difference_text(part.errors(condition, fusion), base) for fusion in FUSIONS
+                ]
+                mean = f"{best} {Summary.of(base).mean:.2f}"
+                rows.append((condition, name, str(len(group)), mean, *cells))
+        return Sheet(
+            "Fused minus best input",
+            ("condition", "world", "drives", "best input", *FUSIONS),
+            tuple(rows),
+            "Mean difference of the errors, and its 95 % interval by pairs; below 0 the fused map "
+            "is better.",
+        )
+
     def harmed_sheet(self) -> Sheet:
         """Return what one harmed producer costs each way to vote."""
         rows = [
@@ -355,7 +384,8 @@ class ErrorTable:
             "What was left out",
             ("condition", "what", "drives", "first reason"),
             tuple(rows),
-            "A map that is missing counts with the error of a map that knows nothing.",
+            "Where no two maps agree, the best founded one counts alone; a producer without a map "
+            "counts as a map that knows nothing.",
         )
 
     def sentences(self) -> list[str]:
@@ -376,7 +406,8 @@ class ErrorTable:
 
     def sheets(self, *, details: bool) -> list[Sheet]:
         """Return the tables; ``details`` adds spread and p-values of every condition."""
-        found = [sheet for sheet in (self.means_sheet(), self.harmed_sheet()) if sheet.rows]
+        shown = (self.means_sheet(), self.intervals_sheet(), self.harmed_sheet())
+        found = [sheet for sheet in shown if sheet.rows]
         for condition in self.conditions() if details else []:
             found += [self.spread_sheet(condition), *self.p_sheets(condition)]
         notes = self.notes_sheet()
@@ -424,15 +455,38 @@ class ErrorTable:
         }
 
 
+class Tables(Protocol):
+    """What an experiment on fusion has to show: ``ErrorTable`` says what each means."""
+
+    @property
+    def title(self) -> str:
+        """Of the experiment."""
+
+    def overall(self) -> dict[str, dict[str, float]]:
+        """Return for each way to vote its error against the best inputs'."""
+
+    def sheets(self, *, details: bool) -> list[Sheet]:
+        """Return the tables."""
+
+    def sentences(self) -> list[str]:
+        """Return what they say."""
+
+    def to_csv(self) -> str:
+        """Return every number."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything."""
+
+
 def write_error_table(
-    folder: Path, stem: str, table: ErrorTable, document: Mapping[str, Any], *, details: bool
+    folder: Path, stem: str, table: Tables, document: Mapping[str, Any], *, details: bool
 ) -> list[Path]:
     """Write ``stem.csv``, ``.md`` and ``.json``, all or none.
 
     Args:
         folder: made when missing; older files of the same names are replaced.
         stem: start of the file names.
-        table: the errors.
+        table: the errors, an ``ErrorTable`` for one.
         document: joins the JSON document; plain values without NaN.
         details: also the p-values of every condition in the Markdown.
 
@@ -458,6 +512,15 @@ def write_error_table(
 def _moments(errors: Sequence[float]) -> Moments:
     summary = Summary.of(errors)
     return Moments(summary.mean, summary.std or 0.0, summary.count)
+
+
+def _difference_text(errors: Sequence[float], base: Sequence[float]) -> str:
+    """Return the mean difference with its interval; without one where there is a single drive."""
+    mean = Summary.of(errors).mean - Summary.of(base).mean
+    paired = compare_pairs(errors, base)
+    if paired is None:
+        return f"{mean:+.2f}"
+    return f"{mean:+.2f} ({paired.interval.low:+.2f} to {paired.interval.high:+.2f})"
 
 
 def _mean_text(errors: Sequence[float]) -> str:

@@ -16,8 +16,9 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +28,21 @@ import numpy.typing as npt
 import slamfusion
 from slamfusion.compute import open_backend
 from slamfusion.compute.backend import Backend
+from slamfusion.compute.program import kernel_folder
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig, field_infos, to_mapping
 from slamfusion.errors import AlignmentError, GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.fusion.align import align_grids
-from slamfusion.fusion.path_check import fuse_with_paths
-from slamfusion.fusion.pipeline import fuse_grids
+from slamfusion.fusion.path_check import LEAST_FUSED, best_founded, fuse_with_paths
+from slamfusion.fusion.pipeline import vote_again
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
-from slamfusion.slam.side_by_side import THREAD_VARIABLES, usable_cores
+from slamfusion.slam.side_by_side import threads_limited, usable_cores
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -48,10 +50,12 @@ __all__ = [
     "Example",
     "Trial",
     "TrialRecord",
+    "against_truth",
     "alone",
     "measure_trial",
     "read_example",
     "run_trials",
+    "vote_every_way",
 ]
 
 # Every way to vote, the plain one first.
@@ -61,8 +65,9 @@ FUSIONS: tuple[str, ...] = next(
 PLAIN = "majority"
 FOLDER = "trials"
 # Of the files: others are not believed.
-FORMAT = 2
-LEAST_FUSED = 2
+FORMAT = 3
+# What of the package has no say in a trial: its faces.
+FACES = {"cli", "report", "ros"}
 # Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
 PATIENCE_S = 60.0
 
@@ -152,8 +157,9 @@ def measure_trial(
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
     Each map is laid on the truth where its [F16] error is smaller: in the frame that drive and
-    truth share, or where the alignment search puts it. Where there is no map (a producer that
-    failed, maps of which no two agree), the error is that of a map that knows nothing.
+    truth share, or where the alignment search puts it. Where no two maps agree, what counts is what
+    ``run`` then names: the best founded map alone. A producer without a map, and a fusion of none,
+    has the error of a map that knows nothing.
 
     Args:
         trial: what to drive.
@@ -172,7 +178,7 @@ def measure_trial(
     maps, paths = _produce(trial, recording, config, backend, notes)
     fused = _fuse(trial, maps, paths, config, backend, notes)
     found = {
-        name: _against_truth(grid, recording.world.grid, config, backend)
+        name: against_truth(grid, recording.world.grid, config, backend)
         for name, grid in (maps | fused).items()
     }
     record = TrialRecord(
@@ -216,33 +222,44 @@ def _fuse(
     grids = [grid for grid in maps.values() if grid is not None]
     align = replace(config.fusion.align, shared_frame=True, deadline_s=PATIENCE_S)
     config = replace(config, fusion=replace(config.fusion, align=align))
-    fused = _vote_every_way(grids, paths, config, backend, notes)
+    fused = vote_every_way(grids, paths, config, backend, notes)
     if trial.harmed:
         rest = [grid for grid in grids if grid.name != trial.harmed]
         own_notes: dict[str, str] = {}
-        others = _vote_every_way(rest, paths, config, backend, own_notes)
+        others = vote_every_way(rest, paths, config, backend, own_notes)
         fused |= {alone(mode): grid for mode, grid in others.items()}
         notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}
     return fused
 
 
-def _vote_every_way(
+def vote_every_way(
     grids: Sequence[OccupancyGrid],
     paths: Mapping[str, Trajectory],
     config: RunConfig,
     backend: Backend,
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
-    """Return the fused map of every way to vote, None where nothing is fused."""
-    fused: dict[str, OccupancyGrid | None] = dict.fromkeys(FUSIONS)
+    """Return the fused map of every way to vote; all have the same voters, or the same one map.
+
+    Args:
+        grids: the producers' maps.
+        paths: found with them, by name.
+        config: settings of the fusion.
+        backend: computes.
+        notes: told, by method, what went wrong.
+
+    Returns:
+        By way to vote; None where there is no map at all.
+    """
+    if not grids:
+        notes[PLAIN] = "no map was made"
+        return dict.fromkeys(FUSIONS)
     plain = _vote_plainly(grids, paths, config, backend, notes)
-    if plain is not None:
-        voters = [record.grid for record in plain.accepted]
-        fused[PLAIN] = plain.fused
-        for mode in FUSIONS:
-            if mode != PLAIN:
-                fused[mode] = fuse_grids(voters, _voting(config.fusion, mode), backend).fused
-    return fused
+    if isinstance(plain, OccupancyGrid):
+        return dict.fromkeys(FUSIONS, plain)
+    return {
+        mode: vote_again(plain, _voting(config.fusion, mode), backend).fused for mode in FUSIONS
+    }
 
 
 def _vote_plainly(
@@ -251,18 +268,19 @@ def _vote_plainly(
     config: RunConfig,
     backend: Backend,
     notes: dict[str, str],
-) -> FusionResult | None:
-    """Return the plain vote of maps, None where there is none; ``notes`` say what went wrong."""
+) -> FusionResult | OccupancyGrid:
+    """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
     if len(grids) < LEAST_FUSED:
-        notes[PLAIN] = f"fewer than {LEAST_FUSED} maps were made"
-        return None
+        notes[PLAIN] = f"{grids[0].name} alone: it made the only map"
+        return grids[0]
     kept = {grid.name: paths[grid.name] for grid in grids}
     settings = _voting(config.fusion, PLAIN)
     try:
         result, _ = fuse_with_paths(grids, kept, settings, config.run.path_gap_m, backend)
     except AlignmentError as error:
-        notes[PLAIN] = str(error)
-        return None
+        alone_grid = best_founded(grids, error.pairs)
+        notes[PLAIN] = f"{alone_grid.name} alone: {error}"
+        return alone_grid
     for record in result.rejected:
         notes[f"{PLAIN} without {record.name}"] = record.reason
     return result
@@ -272,10 +290,17 @@ def _voting(config: FusionConfig, mode: str) -> FusionConfig:
     return replace(config, vote=replace(config.vote, mode=mode))
 
 
-def _against_truth(
+def against_truth(
     grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, backend: Backend
 ) -> MapError:
-    """Measure a map where it lies best on the truth; None is a map that knows nothing."""
+    """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
+
+    Args:
+        grid: None is a map that knows nothing.
+        truth: decides lattice and box.
+        config: thresholds, search and tolerance.
+        backend: computes.
+    """
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
     transforms = [IDENTITY]
@@ -359,7 +384,7 @@ def _run(
         return
     threads = max(1, usable_cores() // processes)
     context = multiprocessing.get_context("spawn")
-    with _threads_limited(threads):
+    with threads_limited(threads):
         pool = ProcessPoolExecutor(processes, context, _begin)
         jobs = {pool.submit(_work, trial, config): trial for trial in trials}
     try:
@@ -371,18 +396,6 @@ def _run(
     finally:
         # Those at work come to their end unheard, which takes seconds; the others do not begin.
         pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _threads_limited(threads: int) -> Iterator[None]:
-    """Let processes started meanwhile share the cores; what is set already is left alone."""
-    added = [name for name in THREAD_VARIABLES if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, str(threads)))
-    try:
-        yield
-    finally:
-        for name in added:
-            del os.environ[name]
 
 
 def _begin() -> None:
@@ -429,13 +442,26 @@ def _done(trial: Trial, config: RunConfig, backend: Backend) -> Done:
 # --- files ---------------------------------------------------------------------------------------
 
 
+@cache
+def _program() -> str:
+    """Return a hash of the sources that a trial runs: of the package and of its kernels."""
+    package = Path(slamfusion.__file__).parent
+    sources = [
+        path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in FACES
+    ]
+    digest = hashlib.sha256()
+    for path in (*sorted(sources), *sorted(kernel_folder().glob("*.[ch]*"))):
+        digest.update(f"{path.name}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
 def _fingerprint(trial: Trial, config: RunConfig) -> str:
-    """Return what tells trials apart that have one name but other settings."""
+    """Return what tells trials apart that have one name but other settings or another program."""
     settings = to_mapping(replace(config, seed=trial.seed))
     for unrelated in ("experiment", "live", "log", "graph_optimizer", "simulate"):
         del settings[unrelated]
     course = course_to_mapping(trial.course)
-    versions = [FORMAT, slamfusion.__version__, FUSIONS]
+    versions = [FORMAT, slamfusion.__version__, _program(), FUSIONS]
     facts = [course, trial.fault, trial.harmed, trial.is_example, settings, versions]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 

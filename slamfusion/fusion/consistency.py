@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["Group", "closure_error", "largest_group", "path_transform"]
+__all__ = ["PATH_GAP", "Group", "closure_error", "largest_group", "path_transform"]
 
 CLOSURE_CELLS = 12.0
 CLOSURE_YAW_RAD = math.radians(3.0)
 EXHAUSTIVE_INPUTS = 12
+# Statistic of a pair whose paths were held against each other and agree: their median gap, metres.
+PATH_GAP = "path_gap_m"
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,9 @@ def largest_group(
     resolution: float,
 ) -> Group:
     """Return the largest connected group of inputs whose accepted triangles all close.
+
+    A triangle whose three pairs have paths that agree is closed by them: bent maps of one drive
+    lock on each other here in one pair and there in the next.
 
     Of equally large groups the one with the greater sum of scores, then the earlier inputs.
 
@@ -105,6 +110,8 @@ def _closes(
     for a, b, c in itertools.combinations(members, 3):
         sides = [edges.get(frozenset(side)) for side in ((a, b), (b, c), (c, a))]
         if any(side is None for side in sides):
+            continue
+        if all(side is not None and PATH_GAP in side.statistics for side in sides):
             continue
         ab, bc, ca = (side for side in sides if side is not None)
         shift, turn = closure_error(_motion(ab, a), _motion(bc, b), _motion(ca, c), centres[a])

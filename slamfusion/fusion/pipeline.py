@@ -37,10 +37,13 @@ __all__ = [
     "align_group",
     "choose_reference",
     "fuse_grids",
+    "vote_again",
     "warp_onto",
 ]
 
 Progress = Callable[[str, int, int], None]
+# Told an alignment, its reference and its moving grid; returns what is believed in its place.
+SecondLook = Callable[[Alignment, GridFeatures, GridFeatures], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
 BYTES_PER_CELL = 24
@@ -54,6 +57,7 @@ def fuse_grids(
     config: FusionConfig,
     backend: Backend,
     progress: Progress | None = None,
+    second_look: SecondLook | None = None,
 ) -> FusionResult:
     """Bring the grids into one frame and let them vote.
 
@@ -62,6 +66,8 @@ def fuse_grids(
         config: every setting of the fusion.
         backend: computes.
         progress: called with what is being done, how many steps are done, and of how many.
+        second_look: what else is known of a pair: given each alignment, returns the one that is
+            believed; None: the walls alone decide.
 
     Returns:
         The fused map and everything needed to judge it. A single grid is its own fusion.
@@ -83,7 +89,8 @@ def fuse_grids(
             reasons[grid.name] = str(error)
             continue
         features[grid.name] = GridFeatures(normalized, backend)
-    group = align_group(features, reasons, config, backend, [g.name for g in grids], progress)
+    names = [grid.name for grid in grids]
+    group = align_group(features, reasons, config, backend, names, progress, second_look)
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     rejected = {
@@ -93,6 +100,28 @@ def fuse_grids(
     }
     result = _vote(grids, group.reference, group.alignments, features, rejected, config, backend)
     return replace(result, pairs=group.pairs, time_s=time.perf_counter() - began)
+
+
+def vote_again(result: FusionResult, config: FusionConfig, backend: Backend) -> FusionResult:
+    """Return the vote of the same inputs under the same alignments with other settings.
+
+    Args:
+        result: of ``fuse_grids``.
+        config: its ``vote`` may differ from that of the result.
+        backend: computes.
+    """
+    began = time.perf_counter()
+    grids = [record.grid for record in result.inputs]
+    resolution = common_resolution(grids, config.normalize)
+    alignments, features = {}, {}
+    for record in result.accepted:
+        if record.alignment is not None:
+            normalized = normalize_grid(record.grid, resolution, config.normalize, backend)
+            features[record.name] = GridFeatures(normalized, backend)
+            alignments[record.name] = record.alignment
+    rejected = {record.name: record for record in result.rejected}
+    voted = _vote(grids, result.reference, alignments, features, rejected, config, backend)
+    return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +148,7 @@ def align_group(
     backend: Backend,
     names: Sequence[str],
     progress: Progress | None = None,
+    second_look: SecondLook | None = None,
 ) -> AlignedGroup:
     """Align every pair, find the largest group that fits together, and choose its reference.
 
@@ -128,13 +158,13 @@ def align_group(
         config: settings of the search; ``reference`` may name the reference.
         backend: computes.
         names: all inputs, in order.
-        progress: see ``fuse_grids``.
+        progress, second_look: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    pairs = _align_pairs(features, config, backend, progress)
+    pairs = _align_pairs(features, config, backend, progress, second_look)
     group = _agree(names, features, pairs, reasons)
     reference = choose_reference(group.members, features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs, backend)
@@ -174,6 +204,7 @@ def _align_pairs(
     config: FusionConfig,
     backend: Backend,
     progress: Progress | None,
+    second_look: SecondLook | None,
 ) -> list[Alignment]:
     """Align every pair, the larger known box to the smaller."""
     couples = list(itertools.combinations(features.values(), 2))
@@ -182,7 +213,8 @@ def _align_pairs(
         reference, moving = (a, b) if math.prod(a.shape) <= math.prod(b.shape) else (b, a)
         if progress is not None:
             progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
-        pairs.append(align_features(reference, moving, config.align, backend))
+        pair = align_features(reference, moving, config.align, backend)
+        pairs.append(pair if second_look is None else second_look(pair, reference, moving))
     if progress is not None:
         progress("vote", len(couples), len(couples))
     return pairs

@@ -41,6 +41,9 @@ __all__ = [
     "write_fusion_experiment",
 ]
 
+# Tables of a fusion experiment that stand above its pictures.
+TOP = 2
+
 _COLOURS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
 _MARKERS = ("o", "D", "s", "^")
 _STYLES = ("-", "--", ":", "-.")
@@ -187,7 +190,7 @@ def write_fusion_experiment(
         title: of the page.
         ratios: error of every way to vote over that of the best inputs, by name; at least one.
         sentences: what was found, in words.
-        tables: the first one is shown at the top, the others after the pictures.
+        tables: the first two are shown at the top, the others after the pictures.
         examples: the maps of a drive, by the name of its section.
         directory: for ``report.html`` and the PNG files; made when missing.
         config: the effective configuration, written out in full.
@@ -212,12 +215,12 @@ def write_fusion_experiment(
         )
         for name, ratio in ratios.items()
     ]
-    sections = [Section("Errors", "errors", tables=tables[:1])]
+    sections = [Section("Errors", "errors", tables=tables[:TOP])]
     for number, (name, maps) in enumerate(examples.items(), start=1):
         pictures = [_difference(item) for item in maps]
         sections.append(Section(name, f"example-{number}", pictures=pictures))
-    if len(tables) > 1:
-        sections.append(Section("In detail", "detail", tables=tables[1:]))
+    if len(tables) > TOP:
+        sections.append(Section("In detail", "detail", tables=tables[TOP:]))
     sections.append(circumstances(config, device))
     return write_page(Page(title, banner, facts, sections), directory)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 from pathlib import Path
 
@@ -123,6 +124,7 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert len([name for name in files if name.endswith(".png")]) == 2 * len(methods)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "p-values as in [F16], obstacle" in page
+    assert "Fused minus best input" in page
     assert page.count("data:image/png;base64") == 2 * len(methods)
     # All of it is there: nothing is driven again, and everything is the same.
     again = json_of(run(*arguments, timeout=20.0))
@@ -130,6 +132,41 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     unchanged = {name: data for name, data in files.items() if name.startswith("trials")}
     assert len(unchanged) > 6
     assert unchanged.items() <= tree(tmp_path).items()
+
+
+def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
+    made = room()
+    folder = tmp_path / "datasets" / "mit-csail"
+    folder.mkdir(parents=True)
+    assert made.reference is not None
+    write_carmen(folder / "mit-csail.clf.gz", made.scans)
+    write_tum(tmp_path / "truth.tum", made.reference)
+    text = (tmp_path / "truth.tum").read_bytes()
+    (folder / "mit-csail-reference-graph.log.gz").write_bytes(gzip.compress(text))
+    out = tmp_path / "out"
+    done = run(
+        "experiment", "real-logs", "--datasets", tmp_path / "datasets", "-o", out, "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (skipped,) = done.stderr.splitlines()
+    assert "skipped: intel: " in skipped
+    assert skipped.endswith("intel-910-raw.log.gz is not there")
+    document = json_of(done)
+    methods = [*PRODUCERS, *FUSIONS]
+    assert [item["map"] for item in document["maps"]] == [*methods, "reference"]
+    assert all(item["wall_distance_mean_m"] < 0.2 for item in document["maps"][:-1])
+    assert set(document["overall"]) == set(FUSIONS)
+    files = tree(out)
+    assert {f"real-logs.{kind}" for kind in ("csv", "md", "json")} < set(files)
+    assert len([name for name in files if name.endswith(".png")]) == len(methods)
+    assert "12 of 12 scans" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
+    done = run("experiment", "real-logs", "--datasets", tmp_path, "-o", tmp_path / "out")
+    assert done.returncode == 1
+    assert "no recorded drive in" in done.stderr.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.full

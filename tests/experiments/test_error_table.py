@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from slamfusion.experiments import ErrorTable, TrialRecord, write_error_table
 from slamfusion.experiments.trials import FUSIONS, alone
@@ -97,6 +99,26 @@ def test_a_harmed_producer_is_held_against_the_others_alone() -> None:
     assert row == ("b", "weighted", "84.00", "80.00", "+5.0 %")
     assert "b: weighted +5.0 % against fusing the others alone." in table.sentences()
     assert list(table.to_json()["against_others_alone"]) == ["b"]
+
+
+def test_the_gain_is_told_for_each_world_and_for_all() -> None:
+    records = drawn(3.0).records
+    worlds = tuple(replace(item, world=1 + item.seed % 2) for item in records)
+    table = ErrorTable("t", worlds)
+    sheet = table.intervals_sheet()
+    assert [row[:3] for row in sheet.rows] == [
+        ("hall", "1", "6"), ("hall", "2", "6"), ("hall", "all", "12"),
+    ]  # fmt: skip
+    column = sheet.heading.index("majority")
+    for row, part in zip(sheet.rows, (worlds[::2], worlds[1::2], worlds), strict=True):
+        gains = [item.errors["majority"] - item.errors["graph"] for item in part]
+        mean, low, high = (float(text.strip("()")) for text in row[column].split() if text != "to")
+        assert mean == pytest.approx(np.mean(gains), abs=0.006)
+        margin = stats.t.ppf(0.975, len(gains) - 1) * np.std(gains, ddof=1) / np.sqrt(len(gains))
+        assert (low, high) == pytest.approx((mean - margin, mean + margin), abs=0.012)
+        assert high < 0.0
+    assert sheet in table.sheets(details=False)
+    assert ErrorTable("t", worlds[:1]).intervals_sheet().rows[0][column].count(" ") == 0
 
 
 def test_what_was_left_out_is_counted_with_its_reason() -> None:

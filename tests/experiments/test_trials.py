@@ -20,9 +20,18 @@ from slamfusion.experiments import failure_trials, obstacle_trials, read_example
 from slamfusion.experiments import trials as module
 from slamfusion.experiments.failures import FAILURES
 from slamfusion.experiments.faults import FAULTS
-from slamfusion.experiments.trials import FUSIONS, Trial, TrialRecord, alone, run_trials
+from slamfusion.experiments.trials import (
+    FUSIONS,
+    Trial,
+    TrialRecord,
+    alone,
+    run_trials,
+    vote_every_way,
+)
 from slamfusion.sim import COURSES, simulate
 from slamfusion.slam.runner import PRODUCERS
+from slamfusion.trajectory import Trajectory
+from tests.fusion.drawings import building, fusion_config
 
 pytestmark = pytest.mark.once
 
@@ -130,6 +139,11 @@ def test_other_settings_are_run_anew(
     other = replace(config, gmapping=replace(config.gmapping, particles=PARTICLES + 1))
     with pytest.raises(RanError):
         run_trials(trials, other, folder, processes=1)
+    # Nor is what another program made believed.
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_program", lambda: "another")
+        with pytest.raises(RanError):
+            run_trials(trials, config, folder, processes=1)
     # How many repetitions there are in all does not matter to one of them.
     run_trials(trials, replace(config, experiment=ExperimentConfig()), folder, processes=1)
 
@@ -152,7 +166,7 @@ def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:
         run_trials([replace(trial, course=course)], small(), tmp_path, processes=1)
 
 
-def test_where_fewer_than_two_maps_are_made_nothing_is_fused(
+def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
     done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
 ) -> None:
     _, trials, _ = done
@@ -164,11 +178,28 @@ def test_where_fewer_than_two_maps_are_made_nothing_is_fused(
     )
     (record,) = run_trials(trials[:1], blind, tmp_path, processes=1)
     assert set(record.notes) == {"tinyslam", "gmapping", "majority"}
-    # All of them count as a map that knows nothing, which is worse than the one that was made.
-    nothing = {record.errors[name] for name in ("tinyslam", "gmapping", *FUSIONS)}
-    assert len(nothing) == 1
-    assert nothing.pop() > record.errors["graph"]
-    assert record.wall_f1["majority"] == 0.0
+    assert record.notes["majority"] == "graph alone: it made the only map"
+    assert {record.errors[name] for name in FUSIONS} == {record.errors["graph"]}
+    # The others count as a map that knows nothing, which is worse.
+    (nothing,) = {record.errors[name] for name in ("tinyslam", "gmapping")}
+    assert nothing > record.errors["graph"]
+    assert record.wall_f1["tinyslam"] == 0.0
+
+
+def test_where_no_two_maps_agree_the_best_founded_counts_alone() -> None:
+    backend = module.open_backend("numpy")
+    grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(PRODUCERS)]
+    paths = {
+        name: Trajectory(np.arange(2.0), np.array([[0, 0, 0], [9.0 * index, 0, 0]]))
+        for index, name in enumerate(PRODUCERS)
+    }
+    notes: dict[str, str] = {}
+    config = replace(RunConfig(), fusion=fusion_config())
+    fused = vote_every_way(grids, paths, config, backend, notes)
+    (grid,) = {id(item): item for item in fused.values()}.values()
+    assert grid is not None
+    assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
+    assert vote_every_way([], {}, config, backend, notes) == dict.fromkeys(FUSIONS)
 
 
 def test_drives_are_paired_and_worlds_are_numbered() -> None:

@@ -8,7 +8,12 @@ from dataclasses import replace
 
 import pytest
 
-from slamfusion.fusion.consistency import closure_error, largest_group, path_transform
+from slamfusion.fusion.consistency import (
+    PATH_GAP,
+    closure_error,
+    largest_group,
+    path_transform,
+)
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 
@@ -65,6 +70,14 @@ def test_closure_is_measured_where_the_map_is() -> None:
 
 def test_a_triangle_that_closes_is_one_group() -> None:
     assert members("abc", all_pairs("abc")) == "abc"
+
+
+def test_paths_close_a_triangle_that_bent_maps_leave_open() -> None:
+    pairs = [pair("b", "a"), pair("c", "b"), pair("c", "a", error=ASIDE)]
+    assert len(members("abc", pairs)) == 2
+    borne_out = [replace(item, statistics={PATH_GAP: 0.4}) for item in pairs]
+    assert members("abc", borne_out) == "abc"
+    assert len(members("abc", [*borne_out[:2], pairs[2]])) == 2
 
 
 def test_directions_of_the_pairs_do_not_matter() -> None:

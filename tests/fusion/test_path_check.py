@@ -9,15 +9,19 @@ import pytest
 
 from slamfusion.compute import Backend
 from slamfusion.errors import AlignmentError
+from slamfusion.fusion import fuse_grids
+from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.path_check import (
     PathsApartError,
     agreeing,
+    best_founded,
+    fit_paths,
     fuse_with_paths,
     moved_path,
     path_gaps,
 )
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building, degraded, fusion_config
 
@@ -134,6 +138,78 @@ def test_two_producers_that_were_apart_are_not_fused(backend: Backend) -> None:
     assert len(caught.value.pairs) == 1
     (gap,) = caught.value.gaps
     assert gap.median_m == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("is_turning", [False, True])
+def test_the_fit_of_paths_is_the_motion_between_their_frames(*, is_turning: bool) -> None:
+    path = TRUE_PATH
+    if is_turning:  # on the spot: its places say nothing of the turn
+        poses = np.column_stack((np.full(50, 2.0), np.full(50, 3.0), np.linspace(0.0, 5.0, 50)))
+        path = Trajectory(TRUE_PATH.stamps_s, poses, "turn")
+    motion = Pose2(3.0, -2.0, 2.5)
+    found = fit_paths(path, moved_path(path, motion))
+    assert (found.x, found.y, found.yaw_rad) == pytest.approx((3.0, -2.0, 2.5))
+
+
+def square(name: str) -> OccupancyGrid:
+    """A room that looks the same under four turns; its frame begins in its middle."""
+    cells = np.zeros((61, 61), dtype=np.int8)
+    cells[[0, 1, -2, -1], :] = cells[:, [0, 1, -2, -1]] = 100
+    return OccupancyGrid(cells, 0.1, Pose2(-3.05, -3.05), name)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2])
+def test_a_map_that_walls_leave_open_is_placed_by_its_path(backend: Backend, turns: int) -> None:
+    grids = [square("a"), square("b")]
+    with pytest.raises(AlignmentError, match="ambiguous"):
+        fuse_grids(grids, QUICK, backend)
+    turn = Pose2(0.0, 0.0, turns * math.pi / 2.0)
+    path = moved_path(TRUE_PATH, Pose2(-4.0, -3.0))
+    result, _ = fuse_with_paths(
+        grids, {"a": path, "b": moved_path(path, turn.inverse())}, QUICK, 0.5, backend
+    )
+    assert len(result.accepted) == 2
+    (pair,) = result.pairs
+    assert pair.reason.startswith("placed by its path: 0.0")
+    assert pair.statistics[PATH_GAP] < 0.1
+    wanted = turn if pair.moving == "b" else turn.inverse()
+    off = pair.transform.inverse().compose(wanted)
+    assert math.hypot(off.x, off.y) < 0.1
+    assert abs(off.yaw_rad) < 0.02
+
+
+def test_without_walls_that_meet_no_path_places_a_map(backend: Backend) -> None:
+    grids, _ = producers()
+    stranger = building(77, 8.0, 7.5).with_name("b")
+    with pytest.raises(AlignmentError, match="no two of the inputs"):
+        fuse_with_paths([grids[0], stranger], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, 1.0, backend)
+
+
+def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> None:
+    poses = TRUE_PATH.poses.copy()
+    poses[30:, 1] += 8.0
+    lost = Trajectory(TRUE_PATH.stamps_s, poses, "lost")
+    paths = {"a": TRUE_PATH, "b": lost, "c": shifted(0.2)}
+    gaps = path_gaps(paths)
+    assert gaps[0].median_m == 0.0
+    members, reasons = agreeing(tuple(paths), gaps, 1.0)
+    assert members == ("a", "c")
+    assert "more than 8.00 m for a quarter of the time" in reasons["b"]
+    # Of two that were together half of the time neither is known to be lost.
+    del paths["c"]
+    assert agreeing(("a", "b"), path_gaps(paths), 1.0) == (("a", "b"), {})
+
+
+def test_the_best_founded_map_is_the_one_that_others_bear_out(backend: Backend) -> None:
+    grids, _ = producers()
+    pairs = fuse_grids(grids, QUICK, backend).pairs
+    lost = building(77, 8.0, 7.5).with_name("lost")
+    with_lost = fuse_grids([*grids[:2], lost], QUICK, backend)
+    assert best_founded([lost, *grids[:2]], with_lost.pairs).name in {"a", "b"}
+    assert best_founded(grids[1:2], pairs).name == "b"
+    # Nothing was aligned: the one that knows most.
+    small = lost.crop(CellBox(0, 0, 20, 20))
+    assert best_founded([small, lost], ()) is lost
 
 
 def test_maps_of_two_places_are_told_apart_by_their_walls(backend: Backend) -> None:

@@ -17,7 +17,7 @@ from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import FusionResult, fuse_grids, pipeline
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.pipeline import choose_reference
+from slamfusion.fusion.pipeline import choose_reference, vote_again
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import memory
@@ -59,6 +59,20 @@ def three(seed: int = 1) -> tuple[tuple[OccupancyGrid, ...], tuple[Pose2, ...]]:
 
 def stranger(name: str = "stranger") -> OccupancyGrid:
     return building(77, 8.0, 7.5).with_name(name)
+
+
+@pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])
+def test_the_same_maps_vote_again_as_they_would_have_voted(backend: Backend, mode: str) -> None:
+    grids, _ = three()
+    given = [*grids, stranger()]
+    first = fuse_grids(given, QUICK, backend)
+    config = replace(QUICK, vote=replace(QUICK.vote, mode=mode))
+    again, wanted = vote_again(first, config, backend), fuse_grids(given, config, backend)
+    assert np.array_equal(again.fused.cells, wanted.fused.cells)
+    assert np.array_equal(again.agreement.cells, wanted.agreement.cells)
+    assert again.weights == wanted.weights
+    assert [r.accepted for r in again.inputs] == [r.accepted for r in wanted.inputs]
+    assert again.pairs == first.pairs
 
 
 def truth_error(grid: OccupancyGrid, truth: OccupancyGrid, pose: Pose2) -> float:

@@ -1,0 +1,333 @@
+"""Fusion on recorded drives: each producer's map and the fused ones against the reference map.
+
+Nobody knows the truth of a recorded building. The nearest thing to it is the map that is drawn
+from the scans at the poses of the best trajectory known, cell by cell as the graph draws its map;
+its own errors are part of every number here.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import MapError, doubled_wall_share
+from slamfusion.experiments.error_table import Sheet
+from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.slam.node_map import MapJob, Node, NodeMap
+from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "NAME",
+    "REAL_LOGS",
+    "RealLog",
+    "RealLogRow",
+    "RealLogTable",
+    "compare_on_logs",
+    "reference_map",
+]
+
+NAME = "real-logs"
+TITLE = "Fusion on recorded drives"
+REFERENCE = "reference"
+# A scan belongs to a pose of the reference at its very time; stamps are rounded here and there.
+SAME_TIME_S = 0.02
+NO_NUMBER = "-"
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class RealLog:
+    """A recorded drive of the data sets.
+
+    Attributes:
+        log: scans with odometry, in the folder of the data sets.
+        reference: the best trajectory known, likewise.
+        source: what that is, in words.
+    """
+
+    log: str
+    reference: str
+    source: str
+
+
+REAL_LOGS: dict[str, RealLog] = {
+    "mit-csail": RealLog(
+        "mit-csail/mit-csail.clf.gz",
+        "mit-csail/mit-csail-reference-graph.log.gz",
+        "the nodes of the reference graph, 0.004 m on the relations",
+    ),
+    "intel": RealLog(
+        "intel/intel-910-raw.log.gz",
+        "intel/intel-estimate-11439.txt.gz",
+        "the estimate of another laser SLAM over all scans, 0.022 m on the relations",
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RealLogRow:
+    """One map of a recorded drive.
+
+    Attributes:
+        log: name of the drive.
+        method: a producer, a way to vote, or the reference map itself.
+        doubled_share: of its wall cells, with a parallel wall close by.
+        error: against the reference map, where the map lies best on it; None for that map itself,
+            and for a map that is missing.
+    """
+
+    log: str
+    method: str
+    doubled_share: float
+    error: MapError | None
+
+    def numbers(self) -> dict[str, float | None]:
+        """Return what is measured, by name; lengths in metres."""
+        error = self.error
+        there = None if error is None else error.map_to_truth
+        back = None if error is None else error.truth_to_map
+        return {
+            "error": None if error is None else error.error,
+            "wall_distance_mean_m": None if there is None else there.mean_m,
+            "wall_distance_p95_m": None if there is None else there.p95_m,
+            "reference_to_map_mean_m": None if back is None else back.mean_m,
+            "wall_f1": None if error is None else error.wall_f1,
+            "doubled_wall_share": self.doubled_share,
+        }
+
+
+COLUMNS = {
+    "error": ("[F16] error", "{:.1f}"),
+    "wall_distance_mean_m": ("to the reference's walls, mean m", "{:.3f}"),
+    "wall_distance_p95_m": ("95 %, m", "{:.3f}"),
+    "reference_to_map_mean_m": ("from them, mean m", "{:.3f}"),
+    "wall_f1": ("wall F1", "{:.3f}"),
+    "doubled_wall_share": ("doubled walls", "{:.1%}"),
+}
+
+
+@dataclass(frozen=True)
+class RealLogTable:
+    """All maps of all recorded drives.
+
+    Attributes:
+        title: of the experiment.
+        rows: of each drive the producers, the ways to vote, and the reference map.
+        notes: what went wrong, by drive and method.
+        references: what the reference map of each drive was drawn from.
+    """
+
+    title: str
+    rows: tuple[RealLogRow, ...]
+    notes: Mapping[tuple[str, str], str]
+    references: Mapping[str, str]
+
+    def logs(self) -> list[str]:
+        """Return the drives, in order."""
+        return list(dict.fromkeys(row.log for row in self.rows))
+
+    def _errors(self, log: str) -> dict[str, float]:
+        """Return the [F16] errors of a drive, by method."""
+        return {row.method: row.error.error for row in self.rows if row.log == log and row.error}
+
+    def ratios(self, log: str) -> dict[str, float]:
+        """Return the error of every way to vote over that of the drive's best input."""
+        errors = self._errors(log)
+        best = min(errors[name] for name in PRODUCERS if name in errors)
+        return {mode: errors[mode] / best for mode in FUSIONS if mode in errors}
+
+    def overall(self) -> dict[str, dict[str, float]]:
+        """Return for each way to vote the mean of the ratios of all drives, and the worst."""
+        found = {}
+        for mode in FUSIONS:
+            ratios = [self.ratios(log)[mode] for log in self.logs() if mode in self.ratios(log)]
+            if ratios:
+                found[mode] = {"ratio": sum(ratios) / len(ratios), "worst": max(ratios)}
+        return found
+
+    def sheets(self, *, details: bool) -> list[Sheet]:
+        """Return a table for each drive; ``details`` adds nothing."""
+        del details
+        found = []
+        for log in self.logs():
+            rows = []
+            for row in (row for row in self.rows if row.log == log):
+                numbers = row.numbers()
+                cells = [
+                    NO_NUMBER if (value := numbers[key]) is None else form.format(value)
+                    for key, (_, form) in COLUMNS.items()
+                ]
+                rows.append((row.method, *cells))
+            heading = ("map", *(text for text, _ in COLUMNS.values()))
+            note = f"Against the map that is drawn by {self.references[log]}."
+            found.append(Sheet(log, heading, tuple(rows), note))
+        if self.notes:
+            rows_left = tuple((log, what, why) for (log, what), why in self.notes.items())
+            found.append(Sheet("What was left out", ("log", "what", "reason"), rows_left))
+        return found
+
+    def sentences(self) -> list[str]:
+        """Return each way to vote against the best input, and over all drives."""
+        lines = []
+        for log in self.logs():
+            errors = self._errors(log)
+            best = min((name for name in PRODUCERS if name in errors), key=errors.__getitem__)
+            lines += [
+                f"{log}: {mode} {100.0 * (ratio - 1.0):+.1f} % against {best}, the best input."
+                for mode, ratio in self.ratios(log).items()
+            ]
+        for mode, values in self.overall().items():
+            change, worst = (100.0 * (values[key] - 1.0) for key in ("ratio", "worst"))
+            lines.append(
+                f"all logs: {mode} {change:+.1f} % against the best inputs, "
+                f"{worst:+.1f} % where it stands worst."
+            )
+        return lines
+
+    def to_csv(self) -> str:
+        """Return every map, a line each."""
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(["log", "map", *COLUMNS])
+        for row in self.rows:
+            writer.writerow([row.log, row.method, *row.numbers().values()])
+        return buffer.getvalue()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return every map and what they say."""
+        return {
+            "title": self.title,
+            "maps": [{"log": row.log, "map": row.method, **row.numbers()} for row in self.rows],
+            "overall": self.overall(),
+            "notes": [
+                {"log": log, "what": what, "reason": why} for (log, what), why in self.notes.items()
+            ],
+            "references": dict(self.references),
+        }
+
+
+def compare_on_logs(
+    folder: Path,
+    names: Sequence[str],
+    config: RunConfig,
+    backend: Backend,
+    progress: Progress | None = None,
+) -> RealLogTable:
+    """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
+
+    Args:
+        folder: of the data sets.
+        names: of ``REAL_LOGS``; those whose files lie there.
+        config: settings of producers and fusion.
+        backend: computes.
+        progress: told the drives, and the scans of each producer.
+
+    Raises:
+        LogError, TrajectoryError: a file cannot be read.
+        SlamFusionError: no producer made a map, or no scan has a pose in the reference.
+        OSError: a file cannot be opened.
+    """
+    rows: list[RealLogRow] = []
+    notes: dict[tuple[str, str], str] = {}
+    references: dict[str, str] = {}
+    for name in names:
+        part = _compare_on_log(folder, name, config, backend, progress)
+        rows += part.rows
+        notes |= part.notes
+        references |= part.references
+    return RealLogTable(TITLE, tuple(rows), notes, references)
+
+
+def _compare_on_log(
+    folder: Path, name: str, config: RunConfig, backend: Backend, progress: Progress | None
+) -> RealLogTable:
+    """Return the maps of one drive."""
+    files = REAL_LOGS[name]
+    scans = tuple(open_log(folder / files.log, config.log))
+    trajectory = read_trajectory(folder / files.reference, config.log)
+    reference, count = reference_map(scans, trajectory, config, backend)
+
+    notes: dict[str, str] = {}
+    maps: dict[str, OccupancyGrid | None] = {}
+    paths = {}
+    for producer in PRODUCERS:
+
+        def tell(done: int, what: str) -> None:
+            if progress is not None:
+                progress(what, done, len(scans))
+
+        say = partial(tell, what=f"{name}, {producer}")
+        try:
+            run = run_producer(make_producer(producer, config, backend), scans, progress=say)
+        except SlamFusionError as error:
+            maps[producer], notes[producer] = None, str(error)
+            continue
+        maps[producer], paths[producer] = run.grid, run.trajectory
+    grids = [grid for grid in maps.values() if grid is not None]
+    if not grids:
+        message = f"{name}: no producer made a map ({'; '.join(notes.values())})"
+        raise SlamFusionError(message)
+    align = replace(config.fusion.align, shared_frame=True)
+    config = replace(config, fusion=replace(config.fusion, align=align))
+    fused = vote_every_way(grids, paths, config, backend, notes)
+
+    rows = []
+    for method, grid in (maps | fused).items():
+        if grid is not None:
+            found = against_truth(grid, reference, config, backend)
+            rows.append(RealLogRow(name, method, _doubled(grid, config), found))
+    rows.append(RealLogRow(name, REFERENCE, _doubled(reference, config), None))
+    why = {(name, what): text for what, text in notes.items()}
+    drawn_from = f"{count} of {len(scans)} scans at {files.source}"
+    return RealLogTable(TITLE, tuple(rows), why, {name: drawn_from})
+
+
+def _doubled(grid: OccupancyGrid, config: RunConfig) -> float:
+    return doubled_wall_share(grid, normalize=config.fusion.normalize)
+
+
+def reference_map(
+    scans: Sequence[LogScan], trajectory: Trajectory, config: RunConfig, backend: Backend
+) -> tuple[OccupancyGrid, int]:
+    """Return the map that scans draw at known poses, and how many scans drew it.
+
+    Only scans with a pose at their very time draw: carried on by odometry to the scans between, or
+    interpolated, poses are off by enough to double walls (on mit-csail 18 and 10 % of them, not 7).
+
+    Args:
+        scans: in the order of time.
+        trajectory: poses of the robot in the frame of the map.
+        config: ``config.graph`` says how cells are counted.
+        backend: computes.
+
+    Raises:
+        SlamFusionError: no scan has a pose.
+    """
+    stamps = np.array([item.scan.stamp_s for item in scans])
+    nearest = trajectory.nearest(stamps)
+    is_known = np.abs(trajectory.stamps_s[nearest] - stamps) <= SAME_TIME_S
+    if not is_known.any():
+        message = f"no scan of the log has a pose at its time in {trajectory.name}"
+        raise SlamFusionError(message)
+    nodes = []
+    for index in np.flatnonzero(is_known).tolist():
+        scan = scans[index].scan
+        ends = scan.points(scan.is_hit(config.graph.usable_range_m)).astype(np.float32)
+        laser = np.array([scan.mount.x, scan.mount.y], dtype=np.float32)
+        nodes.append(Node(ends, laser, 0.0, None))
+    job = MapJob(nodes, trajectory.poses[nearest[is_known]], REFERENCE)
+    return NodeMap(config.graph, backend).draw(job), len(nodes)
