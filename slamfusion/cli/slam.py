@@ -214,15 +214,15 @@ for _name in NAMES:
 
 def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> int:
     """Run, measure, write, print."""
-    from slamfusion.compute import open_backend  # noqa: PLC0415
     from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
     from slamfusion.io import read_trajectory  # noqa: PLC0415
+    from slamfusion.slam.runner import open_producer_backend  # noqa: PLC0415
 
     relations = None if request.relations is None else read_relations(request.relations)
     odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
     truth = None if request.truth is None else read_trajectory(request.truth, config.log)
     truth_map = None if request.truth_map is None else load_maps([request.truth_map], None)[0]
-    backend = open_backend(config.device.device)
+    backend = open_producer_backend(name, config)
     producer = _producer(name, request.resume, config, backend)
     found = _produce(producer, request, config)
     failed: SlamFusionError | None = None

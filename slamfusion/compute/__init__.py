@@ -18,11 +18,13 @@ if TYPE_CHECKING:
 __all__ = ["Backend", "NumpyBackend", "list_devices", "open_backend", "self_test"]
 
 
-def open_backend(device: str = "auto") -> Backend:
+def open_backend(device: str = "auto", *, small_kernels: bool = False) -> Backend:
     """Return the backend for ``device``.
 
     Args:
         device: ``auto``, ``numpy``, an index of ``slamfusion devices``, or part of a name.
+        small_kernels: the work is many kernels of well below a millisecond, one after the other.
+            Their thread holds Python's lock meanwhile, so it is not for a process that has more.
 
     Raises:
         DeviceError: pyopencl or the device is missing, or its kernels do not build.
@@ -34,7 +36,7 @@ def open_backend(device: str = "auto") -> Backend:
     except ImportError as error:
         message = f"pyopencl cannot be imported ({error}); install it or use `--device numpy`"
         raise DeviceError(message) from error
-    return OpenCLBackend(device)
+    return OpenCLBackend(device, small_kernels=small_kernels)
 
 
 def list_devices() -> list[DeviceInfo]:

@@ -52,9 +52,9 @@ class DeviceArrays:
         DeviceError: no such device, or the kernels do not build on it.
     """
 
-    def __init__(self, wanted: str = "auto") -> None:
+    def __init__(self, wanted: str = "auto", *, small_kernels: bool = False) -> None:
         """Choose the device, build the kernels."""
-        self.device, self.reason = choose_device(wanted)
+        self.device, self.reason = choose_device(wanted, small_kernels=small_kernels)
         self.name = f"{self.device.name.strip()} ({self.device.platform.name.strip()})"
         self.context = cl.Context([self.device])
         self.queue = cl.CommandQueue(self.context)

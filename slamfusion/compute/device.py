@@ -8,7 +8,7 @@ from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.pocl import name_processor
+from slamfusion.compute.pocl import is_plain, name_processor, offer_plain
 from slamfusion.errors import DeviceError
 
 __all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices"]
@@ -36,8 +36,9 @@ class DeviceInfo:
 
 
 def find_devices() -> list[Any]:
-    """Return every OpenCL device in the platforms' order; an empty list without any platform."""
+    """Return every OpenCL device, plain ones last; an empty list without any platform."""
     name_processor()
+    offer_plain()
     try:
         platforms = cl.get_platforms()
     except cl.Error:
@@ -48,12 +49,19 @@ def find_devices() -> list[Any]:
             devices.extend(platform.get_devices())
         except cl.Error:
             continue
-    return devices
+    return sorted(devices, key=is_plain)
 
 
 def is_simulator(device: Any) -> bool:
     """Whether the device is the Oclgrind simulator, which is for tests only."""
     return SIMULATOR in f"{device.platform.name} {device.name}".lower()
+
+
+def _note(device: Any) -> str:
+    """Return when a device is chosen, where that is not plain."""
+    if is_simulator(device):
+        return "simulator, only when asked for by name"
+    return "one thread; for many small kernels" if is_plain(device) else ""
 
 
 def _type_name(device: Any) -> str:
@@ -67,7 +75,6 @@ def list_devices() -> list[DeviceInfo]:
     """Describe every OpenCL device; the index is what ``--device`` takes."""
     infos = []
     for index, device in enumerate(find_devices()):
-        simulator = is_simulator(device)
         infos.append(
             DeviceInfo(
                 index=index,
@@ -78,21 +85,22 @@ def list_devices() -> list[DeviceInfo]:
                 compute_units=int(device.max_compute_units),
                 memory_mb=int(device.global_mem_size // 2**20),
                 usable=bool(device.available and device.compiler_available),
-                note="simulator, only when asked for by name" if simulator else "",
+                note=_note(device),
             )
         )
     return infos
 
 
-def choose_device(wanted: str = "auto") -> tuple[Any, str]:
+def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple[Any, str]:
     """Return a device and why it was chosen.
 
     Order: the option, then ``PYOPENCL_CTX``, then the first GPU, then the first CPU; the simulator
-    only when asked for by name.
+    only when asked for by name. Of PoCL's two devices the plain one where kernels are small.
 
     Args:
         wanted: ``auto``, an index of ``slamfusion devices``, or part of a device's or platform's
             name, any case.
+        small_kernels: the work is many kernels of well below a millisecond, one after the other.
 
     Raises:
         DeviceError: no device, or none that fits; the message lists what there is.
@@ -111,6 +119,7 @@ def choose_device(wanted: str = "auto") -> tuple[Any, str]:
             raise DeviceError(message) from error
         return context.devices[0], "PYOPENCL_CTX"
     real = [device for device in devices if not is_simulator(device) and device.available]
+    real.sort(key=lambda device: is_plain(device) != small_kernels)
     for kind, words in (
         (cl.device_type.GPU, "the first GPU"),
         (cl.device_type.CPU, "the first CPU device, no GPU found"),

@@ -1,4 +1,4 @@
-"""Let the PoCL of the wheel build kernels on processors newer than its compiler.
+"""Let the PoCL of the wheel build kernels on newer processors, and offer both of its devices.
 
 The wheel brings PoCL 3.0 with LLVM 14 of 2022. On a processor that LLVM does not know (AMD Zen 5,
 for example) it asks its own compiler for the processor "generic", which that compiler refuses, so
@@ -7,6 +7,9 @@ it. What the processor can do is known from its feature flags, so the one functi
 that names the processor is replaced, in this process's memory and before PoCL is first asked for
 its devices, by one that returns the best name which both sides know. Nothing is written to disk,
 and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
+
+PoCL has two devices for one processor. ``pthread``, the one it shows, hands each kernel to threads
+of its own; ``basic`` runs it in the thread that asks, which takes a tenth of a millisecond less.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import mmap
+import os
 import platform
 import sys
 from functools import cache
@@ -21,7 +25,7 @@ from pathlib import Path
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-__all__ = ["name_processor", "processor_name"]
+__all__ = ["is_plain", "name_processor", "offer_plain", "processor_name"]
 
 LOG = logging.getLogger(__name__)
 # LLVM's names with the feature flags (as /proc/cpuinfo spells them) that each needs, best first.
@@ -50,6 +54,25 @@ def processor_name(flags: set[str]) -> str:
     return ANY_PROCESSOR
 
 
+def offer_plain() -> None:
+    """Let the wheel's PoCL show both of its devices; call it before listing devices.
+
+    What ``POCL_DEVICES`` says stays, and so does the meaning of ``PYOPENCL_CTX``.
+    """
+    if _libraries() and not os.environ.get("PYOPENCL_CTX"):
+        os.environ.setdefault("POCL_DEVICES", "pthread basic")
+
+
+def is_plain(device: cl.Device) -> bool:
+    """Return whether a device runs its kernels in the thread that asks."""
+    return bool(device.name.startswith("basic"))
+
+
+def _libraries() -> list[Path]:
+    """Return the wheel's PoCL."""
+    return sorted(Path(cl.__file__).parent.glob(".libs/libpocl*.so*"))
+
+
 @cache
 def name_processor() -> str | None:
     """Tell the wheel's PoCL which processor this is, once; call it before listing devices.
@@ -59,10 +82,9 @@ def name_processor() -> str | None:
     """
     if sys.platform != "linux" or platform.machine() != "x86_64":
         return None
-    libraries = sorted(Path(cl.__file__).parent.glob(".libs/libpocl*.so*"))
     try:
         flags = _processor_flags(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
-        named = [path for path in libraries if _name_in(path, processor_name(flags))]
+        named = [path for path in _libraries() if _name_in(path, processor_name(flags))]
     except (OSError, AttributeError) as error:  # another build of PoCL: leave it as it is
         LOG.warning("PoCL's processor name cannot be set: %s", error)
         return None

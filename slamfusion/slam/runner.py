@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import open_backend
 from slamfusion.compute.backend import Backend
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -34,6 +35,7 @@ __all__ = [
     "ProducerRun",
     "Resumable",
     "make_producer",
+    "open_producer_backend",
     "resume_producer",
     "run_producer",
     "skipped_scans",
@@ -62,10 +64,12 @@ class Producer:
         make: with its settings and an empty map.
         resume: from a file of ``Resumable.save_state``, with the settings and the seed that it was
             made with; None for a producer that cannot. Raises SlamFusionError for another file.
+        small_kernels: what its backend is to be good at, see ``open_backend``.
     """
 
     make: Callable[[RunConfig, Backend], SlamBackend]
     resume: Callable[[Path, RunConfig, Backend], Resumable] | None = None
+    small_kernels: bool = False
 
 
 def _gmapping(config: RunConfig, backend: Backend) -> Resumable:
@@ -86,9 +90,11 @@ def _resumed_graph(path: Path, config: RunConfig, backend: Backend) -> Resumable
 
 # Every producer; its name is also the section of its settings.
 PRODUCERS: dict[str, Producer] = {
-    "tinyslam": Producer(lambda config, backend: TinySlam(config.tinyslam, backend, config.seed)),
+    "tinyslam": Producer(
+        lambda config, backend: TinySlam(config.tinyslam, backend, config.seed), small_kernels=True
+    ),
     "gmapping": Producer(_gmapping, _resumed_gmapping),
-    "graph": Producer(_graph, _resumed_graph),
+    "graph": Producer(_graph, _resumed_graph, small_kernels=True),
 }
 
 BYTES_PER_MB = 1e6
@@ -102,6 +108,16 @@ MANY_LOW_IN_A_ROW = 8
 LOW_SHARE = 0.5
 # A log may hold blind moments; one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2
+
+
+def open_producer_backend(name: str, config: RunConfig) -> Backend:
+    """Return the backend for a producer that has a process to itself.
+
+    Raises:
+        SlamFusionError: there is no producer of this name; the known ones are named.
+        DeviceError: see ``open_backend``.
+    """
+    return open_backend(config.device.device, small_kernels=_producer(name).small_kernels)
 
 
 def make_producer(name: str, config: RunConfig, backend: Backend) -> SlamBackend:

@@ -21,11 +21,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from slamfusion.compute import open_backend
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
-from slamfusion.slam.runner import PRODUCERS, ProducerRun, make_producer, run_producer
+from slamfusion.slam.runner import (
+    PRODUCERS,
+    ProducerRun,
+    make_producer,
+    open_producer_backend,
+    run_producer,
+)
 
 __all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 
@@ -306,7 +311,7 @@ def _answer(
 ) -> _Answer:
     """Return what the producer made, or why it made nothing."""
     try:
-        backend = open_backend(config.device.device)
+        backend = open_producer_backend(name, config)
         producer = make_producer(name, config, backend)
         source = open_log(log, config.log, scan_odometry)
         told_s = 0.0

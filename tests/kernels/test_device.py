@@ -125,9 +125,9 @@ def test_environment_that_fits_nothing_is_said(monkeypatch: pytest.MonkeyPatch):
 
 @needs_wheels
 def test_list_marks_the_simulator():
-    notes = {info.platform.lower(): info.note for info in list_devices()}
-    assert notes[SIMULATOR].startswith("simulator")
-    assert not next(note for platform, note in notes.items() if POCL in platform)
+    notes = [(info.platform.lower(), info.note) for info in list_devices()]
+    assert dict(notes)[SIMULATOR].startswith("simulator")
+    assert not next(note for platform, note in notes if POCL in platform)
     assert [info.index for info in list_devices()] == list(range(len(list_devices())))
 
 
@@ -218,3 +218,34 @@ def test_source_that_does_not_build_is_one_error(tmp_path: Path, monkeypatch: py
     with pytest.raises(DeviceError, match="does not build on") as caught:
         open_backend(POCL)
     assert "\n" not in str(caught.value)
+
+
+PLAIN, THREADED = fake("basic-AMD EPYC", CPU), fake("pthread-AMD EPYC", CPU)
+
+
+@pytest.mark.parametrize("devices", [(PLAIN, THREADED), (THREADED, PLAIN)])
+def test_the_plain_device_is_for_small_kernels_only(machine: Machine, devices: tuple[object, ...]):
+    machine(*devices)
+    assert choose_device()[0] is THREADED
+    assert choose_device(small_kernels=True)[0] is PLAIN
+    machine(*devices, fake("gpu", GPU))
+    assert choose_device(small_kernels=True)[0].name == "gpu"
+
+
+@needs_wheels
+def test_a_small_producer_gets_the_plain_device_of_the_wheel(monkeypatch: pytest.MonkeyPatch):
+    """In a process of its own, since a process lists its devices once."""
+    for name in ("POCL_DEVICES", "PYOPENCL_CTX"):
+        monkeypatch.delenv(name, raising=False)
+    code = (
+        "from slamfusion.compute import list_devices\n"
+        "from slamfusion.config import RunConfig\n"
+        "from slamfusion.slam.runner import open_producer_backend\n"
+        "config = RunConfig()\n"
+        "for name in ('tinyslam', 'gmapping', 'graph'):\n"
+        "    print(open_producer_backend(name, config).name.split('-')[0])\n"
+        "print([one.note for one in list_devices() if one.name.startswith('basic')])\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split("\n")[:3] == ["basic", "pthread", "basic"]
+    assert "one thread; for many small kernels" in found.stdout
