@@ -17,6 +17,8 @@
 # done so three times and never ran for longer cannot start at all, and everything ends.
 # SLAMFUSION names the installed command to use; default: that of .venv, which is made.
 set -euo pipefail
+# Ten processes with the Fast DDS profile for large maps.
+LEAST_SHM_KB=327680
 # shellcheck source=launch_scripts/setup.sh
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
@@ -74,6 +76,13 @@ done
 threads=$(($(nproc) / nodes))
 export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$((threads > 1 ? threads : 1))}"
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+
+# Maps go whole through shared memory, where that has room for all nodes and RViz.
+free_kb="$(df -k --output=avail /dev/shm 2>/dev/null | tail -n 1 || true)"
+if [ -z "${FASTRTPS_DEFAULT_PROFILES_FILE:-}${FASTDDS_BUILTIN_TRANSPORTS:-}" ] &&
+    [ "${free_kb:-0}" -ge "$LEAST_SHM_KB" ]; then
+    export FASTRTPS_DEFAULT_PROFILES_FILE="$root/launch_scripts/fastdds-large-maps.xml"
+fi
 
 # name -> process; when it was started, or is to be; how often it has ended soon after its start,
 # one time after the other; whether it has ever run for longer

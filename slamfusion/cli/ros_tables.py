@@ -138,7 +138,8 @@ TOPICS = (
         ("fusion",),
         (),
         MAP,
-        "share of the votes for each cell's value, in percent; -1 unknown",
+        "share of the votes for each cell's value, in percent; -1 unknown; sent only while "
+        "somebody listens, the last one at once to who comes late",
     ),
     Topic(
         "fused/pose",

@@ -74,17 +74,26 @@ def drives(config: RunConfig, backend: Backend) -> Iterator[Drive]:
         yield Drive(f"{world}, {lidar}", recording.scans, reference=recording.truth)
 
 
-def floor(drive: Drive, config: RunConfig) -> float | None:
-    """Return the error of the best trajectory in the folder at the drive's scans.
+def within_floor(drive: Drive, config: RunConfig) -> Drive | None:
+    """Return the drive with the relations alone that the best trajectory in the folder covers.
 
-    By the relations that lie within its time: that of Intel ends before the run does.
+    That of Intel ends before the run does, and where it ends scans lie farther apart: a fair floor
+    and a fair error are those on the same relations.
     """
     if drive.name not in BEST or drive.relations is None:
         return None
     best = read_trajectory(BEST[drive.name], config.log)
     known = drive.relations
     inside = known.stamps_s.max(axis=1) <= best.stamps_s[-1]
-    part = replace(drive, relations=Relations(known.stamps_s[inside], known.motions[inside]))
+    return replace(drive, relations=Relations(known.stamps_s[inside], known.motions[inside]))
+
+
+def floor(drive: Drive, config: RunConfig) -> float | None:
+    """Return the error of the best trajectory in the folder at the drive's scans."""
+    part = within_floor(drive, config)
+    if part is None:
+        return None
+    best = read_trajectory(BEST[drive.name], config.log)
     if drive.odometry is not None:
         own = config.trajectory
         best = subsample_to_scans(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from tests.ros.test_launch_script import nodes_in
 pytestmark = pytest.mark.ros
 
 PARAMETERS = str(ROOT / "launch_scripts" / "slamfusion.yaml")
+LEAST_SHM_KB = 327680
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - the real one
 SCRIPT = str(ROOT / "launch_scripts" / "slamfusion.sh")
 
 
@@ -56,6 +59,11 @@ def test_ctrl_c_at_a_terminal_reaches_the_whole_group_and_leaves_nothing(
         50.0,
         "three nodes",
     )
+    # Large maps get their shared memory, where there is some.
+    has_room = shutil.disk_usage(SHARED_MEMORY).free >= LEAST_SHM_KB * 1024
+    for pid in nodes_in(domain):
+        environment = Path(f"/proc/{pid}/environ").read_bytes()
+        assert (b"fastdds-large-maps.xml" in environment) == has_room
     (leader,) = {os.getpgid(pid) for pid in nodes_in(domain)}
     assert leader != os.getpgid(0)
     os.killpg(leader, signal.SIGINT)
