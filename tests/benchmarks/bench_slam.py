@@ -125,7 +125,8 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--maps", type=Path)
     options = parser.parse_args()
-    config, backend = RunConfig(), open_backend(options.device)
+    config = RunConfig()
+    backend = open_backend(options.device, small_kernels=True)
     columns = "scans, beams, odometry m, floor m, mean m, dev. m, worst m, ms, p95 ms, map MB"
     table = Table(title=f"{options.producer}, {options.seeds} seeds, {backend.name}")
     for column in ("drive", *columns.split(", ")):

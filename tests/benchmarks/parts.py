@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.console import Console
 
-from slamfusion.compute import open_backend
 from slamfusion.config import DeviceConfig, RunConfig, load_config
+from slamfusion.slam.runner import open_producer_backend
 from tests.benchmarks.gmapping.bench import Bench
 
 # Each part, told what it needs, and how many seeds it takes where none are asked for.
@@ -54,7 +54,7 @@ def measure(
     config = load_config(options.config) if options.config else RunConfig()
     if options.device:
         config = replace(config, device=DeviceConfig(options.device))
-    backend = open_backend(config.device.device)
+    backend = open_producer_backend(producer, config)
     console = Console(width=width)
     for name in options.part or parts:
         part, count = parts[name]
