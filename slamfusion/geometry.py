@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Pose2", "compose_poses", "invert_poses", "wrap_angle", "wrap_angles"]
+__all__ = [
+    "Pose2",
+    "compose_poses",
+    "fit_motion",
+    "invert_poses",
+    "wrap_angle",
+    "wrap_angles",
+]
+
+# Places closer together than this have no direction to turn by.
+_NO_SPREAD_M = 1e-9
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -115,3 +125,29 @@ class Pose2:
     def scaled(self, factor: float) -> Pose2:
         """Return the same motion with lengths in another unit (metres to cells: 1 / resolution)."""
         return Pose2(self.x * factor, self.y * factor, self.yaw_rad)
+
+
+def fit_motion(moving: npt.NDArray[np.float64], still: npt.NDArray[np.float64]) -> Pose2:
+    """Return the rigid motion that brings paired poses together: least squares of their places.
+
+    Args:
+        moving: (N, 3) float64, N at least 1; x and y in metres, yaw in radians.
+        still: (N, 3) float64, where the same poses should be.
+
+    Returns:
+        The motion from the frame of ``moving`` to that of ``still``. Where the places are all one
+        they say nothing of the turn; then it is the mean difference of the headings.
+
+    Source: Umeyama, PAMI 13(4), 1991, equations 40 to 42 with c = 1; in the plane R is one angle.
+    """
+    middle, goal = moving[:, :2].mean(axis=0), still[:, :2].mean(axis=0)
+    a, b = moving[:, :2] - middle, still[:, :2] - goal
+    along = float((a * b).sum())
+    across = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    if math.hypot(along, across) <= len(a) * _NO_SPREAD_M**2:
+        turns = np.exp(1j * (still[:, 2] - moving[:, 2]))
+        yaw_rad = float(np.angle(turns.mean()))
+    else:
+        yaw_rad = math.atan2(across, along)
+    x, y = goal - Pose2(0.0, 0.0, yaw_rad).transform(middle)
+    return Pose2(float(x), float(y), yaw_rad)

@@ -63,7 +63,6 @@ from slamfusion.evaluation.statistics import (
 from slamfusion.evaluation.trajectory_error import (
     TrajectoryErrors,
     associate,
-    fit_motion,
     trajectory_errors,
 )
 
@@ -103,7 +102,6 @@ __all__ = [
     "doubled_wall_cells",
     "doubled_wall_share",
     "errors_at_scans",
-    "fit_motion",
     "load_distances",
     "match_odometry",
     "mean_interval",

@@ -18,8 +18,8 @@ from scipy.spatial import KDTree
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation.trajectory_error import associate, fit_motion
-from slamfusion.geometry import Pose2, compose_poses, invert_poses
+from slamfusion.evaluation.trajectory_error import associate
+from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses
 from slamfusion.grid import IDENTITY
 from slamfusion.io.lines import TextLines, read_head, strip_gz
 from slamfusion.io.trajectories import read_trajectory

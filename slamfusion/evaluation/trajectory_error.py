@@ -6,7 +6,6 @@ errors); Umeyama, PAMI 13(4), 1991 (the alignment, here in the plane and without
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,16 +15,14 @@ import numpy.typing as npt
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.statistics import ErrorStatistics
-from slamfusion.geometry import Pose2, compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["TrajectoryErrors", "associate", "fit_motion", "trajectory_errors"]
+__all__ = ["TrajectoryErrors", "associate", "trajectory_errors"]
 
 _DEFAULT_CONFIG = TrajectoryConfig()
 
-# Places closer together than this have no direction to turn by.
-_NO_SPREAD_M = 1e-9
 # Sums of equal steps fall short of a whole delta by rounding.
 _ROUNDING = 1e-9
 
@@ -190,32 +187,6 @@ def associate(
     # Of poses with one stamp only the first is anybody's nearest; that is a pair as well.
     paired = (back[there] == own) & (apart_s <= tolerance_s)
     return own[paired], there[paired]
-
-
-def fit_motion(moving: npt.NDArray[np.float64], still: npt.NDArray[np.float64]) -> Pose2:
-    """Return the rigid motion that brings paired poses together: least squares of their places.
-
-    Args:
-        moving: (N, 3) float64, N at least 1; x and y in metres, yaw in radians.
-        still: (N, 3) float64, where the same poses should be.
-
-    Returns:
-        The motion from the frame of ``moving`` to that of ``still``. Where the places are all one
-        they say nothing of the turn; then it is the mean difference of the headings.
-
-    Source: Umeyama 1991, equations 40 to 42 with c = 1; in the plane R is one angle.
-    """
-    middle, goal = moving[:, :2].mean(axis=0), still[:, :2].mean(axis=0)
-    a, b = moving[:, :2] - middle, still[:, :2] - goal
-    along = float((a * b).sum())
-    across = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
-    if math.hypot(along, across) <= len(a) * _NO_SPREAD_M**2:
-        turns = np.exp(1j * (still[:, 2] - moving[:, 2]))
-        yaw_rad = float(np.angle(turns.mean()))
-    else:
-        yaw_rad = math.atan2(across, along)
-    x, y = goal - Pose2(0.0, 0.0, yaw_rad).transform(middle)
-    return Pose2(float(x), float(y), yaw_rad)
 
 
 def _pairs(

@@ -24,14 +24,13 @@ import numpy.typing as npt
 from slamfusion.compute import Backend
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.evaluation import fit_motion
 from slamfusion.fusion.accept import CLASH_MAX
 from slamfusion.fusion.align import track_features
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pipeline import fuse_grids
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp
-from slamfusion.geometry import Pose2, compose_poses, wrap_angles
+from slamfusion.geometry import Pose2, compose_poses, fit_motion, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 

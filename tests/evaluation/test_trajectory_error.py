@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.evaluation import ErrorStatistics, associate, fit_motion, trajectory_errors
-from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.evaluation import ErrorStatistics, associate, trajectory_errors
+from slamfusion.geometry import Pose2, compose_poses, fit_motion
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.trajectory import Trajectory
 from tests.support.datasets import ABSENT, DATASETS
