@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Lint, type check, and run the tests: under the Jazzy constraints (NumPy 1.26), then under NumPy 2.
-# --full adds the tests that are too long for every run; other options go to pytest.
+# --full adds the tests that are too long for every run; other options go to pytest: --cov measures
+# coverage, which takes longer.
 set -euo pipefail
 # shellcheck source=launch_scripts/setup.sh
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
@@ -65,5 +66,5 @@ check "tests under the Jazzy constraints" \
 if [ ${#failed[@]} -gt 0 ]; then
     say "failed so far: ${failed[*]}"
 fi
-check "tests" suite "$venv" --cov --cov-report=term:skip-covered "$@"
+check "tests" suite "$venv" "$@"
 [ ${#failed[@]} -eq 0 ]

@@ -15,6 +15,8 @@ from slamfusion.slam.runner import PRODUCERS
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.experiments.drives import room
 
+pytestmark = pytest.mark.once
+
 NUMPY = ("--device", "numpy")
 
 

@@ -12,6 +12,8 @@ from slamfusion.io import load_map, read_trajectory, write_carmen
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.support.producers import room_drive
 
+pytestmark = pytest.mark.once
+
 COUNT = 16
 HALF = 9
 # Few particles and short ways: the NumPy twins make a map in a second.

@@ -19,6 +19,8 @@ from slamfusion.cli.output import one_line, plain, progress_bar
 from slamfusion.config import GMAPPING_PROFILES
 from slamfusion.errors import MapFileError
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize(
     ("paths", "names"),

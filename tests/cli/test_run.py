@@ -25,6 +25,8 @@ from tests.cli.command import (
 from tests.slam.drives import drive
 from tests.support.datasets import ABSENT, DATASETS
 
+pytestmark = pytest.mark.once
+
 NAMES = ("tinyslam", "gmapping", "graph")
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 TWO = ("--producers", "tinyslam,graph")

@@ -28,6 +28,8 @@ from slamfusion.experiments.drives import ATE, RELATIONS
 from slamfusion.experiments.occupancy_estimator import FACTORS
 from tests.experiments.drives import room
 
+pytestmark = pytest.mark.once
+
 CONFIG = RunConfig(
     seed=5,
     experiment=ExperimentConfig(

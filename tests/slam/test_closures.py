@@ -32,6 +32,8 @@ from slamfusion.slam.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, true_poses
 from tests.slam.places import NO_LASER, U8, draw_corridor, draw_regular_ring, draw_two_rooms, read
 
+pytestmark = pytest.mark.once
+
 F64 = npt.NDArray[np.float64]
 USUAL = 0.75
 

@@ -36,6 +36,8 @@ from tests.slam.drives import (
     true_poses,
 )
 
+pytestmark = pytest.mark.once
+
 PUBLISHED: dict[str, Any] = {
     "particles": 30,
     "delta": 0.05,

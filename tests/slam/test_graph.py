@@ -53,6 +53,8 @@ from tests.slam.places import (
     through_two_rooms,
 )
 
+pytestmark = pytest.mark.once
+
 F64 = npt.NDArray[np.float64]
 BLIND = "no reading within the usable range"
 

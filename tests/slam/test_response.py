@@ -29,6 +29,8 @@ from slamfusion.slam.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, scan_at, true_poses
 from tests.slam.places import NO_LASER, Place, draw_corridor, place_of
 
+pytestmark = pytest.mark.once
+
 F64 = npt.NDArray[np.float64]
 
 
