@@ -17,6 +17,8 @@ from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.producers import room_drive
 
+pytestmark = pytest.mark.once
+
 NUMPY = ("--device", "numpy")
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 CSAIL = DATASETS / "mit-csail"

@@ -21,6 +21,8 @@ from tests.fusion.live_maps import (
 )
 from tests.slam.drives import drive
 
+pytestmark = pytest.mark.once
+
 SCANS, EVERY = 140, 20
 # The frames of the three maps are as foreign to each other as those of any three programs.
 FRAMES = {

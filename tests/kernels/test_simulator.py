@@ -11,7 +11,10 @@ import pytest
 
 from tests.kernels.conftest import WHEELS_EXIST
 
-pytestmark = pytest.mark.skipif(not WHEELS_EXIST, reason="Oclgrind's wheel is for x86-64 Linux")
+pytestmark = [
+    pytest.mark.once,
+    pytest.mark.skipif(not WHEELS_EXIST, reason="Oclgrind's wheel is for x86-64 Linux"),
+]
 ROOT = Path(__file__).resolve().parents[2]
 
 

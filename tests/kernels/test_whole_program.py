@@ -13,6 +13,8 @@ from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.grid import OccupancyGrid
 from slamfusion.sim import Degradation, degrade_map, draw_building
 
+pytestmark = pytest.mark.once
+
 CONFIG = FusionConfig(align=AlignConfig(prove=False))
 
 

@@ -10,6 +10,8 @@ from slamfusion.slam.closures import Waiting
 from slamfusion.slam.constraints import Constraint
 from slamfusion.slam.relocation import HITS, MISSES, MOST_GUESSES, TESTED, WAY_M, Relocation
 
+pytestmark = pytest.mark.once
+
 HERE = Pose2(3.0, -2.0, 0.5)
 TRUE, TWIN = Pose2(4.0, 1.0, 1.0), Pose2(-6.0, 2.0, -2.0)
 

@@ -23,6 +23,8 @@ from slamfusion.slam.runner import make_producer, run_producer
 from slamfusion.slam.side_by_side import Outcome, SideBySide, usable_cores
 from tests.slam.drives import drive
 
+pytestmark = pytest.mark.once
+
 CONFIG = RunConfig(seed=4)
 SCANS = 40
 

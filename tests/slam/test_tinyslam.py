@@ -27,6 +27,8 @@ from tests.slam.drives import (
     true_poses,
 )
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(scope="module")
 def backend() -> Backend:
