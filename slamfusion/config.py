@@ -238,6 +238,11 @@ class VoteConfig(_Checked):
         high=10.0,
         level="expert",
     )
+    solid_walls: bool = option(
+        True,
+        "consensus and log-odds: walls have a back of one unknown cell, and no disputed front",
+        level="expert",
+    )
 
 
 @dataclass(frozen=True)

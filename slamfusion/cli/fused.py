@@ -111,6 +111,7 @@ def fusion_document(result: FusionResult, doubled: DoubledWalls) -> dict[str, An
         "reference": result.reference,
         "fused_count": len(result.accepted),
         "phantom_cells": result.phantom_cells,
+        "wall_backs": result.wall_backs,
         "doubled_wall_share": doubled.to_json(),
         "weights": result.weights,
         "pairs": [pair.to_json() for pair in result.pairs],
@@ -141,6 +142,7 @@ def failure_document(
         "reference": None,
         "fused_count": 0,
         "phantom_cells": None,
+        "wall_backs": None,
         "doubled_wall_share": None,
         "weights": {},
         "pairs": [pair.to_json() for pair in pairs],
@@ -154,8 +156,8 @@ def fusion_sentences(result: FusionResult, doubled: DoubledWalls) -> tuple[str, 
         reasons = ", ".join(f"{record.name}: {record.reason}" for record in result.rejected)
         text += f"; rejected: {reasons}"
     added = (
-        f"{result.phantom_cells} phantom cells, {doubled.added:.1%} of the walls doubled "
-        f"by the fusion, {result.time_s:.2f} s"
+        f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
+        f"{doubled.added:.1%} of the walls doubled by the fusion, {result.time_s:.2f} s"
     )
     return text, added
 

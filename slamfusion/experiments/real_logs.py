@@ -282,7 +282,9 @@ def _compare_on_log(
         message = f"{name}: no producer made a map ({'; '.join(notes.values())})"
         raise SlamFusionError(message)
     align = replace(config.fusion.align, shared_frame=True)
-    config = replace(config, fusion=replace(config.fusion, align=align))
+    # The reference is drawn from scans as well: its walls have no backs either.
+    vote = replace(config.fusion.vote, solid_walls=False)
+    config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
     fused = vote_every_way(grids, paths, config, backend, notes)
 
     rows = []

@@ -156,10 +156,10 @@ def measure_trial(
 ) -> tuple[TrialRecord, dict[str, MapError]]:
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
-    Each map is laid on the truth where its [F16] error is smaller: in the frame that drive and
-    truth share, or where the alignment search puts it. Where no two maps agree, what counts is what
-    ``run`` then names: the best founded map alone. A producer without a map, and a fusion of none,
-    has the error of a map that knows nothing.
+    Each map is laid on the truth where its [F16] error is smallest: in the frame that drive and
+    truth share, or at the best or next best place that the alignment search finds. Where no two
+    maps agree, what counts is what ``run`` then names: the best founded map alone. A producer
+    without a map, and a fusion of none, has the error of a map that knows nothing.
 
     Args:
         trial: what to drive.
@@ -295,6 +295,8 @@ def against_truth(
 ) -> MapError:
     """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
 
+    Aligned is where its walls fit best, or next best.
+
     Args:
         grid: None is a map that knows nothing.
         truth: decides lattice and box.
@@ -308,7 +310,11 @@ def against_truth(
     settings = replace(config.fusion, align=align)
     if grid is not None:
         with suppress(GridError):  # not one known cell: it lies as well anywhere
-            transforms.append(align_grids(truth, grid, settings, backend).transform)
+            found = align_grids(truth, grid, settings, backend)
+            transforms.append(found.transform)
+            # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
+            if found.runner_up is not None:
+                transforms.append(found.runner_up.transform)
     errors = [
         compare_to_truth(
             known,

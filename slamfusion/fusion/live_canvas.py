@@ -18,7 +18,7 @@ from slamfusion.compute.reference import FIXED_ONE, fixed_poses
 from slamfusion.config import FusionConfig, NormalizeConfig
 from slamfusion.fusion.normalize import pool_cells
 from slamfusion.fusion.pipeline import agreement_weights
-from slamfusion.fusion.vote import double_reach_cells, vote_grids
+from slamfusion.fusion.vote import double_reach_cells, vote_grids, vote_reach_cells
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.memory import check_memory
@@ -313,7 +313,7 @@ class Canvas:
         if config.mode == "weighted":
             box = whole
         # A wall decides what its neighbours become, and theirs are needed to say what it is.
-        reach = double_reach_cells(config, self.lattice.resolution)
+        reach = vote_reach_cells(config, self.lattice.resolution)
         box, seen = (_grown(box, cells, whole) for cells in (reach, 2 * reach))
         window = slices(seen, whole.row0, whole.col0)
         percents = [np.ascontiguousarray(self._layers[name][window]) for name in names]
@@ -326,7 +326,7 @@ class Canvas:
             weights=weights,
             percents=percents if config.mode == "log-odds" else None,
             thresholds=self._config.normalize,
-            reach_cells=reach,
+            reach_cells=double_reach_cells(config, self.lattice.resolution),
         )
         window, part = slices(box, whole.row0, whole.col0), slices(box, seen.row0, seen.col0)
         self._fused[window] = voted.fused[part]
@@ -341,8 +341,8 @@ class Canvas:
         return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
 
     def _count_phantoms(self, names: Sequence[str]) -> int:
-        """Count the fused walls of the whole canvas that no voter has."""
-        alone = self._fused == 1
+        """Count the fused walls of the whole canvas that were voted for and that no voter has."""
+        alone = (self._fused == 1) & (self._agreement >= 0)
         for name in names:
             alone &= self._classes(self._layers[name]) != 1
         return int(np.count_nonzero(alone))

@@ -57,6 +57,10 @@ PLACED_SCORE_MIN = 0.40
 # A producer that is lost on its way is together with the others before: it is this many limits
 # away for a quarter of the time, and the others are not.
 LOST_LIMITS = 3.0
+# Where maps do not fit, some are bent, and the one producer that closes loops has bent least: its
+# map is taken unless another's is borne out by more than this. In 8 drives through a corridor loop
+# with a narrow view it was so in all, and the scores, within 6 % of each other, named it in 4.
+LOOP_CLOSER, NEARLY = "graph", 0.9
 
 
 class PathsApartError(AlignmentError):
@@ -234,12 +238,15 @@ def best_founded(grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment]) -> 
         pairs: every pair that was aligned, believed or not.
 
     Returns:
-        The one with the greatest sum of scores; of equals the one that knows most cells.
+        The one with the greatest sum of scores, or the graph SLAM's where its sum is nearly as
+        great; of equals the one that knows most cells.
     """
     scores = {
         grid.name: sum(pair.score for pair in pairs if grid.name in {pair.reference, pair.moving})
         for grid in grids
     }
+    if scores.get(LOOP_CLOSER, 0.0) > NEARLY * max(scores.values()):
+        scores[LOOP_CLOSER] = math.inf
     return max(grids, key=lambda grid: (scores[grid.name], np.count_nonzero(grid.cells >= 0)))
 
 

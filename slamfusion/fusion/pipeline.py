@@ -26,7 +26,7 @@ from slamfusion.fusion.normalize import (
     normalize_grid,
 )
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
-from slamfusion.fusion.vote import double_reach_cells, vote_grids
+from slamfusion.fusion.vote import double_reach_cells, margin_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 from slamfusion.io.memory import check_memory
@@ -423,6 +423,8 @@ def _vote(
             max(b.row1 for b in boxes),
             max(b.col1 for b in boxes),
         )
+    margin = margin_cells(config.vote, len(alignments))
+    box = CellBox(box.row0 - margin, box.col0 - margin, box.row1 + margin, box.col1 + margin)
     aligned, percents = [], []
     for name, pair in alignments.items():
         grid = features[name].grid

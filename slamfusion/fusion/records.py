@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OCCUPIED, OccupancyGrid
 
 __all__ = ["Alignment", "FusionResult", "InputRecord", "RunnerUp", "VoteResult"]
 
@@ -127,7 +127,8 @@ class VoteResult:
         fused: (H, W) int8 in {-1, 0, 1}.
         agreement: (H, W) int8, share of votes for the winner in percent 0..100, -1 without votes.
         dissent: (H, W) unsigned integers, bit n set where input n voted otherwise than the winner.
-        phantom_cells: cells occupied in the fused grid and in no input.
+        phantom_cells: cells that the vote made occupied and that are so in no input; backs of
+            walls, which nobody voted for, are none.
     """
 
     fused: npt.NDArray[np.int8]
@@ -143,10 +144,11 @@ class FusionResult:
     Attributes:
         reference: name of the reference input.
         inputs: one record per input, in the order given.
-        fused: cells in {-1, 0, 100}; frame and lattice of the reference.
+        fused: cells in {-1, 0, 100}; frame and lattice of the reference. Backs of walls
+            (``surfaces``) are occupied and have no agreement.
         agreement: cells 0..100 or -1 on the same lattice.
         pairs: every pair that was aligned, also between rejected inputs.
-        phantom_cells: occupied in the fused grid, occupied in no input.
+        phantom_cells: occupied in the fused grid by vote, occupied in no input.
         weights: vote weight of each accepted input, by name.
         device: the device that computed it, in words.
         time_s: wall time of the whole fusion.
@@ -171,3 +173,8 @@ class FusionResult:
     def rejected(self) -> tuple[InputRecord, ...]:
         """The inputs that did not vote."""
         return tuple(record for record in self.inputs if not record.accepted)
+
+    @property
+    def wall_backs(self) -> int:
+        """Cells of the fused grid that are occupied as backs of walls: nobody voted for them."""
+        return int(np.count_nonzero((self.fused.cells == OCCUPIED) & (self.agreement.cells < 0)))

@@ -15,13 +15,16 @@ from slamfusion.compute.reference import MOST_INPUTS, Votes
 from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion.records import VoteResult
+from slamfusion.fusion.surfaces import REACH_CELLS, sharpen_fronts, wall_backs
 
 __all__ = [
     "double_reach_cells",
     "log_odds_table",
+    "margin_cells",
     "quantise_weights",
     "unknown_votes",
     "vote_grids",
+    "vote_reach_cells",
 ]
 
 I8 = npt.NDArray[np.int8]
@@ -32,6 +35,8 @@ WEIGHT_MAX = 252
 # One input alone never outweighs this many percent; 0 and 100 would outvote everyone for ever.
 SUREST_PERCENT = 98
 LOG_ODDS_ONE = 256
+# The ways to vote in which walls are solid.
+SOLID_MODES = ("consensus", "log-odds")
 
 
 def vote_grids(
@@ -55,6 +60,11 @@ def vote_grids(
     sum is that of the thresholds, and between them occupied where an input alone says so (a tie),
     else unknown.
 
+    With ``config.solid_walls`` the walls of the last two are solid (``surfaces``), but those of one
+    grid alone, which is its own fusion: an unknown cell behind a wall, next to nothing free, is its
+    back, occupied with no vote cast; and a cell before a wall that is two cells deep without it is
+    free where an input says so.
+
     Args:
         stack: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
         config: mode and the meaning of unknown; ``extent`` is the caller's.
@@ -68,6 +78,7 @@ def vote_grids(
     Returns:
         The fused cells, the agreement (share of the votes cast, by weight where votes have one,
         in percent, rounded half up; -1 without votes), who was outvoted, and the phantom cells.
+        Backs of walls are none of these: they are occupied, and their agreement is -1.
 
     Raises:
         GridError: no grid, more than 32, or grids that do not share one shape.
@@ -81,13 +92,14 @@ def vote_grids(
     elif config.mode == "weighted":
         votes = _vote_weighted(grids, weights, config, backend)
     elif config.mode == "consensus":
-        return _vote_consensus(grids, reach_cells, backend)
+        return _solid(_vote_consensus(grids, reach_cells, backend), grids, None, config)
     else:
         with_unknown = unknown_votes(config.unknown, [1] * len(grids))
         votes = backend.vote_majority(grids, unknown_votes=with_unknown)
-    return VoteResult(
+    voted = VoteResult(
         votes.fused, votes.agreement, _join_planes(votes.dissent), votes.phantom_cells
     )
+    return _solid(voted, grids, percents, config) if config.mode == "log-odds" else voted
 
 
 def unknown_votes(rule: str, weights: Sequence[int]) -> bool:
@@ -134,6 +146,57 @@ def log_odds_table() -> I32:
 def double_reach_cells(config: VoteConfig, resolution: float) -> int:
     """Return ``reach_cells`` of a vote on cells of so many metres; 0 for other modes."""
     return round(config.double_reach_m / resolution) if config.mode == "consensus" else 0
+
+
+def vote_reach_cells(config: VoteConfig, resolution: float) -> int:
+    """Return how far, in cells of so many metres, a cell has a say in what others become."""
+    own = REACH_CELLS if _has_solid_walls(config) else 0
+    return double_reach_cells(config, resolution) + own
+
+
+def margin_cells(config: VoteConfig, voters: int) -> int:
+    """Return by how many cells a fused map is larger than its inputs: backs lie behind walls."""
+    return 1 if _has_solid_walls(config) and voters > 1 else 0
+
+
+def _has_solid_walls(config: VoteConfig) -> bool:
+    return config.solid_walls and config.mode in SOLID_MODES
+
+
+def _solid(
+    voted: VoteResult, grids: list[I8], percents: Sequence[I8] | None, config: VoteConfig
+) -> VoteResult:
+    """Give walls their backs, and take away disputed cells before them.
+
+    Args:
+        voted: the bare vote.
+        grids: the trinary voters.
+        percents: their occupancy, whose log-odds are their votes; None: each has one vote.
+        config: says whether walls are solid.
+    """
+    if not _has_solid_walls(config) or len(grids) == 1:
+        return voted
+    fused, agreement, dissent = voted.fused.copy(), voted.agreement.copy(), voted.dissent.copy()
+    fused[wall_backs(fused)] = 1
+    is_disputed = np.zeros(fused.shape, dtype=np.bool_)
+    for grid in grids:
+        is_disputed |= grid == 0
+    cut = sharpen_fronts(fused, is_disputed)
+    fused[cut] = 0
+    # Of these cells alone: who voted for free, and how heavily.
+    if percents is None:
+        votes = [np.array([0, -1, 1])[grid[cut] + 1] for grid in grids]
+    else:
+        odds = np.append(log_odds_table(), 0)
+        votes = [odds[percent[cut]] for percent in percents]
+    for_free = np.sum([np.maximum(-vote, 0) for vote in votes], axis=0)
+    cast = np.sum([np.abs(vote) for vote in votes], axis=0)
+    agreement[cut] = np.floor(100.0 * for_free / np.maximum(cast, 1) + 0.5).astype(np.int8)
+    bits = np.zeros(int(cut.sum()), dtype=dissent.dtype)
+    for index, vote in enumerate(votes):
+        bits |= (vote > 0).astype(dissent.dtype) << np.array(index, dissent.dtype)
+    dissent[cut] = bits
+    return VoteResult(fused, agreement, dissent, voted.phantom_cells)
 
 
 def _vote_consensus(grids: list[I8], reach_cells: int, backend: Backend) -> VoteResult:

@@ -224,7 +224,13 @@ def test_too_few_walls_say_nothing(backend: Backend) -> None:
 
 @pytest.mark.parametrize(
     ("mode", "unknown"),
-    [("majority", "auto"), ("majority", "value"), ("majority", "abstain"), ("consensus", "auto")],
+    [
+        ("majority", "auto"),
+        ("majority", "value"),
+        ("majority", "abstain"),
+        ("consensus", "auto"),
+        ("log-odds", "auto"),
+    ],
 )
 def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, mode: str, unknown: str) -> None:
     config = FusionConfig(vote=VoteConfig(mode=mode, unknown=unknown))
@@ -244,9 +250,8 @@ def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, mode: str, unk
             part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
             canvas.vote("abc", part)
     reach = double_reach_cells(config.vote, 0.1)
-    wanted = vote_grids(
-        [trinary_cells(cells, RULES) for cells in full], config.vote, backend, reach_cells=reach
-    )
+    stack = [trinary_cells(cells, RULES) for cells in full]
+    wanted = vote_grids(stack, config.vote, backend, percents=full, reach_cells=reach)
     fused, agreement = canvas.grids()
     assert np.array_equal(trinary_cells(fused.cells, RULES), wanted.fused)
     assert np.array_equal(agreement.cells, wanted.agreement)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -207,6 +208,17 @@ def test_the_best_founded_map_is_the_one_that_others_bear_out(backend: Backend) 
     with_lost = fuse_grids([*grids[:2], lost], QUICK, backend)
     assert best_founded([lost, *grids[:2]], with_lost.pairs).name in {"a", "b"}
     assert best_founded(grids[1:2], pairs).name == "b"
+    # The one that closes loops is taken where it is nearly as well borne out, and only there.
+    named = {"a": "tinyslam", "b": "graph", "lost": "gmapping"}
+    scores = {"tinyslam": 0.45, "graph": 0.44, "gmapping": 0.5}
+    for graph_score, wanted in ((0.4, "gmapping"), (0.46, "graph")):
+        made = [grid.with_name(named[grid.name]) for grid in (lost, *grids[:2])]
+        pair = replace(pairs[0], score=0.0, accepted=False)
+        alone = [
+            replace(pair, reference=name, moving="another", score=score)
+            for name, score in (scores | {"graph": graph_score}).items()
+        ]
+        assert best_founded(made, alone).name == wanted
     # Nothing was aligned: the one that knows most.
     small = lost.crop(CellBox(0, 0, 20, 20))
     assert best_founded([small, lost], ()) is lost

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -347,6 +348,7 @@ def wall_at(*cols: int, width: int = 40, beyond: int = F) -> npt.NDArray[np.int8
 
 
 CONSENSUS = VoteConfig(mode="consensus")
+BARE_CONSENSUS = VoteConfig(mode="consensus", solid_walls=False)
 
 
 @pytest.mark.parametrize("away", [2, 5, 8])
@@ -384,7 +386,7 @@ def test_consensus_of_two_is_the_vote_of_those_that_know(backend: Backend):
 )
 def test_consensus_only_takes_lone_walls_away(backend: Backend, cells: list[int], reach: int):
     grids = list(np.array(cells, dtype=np.int8).reshape(3, 6, 8))
-    result = vote_grids(grids, CONSENSUS, backend, reach_cells=reach)
+    result = vote_grids(grids, BARE_CONSENSUS, backend, reach_cells=reach)
     plain = vote_grids(grids, VoteConfig(unknown="abstain"), backend)
     changed = result.fused != plain.fused
     assert (plain.fused[changed] == O).all()
@@ -393,3 +395,55 @@ def test_consensus_only_takes_lone_walls_away(backend: Backend, cells: list[int]
     assert ((result.agreement >= -1) & (result.agreement <= 100)).all()
     if reach < 2:
         assert same(result, plain)
+
+
+def test_consensus_gives_walls_their_backs_though_nobody_voted_for_them(backend: Backend):
+    grids = [wall_at(10, beyond=U) for _ in range(3)]
+    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    assert (result.fused[1:-1, 11] == O).all()
+    assert (result.fused[:, 12:] == U).all()
+    assert (result.agreement[:, 11] == -1).all()
+    assert not result.dissent[:, 11].any()
+    assert result.phantom_cells == 0
+
+
+def test_consensus_cuts_what_one_denies_before_a_wall_that_stands_without_it(backend: Backend):
+    """Two see the wall a cell nearer than the third; behind all of them is more of it."""
+    grids = [wall_at(10, 11, 12, beyond=U), wall_at(10, 11, 12, beyond=U)]
+    grids.append(wall_at(11, 12, beyond=U))
+    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    assert (result.fused[:, 10] == F).all()
+    assert (result.fused[:, 11:13] == O).all()
+    assert (result.agreement[:, 10] == 33).all()
+    assert (result.dissent[:, 10] == 0b011).all()
+    bare = vote_grids(grids, BARE_CONSENSUS, backend, reach_cells=8)
+    assert (bare.fused[:, 10] == O).all()
+
+
+def test_log_odds_cuts_by_weight(backend: Backend):
+    """95 and 60 percent against 20: the share of the votes for free is that of their log-odds."""
+    percents = [np.full((5, 20), 5, dtype=np.int8) for _ in range(3)]
+    for percent, front in zip(percents, (95, 60, 20), strict=True):
+        percent[:, 10] = front
+        percent[:, 11:13] = 95
+        percent[:, 13:] = -1
+    grids = [
+        np.where(p < 0, U, np.where(p >= 65, O, np.where(p <= 25, F, U))).astype(np.int8)
+        for p in percents
+    ]
+    config = VoteConfig(mode="log-odds")
+    result = vote_grids(grids, config, backend, percents=percents)
+    odds = np.abs(log_odds_table()[[95, 60, 20]])
+    assert (result.fused[:, 10] == F).all()
+    assert (result.agreement[:, 10] == int(100 * odds[2] / odds.sum() + 0.5)).all()
+    assert (result.dissent[:, 10] == 0b011).all()
+    assert (result.fused[1:-1, 13] == O).all()
+    bare = replace(config, solid_walls=False)
+    assert (vote_grids(grids, bare, backend, percents=percents).fused[:, 10] == O).all()
+
+
+@pytest.mark.parametrize("mode", ["majority", "weighted"])
+def test_the_plain_votes_leave_walls_as_they_are(backend: Backend, mode: str):
+    grids = [wall_at(10, beyond=U) for _ in range(3)]
+    result = vote_grids(grids, VoteConfig(mode=mode), backend, weights=[1.0, 1.0, 1.0])
+    assert np.array_equal(result.fused, grids[0])

@@ -1,0 +1,70 @@
+"""Walls are solid: a laser sees the face of a wall, and matter lies behind it, not in front.
+
+A map draws what beams touched, so that its walls are skins: nothing is known of what lies behind
+them, and where a hit falls into the cell before the wall, the skin is too near. Several maps tell
+more than one. A cell that they dispute, in front of a wall that stands without it, is such a hit.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["REACH_CELLS", "sharpen_fronts", "wall_backs"]
+
+I8 = npt.NDArray[np.int8]
+Mask = npt.NDArray[np.bool_]
+
+# Beside a wall that goes on three neighbours of a cell are of it, round its corner fewer.
+LEAST_BESIDE = 3
+# A wall stands without its front where this many cells of it lie behind.
+DEPTH_CELLS = 2
+# How far a cell has a say in what backs and fronts become.
+REACH_CELLS = 2 + DEPTH_CELLS
+
+
+def wall_backs(cells: I8) -> Mask:
+    """Say where walls have their backs: unknown cells beside a wall, and beside nothing free.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+
+    Returns:
+        (H, W) bool; no back is next to a free cell, so none stands in anybody's way.
+    """
+    beside = _neighbours(cells == 1) >= LEAST_BESIDE
+    return np.asarray((cells == -1) & beside & (_neighbours(cells == 0) == 0))
+
+
+def sharpen_fronts(cells: I8, is_disputed: Mask) -> Mask:
+    """Say which disputed cells are hits before a wall: free on one side, the wall on the other.
+
+    Args:
+        cells: (H, W) int8 in {-1, 0, 1}.
+        is_disputed: (H, W) bool, where somebody voted for free.
+
+    Returns:
+        (H, W) bool; behind each such cell the wall is two cells deep: of a wall whose both
+        faces are cut the middle stays.
+    """
+    is_wall, is_free = (np.pad(cells == value, DEPTH_CELLS) for value in (1, 0))
+    found = np.zeros(cells.shape, dtype=np.bool_)
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        behind = [_seen_from(is_wall, n * down, n * right) for n in range(1, DEPTH_CELLS + 1)]
+        found |= _seen_from(is_free, -down, -right) & np.logical_and.reduce(behind)
+    return np.asarray(found & is_disputed & (cells == 1))
+
+
+def _seen_from(padded: Mask, down: int, right: int) -> Mask:
+    """Return what lies so many rows and columns from each cell of the grid that was padded."""
+    height, width = (side - 2 * DEPTH_CELLS for side in padded.shape)
+    row, col = DEPTH_CELLS + down, DEPTH_CELLS + right
+    return padded[row : row + height, col : col + width]
+
+
+def _neighbours(mask: Mask) -> npt.NDArray[np.uint8]:
+    """Count the cells of a mask among the eight around each cell; beyond the edge is none."""
+    own = mask.astype(np.uint8)
+    block = cv2.boxFilter(own, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(block - own, dtype=np.uint8)
