@@ -11,10 +11,13 @@ venv="$root/.venv"
 jazzy="$root/.venv-jazzy"
 constraints="$root/launch_scripts/constraints-jazzy.txt"
 
-# Two test processes, and PoCL threads that share the cores among them.
+# Three test processes, since those with nodes mostly wait, and PoCL threads that share the cores.
 cores="$(nproc)"
-workers=$((cores < 2 ? 1 : 2))
-export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$((cores / workers))}"
+workers=$((cores < 2 ? 1 : 3))
+threads=$((cores < workers ? 1 : cores / workers))
+export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$threads}"
+# Hundreds of tests start a command, which would compile the whole package each time.
+unset PYTHONDONTWRITEBYTECODE
 
 install_all() {
     make_venv "$venv"
@@ -53,7 +56,8 @@ check() {
 suite() {
     local python="$1/bin/python"
     shift
-    "$python" -m pytest -n "$workers" --dist loadfile "$@"
+    # In the order of tests/conftest.py, not by the number of tests in a file.
+    "$python" -m pytest -n "$workers" --dist loadfile --no-loadscope-reorder "$@"
 }
 
 install_all

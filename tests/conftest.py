@@ -2,9 +2,48 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support import datasets
+
+TESTS = Path(__file__).parent
+
+# A busy machine is no fault of the code.
+settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("suite")
+
+# The longest files in the order in which test processes take them, so that none of them is alone at
+# the end. Those that wait for nodes stand between those that compute.
+LONGEST = (
+    "ros/test_producer_node.py",
+    "cli/test_run.py",
+    "ros/test_fusion_node.py",
+    "cli/test_experiment.py",
+    "ros/test_fusion_faults.py",
+    "cli/test_readme.py",
+    "ros/test_player_node.py",
+    "cli/test_commands.py",
+    "launch/test_ros_tables.py",
+    "sim/test_simulate.py",
+    "launch/test_slamfusion_sh.py",
+    "fusion/test_datasets.py",
+    "ros/test_launch_script.py",
+    "cli/test_gmapping.py",
+    "ros/test_fusion_together.py",
+    "slam/test_lost_robot.py",
+    "launch/test_colcon_node.py",
+    "slam/test_graph.py",
+    "experiments/test_trials.py",
+    "cli/test_slam.py",
+    "cli/test_bad_input.py",
+    "kernels/test_simulator.py",
+    "kernels/test_twins.py",
+    "fusion/test_pipeline.py",
+    "fusion/test_live.py",
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -17,3 +56,5 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.skip(reason="long; run with --full"))
         if "datasets" in item.keywords and not datasets.MAPS.is_dir():
             item.add_marker(pytest.mark.skip(reason=datasets.ABSENT))
+    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))

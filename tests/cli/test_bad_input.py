@@ -12,6 +12,8 @@ import pytest
 
 from tests.cli.command import INSTALLED, MAPS, TRUTH, assert_one_line_failure, json_of, run, tree
 
+pytestmark = pytest.mark.once
+
 YAML = """image: map.pgm
 resolution: 0.05
 origin: [0.0, 0.0, 0.0]

@@ -267,12 +267,14 @@ def test_doctor_passes_where_the_tests_run() -> None:
     assert all(test["passed"] for test in document["self_test"])
 
 
+@pytest.mark.once
 def test_bench_gives_ratios() -> None:
     done = run("bench", "--quick", "--json", timeout=300)
     assert done.returncode == 0, done.stderr
     assert json_of(done)
 
 
+@pytest.mark.once
 def test_version_and_help() -> None:
     assert __version__ in run("--version").stdout
     listing = run("--help").stdout

@@ -11,6 +11,8 @@ from slamfusion.io import load_map, open_log, read_trajectory
 from slamfusion.sim import COURSES
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(scope="module")
 def f16(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -12,6 +12,8 @@ import pytest
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.support.datasets import ABSENT, DATASETS
 
+pytestmark = pytest.mark.once
+
 CSAIL = DATASETS / "mit-csail"
 INTEL = DATASETS / "intel"
 PUBLIC = DATASETS / "maps" / "multi-slam" / "mit-csail"

@@ -25,7 +25,10 @@ def other_devices() -> list[str]:
     ]
 
 
-@pytest.fixture(scope="session", params=[POCL, SIMULATOR, *other_devices()])
+@pytest.fixture(
+    scope="session",
+    params=[POCL, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
+)
 def backend(request: pytest.FixtureRequest) -> Backend:
     """The backend of each device in turn."""
     if not WHEELS_EXIST:

@@ -29,6 +29,7 @@ print("built on", backend.device.version)
 """
 
 
+@pytest.mark.once
 @pytest.mark.skipif(not WHEELS_EXIST, reason="no PoCL wheel here")
 @pytest.mark.parametrize("force", [False, True])
 def test_kernels_build_and_the_process_ends_well(force: bool):

@@ -23,6 +23,12 @@ SMALL = {
 LARGE = {"odd and large": Sample((131, 203), seed=9), "long": Sample((3, 1030), seed=10)}
 
 
+@pytest.fixture(scope="module")
+def fresh(pocl: Backend) -> Backend:
+    """The same device, opened once more: nothing has run there."""
+    return open_backend(pocl.device.name.strip())  # type: ignore[attr-defined]
+
+
 def test_every_operation_has_a_check():
     operations = {name for name in vars(Backend) if not name.startswith("_")}
     assert set(CHECKS) == operations - {"name", "is_opencl", "upload", "download"}
@@ -50,10 +56,9 @@ def test_operation_equals_its_twin_at_any_size(
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_repeated_runs_give_the_same_bytes(pocl: Backend, name: str):
+def test_repeated_runs_give_the_same_bytes(pocl: Backend, fresh: Backend, name: str):
     sample = Sample((61, 83), seed=11)
     first = [array.tobytes() for array in CHECKS[name](pocl, sample)]
-    fresh = open_backend(pocl.device.name.strip())  # type: ignore[attr-defined]
     for other in (pocl, pocl, fresh):
         assert [array.tobytes() for array in CHECKS[name](other, sample)] == first
 

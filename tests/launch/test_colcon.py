@@ -9,9 +9,13 @@ import sys
 from pathlib import Path
 from xml.dom import minidom
 
+import pytest
+
 from slamfusion import __version__
 from slamfusion.cli.node import NODES
 from tests.cli.command import ROOT
+
+pytestmark = pytest.mark.once
 
 EXECUTABLES = {f"{name}_node" for name in NODES} | {"slamfusion"}
 

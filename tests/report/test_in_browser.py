@@ -17,9 +17,12 @@ from tests.report.drawn import colours_of, fusion, room
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no chromium on the PATH; apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.once,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no chromium on the PATH; apt-get install chromium"
+    ),
+]
 
 PROBE = """<script>
 window.addEventListener('load', () => {
