@@ -218,8 +218,8 @@ class ErrorTable:
     def overall(self) -> dict[str, dict[str, float]]:
         """Return for each way to vote its error against the best inputs' over all conditions.
 
-        ``ratio`` is that of the sums of the mean errors; ``worst`` the largest ratio of one
-        condition.
+        ``ratio`` is the mean of the conditions' ratios, ``worst`` the largest of them; ``of_sums``
+        is that of the sums of the mean errors, in which large places count more than small ones.
         """
         found = {}
         for number, fusion in enumerate(FUSIONS):
@@ -229,7 +229,11 @@ class ErrorTable:
                 for name in self.conditions()
             ]
             total = sum(ratio * base for ratio, base in zip(ratios, best, strict=True))
-            found[fusion] = {"ratio": total / sum(best), "worst": max(ratios)}
+            found[fusion] = {
+                "ratio": sum(ratios) / len(ratios),
+                "worst": max(ratios),
+                "of_sums": total / sum(best),
+            }
         return found
 
     def against_others(self, condition: str) -> dict[str, float]:
@@ -397,10 +401,12 @@ class ErrorTable:
                 for fusion, ratio in self.against_others(name).items()
             ]
         for fusion, values in self.overall().items():
-            change, worst = (100.0 * (values[key] - 1.0) for key in ("ratio", "worst"))
+            change, worst, of_sums = (
+                100.0 * (values[key] - 1.0) for key in ("ratio", "worst", "of_sums")
+            )
             lines.append(
-                f"all conditions: {fusion} {change:+.1f} % against the best inputs, "
-                f"{worst:+.1f} % where it stands worst."
+                f"all conditions: {fusion} {change:+.1f} % against the best inputs on the mean of "
+                f"conditions ({of_sums:+.1f} % of the sums), {worst:+.1f} % where it stands worst."
             )
         return lines
 

@@ -73,7 +73,7 @@ def test_a_single_drive_proves_nothing() -> None:
     assert table.to_json()["summaries"][0]["interval"] is None
 
 
-def test_overall_weighs_conditions_and_tells_the_worst() -> None:
+def test_overall_counts_each_condition_once_and_tells_the_worst() -> None:
     table = ErrorTable(
         "t",
         (
@@ -82,10 +82,12 @@ def test_overall_weighs_conditions_and_tells_the_worst() -> None:
         ),
     )
     overall = table.overall()["majority"]
-    assert overall["ratio"] == pytest.approx(105.0 / 140.0)
+    assert overall["ratio"] == pytest.approx(0.5 * (1.2 + 0.5))
+    assert overall["of_sums"] == pytest.approx(105.0 / 140.0)
     assert overall["worst"] == pytest.approx(1.2)
     assert table.sentences()[-len(FUSIONS)] == (
-        "all conditions: majority -25.0 % against the best inputs, +20.0 % where it stands worst."
+        "all conditions: majority -15.0 % against the best inputs on the mean of conditions "
+        "(-25.0 % of the sums), +20.0 % where it stands worst."
     )
 
 
