@@ -55,6 +55,7 @@ class Optimized:
         chi2_start: the same of the graph's own poses.
         iterations: steps solved for.
         is_converged: the last descent ended because another step would change next to nothing.
+        is_asked_anew: all closures were weighed; False where an earlier verdict stands.
         time_s: all of it.
     """
 
@@ -65,6 +66,7 @@ class Optimized:
     chi2_start: float
     iterations: int
     is_converged: bool
+    is_asked_anew: bool
     time_s: float
 
     @property
@@ -80,6 +82,7 @@ def optimize(
     robust: Robust = "none",
     start: Start = "best",
     weights: npt.ArrayLike | None = None,
+    tolerated: int = 0,
     max_iterations: int = 100,
     tolerance: float = 1e-5,
 ) -> Optimized:
@@ -96,6 +99,8 @@ def optimize(
         weights: (K,) of the first K edges, as an earlier optimisation of them left them; with
             ``consensus`` and ``gnc`` from given poses that verdict stands as long as all closures
             fit that it did not leave out.
+        tolerated: with ``gnc`` it stands as well where at most so many of these do not fit, which
+            are then left out too.
         max_iterations: of each descent.
         tolerance: a descent ends after a step that promised to lower chi-square by less than this
             share.
@@ -114,6 +119,7 @@ def optimize(
         fixed=held,
         is_doubted=_doubted(graph),
         is_left_out=None if weights is None else _left_out(graph, np.asarray(weights, np.float64)),
+        tolerated=tolerated,
         max_iterations=max_iterations,
         tolerance=tolerance,
     )
@@ -138,6 +144,7 @@ def optimize(
         chi2_start=float(measured.squared_errors(graph.poses).sum()),
         iterations=verdict.iterations,
         is_converged=verdict.is_converged,
+        is_asked_anew=verdict.is_asked_anew,
         time_s=time.perf_counter() - began,
     )
 

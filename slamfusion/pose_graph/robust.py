@@ -11,7 +11,8 @@ It has many minima, and which one is found depends on where the search starts. T
 - ``dcs``: from all closures, each weakened by its own error.
 
 A graph that grows is solved again and again. Closures that the last verdict left out are not asked
-once more: as long as all others fit, that verdict stands, and costs no more than a plain descent.
+once more: as long as all others fit, or all but a few where that is tolerated, that verdict stands,
+and costs no more than a plain descent.
 
 Sources: Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial
 Perception, RA-L 2020 (truncated least squares); Agarwal, Tipaldi, Spinello, Stachniss and Burgard,
@@ -20,7 +21,7 @@ Robust Map Optimization Using Dynamic Covariance Scaling, ICRA 2013.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -89,6 +90,7 @@ class Problem:
         is_doubted: (M,) bool; the others alone join all poses.
         is_left_out: (M,) bool, doubted edges that an earlier verdict left out; None where there is
             no earlier one.
+        tolerated: so many more may be left out of the earlier verdict without asking all anew.
         max_iterations: of one descent.
         tolerance: of a descent.
     """
@@ -98,6 +100,7 @@ class Problem:
     fixed: tuple[int, ...]
     is_doubted: Mask
     is_left_out: Mask | None
+    tolerated: int
     max_iterations: int
     tolerance: float
 
@@ -132,12 +135,14 @@ class Verdict:
         weights: (M,) in [0, 1]; 1 for edges that are not doubted.
         iterations: steps solved for.
         is_converged: the last descent ended by itself.
+        is_asked_anew: not merely an earlier verdict that stands.
     """
 
     poses: Array
     weights: Array
     iterations: int
     is_converged: bool
+    is_asked_anew: bool = True
 
 
 def by_consensus(problem: Problem, start: Array | None = None) -> Verdict:
@@ -150,7 +155,7 @@ def by_consensus(problem: Problem, start: Array | None = None) -> Verdict:
     if start is not None and problem.is_left_out is not None:
         earlier = _Search(problem, LIMIT)
         earlier.keep_what_fits(start)
-        if not earlier.has_open_questions():
+        if not earlier.open_questions():
             return earlier.verdict()
     found = find_consensus(problem.measured, problem.is_doubted)
     limit = float(np.clip(LIMIT_PER_SCALE * found.scale, SMALLEST_LIMIT, LIMIT))
@@ -184,8 +189,8 @@ def by_graduation(problem: Problem, start: Array | None = None) -> Verdict:
     if start is not None:
         search.keep_what_fits(start)
         search.grow(LIMIT)
-        if not search.has_open_questions():
-            return search.verdict()
+        if search.open_questions() <= problem.tolerated:
+            return replace(search.verdict(), is_asked_anew=False)
     search.propose(problem.is_doubted, search.odometry(start), at_once=False)
     search.grow(LIMIT)
     return search.verdict()
@@ -283,10 +288,11 @@ class _Search:
         if fitting.any():
             self.propose(self.used | fitting, self.poses)
 
-    def has_open_questions(self) -> bool:
-        """Whether a closure is left out that no earlier verdict had left out."""
+    def open_questions(self) -> int:
+        """Count the closures that are left out and that no earlier verdict had left out."""
         left_out = self._problem.is_left_out
-        return bool((self._outside() if left_out is None else self._outside() & ~left_out).any())
+        outside = self._outside()
+        return int((outside if left_out is None else outside & ~left_out).sum())
 
     def odometry(self, start: Array | None = None) -> Array:
         """Return the poses without any closure, by way of given ones, (N, 3), or of none."""

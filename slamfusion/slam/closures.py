@@ -10,7 +10,7 @@ the robot by more than a little waits until others say the same.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -105,6 +105,10 @@ class ClosureSearch:
     def __init__(self, config: GraphConfig, backend: Backend, rng: np.random.Generator) -> None:
         """Take the settings, the place of the maps, and where the search draws from."""
         self._config = config
+        # Where a search begins is known well, by a small drift or a window that was searched: half
+        # of the climbs end where all of them do.
+        climbers = max(1, config.matcher.climbers // 2)
+        self._matcher = replace(config.matcher, climbers=climbers)
         self._backend = backend
         self._rng = rng
 
@@ -207,7 +211,7 @@ class ClosureSearch:
         """Search around a guess and judge what is found."""
         config = self._config
         scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
-        match = search_pose(scan, [guess], config.matcher, self._rng)
+        match = search_pose(scan, [guess], self._matcher, self._rng)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
         if unseen > most_unseen:
             return "little in common"

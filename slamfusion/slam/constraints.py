@@ -41,7 +41,10 @@ class Constraint:
 
 
 def solve_constraints(
-    poses: F64, constraints: Sequence[Constraint], weights: F64 | None = None
+    poses: F64,
+    constraints: Sequence[Constraint],
+    weights: F64 | None = None,
+    tolerated: int = 0,
 ) -> Optimized:
     """Return the poses that fit the constraints best; the first node is held.
 
@@ -50,6 +53,7 @@ def solve_constraints(
         constraints: together they join all nodes; at least one.
         weights: of the first of them by the last solution: what it has found false is not tried
             again from the start.
+        tolerated: so many more closures may be found false without asking again of all of them.
     """
     motions = np.array([one.motion for one in constraints])
     information = np.array([one.information for one in constraints])
@@ -60,7 +64,7 @@ def solve_constraints(
         information=_in_end_frame(information, motions[:, 2]),
         is_closure=np.array([one.is_closure for one in constraints]),
     )
-    return optimize(graph, robust="gnc", start="given", weights=weights)
+    return optimize(graph, robust="gnc", start="given", weights=weights, tolerated=tolerated)
 
 
 def turned(information: F64, angle_rad: float) -> F64:
