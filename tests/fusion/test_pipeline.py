@@ -355,6 +355,25 @@ def test_every_mode_fuses(backend: Backend, mode: str, unknown: str, extent: str
         assert min(result.weights.values()) > 0.0
 
 
+@pytest.mark.parametrize("mode", ["consensus", "log-odds"])
+def test_outer_walls_have_their_backs_beyond_the_inputs(backend: Backend, mode: str) -> None:
+    """Three equal maps end at their outer walls: the backs of these lie one cell further out."""
+    truth = place()
+    grids = [truth.with_name(name) for name in "abc"]
+    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode)), backend)
+    bare = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode, solid_walls=False)), backend)
+    assert_same_world(bare.fused, truth)
+    assert bare.wall_backs == 0
+    assert result.fused.cells.shape == tuple(side + 2 for side in bare.fused.cells.shape)
+    assert np.array_equal(result.fused.cells[1:-1, 1:-1] == 0, bare.fused.cells == 0)
+    is_back = (result.fused.cells == 100) & (result.agreement.cells == -1)
+    assert result.wall_backs == is_back.sum() > 100
+    assert is_back[0].any()
+    assert is_back[:, -1].any()
+    assert result.phantom_cells == 0
+    assert not any(record.dissent[is_back].any() for record in result.inputs)
+
+
 def test_the_noisier_input_weighs_less(backend: Backend) -> None:
     truth = place()
     made = [
