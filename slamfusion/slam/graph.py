@@ -95,9 +95,9 @@ TRIES_PER_NODE = 2
 BELIEVED_SHARE = 0.5
 # The graph is solved when so many nodes have come since, if there are new closures.
 SOLVE_NODES = 30
-# Whether so many of the newest closures are false is not worth asking all of them anew, which
-# takes many times as long as to leave them out; one more, and it is.
-NEW_DOUBTS = 3
+# Up to so many new closures, and up to this share of them, are left out when they do not fit: all
+# closures asked anew take many times as long. One more, and they are.
+NEW_DOUBTS, NEW_DOUBTS_SHARE = 3, 1.0 / 6.0
 # Odometry between nodes: metres and radians of error, fixed and for a metre and a radian.
 ODOMETRY_M, ODOMETRY_M_PER_M = 0.05, 0.1
 ODOMETRY_RAD, ODOMETRY_RAD_PER_RAD = 0.05, 0.1
@@ -806,7 +806,8 @@ class GraphSlam:
 
     def _solve(self) -> None:
         """Solve the graph and take over its poses."""
-        tolerated = NEW_DOUBTS - self._new_doubts
+        share = int(NEW_DOUBTS_SHARE * self._unsolved)
+        tolerated = min(NEW_DOUBTS - self._new_doubts, share)
         solved = solve_constraints(self._poses, self._edges, self._weights, tolerated)
         self._poses, self._weights = solved.poses, solved.weights
         self.health.chi2, self.health.solve_s = solved.chi2, solved.time_s

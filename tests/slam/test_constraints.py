@@ -228,6 +228,26 @@ def test_what_was_found_false_once_is_found_false_again():
     assert off(again.poses, truth) < 1e-6
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count: int):
+    """A false closure was believed while it was alone; then true ones say otherwise."""
+    truth = true_ring()
+    steps = chain(truth)
+    false = closure(truth, 3, 12, np.array([0.5, 0.2, 0.05]))
+    first = solve_constraints(truth, [*steps, false])
+    assert first.weights[15] == 1.0
+    true = [closure(truth, *ends) for ends in ((2, 13), (4, 11), (1, 14), (0, 15))][:count]
+    later = [*steps, false, *true]
+    stands = solve_constraints(first.poses, later, first.weights, tolerated=count)
+    assert not stands.is_asked_anew
+    assert stands.weights[15] == 1.0
+    np.testing.assert_array_equal(stands.weights[16:], 0.0)
+    anew = solve_constraints(first.poses, later, first.weights, tolerated=count - 1)
+    assert anew.is_asked_anew
+    assert anew.weights[15] == 0.0
+    assert off(anew.poses, truth) < 1e-6
+
+
 # -- the frame of an information -------------------------------------------------------------------
 
 
