@@ -105,12 +105,11 @@ class ClosureSearch:
     def __init__(self, config: GraphConfig, backend: Backend, rng: np.random.Generator) -> None:
         """Take the settings, the place of the maps, and where the search draws from."""
         self._config = config
-        # Where a search begins is known well, by a small drift or a window that was searched: half
-        # of the climbs end where all of them do.
-        climbers = max(1, config.matcher.climbers // 2)
-        self._matcher = replace(config.matcher, climbers=climbers)
         self._backend = backend
         self._rng = rng
+        # A window search ends within a cell of the place: half of the climbs find it from there.
+        climbers = max(1, config.matcher.climbers // 2)
+        self._after_window = replace(config.matcher, climbers=climbers)
 
     def near(
         self, submap: Submap, points: F64, expected: F64, drift_m: float, usual: float
@@ -177,7 +176,7 @@ class ClosureSearch:
             return guess, False
         coarse = best.pose
         least = USUAL_SHARE_ANYWHERE * usual
-        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN)
+        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, is_near=True)
         if isinstance(found, Found):
             if self._rival(submap, points, window, found):
                 return guess, False
@@ -200,18 +199,26 @@ class ClosureSearch:
         best = self._searched(submap, points, windows[0], WINDOW_SHARE * least)
         if best is None:
             return "low response"
-        found = self._fine(submap, points, _around(best.pose), least, most_unseen)
+        found = self._fine(submap, points, _around(best.pose), least, most_unseen, is_near=True)
         if isinstance(found, Found) and self._rival(submap, points, windows[1], found):
             return "two places fit"
         return found
 
     def _fine(
-        self, submap: Submap, points: F64, guess: Guess, least: float, most_unseen: float
+        self,
+        submap: Submap,
+        points: F64,
+        guess: Guess,
+        least: float,
+        most_unseen: float,
+        *,
+        is_near: bool = False,
     ) -> Found | str:
-        """Search around a guess and judge what is found."""
+        """Search around a guess, that of a window or not, and judge what is found."""
         config = self._config
         scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
-        match = search_pose(scan, [guess], self._matcher, self._rng)
+        matcher = self._after_window if is_near else config.matcher
+        match = search_pose(scan, [guess], matcher, self._rng)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
         if unseen > most_unseen:
             return "little in common"

@@ -26,6 +26,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.pose_graph import Optimized
 from slamfusion.scan import LaserScan
 from slamfusion.slam import matcher
 from slamfusion.slam.base import Closure, Health, Series, Step
@@ -798,11 +799,13 @@ class GraphSlam:
         if not (self._unsolved or self._new_doubts):
             return self._poses
         if self._settled is None or self._settled[0] != len(self._edges):
-            # What was left out without asking all anew is asked now: nothing waits for it.
-            weights = None if self._new_doubts else self._weights
-            solved = solve_constraints(self._poses, self._edges, weights)
-            self._settled = (len(self._edges), solved.poses)
+            self._settled = (len(self._edges), self._solution().poses)
         return self._settled[1]
+
+    def _solution(self) -> Optimized:
+        """Return the solution by all closures, also of those left out without asking all anew."""
+        weights = None if self._new_doubts else self._weights
+        return solve_constraints(self._poses, self._edges, weights)
 
     def _solve(self) -> None:
         """Solve the graph and take over its poses."""

@@ -85,17 +85,23 @@ def response_bend(scan: ScanOnTiles, pose: F64) -> F64:
         scan: over the map.
         pose: (3,) the match, metres and radians.
     """
-    _, vectors = np.linalg.eigh(_bend_along(scan, pose, np.eye(3))[:2, :2])
+    _, vectors = np.linalg.eigh(_bend_along(scan, pose, np.eye(3), _LEVEL)[:2, :2])
     axes = np.eye(3)
     axes[:2, :2] = vectors
     return _bend_along(scan, pose, axes)
 
 
-def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64) -> F64:
-    """Return the same by differences along the columns of ``axes``, (3, 3)."""
+def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64, places: slice = slice(None)) -> F64:
+    """Return the same by differences along the columns of ``axes``, (3, 3).
+
+    Args:
+        scan, pose: see ``response_bend``.
+        axes: (3, 3).
+        places: of the stencil; those that are left out leave their derivatives wrong.
+    """
     steps = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
-    scores = scan.scores(pose + (_STENCIL * steps) @ axes.T)
-    local = -np.einsum("kij,k->ij", _SECOND, scores) / np.outer(steps, steps)
+    scores = scan.scores(pose + (_STENCIL[places] * steps) @ axes.T)
+    local = -np.einsum("kij,k->ij", _SECOND[places], scores) / np.outer(steps, steps)
     return np.asarray(axes @ local @ axes.T)
 
 
@@ -103,22 +109,19 @@ def _stencil() -> tuple[F64, F64]:
     """Return (K, 3) places and (K, 3, 3) weights that give the second derivatives there."""
     places = [np.zeros(3)]
     weights = [np.zeros((3, 3))]
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            place, weight = np.zeros(3), np.zeros((3, 3))
-            place[axis], weight[axis, axis] = sign, 1.0
-            places.append(place)
-            weights.append(weight)
-        weights[0][axis, axis] = -2.0
-    for one, other in ((0, 1), (0, 2), (1, 2)):
+    for one, other in ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2)):
         for a in (1.0, -1.0):
-            for b in (1.0, -1.0):
+            for b in (1.0, -1.0) if other != one else (a,):
                 place, weight = np.zeros(3), np.zeros((3, 3))
                 place[one], place[other] = a, b
-                weight[one, other] = weight[other, one] = 0.25 * a * b
+                weight[one, other] = weight[other, one] = 1.0 if other == one else 0.25 * a * b
                 places.append(place)
                 weights.append(weight)
+        if one == other:
+            weights[0][one, one] = -2.0
     return np.array(places), np.array(weights)
 
 
 _STENCIL, _SECOND = _stencil()
+# The first places tell of x and y alone.
+_LEVEL = slice(9)

@@ -130,7 +130,7 @@ def test_the_fused_map_is_nearly_what_fuse_makes_of_the_saved_maps(
 ) -> None:
     out, _ = made
     maps = [out / f"{name}.yaml" for name in NAMES]
-    done = run("fuse", *maps, "--shared-frame", "-o", tmp_path / "fused")
+    done = run("fuse", *maps, "--shared-frame", "--mode", "consensus", "-o", tmp_path / "fused")
     assert done.returncode == 0, done.stderr
     again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
     assert again.origin == fused.origin
