@@ -191,11 +191,8 @@ def _solid(
         votes = [odds[percent[cut]] for percent in percents]
     for_free = np.sum([np.maximum(-vote, 0) for vote in votes], axis=0)
     cast = np.sum([np.abs(vote) for vote in votes], axis=0)
-    agreement[cut] = np.floor(100.0 * for_free / np.maximum(cast, 1) + 0.5).astype(np.int8)
-    bits = np.zeros(int(cut.sum()), dtype=dissent.dtype)
-    for index, vote in enumerate(votes):
-        bits |= (vote > 0).astype(dissent.dtype) << np.array(index, dissent.dtype)
-    dissent[cut] = bits
+    agreement[cut] = _percent(for_free, np.maximum(cast, 1))
+    dissent[cut] = _bits([vote > 0 for vote in votes], dissent.dtype)
     return VoteResult(fused, agreement, dissent, voted.phantom_cells)
 
 
@@ -216,12 +213,8 @@ def _vote_consensus(grids: list[I8], reach_cells: int, backend: Backend) -> Vote
     is_double = (fused == 1) & (occupied == 1) & (around == 1) & (near == 0)
     fused[is_double] = np.where(free[is_double] > 0, 0, -1)
     # One voted for the wall; all others that know the cell say that it is free.
-    share = 100.0 * free[is_double] / (free[is_double] + 1)
-    agreement[is_double] = np.floor(share + 0.5).astype(np.int8)
-    bits = np.zeros(int(is_double.sum()), dtype=dissent.dtype)
-    for index, grid in enumerate(grids):
-        bits |= (grid[is_double] == 1).astype(dissent.dtype) << np.array(index, dissent.dtype)
-    dissent[is_double] = bits
+    agreement[is_double] = _percent(free[is_double], free[is_double] + 1)
+    dissent[is_double] = _bits([grid[is_double] == 1 for grid in grids], dissent.dtype)
     return VoteResult(fused, agreement, dissent, votes.phantom_cells)
 
 
@@ -268,6 +261,21 @@ def _dense(grids: Sequence[I8], what: str) -> list[I8]:
         message = f"{what} that vote must be (H, W) int8 of one shape, found {found}"
         raise GridError(message)
     return [np.ascontiguousarray(grid) for grid in grids]
+
+
+def _percent(part: npt.NDArray[Any], whole: npt.NDArray[Any]) -> I8:
+    """Return shares in percent, rounded half up, (K,); the whole is nowhere 0."""
+    return np.asarray(np.floor(100.0 * part / whole + 0.5), dtype=np.int8)
+
+
+def _bits(
+    flags: Sequence[npt.NDArray[np.bool_]], kind: np.dtype[Any]
+) -> npt.NDArray[np.unsignedinteger[Any]]:
+    """Return (K,) of a kind, bit n set where the n-th of the flags, (K,), is."""
+    bits = np.zeros(flags[0].shape, dtype=kind)
+    for index, flag in enumerate(flags):
+        bits |= flag.astype(kind) << np.array(index, kind)
+    return bits
 
 
 def _join_planes(planes: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:

@@ -176,7 +176,7 @@ class ClosureSearch:
             return guess, False
         coarse = best.pose
         least = USUAL_SHARE_ANYWHERE * usual
-        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, is_near=True)
+        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, by_window=True)
         if isinstance(found, Found):
             if self._rival(submap, points, window, found):
                 return guess, False
@@ -199,7 +199,7 @@ class ClosureSearch:
         best = self._searched(submap, points, windows[0], WINDOW_SHARE * least)
         if best is None:
             return "low response"
-        found = self._fine(submap, points, _around(best.pose), least, most_unseen, is_near=True)
+        found = self._fine(submap, points, _around(best.pose), least, most_unseen, by_window=True)
         if isinstance(found, Found) and self._rival(submap, points, windows[1], found):
             return "two places fit"
         return found
@@ -212,12 +212,12 @@ class ClosureSearch:
         least: float,
         most_unseen: float,
         *,
-        is_near: bool = False,
+        by_window: bool = False,
     ) -> Found | str:
-        """Search around a guess, that of a window or not, and judge what is found."""
+        """Search around a guess, of a window search or not, and judge what is found."""
         config = self._config
         scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
-        matcher = self._after_window if is_near else config.matcher
+        matcher = self._after_window if by_window else config.matcher
         match = search_pose(scan, [guess], matcher, self._rng)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
         if unseen > most_unseen:

@@ -21,6 +21,7 @@ __all__ = [
 ]
 
 F64 = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 # Steps along which the surface is measured, and what its curvature is worth: a response that is
 # lower by 1 / RESPONSE_GAIN makes a pose e^-0.5 as likely. The spread of repeated noisy matches
@@ -91,13 +92,13 @@ def response_bend(scan: ScanOnTiles, pose: F64) -> F64:
     return _bend_along(scan, pose, axes)
 
 
-def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64, places: slice = slice(None)) -> F64:
+def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64, places: Mask | slice = slice(None)) -> F64:
     """Return the same by differences along the columns of ``axes``, (3, 3).
 
     Args:
         scan, pose: see ``response_bend``.
         axes: (3, 3).
-        places: of the stencil; those that are left out leave their derivatives wrong.
+        places: of the stencil, (K,) bool; derivatives for which one is left out are wrong.
     """
     steps = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
     scores = scan.scores(pose + (_STENCIL[places] * steps) @ axes.T)
@@ -109,19 +110,24 @@ def _stencil() -> tuple[F64, F64]:
     """Return (K, 3) places and (K, 3, 3) weights that give the second derivatives there."""
     places = [np.zeros(3)]
     weights = [np.zeros((3, 3))]
-    for one, other in ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2)):
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            place, weight = np.zeros(3), np.zeros((3, 3))
+            place[axis], weight[axis, axis] = sign, 1.0
+            places.append(place)
+            weights.append(weight)
+        weights[0][axis, axis] = -2.0
+    for one, other in ((0, 1), (0, 2), (1, 2)):
         for a in (1.0, -1.0):
-            for b in (1.0, -1.0) if other != one else (a,):
+            for b in (1.0, -1.0):
                 place, weight = np.zeros(3), np.zeros((3, 3))
                 place[one], place[other] = a, b
-                weight[one, other] = weight[other, one] = 1.0 if other == one else 0.25 * a * b
+                weight[one, other] = weight[other, one] = 0.25 * a * b
                 places.append(place)
                 weights.append(weight)
-        if one == other:
-            weights[0][one, one] = -2.0
     return np.array(places), np.array(weights)
 
 
 _STENCIL, _SECOND = _stencil()
-# The first places tell of x and y alone.
-_LEVEL = slice(9)
+# Where the yaw stays: enough for x and y alone.
+_LEVEL = _STENCIL[:, 2] == 0.0

@@ -38,10 +38,21 @@ def backend(request: pytest.FixtureRequest) -> Backend:
     return open_backend(request.param)
 
 
-@pytest.fixture(scope="session")
-def pocl() -> Backend:
+def opened() -> Backend:
     """PoCL, or the first device where there is no PoCL wheel."""
     return open_backend(POCL if WHEELS_EXIST else "auto")
+
+
+@pytest.fixture(scope="session")
+def pocl() -> Backend:
+    """The device of most tests."""
+    return opened()
+
+
+@pytest.fixture(scope="module")
+def fresh() -> Backend:
+    """The same device opened once more, where each operation has yet to run."""
+    return opened()
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend, self_test
+from slamfusion.compute import Backend, NumpyBackend, self_test
 from slamfusion.compute.self_test import CHECKS, Sample, differences
 from slamfusion.errors import DeviceError
 
@@ -21,12 +21,6 @@ SMALL = {
     "no overlap": Sample((12, 34), seed=8, away=5000.0),
 }
 LARGE = {"odd and large": Sample((131, 203), seed=9), "long": Sample((3, 1030), seed=10)}
-
-
-@pytest.fixture(scope="module")
-def fresh(pocl: Backend) -> Backend:
-    """The same device, opened once more: nothing has run there."""
-    return open_backend(pocl.device.name.strip())  # type: ignore[attr-defined]
 
 
 def test_every_operation_has_a_check():
