@@ -34,7 +34,7 @@ __kernel void polyphase(__global const uchar *field, const int height, const int
 /* bounds[b] = sum over points of the pooled field of the point's class at start + shift; -1 where
  * that is not above `least`, which is seen before all points are read.
  * blocks (count, 3) int: yaw group, row and column of the block's first shift;
- * starts (groups, points, 2) int: row and column of each point's window for shift 0;
+ * starts (groups, 2, points) int: rows, then columns of the points' windows for shift 0;
  * classes (points) uchar: which pooled field a point reads; fields (classes, height, width) uchar,
  * fill outside; bounds (count) int. Global: (count). */
 __kernel void bound_blocks(__global const int *blocks, const int count,
@@ -45,14 +45,16 @@ __kernel void bound_blocks(__global const int *blocks, const int count,
   const int b = get_global_id(0);
   if (b >= count) return;
   const int row0 = blocks[3 * b + 1], col0 = blocks[3 * b + 2];
-  __global const int *start = starts + (size_t)blocks[3 * b] * points * 2;
+  __global const int *rows = starts + (size_t)blocks[3 * b] * 2 * points, *cols = rows + points;
+  const size_t plane = (size_t)height * width;
   int sum = 0;
   for (int n = 0; n < points && sum + 255 * (points - n) > least;) {
-    const int end = min(n + POINTS_BETWEEN, points);
+    const int end = LOWER(n + POINTS_BETWEEN, points);
     for (; n < end; n++) {
-      const int row = start[2 * n] + row0, col = start[2 * n + 1] + col0;
-      const bool inside = row >= 0 && col >= 0 && row < height && col < width;
-      sum += inside ? fields[((size_t)classes[n] * height + row) * width + col] : fill;
+      const int row = rows[n] + row0, col = cols[n] + col0;
+      const int inside = ((uint)row < (uint)height) & ((uint)col < (uint)width);
+      const int value = fields[classes[n] * plane + (inside ? row * width + col : 0)];
+      sum += inside ? value : fill;
     }
   }
   bounds[b] = sum > least ? sum : -1;

@@ -25,8 +25,18 @@
 /* Q30 half cells to whole cells: drop 30 fraction bits and the half. */
 #define FIXED_TO_CELL_SHIFT 31
 
+/* PoCL defines `inline` as nothing, and a loop with a call in it is not vectorised. */
+#define INLINE inline __attribute__((always_inline))
+
+/* Ahead of a loop of gathers: clang takes them for too dear to vectorise, and is wrong. */
+#ifdef UNALIGNED_WORDS
+#define IN_LANES _Pragma("clang loop vectorize_width(16)")
+#else
+#define IN_LANES
+#endif
+
 /* Cell (x = col, y = row) under a lattice position after a fixed pose. */
-inline int2 fixed_cell(const long4 pose, const int x2, const int y2) {
+INLINE int2 fixed_cell(const long4 pose, const int x2, const int y2) {
   const long x = pose.x * x2 - pose.y * y2 + pose.z;
   const long y = pose.y * x2 + pose.x * y2 + pose.w;
   return (int2)((int)(x >> FIXED_TO_CELL_SHIFT), (int)(y >> FIXED_TO_CELL_SHIFT));
@@ -38,7 +48,7 @@ inline int2 fixed_cell(const long4 pose, const int x2, const int y2) {
 #ifdef UNALIGNED_WORDS
 #define WORD(p, i) (((__global const ulong *)(p))[i])
 #define LOAD32(p) ((ulong4)(WORD(p, 0), WORD(p, 1), WORD(p, 2), WORD(p, 3)))
-inline void store32(const ulong4 words, __global ulong *to) {
+INLINE void store32(const ulong4 words, __global ulong *to) {
   to[0] = words.x;
   to[1] = words.y;
   to[2] = words.z;
@@ -48,12 +58,12 @@ inline void store32(const ulong4 words, __global ulong *to) {
 #define LOWER(a, b) ((a) < (b) ? (a) : (b))
 #define HIGHER(a, b) ((a) > (b) ? (a) : (b))
 #else
-inline ulong4 load32(__global const uchar *p) {
+INLINE ulong4 load32(__global const uchar *p) {
   const uchar16 a = vload16(0, p), b = vload16(1, p);
   return (ulong4)(as_ulong2(a), as_ulong2(b));
 }
 #define LOAD32(p) load32((__global const uchar *)(p))
-inline void store32(const ulong4 words, __global uchar *to) {
+INLINE void store32(const ulong4 words, __global uchar *to) {
   vstore16(as_uchar16(words.lo), 0, to);
   vstore16(as_uchar16(words.hi), 1, to);
 }

@@ -44,7 +44,7 @@
       __global const float4 *poses, const int maps, const int width, const int height
 
 /* A position in cells as 1/1024 cells inside the window; what is no number becomes 0. */
-inline int fixed_place(const float cells, const int pages) {
+INLINE int fixed_place(const float cells, const int pages) {
   const int limit = pages << (TILE_SHIFT + 10);
   const float place = cells * 1024.0f;
   const float above = place > 0.0f ? place : 0.0f;
@@ -52,7 +52,7 @@ inline int fixed_place(const float cells, const int pages) {
 }
 
 /* Place of a point of the robot's frame in the window. */
-inline int2 placed(const float4 pose, const float2 point, const int width, const int height) {
+INLINE int2 placed(const float4 pose, const float2 point, const int width, const int height) {
   const float x = pose.x + (pose.z * point.x - pose.w * point.y);
   const float y = pose.y + (pose.w * point.x + pose.z * point.y);
   return (int2)(fixed_place(x, width), fixed_place(y, height));
@@ -70,13 +70,13 @@ inline int2 placed(const float4 pose, const float2 point, const int width, const
 #endif
 
 /* Column and row of step i of a walk. */
-inline int2 walked_cell(const walk w, const int i) {
+INLINE int2 walked_cell(const walk w, const int i) {
   return (int2)((int)((w.x + i * w.step_x) >> 20), (int)((w.y + i * w.step_y) >> 20));
 }
 
 /* Find the places in the pools of up to AHEAD cells of a walk, from step `first` on; return how many
  * there are. */
-inline int look_ahead(
+INLINE int look_ahead(
     const walk w, const int first, __global const int *pages, const int width,
     __global const uint *counts, int *places) {
   const int left = (int)w.steps + 1 - first, n = left < AHEAD ? left : AHEAD;
@@ -90,7 +90,7 @@ inline int look_ahead(
 }
 
 /* Page of a cell along one side of the window; beyond it, the last one. */
-inline int kept_page(const int page, const int pages) {
+INLINE int kept_page(const int page, const int pages) {
   return page < 0 ? 0 : page < pages ? page : pages - 1;
 }
 
@@ -208,16 +208,16 @@ __kernel void count_beams(
 }
 
 /* Place in a pool of a cell of four tiles, counted from the corner of the first. */
-inline int block_cell(int tiles[2][2], const int col, const int row) {
+INLINE int block_cell(int tiles[2][2], const int col, const int row) {
   const int tile = tiles[row >> TILE_SHIFT][col >> TILE_SHIFT];
   return tile * TILE_CELLS + ((row & TILE_MASK) << TILE_SHIFT) + (col & TILE_MASK);
 }
 
 /* Bits 0 to n - 1. */
-inline ulong first_bits(const int n) { return (1ul << n) - 1ul; }
+INLINE ulong first_bits(const int n) { return (1ul << n) - 1ul; }
 
 /* The bits, and those up to `reach` places away from them. */
-inline ulong widened(ulong bits, const int reach) {
+INLINE ulong widened(ulong bits, const int reach) {
   for (int k = 0; k < reach; k++) {
     bits |= bits << 1 | bits >> 1;
   }
@@ -226,7 +226,7 @@ inline ulong widened(ulong bits, const int reach) {
 
 /* Renew the field around one cell: gather the occupied cells of the block that bears on it, then
  * look for the nearest of them to every cell of the inner square that nobody else has claimed. */
-inline void settle_cell(
+INLINE void settle_cell(
     const int2 cell, __global const int *pages, const int width, const int height,
     __global const uint *counts, __global const uint *sums, __global uchar *field,
     __global uint *claimed, __global const uchar *table, const int shift, const int reach,

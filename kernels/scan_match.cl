@@ -2,19 +2,20 @@
  *
  * The map gives each cell a wall value of 0 to 255 (the score field). A work item does one pose and
  * adds whole numbers, so that its NumPy twin finds the same sum; positions are float32 without
- * contraction, for the same reason. Loops have no branches: they turn into vector gathers.
+ * contraction, for the same reason. Loops over the hits have no branches and no short vectors, and
+ * hits lie side by side: so they turn into vector gathers.
  * Method: Olson, ICRA 2009 (score of a pose as the sum over the hits of a wall likelihood).
  */
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.h"
 #include "tiles.h"
 
-/* Field under a hit, between cell centres bilinear in sixteenths. */
-inline int smooth_value(
+/* Field under a hit (px, py), between cell centres bilinear in sixteenths. */
+INLINE int smooth_value(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    const float2 point, const float4 pose) {
-  const float x = pose.x + (pose.z * point.x - pose.w * point.y) - 0.5f;
-  const float y = pose.y + (pose.w * point.x + pose.z * point.y) - 0.5f;
+    const float px, const float py, const float4 pose) {
+  const float x = pose.x + (pose.z * px - pose.w * py) - 0.5f;
+  const float y = pose.y + (pose.w * px + pose.z * py) - 0.5f;
   const int col = (int)x, row = (int)y;
   const int right = (int)((x - col) * 16.0f), up = (int)((y - row) * 16.0f);
   const int a = field[tile_cell(pages, width, height, col, row)];
@@ -26,12 +27,13 @@ inline int smooth_value(
 }
 
 /* Sum of the field under the hits at one pose. */
-inline int smooth_sum(
+INLINE int smooth_sum(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float2 *points, const int count, const int stride, const float4 pose) {
+    __global const float *points, const int count, const float4 pose) {
   int sum = 0;
-  for (int i = 0; i < count; i += stride) {
-    sum += smooth_value(field, pages, width, height, points[i], pose);
+  IN_LANES
+  for (int i = 0; i < count; i++) {
+    sum += smooth_value(field, pages, width, height, points[2 * i], points[2 * i + 1], pose);
   }
   return sum;
 }
@@ -40,19 +42,17 @@ inline int smooth_sum(
  *
  * field    uchar, TILE_CELLS per tile
  * pages    int, width x height
- * points   float2, cells, in the robot's frame
- * stride   every so many-th point counts
+ * points   float, two per hit: cells, in the robot's frame
  * poses    float4: x, y in cells of the window, cos, sin
  * sums     int, one per pose
  */
 __kernel void score_smooth(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float2 *points, const int count, const int stride,
+    __global const float *points, const int count,
     __global const float4 *poses, const int n, __global int *sums) {
   const int item = get_global_id(0);
   if (item < n) {
-    sums[item] =
-        smooth_sum(field, pages, width, height, points, count, stride, poses[item]);
+    sums[item] = smooth_sum(field, pages, width, height, points, count, poses[item]);
   }
 }
 
@@ -60,7 +60,7 @@ __kernel void score_smooth(
  * weighted squares of its distances plus the guess's own loss.
  *
  * guesses  float, seven per guess: x, y, yaw, weights of the squares of x, y and yaw, own loss */
-inline float pose_loss(
+INLINE float pose_loss(
     __global const float *guesses, const int count, const float x, const float y, const float yaw) {
   float least = INFINITY;
   for (int i = 0; i < count; i++) {
@@ -85,7 +85,7 @@ inline float pose_loss(
 #define CLIMBERS 16
 __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float2 *points, const int count, const int stride,
+    __global const float *points, const int count,
     __global const float *guesses, const int guess_count, __global const float *starts,
     __global const float *steps, const int rounds, const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0), groups = get_num_groups(0);
@@ -104,7 +104,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     const float cos = best[3] * step[3] - best[4] * step[4];
     const float sin = best[4] * step[3] + best[3] * step[4];
     const float4 pose = (float4)(x, y, cos, sin);
-    const int sum = smooth_sum(field, pages, width, height, points, count, stride, pose);
+    const int sum = smooth_sum(field, pages, width, height, points, count, pose);
     values[item] = (float)sum * scale - pose_loss(guesses, guess_count, x, y, yaw);
     tried[item][0] = x;
     tried[item][1] = y;
@@ -146,7 +146,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
  */
 __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float2 *points, const int count, const int stride,
+    __global const float *points, const int count,
     __global const float *guesses, __global const float *starts, __global const float *sizes,
     const int size_count, const int tries, const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0);
@@ -177,7 +177,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     const float cos = best[3] * dcos - best[4] * dsin;
     const float sin = best[4] * dcos + best[3] * dsin;
     const float4 pose = (float4)(x, y, cos, sin);
-    const int sum = smooth_sum(field, own, width, height, points, count, stride, pose);
+    const int sum = smooth_sum(field, own, width, height, points, count, pose);
     values[item] = (float)sum * scale - pose_loss(guesses + 7 * group, 1, x, y, yaw);
     tried[item][0] = x;
     tried[item][1] = y;
@@ -216,7 +216,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
  */
 __kernel void score_maps(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float2 *points, const int count, const int stride,
+    __global const float *points, const int count,
     __global const float4 *poses, const int maps, const int each, __global const int *table,
     __global int *sums) {
   const int item = get_global_id(0);
@@ -226,8 +226,10 @@ __kernel void score_maps(
   __global const int *own = pages + (item / each) * width * height;
   const float4 pose = poses[item];
   int sum = 0;
-  for (int i = 0; i < count; i += stride) {
-    sum += table[smooth_value(field, own, width, height, points[i], pose)];
+  IN_LANES
+  for (int i = 0; i < count; i++) {
+    sum += table[smooth_value(
+        field, own, width, height, points[2 * i], points[2 * i + 1], pose)];
   }
   sums[item] = sum;
 }
@@ -236,7 +238,7 @@ __kernel void score_maps(
  * square around it, `reach` cells away. A wide and cheap basin for the first look. */
 __kernel void score_wide(
     __global const uchar *field, __global const int *pages, const int width, const int height,
-    __global const float2 *points, const int count, const int stride,
+    __global const float *points, const int count,
     __global const float4 *poses, const int n, const int reach, __global int *sums) {
   const int item = get_global_id(0);
   if (item >= n) {
@@ -244,10 +246,11 @@ __kernel void score_wide(
   }
   const float4 pose = poses[item];
   int sum = 0;
-  for (int i = 0; i < count; i += stride) {
-    const float2 point = points[i];
-    const int col = (int)(pose.x + (pose.z * point.x - pose.w * point.y));
-    const int row = (int)(pose.y + (pose.w * point.x + pose.z * point.y));
+  IN_LANES
+  for (int i = 0; i < count; i++) {
+    const float px = points[2 * i], py = points[2 * i + 1];
+    const int col = (int)(pose.x + (pose.z * px - pose.w * py));
+    const int row = (int)(pose.y + (pose.w * px + pose.z * py));
     const int a = field[tile_cell(pages, width, height, col, row)];
     const int b = field[tile_cell(pages, width, height, col - reach, row - reach)];
     const int c = field[tile_cell(pages, width, height, col + reach, row - reach)];

@@ -14,7 +14,7 @@
 #include "walk.h"
 
 /* Pages of the square around a hit's cell that have no tile are wanted. */
-inline void mark_cell(
+INLINE void mark_cell(
     __global uint *observed, __global const int *pages, const int width, __global int *wanted,
     const int x, const int y, const uint word) {
   const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);
@@ -23,7 +23,7 @@ inline void mark_cell(
     wanted[0] = 1;
     wanted[1 + page] = 1;
   } else {
-    atomic_max(
+    keep_greater(
         observed + tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK), word);
   }
 }
@@ -63,12 +63,12 @@ __kernel void smear_mark(
   }
 }
 
-inline void fold_cell(
+INLINE void fold_cell(
     __global uint *observed, __global uint *states, __global uchar *field,
     __global const int *pages, const int width, const int x, const int y, const int most) {
   const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
   const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
-  const uint word = atomic_xchg(observed + at, 0u);
+  const uint word = take_word(observed + at);
   if (word == 0u) {
     return;
   }

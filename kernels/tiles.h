@@ -12,7 +12,7 @@
 #define TILE_CELLS 1024
 
 /* Place of cell (x, y) in a pool; cells beyond the window fall on its border, which is empty. */
-inline int tile_cell(__global const int *pages, const int width, const int height, int x, int y) {
+INLINE int tile_cell(__global const int *pages, const int width, const int height, int x, int y) {
   const int last_x = (width << TILE_SHIFT) - 1, last_y = (height << TILE_SHIFT) - 1;
   x = x < 0 ? 0 : x;
   x = x > last_x ? last_x : x;
@@ -21,5 +21,25 @@ inline int tile_cell(__global const int *pages, const int width, const int heigh
   const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
   return tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
 }
+
+/* Keep the greater word of a cell; and take a cell's word and leave 0. An atomic waits for its cell
+ * and lets nothing pass; on a device of one thread `volatile` keeps order enough. */
+#ifdef ONE_THREAD
+INLINE void keep_greater(volatile __global uint *word, const uint other) {
+  if (*word < other) {
+    *word = other;
+  }
+}
+INLINE uint take_word(volatile __global uint *word) {
+  const uint taken = *word;
+  if (taken != 0u) {
+    *word = 0u;
+  }
+  return taken;
+}
+#else
+INLINE void keep_greater(__global uint *word, const uint other) { atomic_max(word, other); }
+INLINE uint take_word(__global uint *word) { return atomic_xchg(word, 0u); }
+#endif
 
 #endif

@@ -19,12 +19,12 @@
 #define MODEL_BASE 0
 
 /* A beam: x, y of its hit and of the laser in 1/1024 cell, length likewise, value of a hit. */
-inline walk beam_walk(__global const int *beam) {
+INLINE walk beam_walk(__global const int *beam) {
   return walk_of(beam[0], beam[1], beam[2], beam[3]);
 }
 
 /* Length of a step of the beam's walk in 1/2^20 cell. */
-inline long beam_step(__global const int *beam, const walk w) {
+INLINE long beam_step(__global const int *beam, const walk w) {
   return (long)beam[4] * (1 << 20) / w.longest;
 }
 
@@ -73,12 +73,12 @@ __kernel void tiny_mark(
     }
     const uint word = (uint)((i == 0) << 13 | value << 1 | (i >= 0));
     const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
-    atomic_max(observed + at, word);
+    keep_greater(observed + at, word);
   }
 }
 
 /* Join an observation (0 to 4095) to a cell's state. */
-inline uint joined(const uint state, const int value, const int quality, const int model) {
+INLINE uint joined(const uint state, const int value, const int quality, const int model) {
   const int mean = (int)(state >> 12), seen = (int)(state & MOST_OBSERVATIONS);
   const int told = value << 8;
   int next;
@@ -120,7 +120,7 @@ __kernel void tiny_fold(
     const int x = (int)((w.x + i * w.step_x) >> 20), y = (int)((w.y + i * w.step_y) >> 20);
     const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
     const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
-    const uint word = atomic_xchg(observed + at, 0u);
+    const uint word = take_word(observed + at);
     if (word == 0u) {
       continue;
     }

@@ -38,19 +38,19 @@
 #define LOW EACH(0x01)
 #define HIGH EACH(0x80)
 
-inline ulong4 flag_at_least(const ulong4 a, const ulong4 b) { return (((a | HIGH) - b) >> 7) & LOW; }
-inline ulong4 flag_zero(const ulong4 a) { return ((HIGH - a) >> 7) & LOW; }
-inline ulong4 mask_of(const ulong4 flag) { return (flag << 8) - flag; }
-inline bool any_lane(const ulong4 a) { return (a.x | a.y | a.z | a.w) != 0; }
+INLINE ulong4 flag_at_least(const ulong4 a, const ulong4 b) { return (((a | HIGH) - b) >> 7) & LOW; }
+INLINE ulong4 flag_zero(const ulong4 a) { return ((HIGH - a) >> 7) & LOW; }
+INLINE ulong4 mask_of(const ulong4 flag) { return (flag << 8) - flag; }
+INLINE bool any_lane(const ulong4 a) { return (a.x | a.y | a.z | a.w) != 0; }
 
 /* Cells are 0xff, 0x00 and 0x01: the high bit says unknown, the low bit known as occupied or
  * unknown. */
-inline ulong4 unknown_flag(const ulong4 cell) { return (cell >> 7) & LOW; }
-inline ulong4 occupied_flag(const ulong4 cell) { return (cell & LOW) ^ unknown_flag(cell); }
+INLINE ulong4 unknown_flag(const ulong4 cell) { return (cell >> 7) & LOW; }
+INLINE ulong4 occupied_flag(const ulong4 cell) { return (cell & LOW) ^ unknown_flag(cell); }
 
 /* Load or store a block, or what of it lies before the end of the grid. Word by word: compilers
  * make one vector access of it, while PoCL leaves vload4 and vstore4 as calls, at twice the time. */
-inline ulong4 load_block(GRID from, const int cells) {
+INLINE ulong4 load_block(GRID from, const int cells) {
   ulong word[4] = {0, 0, 0, 0};
   if (cells >= BLOCK) {
     __global const ulong *words = (__global const ulong *)from;
@@ -60,7 +60,7 @@ inline ulong4 load_block(GRID from, const int cells) {
   return (ulong4)(word[0], word[1], word[2], word[3]);
 }
 
-inline void store_block(const ulong4 block, __global uchar *to, const int cells) {
+INLINE void store_block(const ulong4 block, __global uchar *to, const int cells) {
   const ulong word[4] = {block.x, block.y, block.z, block.w};
   if (cells >= BLOCK) {
     __global ulong *words = (__global ulong *)to;
@@ -74,7 +74,7 @@ inline void store_block(const ulong4 block, __global uchar *to, const int cells)
 }
 
 /* Sum of the lanes of a flag. */
-inline int count_lanes(const ulong4 flag) {
+INLINE int count_lanes(const ulong4 flag) {
   const ulong word[4] = {flag.x, flag.y, flag.z, flag.w};
   int sum = 0;
   for (int i = 0; i < BLOCK; i++) sum += ((const uchar *)word)[i];
@@ -82,7 +82,7 @@ inline int count_lanes(const ulong4 flag) {
 }
 
 /* One block of the vote; returns its phantom cells. Inlined, so that a constant count unrolls. */
-__attribute__((always_inline)) inline int vote_block(
+INLINE int vote_block(
     GRID *grids, const int count, const int at, const int left, const size_t pitch,
     const ulong4 abstains, __global const ulong *shares, const int share_count,
     __global uchar *fused, __global uchar *agreement, __global uchar *dissent) {
@@ -165,7 +165,7 @@ __kernel void vote_majority(GRIDS, const int count, const int cells, const int u
 /* -- votes of different weight, cell by cell ------------------------------------------------------ */
 
 /* Share of a part in the whole in percent, rounded half up; -1 of nothing. */
-inline char share_percent(const int part, const int whole) {
+INLINE char share_percent(const int part, const int whole) {
   if (part == whole) return whole ? 100 : -1;
   return (char)((200 * part + whole) / (2 * whole));
 }

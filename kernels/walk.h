@@ -9,7 +9,7 @@ typedef struct {
 } walk;
 
 /* Steps of one cell along the longer axis, from a beam's end to the laser, both in 1/1024 cell. */
-inline walk walk_of(const int end_x, const int end_y, const int laser_x, const int laser_y) {
+INLINE walk walk_of(const int end_x, const int end_y, const int laser_x, const int laser_y) {
   const int dx = laser_x - end_x, dy = laser_y - end_y;
   const int wide = dx < 0 ? -dx : dx, high = dy < 0 ? -dy : dy;
   const int longest = wide > high ? wide : high;

@@ -8,7 +8,7 @@
 #include "common.h"
 
 /* Free cells among the eight neighbours of a cell; cells outside are unknown. */
-inline int free_neighbours(__global const char *cells, const int height, const int width,
+INLINE int free_neighbours(__global const char *cells, const int height, const int width,
                            const int row, const int col) {
   int count = 0;
   for (int r = max(row - 1, 0); r <= min(row + 1, height - 1); r++)
@@ -91,7 +91,7 @@ __kernel void distance_columns(__global const uchar *walls, const int height, co
 }
 
 /* Whether any lane exceeds a value. */
-inline bool any_above(const ushort16 lanes, const ushort value) {
+INLINE bool any_above(const ushort16 lanes, const ushort value) {
   const short16 above = lanes > (ushort16)value;
   const ulong4 words = as_ulong4(above);
   return (words.x | words.y | words.z | words.w) != 0;

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.device import choose_device, is_simulator
+from slamfusion.compute.pocl import is_plain
 from slamfusion.compute.program import KernelProgram
 from slamfusion.errors import DeviceError
 
@@ -64,6 +65,8 @@ class DeviceArrays:
         is_pocl = "portable computing" in self.device.platform.name.lower()
         if is_cpu and is_x86 and is_pocl:
             options.append("-DUNALIGNED_WORDS")
+        if is_plain(self.device):
+            options.append("-DONE_THREAD")
         self.program = KernelProgram(self.context, self.device, tuple(options))
         self._tables: dict[bytes, DeviceArray] = {}
         # A CPU device reads and writes the host's arrays where they are.

@@ -174,7 +174,6 @@ class Backend(Protocol):
         points: Handle,
         poses: npt.NDArray[np.float32],
         *,
-        stride: int = 1,
         reach: int = 0,
     ) -> npt.NDArray[np.int64]:
         """See ``slam_reference.score_poses``; the poses come from the host."""
@@ -188,7 +187,6 @@ class Backend(Protocol):
         starts: npt.NDArray[np.float32],
         steps: npt.NDArray[np.float32],
         *,
-        stride: int,
         scale: float,
     ) -> npt.NDArray[np.float32]:
         """See ``slam_reference.climb``; guesses, starts and steps come from the host."""
@@ -203,7 +201,6 @@ class Backend(Protocol):
         sizes: npt.NDArray[np.float32],
         *,
         tries: int,
-        stride: int,
         scale: float,
     ) -> npt.NDArray[np.float32]:
         """See ``slam_reference.climb_maps``; guesses, starts and sizes come from the host."""
@@ -215,8 +212,6 @@ class Backend(Protocol):
         points: Handle,
         poses: npt.NDArray[np.float32],
         table: npt.NDArray[np.int32],
-        *,
-        stride: int = 1,
     ) -> npt.NDArray[np.int64]:
         """See ``slam_reference.score_maps``; poses and table come from the host."""
 

@@ -293,7 +293,7 @@ def bound_blocks(
 
     Args:
         blocks: (B, 3) int32: yaw group, row and column of the first shift.
-        starts: (G, N, 2) int32: row and column of each point's window for shift 0.
+        starts: (G, 2, N) int32: rows, then columns of the points' windows for shift 0.
         classes: (N,) uint8: the pooled field that a point reads.
         fields: (C, H, W) uint8; outside counts as ``fill``.
         fill: value outside.
@@ -305,7 +305,7 @@ def bound_blocks(
     _, height, width = fields.shape
     out = np.zeros(len(blocks), dtype=np.int32)
     for b, (group, row0, col0) in enumerate(blocks):
-        row, col = starts[group, :, 0] + row0, starts[group, :, 1] + col0
+        row, col = starts[group, 0] + row0, starts[group, 1] + col0
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         values = fields[classes[inside], row[inside], col[inside]]
         out[b] = values.sum(dtype=np.int32) + fill * np.count_nonzero(~inside)

@@ -237,7 +237,7 @@ def _polyphase(backend: Backend, sample: Sample) -> Arrays:
 def _bound_blocks(backend: Backend, sample: Sample) -> Arrays:
     height, width = sample.shape
     fields = sample.rng.integers(0, 256, (2, height, width)).astype(np.uint8)
-    starts = sample.rng.integers(-5, max(sample.shape) + 5, (2, 29, 2)).astype(np.int32)
+    starts = sample.rng.integers(-5, max(sample.shape) + 5, (2, 2, 29)).astype(np.int32)
     classes = sample.rng.integers(0, 2, 29).astype(np.uint8)
     shifts = sample.rng.integers(-5, 5, (13, 2)) + round(sample.away)
     groups = sample.rng.integers(0, 2, (13, 1))
@@ -365,7 +365,7 @@ def _climb(backend: Backend, sample: Sample) -> Arrays:
     centres = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
     losses = np.column_stack((centres, [[0.01, 0.02, 0.1, 0.0], [0.02, 0.01, 0.2, 0.05]]))
     results = []
-    for groups, rounds, stride in ((1, 1, 1), (7, 3, 2)):
+    for groups, rounds in ((1, 1), (7, 3)):
         starts = centres[0] + rng.normal(0.0, 1.0, (groups, 3))
         steps = rng.normal(0.0, 1.0, (rounds, groups, slam_reference.CLIMBERS, 3))
         turned = [np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (starts[:, 2], steps[..., 2])]
@@ -373,9 +373,7 @@ def _climb(backend: Backend, sample: Sample) -> Arrays:
             np.concatenate(pair, axis=-1) for pair in zip((starts, steps), turned, strict=True)
         ]
         climbed = [table.astype(np.float32) for table in (losses, *tables)]
-        results.append(
-            backend.climb(field, table, points, *climbed, stride=stride, scale=1.0 / 9000.0)
-        )
+        results.append(backend.climb(field, table, points, *climbed, scale=1.0 / 9000.0))
     return results
 
 
@@ -398,10 +396,8 @@ def _climb_maps(backend: Backend, sample: Sample) -> Arrays:
     sizes = np.column_stack((steps, 0.1 * steps, np.cos(0.1 * steps), np.sin(0.1 * steps)))
     climbed = [table.astype(np.float32) for table in (losses, starts, sizes)]
     return [
-        backend.climb_maps(
-            field, tables, points, *climbed, tries=tries, stride=stride, scale=1.0 / 9000.0
-        )
-        for tries, stride in ((1, 1), (9, 2), (60, 1))
+        backend.climb_maps(field, tables, points, *climbed, tries=tries, scale=1.0 / 9000.0)
+        for tries in (1, 9, 60)
     ]
 
 
@@ -414,9 +410,7 @@ def _score_maps(backend: Backend, sample: Sample) -> Arrays:
     places = sample.rng.uniform(-0.2, 1.2, (2, 27, 2)) * size + sample.away
     poses = np.dstack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
     table = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
-    return [
-        backend.score_maps(field, tables, points, poses, table, stride=stride) for stride in (1, 3)
-    ]
+    return [backend.score_maps(field, tables, points, poses, table)]
 
 
 def _score_poses(backend: Backend, sample: Sample) -> Arrays:
@@ -428,8 +422,8 @@ def _score_poses(backend: Backend, sample: Sample) -> Arrays:
     places = sample.rng.uniform(-0.2, 1.2, (37, 2)) * size + sample.away
     poses = np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
     return [
-        backend.score_poses(field, table, points, poses[:count], stride=stride, reach=reach)
-        for count, stride, reach in ((37, 1, 0), (37, 3, 2), (1, 100, 0))
+        backend.score_poses(field, table, points, poses[:count], reach=reach)
+        for count, reach in ((37, 0), (37, 2), (1, 0))
     ]
 
 

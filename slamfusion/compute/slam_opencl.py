@@ -34,7 +34,6 @@ class SlamOperations(DeviceArrays):
         points: DeviceArray,
         poses: npt.NDArray[np.float32],
         *,
-        stride: int = 1,
         reach: int = 0,
     ) -> npt.NDArray[np.int64]:
         """See ``slam_reference.score_poses``."""
@@ -44,7 +43,7 @@ class SlamOperations(DeviceArrays):
         height, width = pages.shape
         arguments: list[Any] = [
             field, pages, np.int32(width), np.int32(height), points, np.int32(points.shape[0]),
-            np.int32(stride), self.lend(poses), np.int32(n),
+            self.lend(poses), np.int32(n),
         ]  # fmt: skip
         if reach:
             self._launch("score_wide", (n,), *arguments, np.int32(reach), out)
@@ -62,7 +61,6 @@ class SlamOperations(DeviceArrays):
         starts: npt.NDArray[np.float32],
         steps: npt.NDArray[np.float32],
         *,
-        stride: int,
         scale: float,
     ) -> npt.NDArray[np.float32]:
         """See ``slam_reference.climb``."""
@@ -78,7 +76,6 @@ class SlamOperations(DeviceArrays):
             np.int32(height),
             points,
             np.int32(points.shape[0]),
-            np.int32(stride),
             self.lend(guesses),
             np.int32(len(guesses)),
             self.lend(starts),
@@ -100,7 +97,6 @@ class SlamOperations(DeviceArrays):
         sizes: npt.NDArray[np.float32],
         *,
         tries: int,
-        stride: int,
         scale: float,
     ) -> npt.NDArray[np.float32]:
         """See ``slam_reference.climb_maps``."""
@@ -116,7 +112,6 @@ class SlamOperations(DeviceArrays):
             np.int32(height),
             points,
             np.int32(points.shape[0]),
-            np.int32(stride),
             self.lend(guesses),
             self.lend(starts),
             self.lend(sizes),
@@ -135,8 +130,6 @@ class SlamOperations(DeviceArrays):
         points: DeviceArray,
         poses: npt.NDArray[np.float32],
         table: npt.NDArray[np.int32],
-        *,
-        stride: int = 1,
     ) -> npt.NDArray[np.int64]:
         """See ``slam_reference.score_maps``."""
         maps, each = poses.shape[:2]
@@ -152,7 +145,6 @@ class SlamOperations(DeviceArrays):
             np.int32(height),
             points,
             np.int32(points.shape[0]),
-            np.int32(stride),
             self.lend(poses),
             np.int32(maps),
             np.int32(each),

@@ -88,9 +88,7 @@ def _cells(field: U8, pages: I32, cols: I64, rows: I64) -> I64:
     return field[tiles, row % TILE, col % TILE].astype(np.int64)
 
 
-def score_poses(
-    field: U8, pages: I32, points: F32, poses: F32, *, stride: int = 1, reach: int = 0
-) -> I64:
+def score_poses(field: U8, pages: I32, points: F32, poses: F32, *, reach: int = 0) -> I64:
     """Sum the score field under a scan's points at each candidate pose.
 
     Args:
@@ -98,14 +96,13 @@ def score_poses(
         pages: (PH, PW) int32, tile of each page of the window; the border is empty.
         points: (P, 2) float32, cells, in the robot's frame.
         poses: (N, 4) float32: x, y in cells of the window, cos, sin.
-        stride: every so many-th point counts.
         reach: 0 interpolates between cell centres, in sixteenths; otherwise the greatest of five
             cells counts: the one under the point and four, ``reach`` cells away diagonally.
 
     Returns:
         (N,) int64 sums.
     """
-    px, py = points[::stride, 0], points[::stride, 1]
+    px, py = points.T
     x, y, cos, sin = (poses[:, i : i + 1] for i in range(4))
     east = x + (cos * px - sin * py)
     north = y + (sin * px + cos * py)
@@ -138,7 +135,6 @@ def climb(
     starts: F32,
     steps: F32,
     *,
-    stride: int,
     scale: float,
 ) -> F32:
     """Climb from some poses by rounds of random steps; every climber keeps to itself.
@@ -155,7 +151,6 @@ def climb(
         guesses: (K, 7) float32: x, y, yaw, the weights of their squares, the guess's own loss.
         starts: (G, 5) float32: x, y in cells of the window, yaw, cos, sin.
         steps: (R, G, CLIMBERS, 5) float32: dx, dy, dyaw, cos and sin of dyaw. R at least 1.
-        stride: every so many-th point counts.
         scale: from a sum to a score.
 
     Returns:
@@ -168,7 +163,7 @@ def climb(
         turned = cos * step[..., 3] - sin * step[..., 4], sin * step[..., 3] + cos * step[..., 4]
         tried = np.stack((x + step[..., 0], y + step[..., 1], yaw + step[..., 2], *turned), axis=-1)
         poses = tried[..., [0, 1, 3, 4]].reshape(-1, 4)
-        sums = score_poses(field, pages, points, poses, stride=stride)
+        sums = score_poses(field, pages, points, poses)
         away = tried[:, :, None, :3] - guesses[:, :3]
         squares = away * away * guesses[:, 3:6]
         losses = ((squares[..., 0] + squares[..., 1]) + squares[..., 2]) + guesses[:, 6]
@@ -189,7 +184,6 @@ def climb_maps(
     sizes: F32,
     *,
     tries: int,
-    stride: int,
     scale: float,
 ) -> F32:
     """Climb on each of many maps by steps along the axes and diagonals of (x, y, yaw).
@@ -205,7 +199,6 @@ def climb_maps(
         starts: (N, 5) float32: x, y in cells of the window, yaw, cos, sin.
         sizes: (S, 4) float32: cells, radians, their cos and sin; largest first.
         tries: at most so many in all, at least 1.
-        stride: every so many-th point counts.
         scale: from a sum to a score.
 
     Returns:
@@ -223,7 +216,7 @@ def climb_maps(
             turned = best[3] * dcos - best[4] * dsin, best[4] * dcos + best[3] * dsin
             moved = best[:2] + ways[:, :2] * cells, best[2] + turn * radians
             tried = np.column_stack((*moved, *turned))
-            sums = score_poses(field, own, points, tried[:, [0, 1, 3, 4]], stride=stride)
+            sums = score_poses(field, own, points, tried[:, [0, 1, 3, 4]])
             away = tried[:, :3] - guess[:3]
             squares = away * away * guess[3:6]
             losses = ((squares[:, 0] + squares[:, 1]) + squares[:, 2]) + guess[6]
@@ -244,9 +237,7 @@ def _ways() -> I64:
     return np.array([(0, 0, 0), *axes, *diagonals, (0, 0, 0)], dtype=np.int64)
 
 
-def score_maps(
-    field: U8, pages: I32, points: F32, poses: F32, table: I32, *, stride: int = 1
-) -> I64:
+def score_maps(field: U8, pages: I32, points: F32, poses: F32, table: I32) -> I64:
     """Sum what a table makes of the smooth score field under the points, on each of many maps.
 
     Args:
@@ -255,12 +246,11 @@ def score_maps(
         points: (P, 2) float32, cells, in the robot's frame.
         poses: (N, K, 4) float32: x, y in cells of the window, cos, sin.
         table: (256,) int32.
-        stride: every so many-th point counts.
 
     Returns:
         (N, K) int64 sums.
     """
-    px, py = points[::stride, 0], points[::stride, 1]
+    px, py = points.T
     sums = np.empty(poses.shape[:2], dtype=np.int64)
     for own, at, out in zip(pages, poses, sums, strict=True):
         x, y, cos, sin = (at[:, i : i + 1] for i in range(4))

@@ -381,7 +381,7 @@ class _BlockBounds:
         self.fields = self.backend.upload(np.stack(pooled))
         plane = np.array([sizes.index(size) for size in windows.sizes], dtype=np.uint8)
         self.classes = plane[windows.classes]
-        starts = np.stack((windows.rows, windows.cols), axis=2) + self.pad
+        starts = np.stack((windows.rows, windows.cols), axis=1) + self.pad
         self.starts = self.backend.upload(np.ascontiguousarray(starts.astype(np.int32)))
 
     def bounds(self, blocks: I32) -> I32:

@@ -387,8 +387,9 @@ class Gmapping:
         cell = config.delta
         corner = self._anchor / cell + self._maps.origin
         field, pages = self._maps.pools["field"], self._maps.page_tables
-        handle = self._backend.upload((points / cell).astype(np.float32))
-        stride = -(-len(points) // config.matcher.beams)
+        hits = (points / cell).astype(np.float32)
+        every = -(-len(points) // config.matcher.beams)
+        looked_at = self._backend.upload(hits[::every])
         sigmas = self._motion.sigmas(self._moved)
 
         def rows(poses: F64) -> F64:
@@ -401,17 +402,15 @@ class Gmapping:
         losses = np.zeros((len(drawn), 7), dtype=np.float32)
         losses[:, :3] = rows(expected)
         losses[:, 3:6] = config.climb_loss * (np.array([cell, cell, 1.0]) / sigmas) ** 2
-        used = -(-len(points) // stride)
         found = self._backend.climb_maps(
             field,
             pages,
-            handle,
+            looked_at,
             losses,
             np.column_stack((starts, turned)).astype(np.float32),
             self._climb_sizes,
             tries=MOST_TRIES,
-            stride=stride,
-            scale=1.0 / (255.0 * used),
+            scale=1.0 / (255.0 * len(hits[::every])),
         ).astype(np.float64)
         matched = np.column_stack(
             ((found[:, :2] + corner) * cell, wrap_angles(found[:, 2] + expected[:, 2]))
@@ -426,10 +425,9 @@ class Gmapping:
         table = np.empty((*samples.shape[:2], 4), dtype=np.float32)
         table[..., :2] = samples[..., :2] / cell - corner
         table[..., 2], table[..., 3] = np.cos(samples[..., 2]), np.sin(samples[..., 2])
-        stride = max(stride, config.lskip + 1)
-        sums = self._backend.score_maps(
-            field, pages, handle, table, self._likelihood_table, stride=stride
-        )
+        if config.lskip + 1 > every:
+            looked_at = self._backend.upload(hits[:: config.lskip + 1])
+        sums = self._backend.score_maps(field, pages, looked_at, table, self._likelihood_table)
         log_likelihoods = sums / LOG_ONE
         away = (samples - expected[:, None, :]) / sigmas
         away[..., 2] = wrap_angles(samples[..., 2] - expected[:, None, 2]) / sigmas[2]

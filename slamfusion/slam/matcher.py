@@ -128,10 +128,13 @@ class ScanOnTiles:
         self._map = (walls.field, walls.pages)
         self._cell = resolution = walls.resolution
         self._corner = walls.corner
-        self._points = backend.upload((points / resolution).astype(np.float32))
-        self._count = len(points)
-        self._stride = -(-len(points) // most_points)
-        col, row = np.floor(points / resolution).astype(np.int64).T
+        hits = points / resolution
+        every = -(-len(points) // most_points)
+        looked_at = hits[::every].astype(np.float32)
+        self._points = backend.upload(looked_at)
+        # The first, wide look takes every second of them.
+        self._few_points = backend.upload(looked_at[::2])
+        col, row = np.floor(hits).astype(np.int64).T
         self.cells = len(np.unique(col * _ROW_STRIDE + row))
         self._reach = max(1, round(WIDE_REACH_M / resolution))
 
@@ -140,19 +143,16 @@ class ScanOnTiles:
         table = np.empty((len(poses), 4), dtype=np.float32)
         table[:, :2] = poses[:, :2] / self._cell - self._corner
         table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        stride = 2 * self._stride
-        sums = self._backend.score_poses(
-            *self._map, self._points, table, stride=stride, reach=self._reach
-        )
-        return np.asarray(sums * self._scale(stride))
+        sums = self._backend.score_poses(*self._map, self._few_points, table, reach=self._reach)
+        return np.asarray(sums * _scale(self._few_points))
 
     def scores(self, poses: F64) -> F64:
         """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
         table = np.empty((len(poses), 4), dtype=np.float32)
         table[:, :2] = poses[:, :2] / self._cell - self._corner
         table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        sums = self._backend.score_poses(*self._map, self._points, table, stride=self._stride)
-        return np.asarray(sums * self._scale(self._stride))
+        sums = self._backend.score_poses(*self._map, self._points, table)
+        return np.asarray(sums * _scale(self._points))
 
     def unseen_share(self, pose: F64, unseen: int) -> float:
         """Return the share of the hits at a pose (3,) that fall where the field has one value."""
@@ -166,9 +166,8 @@ class ScanOnTiles:
             self._points,
             row.astype(np.float32).reshape(1, 1, 4),
             table,
-            stride=self._stride,
         )
-        return float(sums[0, 0]) / -(-self._count // self._stride)
+        return float(sums[0, 0] / self._points.shape[0])
 
     def climb(self, starts: F64, steps: F64, guesses: Sequence[Guess], weights: F64) -> F64:
         """Climb from poses by rounds of random steps.
@@ -203,16 +202,16 @@ class ScanOnTiles:
             losses,
             first.astype(np.float32),
             table,
-            stride=self._stride,
-            scale=self._scale(self._stride),
+            scale=_scale(self._points),
         ).astype(np.float64)
         return np.column_stack(
             ((found[:, :2] + self._corner) * cell, wrap_angles(found[:, 2] + yaw0), found[:, 5])
         )
 
-    def _scale(self, stride: int) -> float:
-        """From a sum over the points taken to a mean of 0 to 1."""
-        return 1.0 / (255.0 * -(-self._count // stride))
+
+def _scale(points: Handle) -> float:
+    """From a sum over points (P, 2) to a mean of 0 to 1."""
+    return 1.0 / (255.0 * int(points.shape[0]))
 
 
 def search_pose(

@@ -85,7 +85,7 @@ def search_window(
     cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
     x = start[0] + cos * cells[:, 0] - sin * cells[:, 1]
     y = start[1] + sin * cells[:, 0] + cos * cells[:, 1]
-    starts = np.floor(np.stack((y, x), axis=-1)).astype(np.int32)
+    starts = np.floor(np.stack((y, x), axis=1)).astype(np.int32)
     handle = backend.upload(starts)
     classes = np.zeros(len(points), dtype=np.uint8)
     span = 2 * half + 1

@@ -1,4 +1,4 @@
-"""Every device of this machine, PoCL and the Oclgrind simulator first."""
+"""Every device of this machine, both of PoCL's and the Oclgrind simulator first."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 from slamfusion.compute import Backend, list_devices, open_backend
 
 POCL = "portable computing"
+# Its kernels leave out what only threads need.
+PLAIN = "basic"
 SIMULATOR = "oclgrind"
 # Both come as wheels for this platform and belong to the test requirements, so there their absence
 # is a failure. Elsewhere it is a skip.
@@ -27,13 +29,13 @@ def other_devices() -> list[str]:
 
 @pytest.fixture(
     scope="session",
-    params=[POCL, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
+    params=[POCL, PLAIN, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
 )
 def backend(request: pytest.FixtureRequest) -> Backend:
     """The backend of each device in turn."""
     if not WHEELS_EXIST:
-        names = " ".join(device.platform.lower() for device in list_devices())
-        if request.param in {POCL, SIMULATOR} and request.param not in names:
+        names = " ".join(f"{d.platform} {d.name}".lower() for d in list_devices())
+        if request.param in {POCL, PLAIN, SIMULATOR} and request.param not in names:
             pytest.skip(f"no {request.param} on this platform")
     return open_backend(request.param)
 
