@@ -253,24 +253,26 @@ class OpenCLBackend(SlamOperations, HitMapOperations):
         least: int = -1,
     ) -> npt.NDArray[np.int32]:
         """See ``reference.bound_blocks``."""
-        bounds = self.empty((len(blocks),), np.int32)
+        bounds = np.empty(len(blocks), dtype=np.int32)
+        out = self.lend(bounds, writable=True)
         _, height, width = fields.shape
         self._launch(
             "bound_blocks",
             (len(blocks),),
-            self.upload(blocks),
+            self.lend(blocks),
             np.int32(len(blocks)),
             starts,
-            self.upload(classes),
+            self.lend(classes),
             np.int32(len(classes)),
             fields,
             np.int32(height),
             np.int32(width),
             np.uint8(fill),
             np.int32(least),
-            bounds,
+            out,
         )
-        return self.download(bounds)
+        self.collect(out, bounds)
+        return bounds
 
     def tile_peaks(
         self, forward: DeviceArray, backward: DeviceArray, width: int, tile: int

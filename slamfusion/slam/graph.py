@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -198,6 +199,27 @@ class _Look:
     guess: Guess | None = None
 
 
+class _Boxes(NamedTuple):
+    """Where the robot was in some finished submaps.
+
+    Attributes:
+        anchors: (S,) int64, numbers of their anchors.
+        low: (S, 2) metres, lower-left corners of the robot's places in them.
+        high: (S, 2) the other corners.
+    """
+
+    anchors: npt.NDArray[np.int64]
+    low: F64
+    high: F64
+
+    @classmethod
+    def of(cls, submaps: Sequence[Submap]) -> _Boxes:
+        """Return those of some submaps; none is fine."""
+        anchors = np.array([submap.anchor for submap in submaps], dtype=np.int64)
+        low = np.array([submap.low for submap in submaps]).reshape(-1, 2)
+        return cls(anchors, low, np.array([submap.high for submap in submaps]).reshape(-1, 2))
+
+
 class GraphSlam:
     """The graph SLAM behind the ``SlamBackend`` protocol.
 
@@ -235,6 +257,8 @@ class GraphSlam:
         self._submaps: list[Submap] = []
         # The submap in whose frame the robot is followed; the next one grows beside it.
         self._active = 0
+        # Of the submaps before that one, which change no more.
+        self._old = _Boxes.of([])
         self._start = IDENTITY
         self._node_pose = IDENTITY
         self._travelled_m = 0.0
@@ -776,10 +800,10 @@ class GraphSlam:
 
         Of the submaps before the growing one, in their order; 0 within a box around its places.
         """
-        old = self._submaps[: self._active]
-        anchors = self._poses[[submap.anchor for submap in old]].reshape(-1, 3)
-        low = np.array([submap.low for submap in old]).reshape(-1, 2)
-        high = np.array([submap.high for submap in old]).reshape(-1, 2)
+        if len(self._old.anchors) != self._active:
+            self._old = _Boxes.of(self._submaps[: self._active])
+        low, high = self._old.low, self._old.high
+        anchors = self._poses[self._old.anchors]
         x, y = pose.x - anchors[:, 0], pose.y - anchors[:, 1]
         cos, sin = np.cos(anchors[:, 2]), np.sin(anchors[:, 2])
         places = np.column_stack((cos * x + sin * y, cos * y - sin * x))

@@ -6,6 +6,9 @@ peak the place is certain; along a corridor it stays level, and nothing is known
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -21,7 +24,6 @@ __all__ = [
 ]
 
 F64 = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 # Steps along which the surface is measured, and what its curvature is worth: a response that is
 # lower by 1 / RESPONSE_GAIN makes a pose e^-0.5 as likely. The spread of repeated noisy matches
@@ -86,28 +88,44 @@ def response_bend(scan: ScanOnTiles, pose: F64) -> F64:
         scan: over the map.
         pose: (3,) the match, metres and radians.
     """
-    _, vectors = np.linalg.eigh(_bend_along(scan, pose, np.eye(3), _LEVEL)[:2, :2])
-    axes = np.eye(3)
-    axes[:2, :2] = vectors
-    return _bend_along(scan, pose, axes)
+    flat = _bend_along(scan, pose, np.eye(3), _FLAT)
+    turn = 0.5 * math.atan2(2.0 * flat[0, 1], flat[0, 0] - flat[1, 1])
+    cos, sin = math.cos(turn), math.sin(turn)
+    axes = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return _bend_along(scan, pose, axes, _FULL)
 
 
-def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64, places: Mask | slice = slice(None)) -> F64:
+def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64, stencil: _Stencil) -> F64:
     """Return the same by differences along the columns of ``axes``, (3, 3).
 
     Args:
         scan, pose: see ``response_bend``.
         axes: (3, 3).
-        places: of the stencil, (K,) bool; derivatives for which one is left out are wrong.
+        stencil: ``_FULL``, or ``_FLAT``: then only derivatives by x and y are right.
     """
-    steps = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
-    scores = scan.scores(pose + (_STENCIL[places] * steps) @ axes.T)
-    local = -np.einsum("kij,k->ij", _SECOND[places], scores) / np.outer(steps, steps)
+    scores = scan.scores(pose + stencil.steps @ axes.T)
+    local = -(stencil.weights @ scores).reshape(3, 3)
     return np.asarray(axes @ local @ axes.T)
 
 
-def _stencil() -> tuple[F64, F64]:
-    """Return (K, 3) places and (K, 3, 3) weights that give the second derivatives there."""
+class _Stencil(NamedTuple):
+    """Where a surface is read, and what makes its second derivatives of that.
+
+    Attributes:
+        steps: (K, 3) metres and radians.
+        weights: (9, K) of the values read, per metre and radian squared.
+    """
+
+    steps: F64
+    weights: F64
+
+    def without_turns(self) -> _Stencil:
+        """Return the places where the yaw stays: enough for x and y alone."""
+        stays = self.steps[:, 2] == 0.0
+        return _Stencil(self.steps[stays], self.weights[:, stays])
+
+
+def _stencil() -> _Stencil:
     places = [np.zeros(3)]
     weights = [np.zeros((3, 3))]
     for axis in range(3):
@@ -125,9 +143,10 @@ def _stencil() -> tuple[F64, F64]:
                 weight[one, other] = weight[other, one] = 0.25 * a * b
                 places.append(place)
                 weights.append(weight)
-    return np.array(places), np.array(weights)
+    sizes = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
+    seconds = np.array(weights) / np.outer(sizes, sizes)
+    return _Stencil(np.array(places) * sizes, seconds.reshape(-1, 9).T.copy())
 
 
-_STENCIL, _SECOND = _stencil()
-# Where the yaw stays: enough for x and y alone.
-_LEVEL = _STENCIL[:, 2] == 0.0
+_FULL = _stencil()
+_FLAT = _FULL.without_turns()

@@ -9,6 +9,7 @@ pose found are never opened.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -98,9 +99,9 @@ def search_window(
         return backend.bound_blocks(blocks, handle, classes, field, 0, least=best_sum)
 
     window = pyramid.windows[0]
-    firsts = np.arange(0, span, window, dtype=np.int32)
-    grid = np.meshgrid(np.arange(len(yaws), dtype=np.int32), firsts, firsts, indexing="ij")
-    blocks = np.stack([axis.ravel() for axis in grid], axis=-1).astype(np.int32)
+    firsts = -(-span // window)
+    blocks = np.indices((len(yaws), firsts, firsts), dtype=np.int32).reshape(3, -1).T
+    blocks = blocks * np.array([1, window, window], dtype=np.int32)
     values = bounds(blocks, 0)
     opened = len(blocks)
     # A stack of open blocks by level; the most promising of the deepest level come first.
@@ -124,7 +125,7 @@ def search_window(
             continue
         queues.append((blocks[rest], values[rest]))
         children = _children(blocks[chosen], pyramid.windows[level], pyramid.windows[level + 1])
-        children = children[(children[:, 1:] < span).all(axis=1)]
+        children = children[(children[:, 1] < span) & (children[:, 2] < span)]
         opened += len(children)
         queues.append((children, bounds(children, level + 1)))
     if best is None:
@@ -142,7 +143,12 @@ def _is_elsewhere(places: F64, yaws: F64, beside: F64) -> npt.NDArray[np.bool_]:
 
 def _children(blocks: I32, window: int, part: int) -> I32:
     """Return the blocks of side ``part`` that make up blocks of side ``window``."""
+    return np.asarray((blocks[:, None, :] + _offsets(window, part)).reshape(-1, 3))
+
+
+@cache
+def _offsets(window: int, part: int) -> I32:
+    """Return the first shifts of the parts in a block, (K, 3): no yaw, rows, columns."""
     steps = np.arange(0, window, part, dtype=np.int32)
     rows, cols = (axis.ravel() for axis in np.meshgrid(steps, steps, indexing="ij"))
-    offsets = np.stack((np.zeros_like(rows), rows, cols), axis=-1)
-    return np.asarray((blocks[:, None, :] + offsets).reshape(-1, 3))
+    return np.stack((np.zeros_like(rows), rows, cols), axis=-1)
