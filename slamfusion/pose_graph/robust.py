@@ -4,7 +4,8 @@ What decides is the truncated sum of squares: an edge that may be doubted counts
 It has many minima, and which one is found depends on where the search starts. Three searches:
 
 - ``consensus``: start from the closures that bear each other out (``consensus.py``), then let in,
-  one round after the other, what agrees with the graph so far within its own uncertainty.
+  one round after the other, what agrees with the graph so far within its own uncertainty. Where
+  that is large, false closures agree by chance: one that stands alone has to agree better.
 - ``gnc``: from given poses, keep the closures that fit there and let in what agrees. Where some are
   left or no poses are given: from the odometry, with all closures at once but softly, and harden;
   then let in what agrees. Whichever is better.
@@ -31,7 +32,7 @@ from slamfusion.pose_graph.descend import NEGLIGIBLE, Descent, descend
 from slamfusion.pose_graph.initialize import rotations_first
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations
-from slamfusion.pose_graph.uncertainty import Uncertainty, gate_errors
+from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
 
 __all__ = [
     "LIMIT",
@@ -72,7 +73,9 @@ GATED_AT_ONCE = 300
 SMALLEST_AGREEMENT = 1.0
 AGREEMENT_SHARES = (1.0 / 64.0, 1.0 / 16.0, 1.0 / 4.0, 1.0)
 HOPELESS_TIMES = 10.0
-ROUNDS = 20
+# Where the graph is badly known, false ones agree with it by chance. One that no other bears out is
+# let in where, given how many do not agree, so few false ones are to be expected to agree as well.
+BY_CHANCE = 0.05
 # The square of an error from which dynamic covariance scaling starts to weaken an edge.
 SCALING_FROM = 5.0
 # Sums of squared errors that differ by less are equal.
@@ -169,7 +172,10 @@ def by_consensus(problem: Problem, start: Array | None = None) -> Verdict:
         search.try_all(start)
     if not seeds.any():
         search.propose(problem.is_doubted, search.odometry(), at_once=False)
-    search.grow(float(np.clip(0.5 * LIMIT_PER_SCALE * found.scale, SMALLEST_AGREEMENT, LIMIT)))
+    agreement = float(np.clip(0.5 * LIMIT_PER_SCALE * found.scale, SMALLEST_AGREEMENT, LIMIT))
+    alone = np.zeros(len(problem.measured), np.bool_)
+    alone[np.flatnonzero(problem.is_doubted)[found.mates == 0]] = True
+    search.grow(agreement, alone)
     if start is None and (problem.is_doubted & ~search.used).any():
         search.propose(search.used, None)
     return search.verdict()
@@ -319,42 +325,52 @@ class _Search:
         if not (squares[self._problem.is_doubted] > self._limit).any():
             self._keep_better(descent, squares, self._problem.is_doubted)
 
-    def grow(self, agreement: float) -> None:
+    def grow(self, agreement: float, alone: Mask | None = None) -> None:
         """Let in closures that agree with the graph, the best first, until none is left that does.
 
         Args:
             agreement: squared error, in the deviations of closure and graph together, up to which
                 they agree.
+            alone: (M,) bool, closures that also have to agree better than by chance; default: none.
         """
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any() and not self.propose(self.used | fitting, self.poses):
             return
-        asked = np.flatnonzero(self._outside())
-        if self._problem.is_left_out is not None:
-            asked = asked[~self._problem.is_left_out[asked]]
-        asked = asked[np.argsort(self._squares[asked], kind="stable")[:GATED_AT_ONCE]]
-        errors = self._errors_against_graph(asked)
+        left_out = self._problem.is_left_out
+        known_false = np.zeros_like(self.used) if left_out is None else left_out & self._outside()
+        doubtful = np.flatnonzero(self._outside() & ~known_false)
+        doubtful = doubtful[np.argsort(self._squares[doubtful], kind="stable")]
+        asked = first_asked = doubtful[:GATED_AT_ONCE]
+        found = self._against_graph(asked)
         for share in AGREEMENT_SHARES:
-            while (errors <= share * agreement).any():
+            while True:
+                # Closures that are not asked are as often false as those that are.
+                disagreeing = (~self.used[first_asked]).sum() - (found.errors <= agreement).sum()
+                false = known_false.sum() + disagreeing * len(doubtful) / max(len(first_asked), 1)
+                agrees = found.errors <= share * agreement
+                if alone is not None:
+                    agrees &= ~alone[asked] | (false * found.chances <= BY_CHANCE)
+                if not agrees.any():
+                    break
                 admitted = self.used.copy()
-                admitted[asked[errors <= share * agreement]] = True
+                admitted[asked[agrees]] = True
                 if not self.propose(admitted, self.poses):
                     return
                 # What was far off will not agree once the graph is known better.
-                asked = asked[(errors <= HOPELESS_TIMES * agreement) & ~admitted[asked]]
-                errors = self._errors_against_graph(asked)
+                asked = asked[(found.errors <= HOPELESS_TIMES * agreement) & ~agrees]
+                found = self._against_graph(asked)
 
     def _outside(self) -> Mask:
         """Return the doubted closures that are not believed, (M,) bool."""
         return self._problem.is_doubted & ~self.used
 
-    def _errors_against_graph(self, asked: npt.NDArray[np.int64]) -> Array:
-        """Return the squared errors of edges outside the graph, given how well that is known."""
+    def _against_graph(self, asked: npt.NDArray[np.int64]) -> Gates:
+        """Ask edges outside the graph whether they agree with it, given how well it is known."""
         if len(asked) == 0:
-            return np.zeros(0)
+            return Gates(np.zeros(0), np.zeros(0))
         _, equations = self._equations_of(self._trusted | self.used, superfluous=0.0)
         uncertainty = Uncertainty(equations, self.poses)
-        return gate_errors(uncertainty, self.poses, self._problem.measured.chosen(asked))
+        return gates(uncertainty, self.poses, self._problem.measured.chosen(asked))
 
     def _graduate(self, closures: Mask, poses: Array) -> tuple[Descent, Array, Mask]:
         """Harden the weights of closures from nearly equal pull to all or nothing.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,13 +12,32 @@ from slamfusion.pose_graph.covariance import inverted, turned, turned_vectors
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
 
-__all__ = ["Uncertainty", "gate_errors"]
+__all__ = ["Gates", "Uncertainty", "gates"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 # Pairs solved for together: more no longer fit the cache.
 PAIRS_AT_ONCE = 6
+# Half axes of the ellipsoid of all motions: so many deviations of the places, and half a turn. It
+# holds as much as is needed for motions between two places drawn at random (normal) near none.
+ROOM_DEVIATIONS = math.sqrt(6.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Gates:
+    """How edges agree with a graph they are not in.
+
+    Attributes:
+        errors: (K,) by how much the least sum of squares would rise if each were added alone, to
+            first order: its squared error in the deviations of itself and the graph together
+            (Mahalanobis distance).
+        chances: (K,) in [0, 1], of a false edge between the same poses to agree at least as well:
+            the share of all motions within the map that do. 1 where the graph knows nothing.
+    """
+
+    errors: Array
+    chances: Array
 
 
 class Uncertainty:
@@ -84,26 +106,30 @@ class Uncertainty:
         return covariance
 
 
-def gate_errors(uncertainty: Uncertainty, poses: Array, candidates: Measurements) -> Array:
-    """Return by how much the least sum of squares would rise if each edge were added alone.
-
-    To first order: the squared error of the edge in the deviations of itself and the graph
-    together (Mahalanobis distance).
+def gates(uncertainty: Uncertainty, poses: Array, candidates: Measurements) -> Gates:
+    """Ask edges how they agree with a graph.
 
     Args:
         uncertainty: of the graph without the edges.
         poses: (N, 3), of the same graph.
         candidates: the edges, K of them.
-
-    Returns:
-        (K,).
     """
     if len(candidates) == 0:
-        return np.zeros(0)
+        return Gates(np.zeros(0), np.zeros(0))
     measured = poses[candidates.start, 2] + candidates.motions[:, 2]
     own = turned(inverted(candidates.information), measured)
-    errors = turned_vectors(candidates.errors(poses).T, measured)
+    vectors = turned_vectors(candidates.errors(poses).T, measured)
     covariance = uncertainty.in_world_axes(candidates.edges) + own
-    return np.asarray(
-        np.einsum("ki,ki->k", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
-    )
+    errors = np.einsum("ki,ki->k", vectors, np.linalg.solve(covariance, vectors[..., None])[..., 0])
+    # The motions that agree as well fill an ellipsoid; within those of the map where that is less.
+    filled = errors[:, None, None] * covariance
+    whole = np.maximum(np.linalg.det(filled + _room(poses)), np.finfo(np.float64).tiny)
+    return Gates(errors, np.sqrt(np.clip(np.linalg.det(filled) / whole, 0.0, 1.0)))
+
+
+def _room(poses: Array) -> Array:
+    """Return the ellipsoid of all motions between places, (3, 3), as a covariance is one."""
+    room = np.zeros((3, 3))
+    room[:2, :2] = ROOM_DEVIATIONS**2 * np.cov(poses[:, :2], rowvar=False)
+    room[2, 2] = math.pi**2
+    return room
