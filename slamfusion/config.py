@@ -658,7 +658,7 @@ class GmappingConfig(_Checked):
 class GraphConfig(_Checked):
     """Graph SLAM [O09, K10, H16c]; names are open_karto's where the meaning is the same."""
 
-    matcher: MatcherConfig = MatcherConfig(beams=180)
+    matcher: MatcherConfig = MatcherConfig(beams=400)
     resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
     minimum_travel_distance: float = option(
         0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0
@@ -1253,6 +1253,9 @@ def from_mapping(config_class: type[T], values: Any, where: str = "config") -> T
             raise ConfigError(message)
         hint = hints[key]
         if dataclasses.is_dataclass(hint):
+            default = known[key].default
+            if dataclasses.is_dataclass(default) and isinstance(value, dict | None):
+                value = _laid_over(to_mapping(default), value or {})  # noqa: PLW2901
             arguments[key] = from_mapping(hint, value, f"{where}: {key}")  # type: ignore[arg-type]
         else:
             arguments[key] = _coerce(value, hint, f"{where}: {key}")

@@ -14,6 +14,7 @@ from slamfusion.config import (
     DeviceConfig,
     EvaluateConfig,
     FusionConfig,
+    MatcherConfig,
     NormalizeConfig,
     RunConfig,
     VoteConfig,
@@ -114,3 +115,12 @@ def test_values_are_checked_at_construction_and_then_frozen() -> None:
         VoteConfig(unknown="maybe")
     with pytest.raises(dataclasses.FrozenInstanceError):
         RunConfig().seed = 3  # type: ignore[misc]
+
+
+def test_a_part_of_a_section_leaves_the_rest_as_the_whole_has_it():
+    """A nested section may have other defaults than its class."""
+    whole = RunConfig()
+    assert whole.graph.matcher != MatcherConfig()
+    config = from_mapping(RunConfig, {"graph": {"matcher": {"climbers": 9}}})
+    assert config.graph.matcher == dataclasses.replace(whole.graph.matcher, climbers=9)
+    assert from_mapping(RunConfig, {"graph": {"matcher": None}}) == whole

@@ -90,14 +90,20 @@ def option_name(option: ConfigOption) -> str:
     return OPTION_NAMES.get(option.key, "--" + option.info.name.replace("_", "-"))
 
 
-def config_fields(config_class: type[Any] = RunConfig, section: str = "") -> Iterator[ConfigOption]:
-    """Yield every leaf field of the configuration tree, in order, sections first to last."""
-    for info in field_infos(config_class):
-        yield ConfigOption(section, info)
-    hints = typing.get_type_hints(config_class)
-    for item in dataclasses.fields(config_class):
-        if dataclasses.is_dataclass(hints[item.name]):
-            yield from config_fields(hints[item.name], f"{section}.{item.name}".lstrip("."))
+def config_fields(config: Any = RunConfig, section: str = "") -> Iterator[ConfigOption]:
+    """Yield every leaf field of a configuration tree, in order, sections first to last.
+
+    Args:
+        config: the tree, whose values are the defaults, or its class.
+        section: dotted place of it in the whole tree.
+    """
+    whole = config() if isinstance(config, type) else config
+    for info in field_infos(type(whole)):
+        yield ConfigOption(section, replace(info, default=getattr(whole, info.name)))
+    for item in dataclasses.fields(whole):
+        value = getattr(whole, item.name)
+        if dataclasses.is_dataclass(value):
+            yield from config_fields(value, f"{section}.{item.name}".lstrip("."))
 
 
 def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], F]:
