@@ -156,10 +156,10 @@ def test_another_place_fits_badly(search: ClosureSearch, flat: Submap, drift_m: 
 
 
 def test_what_is_usual_decides_what_fits_badly(search: ClosureSearch, flat: Submap):
-    """A quarter of the hits is noise: enough where matches are usually no better."""
+    """A third of the hits is noise: enough where matches are usually no better."""
     truth = true_poses(120)[60]
     points, rng = hits(draw_flat(), truth), np.random.default_rng(0)
-    points[::4] += rng.choice([-0.35, 0.35], points[::4].shape)
+    points[::3] += rng.choice([-0.35, 0.35], points[::3].shape)
     expected = vector(truth)
     assert is_at(search.near(flat, points, expected, 0.4, 0.6), truth)
     assert search.near(flat, points, expected, 0.4, 1.0) == "low response"
