@@ -28,13 +28,6 @@
 /* PoCL defines `inline` as nothing, and a loop with a call in it is not vectorised. */
 #define INLINE inline __attribute__((always_inline))
 
-/* Ahead of a loop of gathers: clang takes them for too dear to vectorise, and is wrong. */
-#ifdef UNALIGNED_WORDS
-#define IN_LANES _Pragma("clang loop vectorize_width(16)")
-#else
-#define IN_LANES
-#endif
-
 /* Cell (x = col, y = row) under a lattice position after a fixed pose. */
 INLINE int2 fixed_cell(const long4 pose, const int x2, const int y2) {
   const long x = pose.x * x2 - pose.y * y2 + pose.z;
@@ -44,8 +37,11 @@ INLINE int2 fixed_cell(const long4 pose, const int x2, const int y2) {
 
 /* PoCL 3.0 leaves its builtins (vload, vstore, min, max, sqrt, floor) as function calls, and a call
  * spills every vector register around it. So hot loops read 32 bytes by plain loads where the device
- * takes any address, compare instead of calling min, and cut to int instead of calling floor. */
+ * takes any address, compare instead of calling min, and cut to int instead of calling floor.
+ * IN_LANES stands ahead of a loop of gathers: clang takes them for too dear to vectorise, and is
+ * wrong. */
 #ifdef UNALIGNED_WORDS
+#define IN_LANES _Pragma("clang loop vectorize_width(16)")
 #define WORD(p, i) (((__global const ulong *)(p))[i])
 #define LOAD32(p) ((ulong4)(WORD(p, 0), WORD(p, 1), WORD(p, 2), WORD(p, 3)))
 INLINE void store32(const ulong4 words, __global ulong *to) {
@@ -58,6 +54,7 @@ INLINE void store32(const ulong4 words, __global ulong *to) {
 #define LOWER(a, b) ((a) < (b) ? (a) : (b))
 #define HIGHER(a, b) ((a) > (b) ? (a) : (b))
 #else
+#define IN_LANES
 INLINE ulong4 load32(__global const uchar *p) {
   const uchar16 a = vload16(0, p), b = vload16(1, p);
   return (ulong4)(as_ulong2(a), as_ulong2(b));

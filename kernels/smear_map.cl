@@ -13,21 +13,6 @@
 #include "tiles.h"
 #include "walk.h"
 
-/* Pages of the square around a hit's cell that have no tile are wanted. */
-INLINE void mark_cell(
-    __global uint *observed, __global const int *pages, const int width, __global int *wanted,
-    const int x, const int y, const uint word) {
-  const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);
-  const int tile = pages[page];
-  if (tile == 0) {
-    wanted[0] = 1;
-    wanted[1 + page] = 1;
-  } else {
-    keep_greater(
-        observed + tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK), word);
-  }
-}
-
 /* Mark the cells of each beam.
  *
  * observed  uint pool

@@ -42,4 +42,19 @@ INLINE void keep_greater(__global uint *word, const uint other) { atomic_max(wor
 INLINE uint take_word(__global uint *word) { return atomic_xchg(word, 0u); }
 #endif
 
+/* Mark a cell inside the window with a word; a page that has no tile is wanted. */
+INLINE void mark_cell(
+    __global uint *observed, __global const int *pages, const int width, __global int *wanted,
+    const int x, const int y, const uint word) {
+  const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);
+  const int tile = pages[page];
+  if (tile == 0) {
+    wanted[0] = 1;
+    wanted[1 + page] = 1;
+  } else {
+    keep_greater(
+        observed + tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK), word);
+  }
+}
+
 #endif

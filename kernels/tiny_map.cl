@@ -64,16 +64,8 @@ __kernel void tiny_mark(
       value = beam[5];
     }
     const int x = (int)((w.x + i * w.step_x) >> 20), y = (int)((w.y + i * w.step_y) >> 20);
-    const int page = (y >> TILE_SHIFT) * width + (x >> TILE_SHIFT);
-    const int tile = pages[page];
-    if (tile == 0) {
-      wanted[0] = 1;
-      wanted[1 + page] = 1;
-      continue;
-    }
     const uint word = (uint)((i == 0) << 13 | value << 1 | (i >= 0));
-    const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
-    keep_greater(observed + at, word);
+    mark_cell(observed, pages, width, wanted, x, y, word);
   }
 }
 

@@ -11,10 +11,9 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, overload
 
 import yaml
 
@@ -1227,11 +1226,19 @@ def to_mapping(config: Any) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
-def from_mapping(config_class: type[T], values: Any, where: str = "config") -> T:
+@overload
+def from_mapping(config: type[T], values: Any, where: str = ...) -> T: ...
+
+
+@overload
+def from_mapping(config: T, values: Any, where: str = ...) -> T: ...
+
+
+def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     """Build a configuration from nested plain values.
 
     Args:
-        config_class: one of the dataclasses of this module.
+        config: one of the dataclasses of this module, or one that holds what is not said.
         values: nested mappings, as read from YAML; missing keys keep their defaults.
         where: what the messages call the source, e.g. the file's path.
 
@@ -1243,8 +1250,9 @@ def from_mapping(config_class: type[T], values: Any, where: str = "config") -> T
     if not isinstance(values, dict):
         message = f"{where}: wanted a mapping of settings, found {type(values).__name__}"
         raise ConfigError(message)
-    hints = typing.get_type_hints(config_class)
-    known = {item.name: item for item in dataclasses.fields(config_class)}  # type: ignore[arg-type]
+    is_class = isinstance(config, type)
+    hints = typing.get_type_hints(config if is_class else type(config))
+    known = {item.name for item in dataclasses.fields(config)}
     arguments: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
@@ -1253,14 +1261,13 @@ def from_mapping(config_class: type[T], values: Any, where: str = "config") -> T
             raise ConfigError(message)
         hint = hints[key]
         if dataclasses.is_dataclass(hint):
-            default = known[key].default
-            if dataclasses.is_dataclass(default) and isinstance(value, dict | None):
-                value = _laid_over(to_mapping(default), value or {})  # noqa: PLW2901
-            arguments[key] = from_mapping(hint, value, f"{where}: {key}")  # type: ignore[arg-type]
+            # A section's defaults may be others than its class's.
+            section = getattr(config, key, hint)
+            arguments[key] = from_mapping(section, value, f"{where}: {key}")
         else:
             arguments[key] = _coerce(value, hint, f"{where}: {key}")
     try:
-        return config_class(**arguments)
+        return config(**arguments) if is_class else dataclasses.replace(config, **arguments)
     except ConfigError as error:
         message = f"{where}: {error}"
         raise ConfigError(message) from None
@@ -1279,19 +1286,7 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
     except yaml.YAMLError as error:
         message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
         raise ConfigError(message) from None
-    if base is not None and (values is None or isinstance(values, dict)):
-        values = _laid_over(to_mapping(base), values or {})
-    return from_mapping(RunConfig, values, str(path))
-
-
-def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a tree with another one's values in place of its own."""
-    merged = dict(under)
-    for key, value in over.items():
-        own = merged.get(key)
-        is_tree = isinstance(own, dict) and isinstance(value, dict)
-        merged[key] = _laid_over(own, value) if is_tree and own is not None else value
-    return merged
+    return from_mapping(RunConfig() if base is None else base, values, str(path))
 
 
 def _coerce(value: Any, hint: Any, where: str) -> Any:

@@ -118,11 +118,9 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
     defaults = base or RunConfig()
     chosen = [
         option
-        for option in config_fields()
+        for option in config_fields(defaults)
         if option.section in sections and option.info.level == "public"
     ]
-    if base is not None:
-        chosen = [_of_base(option, base) for option in chosen]
 
     def decorate(function: F) -> F:
         @functools.wraps(function)
@@ -137,14 +135,6 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
         return typing.cast("F", _CONFIG_FILE(command))
 
     return decorate
-
-
-def _of_base(option: ConfigOption, base: RunConfig) -> ConfigOption:
-    """Return an option with the default that a command has for it."""
-    value: Any = base
-    for name in option.key.split("."):
-        value = getattr(value, name)
-    return replace(option, info=replace(option.info, default=value))
 
 
 def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:

@@ -361,11 +361,11 @@ def _climb(backend: Backend, sample: Sample) -> Arrays:
     field, table = backend.upload(pool), backend.upload(pages)
     size = np.array([*pages.shape[::-1], 0.1]) * slam_reference.TILE
     rng = sample.rng
-    points = backend.upload(rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    points = rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
     centres = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
     losses = np.column_stack((centres, [[0.01, 0.02, 0.1, 0.0], [0.02, 0.01, 0.2, 0.05]]))
     results = []
-    for groups, rounds in ((1, 1), (7, 3)):
+    for groups, rounds, every in ((1, 1, 1), (7, 3, 2)):
         starts = centres[0] + rng.normal(0.0, 1.0, (groups, 3))
         steps = rng.normal(0.0, 1.0, (rounds, groups, slam_reference.CLIMBERS, 3))
         turned = [np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (starts[:, 2], steps[..., 2])]
@@ -373,7 +373,8 @@ def _climb(backend: Backend, sample: Sample) -> Arrays:
             np.concatenate(pair, axis=-1) for pair in zip((starts, steps), turned, strict=True)
         ]
         climbed = [table.astype(np.float32) for table in (losses, *tables)]
-        results.append(backend.climb(field, table, points, *climbed, scale=1.0 / 9000.0))
+        hits = backend.upload(points[::every])
+        results.append(backend.climb(field, table, hits, *climbed, scale=1.0 / 9000.0))
     return results
 
 
@@ -387,7 +388,7 @@ def _climb_maps(backend: Backend, sample: Sample) -> Arrays:
     pool, pages = _two_maps(sample)
     field, tables = backend.upload(pool), backend.upload(pages)
     rng = sample.rng
-    points = backend.upload(rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    points = rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
     size = np.array([*pages.shape[:0:-1], 0.1]) * slam_reference.TILE
     starts = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
     losses = np.column_stack((starts + 0.3, np.full((2, 3), 0.01), (0.0, 0.1)))
@@ -396,8 +397,15 @@ def _climb_maps(backend: Backend, sample: Sample) -> Arrays:
     sizes = np.column_stack((steps, 0.1 * steps, np.cos(0.1 * steps), np.sin(0.1 * steps)))
     climbed = [table.astype(np.float32) for table in (losses, starts, sizes)]
     return [
-        backend.climb_maps(field, tables, points, *climbed, tries=tries, scale=1.0 / 9000.0)
-        for tries in (1, 9, 60)
+        backend.climb_maps(
+            field,
+            tables,
+            backend.upload(points[::every]),
+            *climbed,
+            tries=tries,
+            scale=1.0 / 9000.0,
+        )
+        for tries, every in ((1, 1), (9, 2), (60, 1))
     ]
 
 
@@ -405,25 +413,28 @@ def _score_maps(backend: Backend, sample: Sample) -> Arrays:
     pool, pages = _two_maps(sample)
     field, tables = backend.upload(pool), backend.upload(pages)
     size = np.array(pages.shape[:0:-1]) * slam_reference.TILE
-    points = backend.upload(sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    points = sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
     yaw = sample.rng.uniform(-np.pi, np.pi, (2, 27))
     places = sample.rng.uniform(-0.2, 1.2, (2, 27, 2)) * size + sample.away
     poses = np.dstack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
     table = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
-    return [backend.score_maps(field, tables, points, poses, table)]
+    hits = [backend.upload(points[::every]) for every in (1, 3)]
+    return [backend.score_maps(field, tables, own, poses, table) for own in hits]
 
 
 def _score_poses(backend: Backend, sample: Sample) -> Arrays:
     pool, pages = _tiled_field(sample)
     field, table = backend.upload(pool), backend.upload(pages)
     size = np.array(pages.shape[::-1]) * slam_reference.TILE
-    points = backend.upload(sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32))
+    points = sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
     yaw = sample.rng.uniform(-np.pi, np.pi, 37)
     places = sample.rng.uniform(-0.2, 1.2, (37, 2)) * size + sample.away
     poses = np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
     return [
-        backend.score_poses(field, table, points, poses[:count], reach=reach)
-        for count, reach in ((37, 0), (37, 2), (1, 0))
+        backend.score_poses(
+            field, table, backend.upload(points[::every]), poses[:count], reach=reach
+        )
+        for count, every, reach in ((37, 1, 0), (37, 3, 2), (1, 100, 0))
     ]
 
 

@@ -344,11 +344,11 @@ class _Search:
         found = self._against_graph(asked)
         for share in AGREEMENT_SHARES:
             while True:
-                # Closures that are not asked are as often false as those that are.
-                disagreeing = (~self.used[first_asked]).sum() - (found.errors <= agreement).sum()
-                false = known_false.sum() + disagreeing * len(doubtful) / max(len(first_asked), 1)
                 agrees = found.errors <= share * agreement
-                if alone is not None:
+                if alone is not None and agrees.any():
+                    # Closures that are not asked are as often false as those that are.
+                    others = (~self.used[first_asked]).sum() - (found.errors <= agreement).sum()
+                    false = known_false.sum() + others * len(doubtful) / len(first_asked)
                     agrees &= ~alone[asked] | (false * found.chances <= BY_CHANCE)
                 if not agrees.any():
                     break

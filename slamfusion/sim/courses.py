@@ -362,11 +362,12 @@ def _modelled(value: Any, models: Mapping[str, T], default: str, where: str) -> 
     """Read a laser or drive: a model's name, or a mapping that changes some of a model's fields."""
     if isinstance(value, str):
         value = {"model": value}
+    under: T | type[T] = type(models[default])
     if isinstance(value, dict):
         model = value.get("model", default)
         if isinstance(model, str) and model in models:
-            value = {**to_mapping(models[model]), **value}
-    return from_mapping(type(models[default]), value, where)
+            under = models[model]
+    return from_mapping(under, value, where)
 
 
 def _start(value: Any, where: str) -> Pose2 | None:

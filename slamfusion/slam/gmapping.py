@@ -35,7 +35,7 @@ from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.base import Health, Series, Step
 from slamfusion.slam.hit_cells import halve_counts, percent_of_counts
-from slamfusion.slam.matcher import FieldMap, Guess
+from slamfusion.slam.matcher import FieldMap, Guess, pose_table
 from slamfusion.slam.motion_model import make_motion_model
 from slamfusion.slam.particle_path import ParticlePaths
 from slamfusion.slam.proposal import (
@@ -410,7 +410,7 @@ class Gmapping:
             np.column_stack((starts, turned)).astype(np.float32),
             self._climb_sizes,
             tries=MOST_TRIES,
-            scale=1.0 / (255.0 * len(hits[::every])),
+            scale=1.0 / (255.0 * looked_at.shape[0]),
         ).astype(np.float64)
         matched = np.column_stack(
             ((found[:, :2] + corner) * cell, wrap_angles(found[:, 2] + expected[:, 2]))
@@ -422,9 +422,7 @@ class Gmapping:
         centres = np.where(is_believed[:, None], matched, drawn)
         # The likelihood around each centre, times the motion model's prior.
         samples = centres[:, None, :] + self._samples
-        table = np.empty((*samples.shape[:2], 4), dtype=np.float32)
-        table[..., :2] = samples[..., :2] / cell - corner
-        table[..., 2], table[..., 3] = np.cos(samples[..., 2]), np.sin(samples[..., 2])
+        table = pose_table(samples, cell, corner)
         if config.lskip + 1 > every:
             looked_at = self._backend.upload(hits[:: config.lskip + 1])
         sums = self._backend.score_maps(field, pages, looked_at, table, self._likelihood_table)
@@ -471,9 +469,7 @@ class Gmapping:
         reach = float(np.hypot(*np.vstack((ends, laser)).T).max()) / cell + config.kernelSize + 1.0
         at = (self._poses - (*self._anchor, 0.0))[alive] / (cell, cell, 1.0)
         maps.cover(at[:, :2].min(axis=0) - reach, at[:, :2].max(axis=0) + reach)
-        table = np.empty((len(at), 4), dtype=np.float32)
-        table[:, :2] = at[:, :2] - maps.origin
-        table[:, 2], table[:, 3] = np.cos(at[:, 2]), np.sin(at[:, 2])
+        table = pose_table(at, 1.0, maps.origin)
         beams = BeamScan(
             (ends / cell).astype(np.float32), is_hit, (laser / cell).astype(np.float32), table
         )

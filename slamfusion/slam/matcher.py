@@ -22,7 +22,7 @@ from slamfusion.compute.slam_reference import CLIMBERS
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import wrap_angles
 
-__all__ = ["FieldMap", "Guess", "Match", "ScanOnTiles", "Spread", "search_pose"]
+__all__ = ["FieldMap", "Guess", "Match", "ScanOnTiles", "Spread", "pose_table", "search_pose"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -140,23 +140,14 @@ class ScanOnTiles:
 
     def wide_scores(self, poses: F64) -> F64:
         """Return (N,) scores, 0 to 1, of poses (N, 3) on wide basins, by half of the points."""
-        table = np.empty((len(poses), 4), dtype=np.float32)
-        table[:, :2] = poses[:, :2] / self._cell - self._corner
-        table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        sums = self._backend.score_poses(*self._map, self._few_points, table, reach=self._reach)
-        return np.asarray(sums * _scale(self._few_points))
+        return self._means(self._few_points, poses, self._reach)
 
     def scores(self, poses: F64) -> F64:
         """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
-        table = np.empty((len(poses), 4), dtype=np.float32)
-        table[:, :2] = poses[:, :2] / self._cell - self._corner
-        table[:, 2], table[:, 3] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        sums = self._backend.score_poses(*self._map, self._points, table)
-        return np.asarray(sums * _scale(self._points))
+        return self._means(self._points, poses)
 
     def unseen_share(self, pose: F64, unseen: int) -> float:
         """Return the share of the hits at a pose (3,) that fall where the field has one value."""
-        row = np.array([*(pose[:2] / self._cell - self._corner), np.cos(pose[2]), np.sin(pose[2])])
         table = np.zeros(256, dtype=np.int32)
         table[unseen] = 1
         field, pages = self._map
@@ -164,7 +155,7 @@ class ScanOnTiles:
             field,
             pages.reshape((1, *pages.shape)),
             self._points,
-            row.astype(np.float32).reshape(1, 1, 4),
+            pose_table(pose.reshape(1, 1, 3), self._cell, self._corner),
             table,
         )
         return float(sums[0, 0] / self._points.shape[0])
@@ -207,6 +198,25 @@ class ScanOnTiles:
         return np.column_stack(
             ((found[:, :2] + self._corner) * cell, wrap_angles(found[:, 2] + yaw0), found[:, 5])
         )
+
+    def _means(self, points: Handle, poses: F64, reach: int = 0) -> F64:
+        table = pose_table(poses, self._cell, self._corner)
+        sums = self._backend.score_poses(*self._map, points, table, reach=reach)
+        return np.asarray(sums * _scale(points))
+
+
+def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
+    """Return poses (..., 3), metres and radians, as kernels take them: (..., 4) float32.
+
+    Args:
+        poses: in the map frame.
+        cell: metres per cell.
+        corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
+    """
+    table = np.empty((*poses.shape[:-1], 4), dtype=np.float32)
+    table[..., :2] = poses[..., :2] / cell - corner
+    table[..., 2], table[..., 3] = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    return table
 
 
 def _scale(points: Handle) -> float:

@@ -126,6 +126,7 @@ class _Stencil(NamedTuple):
 
 
 def _stencil() -> _Stencil:
+    """Return the one of all second derivatives."""
     places = [np.zeros(3)]
     weights = [np.zeros((3, 3))]
     for axis in range(3):
