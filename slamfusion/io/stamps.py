@@ -1,0 +1,195 @@
+"""``StampGate``: a time stamp far from those before it counts when several in a row say the same.
+
+One wrong stamp (a driver that is restarted, a clock that is set, a damaged message) must neither
+discard a map nor keep every later scan out of it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Generic, TypeVar
+
+__all__ = ["AHEAD_S", "CONFIRMING", "Jump", "Passed", "StampGate"]
+
+T = TypeVar("T")
+
+# Items in a row that must say that time has jumped.
+CONFIRMING = 3
+# A stamp may run ahead of the last one by the real time that has passed and this much, seconds.
+AHEAD_S = 1.0
+# Items that are held back at most; while the odometry contradicts, the oldest go first.
+HELD_MOST = 20
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A jump of time that several stamps in a row have confirmed.
+
+    Attributes:
+        before_s: the newest stamp before it, seconds.
+        after_s: the first stamp after it, seconds.
+    """
+
+    before_s: float
+    after_s: float
+
+    @property
+    def is_back(self) -> bool:
+        """Whether time went back."""
+        return self.after_s < self.before_s
+
+
+@dataclass(frozen=True, eq=False)
+class Passed(Generic[T]):
+    """What a gate lets through after one more item.
+
+    Attributes:
+        items: to be used, in their order; none while an item is held back.
+        strays_s: stamps of items that are left out for good, seconds.
+        jump: of time, before the first of ``items``.
+    """
+
+    items: tuple[T, ...] = ()
+    strays_s: tuple[float, ...] = ()
+    jump: Jump | None = None
+
+
+class StampGate(Generic[T]):
+    """Lets items through whose stamps go on from the last ones; holds the others back.
+
+    An item that is older than the newest one by more than ``back_s``, or further ahead than the
+    real time that has passed and ``AHEAD_S`` (or twice the usual step, where steps are longer),
+    is held back. When ``CONFIRMING`` of them follow in their own order, with nothing from the old
+    time between, time has jumped: all are let through. When the old time goes on, they were
+    strays. A held item that is sent again, unchanged, confirms itself: its sender waits for it.
+
+    An item that is a little older than the newest one passes: whoever uses it leaves it out.
+
+    Args:
+        back_s: see above, seconds.
+        is_same: whether two items of one stamp are the same one, sent again; default: never.
+
+    Attributes:
+        back_s: may be changed.
+        newest_s: newest stamp that was let through, seconds; None before the first.
+    """
+
+    def __init__(self, back_s: float, is_same: Callable[[T, T], bool] | None = None) -> None:
+        self.back_s = back_s
+        self.newest_s: float | None = None
+        self._is_same = is_same
+        self._arrived_s = 0.0
+        # The last stamps that were let through and were newest then; and what is held back.
+        self._last_s: deque[float] = deque(maxlen=CONFIRMING)
+        self._held: list[tuple[float, T]] = []
+        self._said = 0
+
+    @property
+    def held(self) -> int:
+        """Items that are held back."""
+        return len(self._held)
+
+    @property
+    def held_for_s(self) -> float | None:
+        """Newest stamp that is held back, seconds; None where none is."""
+        return self._held[-1][0] if self._held else None
+
+    @property
+    def is_said_often(self) -> bool:
+        """Whether enough items in a row say that time has jumped."""
+        return self._said >= CONFIRMING
+
+    def offer(
+        self,
+        stamp_s: float,
+        item: T,
+        arrived_s: float = 0.0,
+        agrees: Callable[[float, float], bool] | None = None,
+    ) -> Passed[T]:
+        """Take one more item.
+
+        Args:
+            stamp_s: its time, seconds.
+            item: what is handed out again.
+            arrived_s: real time of its arrival, seconds; the same each time where that says
+                nothing.
+            agrees: asked with the newest stamp before the jump and the newest after it, once
+                enough items say that time has jumped; while it says no, they are held back.
+                Default: yes.
+        """
+        newest_s = self.newest_s
+        if newest_s is None or self._is_regular(newest_s, stamp_s, arrived_s):
+            strays_s = self._drop_held()
+            self._note(stamp_s, arrived_s)
+            return Passed((item,), strays_s)
+        strays_s = self._hold(newest_s, stamp_s, item)
+        if self.is_said_often and (agrees is None or agrees(newest_s, stamp_s)):
+            passed = self.confirm(arrived_s)
+            return Passed(passed.items, strays_s, passed.jump)
+        return Passed((), strays_s)
+
+    def confirm(self, arrived_s: float = 0.0) -> Passed[T]:
+        """Let through what is held back: something else has confirmed it, or nothing follows.
+
+        Args:
+            arrived_s: as for ``offer``.
+        """
+        if not self._held or self.newest_s is None:
+            return Passed()
+        jump = Jump(self.newest_s, self._held[0][0])
+        if jump.is_back:
+            self.newest_s = None
+            self._last_s.clear()
+        items = []
+        for stamp_s, item in self._held:
+            items.append(item)
+            self._note(stamp_s, arrived_s)
+        self._held, self._said = [], 0
+        return Passed(tuple(items), (), jump)
+
+    def restart(self, newest_s: float | None) -> None:
+        """Forget everything but a newest stamp, seconds; None: that too."""
+        self._held, self._said = [], 0
+        self._last_s.clear()
+        self.newest_s = newest_s
+        if newest_s is not None:
+            self._last_s.append(newest_s)
+
+    def _is_regular(self, newest_s: float, stamp_s: float, arrived_s: float) -> bool:
+        """Whether a stamp goes on from the last ones."""
+        if stamp_s <= newest_s:
+            # Behind no more than the last two: one of these ran ahead.
+            return stamp_s >= newest_s - self.back_s or stamp_s > self._last_s[0]
+        steps_s = [after_s - before_s for before_s, after_s in pairwise(self._last_s)]
+        usual_s = min(steps_s) if len(steps_s) == CONFIRMING - 1 else 0.0
+        passed_s = max(0.0, arrived_s - self._arrived_s)
+        return stamp_s - newest_s <= max(AHEAD_S, 2.0 * usual_s) + passed_s
+
+    def _note(self, stamp_s: float, arrived_s: float) -> None:
+        if self.newest_s is None or stamp_s > self.newest_s:
+            self.newest_s, self._arrived_s = stamp_s, arrived_s
+            self._last_s.append(stamp_s)
+
+    def _hold(self, newest_s: float, stamp_s: float, item: T) -> tuple[float, ...]:
+        """Hold an item back; return the stamps of those that it shows to be strays."""
+        strays_s: tuple[float, ...] = ()
+        if self._held:
+            last_s, last = self._held[-1]
+            if stamp_s == last_s and self._is_same is not None and self._is_same(last, item):
+                self._said += 1
+                return ()
+            if stamp_s <= last_s or (stamp_s > newest_s) != (last_s > newest_s):
+                strays_s = self._drop_held()
+        self._held.append((stamp_s, item))
+        self._said += 1
+        if len(self._held) > HELD_MOST:
+            return (*strays_s, self._held.pop(0)[0])
+        return strays_s
+
+    def _drop_held(self) -> tuple[float, ...]:
+        strays_s = tuple(stamp_s for stamp_s, _ in self._held)
+        self._held, self._said = [], 0
+        return strays_s
