@@ -1120,7 +1120,8 @@ class ProducerNodeConfig(_Checked):
     )
     reset_back_s: float = option(
         1.0,
-        "a scan that is older than the last one by more begins a new map; by less it is left out",
+        "several scans in a row that are older than the last one by more begin a new map; a single "
+        "one, or one that is older by less, is left out",
         unit="s",
         low=0.0,
         high=1e6,

@@ -84,7 +84,7 @@ class StampGate(Generic[T]):
         self._arrived_s = 0.0
         # The last stamps that were let through and were newest then; and what is held back.
         self._last_s: deque[float] = deque(maxlen=CONFIRMING)
-        self._held: list[tuple[float, T]] = []
+        self._held: list[tuple[float, float, T]] = []
         self._said = 0
 
     @property
@@ -125,18 +125,14 @@ class StampGate(Generic[T]):
             strays_s = self._drop_held()
             self._note(stamp_s, arrived_s)
             return Passed((item,), strays_s)
-        strays_s = self._hold(newest_s, stamp_s, item)
+        strays_s = self._hold(newest_s, stamp_s, arrived_s, item)
         if self.is_said_often and (agrees is None or agrees(newest_s, stamp_s)):
-            passed = self.confirm(arrived_s)
+            passed = self.confirm()
             return Passed(passed.items, strays_s, passed.jump)
         return Passed((), strays_s)
 
-    def confirm(self, arrived_s: float = 0.0) -> Passed[T]:
-        """Let through what is held back: something else has confirmed it, or nothing follows.
-
-        Args:
-            arrived_s: as for ``offer``.
-        """
+    def confirm(self) -> Passed[T]:
+        """Let through what is held back: something else has confirmed it, or nothing follows."""
         if not self._held or self.newest_s is None:
             return Passed()
         jump = Jump(self.newest_s, self._held[0][0])
@@ -144,7 +140,7 @@ class StampGate(Generic[T]):
             self.newest_s = None
             self._last_s.clear()
         items = []
-        for stamp_s, item in self._held:
+        for stamp_s, arrived_s, item in self._held:
             items.append(item)
             self._note(stamp_s, arrived_s)
         self._held, self._said = [], 0
@@ -173,23 +169,25 @@ class StampGate(Generic[T]):
             self.newest_s, self._arrived_s = stamp_s, arrived_s
             self._last_s.append(stamp_s)
 
-    def _hold(self, newest_s: float, stamp_s: float, item: T) -> tuple[float, ...]:
+    def _hold(
+        self, newest_s: float, stamp_s: float, arrived_s: float, item: T
+    ) -> tuple[float, ...]:
         """Hold an item back; return the stamps of those that it shows to be strays."""
         strays_s: tuple[float, ...] = ()
         if self._held:
-            last_s, last = self._held[-1]
+            last_s, _, last = self._held[-1]
             if stamp_s == last_s and self._is_same is not None and self._is_same(last, item):
                 self._said += 1
                 return ()
             if stamp_s <= last_s or (stamp_s > newest_s) != (last_s > newest_s):
                 strays_s = self._drop_held()
-        self._held.append((stamp_s, item))
+        self._held.append((stamp_s, arrived_s, item))
         self._said += 1
         if len(self._held) > HELD_MOST:
             return (*strays_s, self._held.pop(0)[0])
         return strays_s
 
     def _drop_held(self) -> tuple[float, ...]:
-        strays_s = tuple(stamp_s for stamp_s, _ in self._held)
+        strays_s = tuple(stamp_s for stamp_s, *_ in self._held)
         self._held, self._said = [], 0
         return strays_s

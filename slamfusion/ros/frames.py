@@ -82,13 +82,14 @@ class TransformStore:
 
     def add(self, transforms: Iterable[TransformStamped], *, is_static: bool = False) -> None:
         """Take in transforms; see ``TransformBuffer.add``."""
+        now_s = time.monotonic()
         with self._changed:
             for transform in transforms:
-                is_used = self._buffer.add(transform, is_static=is_static)
+                is_used = self._buffer.add(transform, is_static=is_static, arrived_s=now_s)
                 self.received += is_used
                 self.refused += not is_used
                 if is_used and not is_static:
-                    self.last_s = time.monotonic()
+                    self.last_s = now_s
             self._changed.notify_all()
 
     def lookup(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Pose2:
@@ -122,6 +123,23 @@ class TransformStore:
         """Forget moving transforms newer than a time: the clock has jumped back before them."""
         with self._changed:
             self._buffer.forget_after(time_s)
+
+    def settle(self, time_s: float) -> None:
+        """Let in what is held back: time is there now; see ``TransformBuffer.settle``."""
+        with self._changed:
+            self._buffer.settle(time_s)
+            self._changed.notify_all()
+
+    def heard_s(self, target: str, source: str) -> float | None:
+        """Return the stamp heard last of what moves a frame; see ``TransformBuffer.heard_s``."""
+        with self._changed:
+            return self._buffer.heard_s(target, source)
+
+    @property
+    def strays(self) -> int:
+        """Transforms left out for their stamps, far from those before and after them."""
+        with self._changed:
+            return self._buffer.strays
 
     @property
     def frames(self) -> set[str]:

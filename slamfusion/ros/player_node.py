@@ -23,6 +23,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan, ScanLog
 from slamfusion.io.logs import open_log
 from slamfusion.io.map_server import save_map
+from slamfusion.io.stamps import AHEAD_S, CONFIRMING
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.frames import TransformOutput
@@ -35,6 +36,9 @@ SCAN_TOPIC, ODOM_TOPIC, CLOCK_TOPIC = "scan", "odom", "/clock"
 CLOCK_STEP_S = 0.02
 # A scan that is not answered is sent again after this long: best-effort readers may lose one.
 AGAIN_S = 1.0
+# After a jump of the log's time producers wait for a scan to be sent again, and are not made to
+# wait long for that.
+AGAIN_AT_JUMP_S = 0.1
 # Writers are known a moment before their readers hear them.
 SETTLE_S = 0.3
 ACKNOWLEDGE_S = 5.0
@@ -193,9 +197,10 @@ class PlayerNode(NodeBase):
                     return
                 if not self.settings.lockstep:
                     self._run_clock(item.scan.stamp_s, wait_s)
+                before_s = self._stamp_s
                 self._send(item)
                 if self.settings.lockstep:
-                    self._wait_for_answers(item)
+                    self._wait_for_answers(item, before_s)
             if self._sent == sent and not self._is_closed:
                 skipped = "; ".join(self._log.skips.sentences())
                 message = (
@@ -260,15 +265,21 @@ class PlayerNode(NodeBase):
         if self.settings.publish_clock:
             self._clock.publish(Clock(clock=messages.to_stamp(max(stamp_s, 0.0))))
 
-    def _wait_for_answers(self, item: LogScan) -> None:
+    def _wait_for_answers(self, item: LogScan, before_s: float | None) -> None:
         """Wait until every producer has told its pose at a scan.
+
+        Args:
+            item: the scan, which was sent.
+            before_s: stamp of the scan before it; None for the first.
 
         Raises:
             SlamFusionError: one has not, however often the scan was sent.
         """
         stamp_s = item.scan.stamp_s
         until_s = time.monotonic() + self.settings.lockstep_timeout_s
-        again_s = time.monotonic() + AGAIN_S
+        is_jump = before_s is not None and not 0.0 < stamp_s - before_s <= AHEAD_S
+        pauses_s = [AGAIN_AT_JUMP_S] * (CONFIRMING - 1) if is_jump else []
+        again_s = time.monotonic() + (pauses_s.pop() if pauses_s else AGAIN_S)
 
         def missing() -> list[str]:
             return [
@@ -297,7 +308,7 @@ class PlayerNode(NodeBase):
                 self._send(item)
                 self._sent -= 1
                 self._again += 1
-                again_s = now_s + AGAIN_S
+                again_s = now_s + (pauses_s.pop() if pauses_s else AGAIN_S)
 
     def _wait_for_delivery(self) -> None:
         """Give reliable readers the time to take the last messages."""

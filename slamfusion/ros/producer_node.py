@@ -37,6 +37,7 @@ from slamfusion.ros.frames import (
     TransformStore,
 )
 from slamfusion.ros.parameters import declare
+from slamfusion.ros.scan_gate import ODOMETRY_ALIVE_S, ArrivedScan, ScanGate
 from slamfusion.ros.worker import Worker
 from slamfusion.scan import LaserScan as Scan
 from slamfusion.slam.base import DrawsAside, SlamBackend, Step
@@ -60,10 +61,6 @@ CHANGEABLE = (
 DEFAULT_MAP_INTERVAL_S = 1.0
 # How often the node looks whether a map is due although no scan comes.
 LOOK_S = 0.1
-# Odometry that has not been heard for longer is not waited for.
-ODOMETRY_ALIVE_S = 1.0
-# A scan whose stamp is later than the last one's by more is worth a word.
-FORWARD_JUMP_S = 10.0
 # Scans that pause for longer leave the time to solve all closures for the map.
 PAUSE_S = 1.0
 # A scan that is worked on for longer is named.
@@ -73,6 +70,7 @@ SHOWN_S = 10.0
 LATENCIES = 300
 WARM_UP_BEAMS = 360
 
+STRAY = "a stamp far from those before and after it"
 NO_ODOMETRY_YET = "laser before odometry"
 NO_LASER_FRAME = "no transform from the laser"
 NOT_NEWER = "stamp not later than the last one's"
@@ -85,13 +83,10 @@ def make_node(kind: str, **options: Any) -> NodeBase:
     return ProducerNode(kind, **options)
 
 
-@dataclass(frozen=True)
-class _Queued:
+@dataclass(frozen=True, eq=False)
+class _Queued(ArrivedScan):
     """A scan that waits."""
 
-    message: Any
-    stamp_s: float
-    arrived_s: float
     generation: int
 
 
@@ -117,7 +112,6 @@ class _Counts:
     fed: int = 0
     dropped: int = 0
     without_odometry: int = 0
-    resets: int = 0
     maps: int = 0
 
 
@@ -132,7 +126,9 @@ class ProducerNode(NodeBase):
     Scans wait in a queue of ``scan_queue``; when one more comes the oldest is dropped and counted.
     A scan is matched with the odometry of its own time, interpolated; it waits for that up to
     ``odometry_wait_s`` and then goes on without. Scans before the first odometry are left out.
-    Time that jumps back by more than ``reset_back_s`` begins a new map; far forward it is named.
+    Time that jumps back by more than ``reset_back_s`` begins a new map, when several scans in a row
+    say so and the odometry does not contradict; far forward it is named. A single scan whose stamp
+    is far from the others is left out.
 
     Args:
         kind: a producer of ``slamfusion.slam.runner``; also the node's name unless remapped.
@@ -170,7 +166,6 @@ class ProducerNode(NodeBase):
         self._lock = threading.Lock()
         self._generation = 0
         self._producer_generation = 0
-        self._newest_s: float | None = None
         self._last_scan_s = self._started_s = time.monotonic()
         self._fed_s: float | None = None
         self._last_pose = IDENTITY
@@ -217,25 +212,28 @@ class ProducerNode(NodeBase):
             self.subscribe(Odometry, ODOM_TOPIC, self._on_odometry, qos.SENSOR)
         if settings.publish_tf:
             self._output = TransformOutput(self.node)
+        stores = {store for store in (self._transforms, self._odometry) if store is not None}
+        frames = settings.odom_frame, settings.base_frame
+        self._gate = ScanGate(self.troubles, settings.reset_back_s, self._odometry, frames, stores)
         self.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
 
     # --- callbacks, in the executor's thread -------------------------------------------------
 
     def _on_scan(self, message: Any) -> None:
-        """Queue a scan."""
-        stamp_s = messages.stamp_s(message)
-        now_s = time.monotonic()
+        """Queue a scan, and those that were held back and that it confirms."""
         self._counts.received += 1
-        self._last_scan_s = now_s
-        newest_s = self._newest_s
-        if newest_s is not None and stamp_s < newest_s - self.settings.reset_back_s:
-            self._begin_anew(newest_s, stamp_s)
-        elif newest_s is not None and stamp_s > newest_s + FORWARD_JUMP_S:
-            text = f"scans jumped forward by {stamp_s - newest_s:.3f} s to {stamp_s:.3f} s"
-            self.troubles.add("forward", Level.WARN, text, SHOWN_S)
-        if self._newest_s is None or stamp_s > self._newest_s:
-            self._newest_s = stamp_s
-        lost = self._worker.put(_Queued(message, stamp_s, now_s, self._generation))
+        self._last_scan_s = time.monotonic()
+        passed = self._gate.offer(message)
+        for _ in passed.strays_s:
+            self._skip(STRAY)
+        if passed.jump is not None and passed.jump.is_back:
+            self._begin_new_map()
+        for scan in passed.items:
+            self._queue(_Queued(scan.message, scan.stamp_s, scan.arrived_s, self._generation))
+
+    def _queue(self, item: _Queued) -> None:
+        """Let a scan wait for the worker; the oldest goes where that are too many."""
+        lost = self._worker.put(item)
         dropped = sum(isinstance(item, _Queued) for item in lost)
         if dropped:
             self._counts.dropped += dropped
@@ -245,18 +243,11 @@ class ProducerNode(NodeBase):
             )
             self.troubles.add("slow", Level.WARN, text, SHOWN_S)
 
-    def _begin_anew(self, newest_s: float, stamp_s: float) -> None:
+    def _begin_new_map(self) -> None:
         """Leave the old map behind: time has jumped back."""
         self._generation += 1
-        self._counts.resets += 1
-        self._newest_s = None
         waiting = sum(isinstance(item, _Queued) for item in self._worker.clear())
         self._counts.dropped += waiting
-        text = (
-            f"scans jumped back by {newest_s - stamp_s:.3f} s to {stamp_s:.3f} s: a new map begins"
-        )
-        self.troubles.clear("back")
-        self.troubles.add("back", Level.WARN, text, SHOWN_S)
 
     def _on_odometry(self, message: Any) -> None:
         """Keep a pose of the odometry."""
@@ -288,6 +279,7 @@ class ProducerNode(NodeBase):
         """Take changed settings."""
         self.settings = settings
         self._worker.resize(settings.scan_queue)
+        self._gate.set_back(settings.reset_back_s)
         if settings.publish_tf and self._output is None:
             self._output = TransformOutput(self.node)
 
@@ -543,6 +535,7 @@ class ProducerNode(NodeBase):
     def statuses(self) -> list[Status]:
         """Return one line: how the SLAM is, what is wrong, and its figures."""
         self._name_silence()
+        self._gate.name_odometry()
         health = self._producer.health
         counts = self._counts
         level, message = self.troubles.worst("mapping" if counts.fed else "waiting for scans")
@@ -554,9 +547,10 @@ class ProducerNode(NodeBase):
             "scans used": health.scans_used,
             "scans dropped": counts.dropped,
             "scans waiting": self._worker.waiting,
+            "scans held for their stamps": self._gate.held,
             "scans without odometry": counts.without_odometry,
             "maps published": counts.maps,
-            "maps begun anew": counts.resets,
+            "maps begun anew": self._gate.jumps_back,
             "match score": health.match_score,
             "mean match score": health.mean_match_score,
             "low scores": health.low_scores,
@@ -568,6 +562,7 @@ class ProducerNode(NodeBase):
             "drawing the map [ms]": None if self._drawing is None else 1e3 * self._draw_time_s,
             "memory [MB]": self._memory_bytes / 1e6,
             "last scan [s ago]": now_s - self._last_scan_s if counts.received else None,
+            "odometry with a stray stamp": None if odometry is None else odometry.strays,
             "last odometry [s ago]": None
             if odometry is None or odometry.last_s is None
             else now_s - odometry.last_s,

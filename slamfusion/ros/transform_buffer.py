@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import operator
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from geometry_msgs.msg import TransformStamped
 
@@ -12,13 +13,15 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.io.log import FARTHEST_M
+from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.ros.messages import stamp_s
 
 __all__ = ["Mount", "TransformBuffer", "TransformError"]
 
 # Moving transforms are kept this long.
 KEEP_S = 10.0
-# A transform this much older than the newest begins anew: a bag that loops.
+# Transforms this much older than the newest, several in a row, begin their frame again: a bag that
+# loops.
 BACK_S = 1.0
 # A time this little outside of what is known takes the nearest transform; between two transforms
 # it must be this near to one of them. The same as for bags.
@@ -59,14 +62,42 @@ class Mount:
     is_static: bool = True
 
 
+def _gate() -> StampGate[tuple[float, Row]]:
+    return StampGate(BACK_S, operator.eq)
+
+
 @dataclass
 class _Edge:
-    """The transforms of one frame in its parent, in the order of time."""
+    """The transforms of one frame in its parent, in the order of time.
+
+    Attributes:
+        heard_s: stamp of the one that came last, whether it is used or not; seconds.
+        gate: holds those back that are far from the others.
+    """
 
     parent: str
     is_static: bool
     stamps_s: list[float]
     rows: list[Row]
+    heard_s: float
+    gate: StampGate[tuple[float, Row]] = field(default_factory=_gate)
+
+    def take(self, passed: Passed[tuple[float, Row]]) -> bool:
+        """Take in what the gate has let through; return whether any of it is news."""
+        if passed.jump is not None and passed.jump.is_back:
+            self.stamps_s, self.rows = [], []
+        is_news = False
+        for time_s, row in passed.items:
+            if self.stamps_s and time_s <= self.stamps_s[-1]:
+                continue
+            self.stamps_s.append(time_s)
+            self.rows.append(row)
+            is_news = True
+        newest_s = self.stamps_s[-1]
+        if self.stamps_s[0] < newest_s - 2.0 * KEEP_S:  # now and then, not each time
+            first = bisect_left(self.stamps_s, newest_s - KEEP_S)
+            del self.stamps_s[:first], self.rows[:first]
+        return is_news
 
     def at(self, child: str, wanted_s: float, hold_s: float) -> Row:
         """Return the transform at a time, or raise ``TransformError``.
@@ -99,12 +130,17 @@ class _Edge:
 class TransformBuffer:
     """The transforms of the last seconds, and where each frame is at a time.
 
-    Moving transforms are kept for ``KEEP_S`` behind the newest of their frame. One that is more
-    than ``BACK_S`` older than the newest begins its frame anew (time jumped back); one that is a
-    little older comes too late and is left out. Not safe between threads; see ``TransformStore``.
+    Moving transforms are kept for ``KEEP_S`` behind the newest of their frame. Several in a row
+    that are more than ``BACK_S`` older than the newest begin their frame again (time jumped back);
+    a single one, or one far ahead, is left out (see ``StampGate``), and so is one that is a little
+    older and comes too late. Not safe between threads; see ``TransformStore``.
+
+    Attributes:
+        strays: transforms left out for their stamps, far from those before and after them.
     """
 
     def __init__(self) -> None:
+        self.strays = 0
         self._edges: dict[str, _Edge] = {}
 
     @property
@@ -112,8 +148,17 @@ class TransformBuffer:
         """Every frame that has been named."""
         return set(self._edges) | {edge.parent for edge in self._edges.values()}
 
-    def add(self, transform: TransformStamped, *, is_static: bool) -> bool:
-        """Take in a transform; return whether it could be used: finite, a rotation, in order."""
+    def add(self, transform: TransformStamped, *, is_static: bool, arrived_s: float = 0.0) -> bool:
+        """Take in a transform.
+
+        Args:
+            transform: of one frame in its parent.
+            is_static: it holds at all times.
+            arrived_s: real time of its arrival, seconds; always the same where that is not known.
+
+        Returns:
+            Whether it is used, or held back until others bear it out: finite, a rotation, in order.
+        """
         move, turn = transform.transform.translation, transform.transform.rotation
         length = math.sqrt(turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2)
         values = (move.x, move.y, move.z)
@@ -128,20 +173,36 @@ class TransformBuffer:
         time_s = stamp_s(transform)
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent or is_static or edge.is_static:
-            self._edges[child] = _Edge(parent, is_static, [time_s], [row])
+            edge = _Edge(parent, is_static, [], [], time_s)
+            self._edges[child] = edge
+        edge.heard_s = time_s
+        if is_static:
+            edge.stamps_s, edge.rows = [time_s], [row]
             return True
-        newest_s = edge.stamps_s[-1]
-        if time_s < newest_s - BACK_S:
-            self._edges[child] = _Edge(parent, is_static, [time_s], [row])
-            return True
-        if time_s <= newest_s:
-            return False
-        edge.stamps_s.append(time_s)
-        edge.rows.append(row)
-        if edge.stamps_s[0] < time_s - 2.0 * KEEP_S:  # now and then, not each time
-            first = bisect_left(edge.stamps_s, time_s - KEEP_S)
-            del edge.stamps_s[:first], edge.rows[:first]
-        return True
+        passed = edge.gate.offer(time_s, (time_s, row), arrived_s)
+        self.strays += len(passed.strays_s)
+        return edge.take(passed) if passed.items else True
+
+    def heard_s(self, target: str, source: str) -> float | None:
+        """Return the stamp that was heard last of what moves a frame in another, seconds.
+
+        Of several moving frames between them the oldest; None where nothing moves or connects them.
+        """
+        try:
+            up, down = self._to_common(target, source)
+        except TransformError:
+            return None
+        edges = [self._edges[child] for child in (*up, *down)]
+        return min((edge.heard_s for edge in edges if not edge.is_static), default=None)
+
+    def settle(self, time_s: float) -> None:
+        """Let in what is held back and nearer to a time than what is used: time is there now."""
+        for edge in self._edges.values():
+            held_s, newest_s = edge.gate.held_for_s, edge.gate.newest_s
+            if held_s is None or newest_s is None:
+                continue
+            if abs(held_s - time_s) < abs(newest_s - time_s):
+                edge.take(edge.gate.confirm())
 
     def forget_after(self, time_s: float) -> None:
         """Forget moving transforms newer than a time: the clock has jumped back before them."""
@@ -152,6 +213,8 @@ class TransformBuffer:
             del edge.stamps_s[kept:], edge.rows[kept:]
             if not edge.stamps_s:
                 del self._edges[child]
+            else:
+                edge.gate.restart(edge.stamps_s[-1])
 
     def lookup(self, target: str, source: str, time_s: float) -> Pose2:
         """Return the pose of a frame in another at a time, in plan.

@@ -68,7 +68,8 @@ def test_a_time_outside_of_what_is_known_is_refused_and_says_whether_to_wait():
 def test_a_gap_between_two_stamps_is_refused():
     buffer = TransformBuffer()
     for time_s in (10.0, 12.0):
-        buffer.add(sent("odom", "base", Pose2(), time_s), is_static=False)
+        moved = sent("odom", "base", Pose2(), time_s)
+        buffer.add(moved, is_static=False, arrived_s=time_s)
     with pytest.raises(TransformError, match=r"no transform from 'base' to 'odom' within 0\.5 s"):
         buffer.lookup("odom", "base", 11.0)
 
@@ -80,14 +81,46 @@ def test_frames_that_nothing_connects_are_named():
         buffer.lookup("base", "laser", 0.0)
 
 
-def test_time_that_jumps_back_begins_anew():
+def test_time_that_jumps_back_begins_again_when_three_say_so():
     buffer = TransformBuffer()
     buffer.add(sent("odom", "base", Pose2(1.0, 0.0, 0.0), 100.0), is_static=False)
     assert not buffer.add(sent("odom", "base", Pose2(2.0, 0.0, 0.0), 99.5), is_static=False)
-    assert buffer.add(sent("odom", "base", Pose2(3.0, 0.0, 0.0), 5.0), is_static=False)
+    for index in range(3):
+        assert buffer.lookup("odom", "base", 100.0).x == pytest.approx(1.0)
+        assert buffer.heard_s("odom", "base") == pytest.approx(4.9 + 0.1 * index if index else 99.5)
+        moved = sent("odom", "base", Pose2(3.0 + index, 0.0, 0.0), 5.0 + 0.1 * index)
+        assert buffer.add(moved, is_static=False)
     assert near(buffer.lookup("odom", "base", 5.0), Pose2(3.0, 0.0, 0.0))
+    assert near(buffer.lookup("odom", "base", 5.2), Pose2(5.0, 0.0, 0.0))
     with pytest.raises(TransformError):
         buffer.lookup("odom", "base", 100.0)
+    assert buffer.strays == 0
+
+
+@pytest.mark.parametrize("offset_s", [-1.8, -95.0, 3600.0])
+def test_one_stray_stamp_takes_no_transform_away(offset_s: float):
+    buffer = TransformBuffer()
+    for index in range(20):
+        time_s = 100.0 + 0.1 * index
+        buffer.add(sent("odom", "base", Pose2(float(index), 0.0, 0.0), time_s), is_static=False)
+        if index == 10:
+            odd = sent("odom", "base", Pose2(500.0, 0.0, 0.0), time_s + offset_s)
+            assert buffer.add(odd, is_static=False)
+    for index in range(20):
+        assert buffer.lookup("odom", "base", 100.0 + 0.1 * index).x == pytest.approx(float(index))
+    assert buffer.strays == 1
+
+
+def test_what_is_held_back_is_let_in_when_time_is_known_to_be_there():
+    buffer = TransformBuffer()
+    for time_s in (100.0, 100.1, 5.0):
+        buffer.add(sent("odom", "base", Pose2(time_s, 0.0, 0.0), time_s), is_static=False)
+    buffer.settle(99.0)
+    assert buffer.lookup("odom", "base", 100.0).x == pytest.approx(100.0)
+    buffer.settle(5.1)
+    assert buffer.lookup("odom", "base", 5.0).x == pytest.approx(5.0)
+    assert buffer.heard_s("base", "odom") == 5.0
+    assert buffer.heard_s("map", "odom") is None
 
 
 def test_what_is_newer_than_a_clock_that_jumped_back_is_forgotten():

@@ -254,6 +254,11 @@ def test_too_many_scans_are_dropped_oldest_first_and_counted(
     assert observer.wait_status("gmapping: slam", "too slow for the scans: the oldest of 3")
 
 
+def moved_by(item: LogScan, offset_s: float) -> LogScan:
+    """A scan with another stamp."""
+    return replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s + offset_s))
+
+
 def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: Observer):
     maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
     poses = observer.collect(PoseStamped, "tinyslam/pose")
@@ -261,26 +266,90 @@ def test_time_that_jumps_back_begins_a_new_map(processes: Processes, observer: O
     processes.node("tinyslam", map_update_interval_s=0.2)
     robot.wait_for()
     robot.drive(scans(20), poses)
-    again = scans(COUNT)[15:]
-    late = [
-        replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s - 50.0)) for item in again
-    ]
-    robot.drive(late[:1], poses)
+    late = [moved_by(item, -50.0) for item in scans(COUNT)[15:]]
+    # The third confirms the first two, and none is lost.
+    for item in late[:2]:
+        robot.send(item)
+    robot.drive(late[2:3], poses)
     # At once: it is said for ten seconds, in which a busy machine may not come far.
     status = observer.wait_status("tinyslam: slam", "scans jumped back by 50.400 s", "new map")
     # On such a one scans may be missed by now.
     assert status.level in {DiagnosticStatus.WARN, DiagnosticStatus.STALE}
     assert values(status)["maps begun anew"] == "1"
-    robot.drive(late[1:], poses)
+    robot.drive(late[3:], poses)
     message = wait_for_last_map(observer, maps, late[-1].scan.stamp_s)
     assert_same_map(message, offline("tinyslam", as_sent(late)))
 
-    # A gap in time is no reason to begin anew, but worth a word.
-    last = late[-1]
-    later = replace(last, scan=replace(last.scan, stamp_s=last.scan.stamp_s + 20.0))
-    robot.drive([later], poses)
+    # A gap in time is no reason to begin a new map, but worth a word.
+    for offset_s in (20.0, 20.1):
+        robot.send(moved_by(late[-1], offset_s))
+    robot.drive([moved_by(late[-1], 20.2)], poses)
     status = observer.wait_status("tinyslam: slam", "scans jumped forward by 20.000 s")
     assert values(status)["maps begun anew"] == "1"
+
+
+def test_one_stray_stamp_takes_no_map_away(processes: Processes, observer: Observer):
+    maps = observer.collect(OccupancyGrid, "tinyslam/map", qos.MAP)
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam", map_update_interval_s=0.2)
+    robot.wait_for()
+    driven = scans(COUNT)
+    for index, item in enumerate(driven):
+        if index in (20, 25, 30):
+            offset_s = {20: -1.8, 25: 3600.0, 30: -90.0}[index]
+            message = messages.scan_to_message(moved_by(item, offset_s).scan, "base_link")
+            robot.scans.publish(message)
+        if index == 35:
+            # Odometry too.
+            robot.odometry.publish(
+                messages.odometry_to_message(Pose2(), "odom", "base_link", Time(sec=5000))
+            )
+        robot.drive([item], poses)
+    # The map is that of the others, cell by cell.
+    assert_same_map(wait_for_last_map(observer, maps), offline("tinyslam", as_sent(driven)))
+    status = observer.wait_status(
+        "tinyslam: slam",
+        "a scan is left out: its stamp 13.000 s is 89.900 s older than the last one's",
+        "(3 so far)",
+        "odometry (or another transform) is left out: its stamp is far",
+    )
+    found = values(status)
+    assert found["maps begun anew"] == "0"
+    assert found["left out: a stamp far from those before and after it"] == "3"
+    assert found["odometry with a stray stamp"] == "1"
+    assert found["scans fed"] == str(COUNT)
+    assert found["scans without odometry"] == "0"
+
+
+def test_scans_whose_time_jumps_without_their_odometry_are_left_out_and_named(
+    processes: Processes, observer: Observer
+):
+    poses = observer.collect(PoseStamped, "tinyslam/pose")
+    robot = Robot(observer)
+    processes.node("tinyslam")
+    robot.wait_for()
+    driven = scans(COUNT)
+    robot.drive(driven[:20], poses)
+
+    def named() -> Any:
+        # The clock of the laser is set back; the wheels go on in their time.
+        item = moved_by(next(rest), -50.0)
+        robot.scans.publish(messages.scan_to_message(item.scan, "base_link"))
+        stamp = messages.to_stamp(item.scan.stamp_s + 50.0)
+        robot.odometry.publish(
+            messages.odometry_to_message(item.odometry, "odom", "base_link", stamp)
+        )
+        observer.listen(0.1)
+        status = observer.statuses().get("tinyslam: slam")
+        return status if status and "the odometry did not" in status.message else None
+
+    rest = iter(scans(400)[20:])
+    status = observer.wait(named, what="the word of the odometry")
+    assert status.level == DiagnosticStatus.ERROR
+    assert "they are left out, and the map stays; check the clocks of both" in status.message
+    assert values(status)["maps begun anew"] == "0"
+    assert values(status)["scans fed"] == "20"
 
 
 def test_odometry_of_other_stamps_is_waited_for_and_interpolated(
