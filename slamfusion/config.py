@@ -50,6 +50,7 @@ __all__ = [
     "TrajectoryConfig",
     "VoteConfig",
     "WorldConfig",
+    "checked_value",
     "field_infos",
     "from_mapping",
     "load_config",
@@ -120,12 +121,28 @@ def field_infos(config_class: type[Any]) -> list[FieldInfo]:
     return infos
 
 
-def _check_value(owner: str, info: FieldInfo, value: Any) -> None:
+def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
+    """Return a value as a field's type, or say by a name of the caller's what is wrong with it.
+
+    Args:
+        info: the field.
+        value: as read from YAML or given by ROS.
+        where: what the messages call it, e.g. ``node graph: graph.matcher.beams``.
+
+    Raises:
+        ConfigError: a wrong type, not one of the choices, or out of range.
+    """
+    right = _coerce(value, info.type, where)
+    _check_value(where, info, right)
+    return right
+
+
+def _check_value(where: str, info: FieldInfo, value: Any) -> None:
     """Raise ConfigError when ``value`` is outside the field's declared choices or range."""
     if value is None:
         return
     if info.choices and value not in info.choices:
-        message = f"{owner}.{info.name} must be one of {', '.join(info.choices)}, found {value!r}"
+        message = f"{where} must be one of {', '.join(info.choices)}, found {value!r}"
         raise ConfigError(message)
     if info.low is None and info.high is None:
         return
@@ -133,7 +150,7 @@ def _check_value(owner: str, info: FieldInfo, value: Any) -> None:
     high = math.inf if info.high is None else info.high
     if not low <= value <= high:
         unit = f" {info.unit}" if info.unit else ""
-        message = f"{owner}.{info.name} must lie in [{low:g}, {high:g}]{unit}, found {value!r}"
+        message = f"{where} must lie in [{low:g}, {high:g}]{unit}, found {value!r}"
         raise ConfigError(message)
 
 
@@ -143,7 +160,7 @@ class _Checked:
     def __post_init__(self) -> None:
         """Refuse values outside the declared range, by name."""
         for info in field_infos(type(self)):
-            _check_value(type(self).__name__, info, getattr(self, info.name))
+            _check_value(f"{type(self).__name__}.{info.name}", info, getattr(self, info.name))
 
 
 @dataclass(frozen=True)

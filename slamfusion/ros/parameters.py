@@ -21,16 +21,43 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidParameterValueException, ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from slamfusion.config import FieldInfo, field_infos, from_mapping
+from slamfusion.config import FieldInfo, checked_value, field_infos
 from slamfusion.errors import ConfigError
 
-__all__ = ["declare", "declare_names", "parameter_names", "unknown_parameters"]
+__all__ = ["TypedNode", "declare", "declare_names", "parameter_names", "unknown_parameters"]
 
 T = TypeVar("T")
 
 INT64 = 2**63 - 1
+
+
+class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
+    """A node whose parameters keep their types when a change is refused.
+
+    Where the type may change rclpy takes over that of each value that is tried, refused or not, and
+    forgets a parameter that is unset.
+    """
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set all or none; the services of ROS tools come here too."""
+        for item in parameter_list:
+            if item.type_ == Parameter.Type.NOT_SET and self.has_parameter(item.name):
+                reason = f"{_where(self)}: {item.name}: wanted a value; it cannot be unset"
+                return SetParametersResult(successful=False, reason=reason)
+        result = super().set_parameters_atomically(parameter_list)
+        for item in parameter_list:
+            if self.has_parameter(item.name):
+                held = self.get_parameter(item.name)
+                self.describe_parameter(item.name).type = held.type_.value
+        return result
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """Set one after the other."""
+        return [self.set_parameters_atomically([item]) for item in parameter_list]
 
 
 @overload
@@ -89,23 +116,24 @@ def declare(
         raise ValueError(message)
     fields = _Fields(node, prefix, frozenset(changeable))
     fields.declare(default, "")
-    current = from_mapping(config_class, fields.tree(), _where(node))
+    current: T = _built(config_class, fields.tree(), prefix, _where(node))
 
     def check(changes: list[Any]) -> SetParametersResult:
         values = fields.changed(changes)
         if not values:
             return SetParametersResult(successful=True)
         try:
-            from_mapping(config_class, fields.tree(values), _where(node))
+            _built(config_class, fields.tree(values), prefix, _where(node))
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def take(changes: list[Any]) -> None:
         if fields.changed(changes) and on_change is not None:
-            on_change(from_mapping(config_class, fields.tree(), _where(node)))
+            on_change(_built(config_class, fields.tree(), prefix, _where(node)))
 
     if changeable:
+        node.add_pre_set_parameters_callback(fields.as_floats)
         node.add_on_set_parameters_callback(check)
         node.add_post_set_parameters_callback(take)
     return current
@@ -172,6 +200,8 @@ class _Fields:
         self._prefix = prefix
         self._changeable = changeable
         self._names: list[str] = []
+        # Full names of those that are floats.
+        self._floats: set[str] = set()
 
     def declare(self, default: Any, below: str) -> None:
         """Declare the leaf fields of a (nested) section, then its sections."""
@@ -181,9 +211,18 @@ class _Fields:
             full = _joined(self._prefix, name)
             try:
                 self._node.declare_parameter(full, getattr(default, info.name), descriptor)
+            except InvalidParameterValueException:
+                # ROS's range; ours say it with the unit.
+                given = getattr(self._node, "_parameter_overrides", {})[full].value
+                where = f"{_where(self._node)}: {full}"
+                checked_value(info, given, where)
+                message = f"{where}: {given!r} is out of range"
+                raise ConfigError(message) from None
             except (ParameterException, ValueError) as error:
                 message = f"{_where(self._node)}: {full}: {error}"
                 raise ConfigError(message) from None
+            if float in _kinds(info):
+                self._floats.add(full)
             self._names.append(name)
         for item in dataclasses.fields(default):
             value = getattr(default, item.name)
@@ -211,6 +250,15 @@ class _Fields:
         own = {_joined(self._prefix, name): name for name in self._names}
         return {own[item.name]: item.value for item in parameters if item.name in own}
 
+    def as_floats(self, parameters: list[Any]) -> list[Any]:
+        """Return parameters, a number without a point as a float where the field is one."""
+        return [
+            Parameter(item.name, value=float(item.value))
+            if item.name in self._floats and item.type_ == Parameter.Type.INTEGER
+            else item
+            for item in parameters
+        ]
+
     def _descriptor(self, info: FieldInfo, name: str) -> ParameterDescriptor:
         """Return what ROS tools show of a field."""
         unit = f" [{info.unit}]" if info.unit else ""
@@ -223,15 +271,15 @@ class _Fields:
             # the type is checked with the value.
             dynamic_typing=True,
         )
-        kinds = typing.get_args(info.type) if isinstance(info.type, types.UnionType) else ()
+        kinds = _kinds(info)
         has_range = info.low is not None or info.high is not None
         if not has_range:
             return descriptor
-        if int in (info.type, *kinds):
+        if int in kinds:
             low = -INT64 if info.low is None else int(info.low)
             high = INT64 if info.high is None else int(info.high)
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
-        elif float in (info.type, *kinds):
+        elif float in kinds:
             largest = sys.float_info.max
             descriptor.floating_point_range = [
                 FloatingPointRange(
@@ -241,6 +289,39 @@ class _Fields:
                 )
             ]
         return descriptor
+
+
+def _built(section: Any, values: Mapping[str, Any], prefix: str, where: str) -> Any:
+    """Return a configuration of a section's class; every name in a message is the whole one.
+
+    Args:
+        section: a configuration dataclass.
+        values: of all its fields, nested.
+        prefix: name of the section, e.g. ``graph.matcher``; empty at the top.
+        where: before every message.
+
+    Raises:
+        ConfigError: a value of the wrong type, out of its range, or refused beside the others.
+    """
+    hints = typing.get_type_hints(section)
+    arguments = {
+        info.name: checked_value(info, values[info.name], f"{where}: {_joined(prefix, info.name)}")
+        for info in field_infos(section)
+    }
+    for item in dataclasses.fields(section):
+        if item.name not in arguments:
+            name = _joined(prefix, item.name)
+            arguments[item.name] = _built(hints[item.name], values[item.name], name, where)
+    try:
+        return section(**arguments)
+    except ConfigError as error:
+        message = f"{where}: {prefix}: {error}" if prefix else f"{where}: {error}"
+        raise ConfigError(message) from None
+
+
+def _kinds(info: FieldInfo) -> tuple[Any, ...]:
+    """Return the types that a field may have."""
+    return typing.get_args(info.type) if isinstance(info.type, types.UnionType) else (info.type,)
 
 
 def _joined(prefix: str, name: str) -> str:
