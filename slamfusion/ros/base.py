@@ -21,13 +21,14 @@ from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import qos_policy_name_from_kind
 from rclpy.signals import SignalHandlerOptions
 
 from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
-from slamfusion.ros.parameters import unknown_parameters
+from slamfusion.ros.parameters import TypedNode, unknown_parameters
 
 __all__ = ["Level", "NodeBase", "Status", "Troubles", "run_node"]
 
@@ -163,7 +164,7 @@ class NodeBase:
     def __init__(
         self, name: str, *, context: Any = None, arguments: Sequence[str] | None = None
     ) -> None:
-        self.node = rclpy.create_node(name, context=context, cli_args=arguments)
+        self.node = TypedNode(name, context=context, cli_args=arguments)
         self.log = self.node.get_logger()
         self.troubles = Troubles(self.log)
         self.is_stopped = False
@@ -253,10 +254,25 @@ class NodeBase:
 
     def publish_diagnostics(self) -> None:
         """Publish one DiagnosticArray on ``/diagnostics``."""
+        self._name_namesakes()
         message = DiagnosticArray()
         message.header.stamp = self.node.get_clock().now().to_msg()
         message.status = [self._status(item) for item in self.statuses()]
         self._diagnostics.publish(message)
+
+    def _name_namesakes(self) -> None:
+        """Name other nodes that have this one's name and namespace."""
+        own = self.name, str(self.node.get_namespace())
+        count = self.node.get_node_names_and_namespaces().count(own)
+        if count > 1:
+            text = (
+                f"{count} nodes are called {self.node.get_fully_qualified_name()!r}: their topics, "
+                "parameters and diagnostics cannot be told apart; end one, or rename it with "
+                "-r __node:=NAME (one that was killed is known for half a minute)"
+            )
+            self.troubles.add("namesake", Level.WARN, text)
+        else:
+            self.troubles.clear("namesake")
 
     def _status(self, status: Status) -> DiagnosticStatus:
         return DiagnosticStatus(
@@ -314,17 +330,18 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         The exit code: 0, or what the node gave to ``stop``.
 
     Raises:
-        ConfigError: the arguments cannot be understood.
+        ConfigError: the arguments cannot be understood, or a name of a topic is none.
     """
     try:
         rclpy.init(args=list(arguments or []), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         # Without the places in rcl's sources.
         words = str(error).partition(", at /")[0].removeprefix("failed to initialize rcl: ")
+        words = words.replace(". Error: error not set", "; wanted FROM:=TO with two valid names")
         message = f"ROS arguments: {words}"
         raise ConfigError(message) from error
     try:
-        base = make()
+        base = _made(make)
         for sentence in unknown_parameters(base.node):
             base.log.warning(sentence)
         before = {
@@ -341,6 +358,23 @@ def run_node(make: Callable[[], NodeBase], arguments: Sequence[str] | None = Non
         return base.exit_code
     finally:
         rclpy.try_shutdown()
+
+
+def _made(make: Callable[[], NodeBase]) -> NodeBase:
+    """Make a node.
+
+    Raises:
+        ConfigError: a name of a topic, a service or the node is none; where it came from, a
+            parameter or a remapping, ROS does not say.
+    """
+    try:
+        return make()
+    except NameValidationException as error:
+        # "Invalid KIND: REASON:", the name in quotes, and a mark below the wrong place.
+        what, name, *_ = str(error).splitlines()
+        kind, _, reason = what.removeprefix("Invalid ").rstrip(":").partition(": ")
+        message = f"{name.strip()} is no {kind}: {reason}; mend it in the parameters or remappings"
+        raise ConfigError(message) from None
 
 
 def _spin(base: NodeBase) -> None:

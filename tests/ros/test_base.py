@@ -16,8 +16,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
+from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
-from slamfusion.ros.base import Level, NodeBase, Status, Troubles
+from slamfusion.ros.base import Level, NodeBase, Status, Troubles, run_node
 from slamfusion.ros.messages import to_stamp
 from tests.cli.command import run
 from tests.ros.live import Observer, values
@@ -166,6 +167,63 @@ def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer
     assert words == (
         "a writer on '/words' offers less than is asked for (reliability); nothing is heard from it"
     )
+
+
+def test_a_node_of_the_same_name_is_named_until_it_ends(spun: Spun, observer: Observer):
+    statuses = observer.statuses()
+    # The same name in another namespace is another node.
+    elsewhere = rclpy.create_node("drawn", namespace="/robot2", context=observer.node.context)
+    wait(observer, spun, lambda: "drawn: ear" in statuses, "the diagnostics")
+    assert statuses["drawn: ear"].message == "ok"
+    twin = rclpy.create_node("drawn", context=observer.node.context)
+    words = "2 nodes are called '/drawn': their topics, parameters and diagnostics cannot be told"
+    wait(observer, spun, lambda: words in statuses["drawn: ear"].message, "the word of the twin")
+    assert "rename it with -r __node:=NAME" in statuses["drawn: ear"].message
+    assert statuses["drawn: ear"].level == bytes([Level.WARN])
+    twin.destroy_node()
+    wait(observer, spun, lambda: statuses["drawn: ear"].message == "ok", "the end of the word")
+    elsewhere.destroy_node()
+
+
+class Misnamed(NodeBase):
+    """A node whose parameter is a topic."""
+
+    def __init__(self) -> None:
+        super().__init__("misnamed")
+        topic = self.node.declare_parameter("topic", "fine").value
+        self.subscribe(String, topic, print, qos.STREAM)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("-p", "topic:=a//b/map"),
+            "'/a//b/map' is no topic name: topic name must not contain repeated '/'; mend it",
+        ),
+        (("-p", "topic:='a b'"), "'a b' is no topic name: topic name must not contain characters"),
+        (("-p", "topic:='0bad'"), "'0bad' is no topic name: "),
+        (
+            ("-r", "fine:=0bad"),
+            "ROS arguments: Couldn't parse remap rule: '-r fine:=0bad'; wanted FROM:=TO with two ",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("domain")
+def test_a_bad_name_of_a_topic_is_one_line(words: tuple[str, ...], said: str):
+    with pytest.raises(ConfigError) as raised:
+        run_node(Misnamed, ["--ros-args", *words])
+    assert str(raised.value).startswith(said)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_bad_topic_ends_the_command_with_one_line():
+    done = run("node", "fusion", "--ros-args", "-p", "inputs:=[a//b/map]")
+    assert done.returncode == 1
+    lines = [line for line in done.stderr.splitlines() if "tf2_msgs" not in line]
+    assert lines[-1].startswith("slamfusion: error: '/a//b/map' is no topic name: ")
+    assert "Traceback" not in done.stderr + done.stdout
 
 
 def test_the_command_names_every_node_and_refuses_others():
