@@ -33,9 +33,9 @@ from slamfusion.ros.frames import (
     Mount,
     TransformError,
     TransformInput,
-    TransformOutput,
     TransformStore,
 )
+from slamfusion.ros.map_transform import MapTransform
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_gate import ODOMETRY_ALIVE_S, ArrivedScan, ScanGate
 from slamfusion.ros.worker import Worker
@@ -180,7 +180,6 @@ class ProducerNode(NodeBase):
         self._is_path_due = False
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
         self._memory_bytes = 0
-        self._output: TransformOutput | None = None
 
         name = self.name
         self._map_topic = self.publisher(OccupancyGrid, f"{name}/map", qos.MAP)
@@ -210,8 +209,7 @@ class ProducerNode(NodeBase):
         elif settings.odometry_source == "topic":
             self._odometry = TransformStore()
             self.subscribe(Odometry, ODOM_TOPIC, self._on_odometry, qos.SENSOR)
-        if settings.publish_tf:
-            self._output = TransformOutput(self.node)
+        self._transform = MapTransform(self, settings, self._map_frame)
         stores = {store for store in (self._transforms, self._odometry) if store is not None}
         frames = settings.odom_frame, settings.base_frame
         self._gate = ScanGate(self.troubles, settings.reset_back_s, self._odometry, frames, stores)
@@ -280,8 +278,7 @@ class ProducerNode(NodeBase):
         self.settings = settings
         self._worker.resize(settings.scan_queue)
         self._gate.set_back(settings.reset_back_s)
-        if settings.publish_tf and self._output is None:
-            self._output = TransformOutput(self.node)
+        self._transform.configure(settings)
 
     def on_time_jump(self, delta_s: float) -> None:
         """Forget the transforms of a future that has not come; scans decide about the map."""
@@ -361,7 +358,7 @@ class ProducerNode(NodeBase):
         self._counts.fed += 1
         self._unmapped += 1
         self._publish_pose(step.pose_map_base, item.message.header.stamp)
-        self._send_transform(step.pose_map_base, odometry, item.message.header.stamp)
+        self._transform.send(step.pose_map_base, odometry, item.message.header.stamp)
         self._latencies_s.append(time.monotonic() - item.arrived_s)
 
     def _fed(self, scan: Scan, odometry: Pose2 | None) -> Step | None:
@@ -447,19 +444,6 @@ class ProducerNode(NodeBase):
 
     def _publish_pose(self, pose: Pose2, stamp: Any) -> None:
         self._pose_topic.publish(messages.pose_to_message(pose, self._map_frame, stamp))
-
-    def _send_transform(self, pose: Pose2, odometry: Pose2 | None, stamp: Any) -> None:
-        """Send where the odometry frame lies in the map, where that is asked for."""
-        output, settings = self._output, self.settings
-        if output is None or not settings.publish_tf:
-            return
-        if self._odometry is None:
-            child = settings.base_frame
-        elif odometry is None:
-            return
-        else:
-            child, pose = settings.odom_frame, pose.compose(odometry.inverse())
-        output.send([messages.transform_to_message(pose, self._map_frame, child, stamp)])
 
     def _take_map(self) -> None:
         """Read the map and the path from the SLAM and hand them on."""
@@ -574,7 +558,7 @@ class ProducerNode(NodeBase):
         return [Status("slam", level, message, values)]
 
     def _name_silence(self) -> None:
-        """Name scans that do not come, a scan that takes too long, and rivals on the transform."""
+        """Name scans that do not come, a scan that takes too long, and what is wrong with /tf."""
         now_s = time.monotonic()
         silent_s = now_s - self._last_scan_s
         if silent_s > self.settings.scans_stale_s:
@@ -591,16 +575,7 @@ class ProducerNode(NodeBase):
             self.troubles.add("busy", Level.ERROR, "a scan has been worked on for over 5 s")
         else:
             self.troubles.clear("busy")
-        rivals = {} if self._output is None else self._output.rivals()
-        if rivals:
-            child, parent = next(iter(rivals.items()))
-            text = (
-                f"another node sends the transform to {child!r} too (from {parent!r}): set "
-                "publish_tf to false in all but one"
-            )
-            self.troubles.add("rival", Level.ERROR, text)
-        else:
-            self.troubles.clear("rival")
+        self._transform.name(are_scans_coming=silent_s <= self.settings.scans_stale_s)
 
     def close(self) -> None:
         """End the threads; the scan that is being fed is fed to its end."""

@@ -440,6 +440,28 @@ def test_scans_before_any_odometry_are_left_out_and_named(processes: Processes, 
     )
 
 
+def test_a_transform_that_cannot_be_sent_is_named(processes: Processes, observer: Observer):
+    robot = Robot(observer, odometry=False)
+    # Nobody sends odometry as transforms; the robot without any tells its place all the same.
+    processes.node("tinyslam", odometry_source="tf", publish_tf=True, odometry_wait_s=0.0)
+    processes.node("graph", odometry_source="none", publish_tf=True)
+    robot.wait_for(listeners=2)
+    coming = iter(scans(400))
+
+    def named() -> Any:
+        robot.send(next(coming))
+        observer.listen(0.1)
+        status = observer.statuses().get("tinyslam: slam")
+        return status if status and "publish_tf is on and" in status.message else None
+
+    status = observer.wait(named, what="the word of the transform")
+    assert status.level == DiagnosticStatus.ERROR
+    wanted = "publish_tf is on and 'tinyslam_map' -> 'odom' cannot be sent: it needs transforms"
+    assert wanted in status.message
+    assert "check base_frame and odom_frame" in status.message
+    assert "publish_tf" not in observer.statuses()["graph: slam"].message
+
+
 def test_a_laser_without_a_transform_is_named(processes: Processes, observer: Observer):
     robot = Robot(observer, odometry=False)
     processes.node("tinyslam", odometry_source="none", odometry_wait_s=0.1)
