@@ -1,6 +1,9 @@
 """Start everything: three producers, the fusion, and if asked for the player and RViz.
 
 ros2 launch slamfusion slamfusion.launch.py [log:=FILE] [use_sim_time:=true] [rviz:=true]
+
+A log is played when all three producers hear it. For one of several robots: namespace:=robot1
+frame_prefix:=robot1/ tf:=tf tf_static:=tf_static
 """
 
 from launch import LaunchDescription
@@ -21,6 +24,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+PRODUCERS = "tinyslam,gmapping,graph"
+
 
 def _file(name: str) -> PythonLaunchDescriptionSource:
     """Return one of the launch files beside this one."""
@@ -34,7 +39,13 @@ def generate_launch_description() -> LaunchDescription:
     share = FindPackageShare("slamfusion")
     default_params = PathJoinSubstitution([share, "config", "slamfusion.yaml"])
     rviz_config = PathJoinSubstitution([share, "config", "slamfusion.rviz"])
-    common = {name: LaunchConfiguration(name) for name in ("namespace", "params_file")}
+    common = {
+        name: LaunchConfiguration(name)
+        for name in (
+            *("namespace", "params_file", "tf", "tf_static"),
+            *("frame_prefix", "base_frame", "odom_frame"),
+        )
+    }
     timed = {**common, "use_sim_time": LaunchConfiguration("use_sim_time")}
     topics = {name: LaunchConfiguration(name) for name in ("scan", "odom")}
     use_sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
@@ -52,6 +63,19 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("scan", default_value="scan", description="topic of the scans"),
             DeclareLaunchArgument("odom", default_value="odom", description="topic of odometry"),
+            DeclareLaunchArgument("tf", default_value="/tf", description="topic of transforms"),
+            DeclareLaunchArgument(
+                "tf_static", default_value="/tf_static", description="topic of static transforms"
+            ),
+            DeclareLaunchArgument(
+                "frame_prefix", default_value="", description="before the name of every frame"
+            ),
+            DeclareLaunchArgument(
+                "base_frame", default_value="", description="the robot; default: of params_file"
+            ),
+            DeclareLaunchArgument(
+                "odom_frame", default_value="", description="odometry; default: of params_file"
+            ),
             DeclareLaunchArgument("log", default_value="", description="play this log or bag"),
             DeclareLaunchArgument(
                 "rate", default_value="1.0", description="of the log: times as fast as recorded"
@@ -85,8 +109,10 @@ def generate_launch_description() -> LaunchDescription:
                 _file("player.launch.py"),
                 launch_arguments={
                     **common,
+                    **topics,
                     "log": LaunchConfiguration("log"),
                     "rate": LaunchConfiguration("rate"),
+                    "wait_for": PRODUCERS,
                 }.items(),
                 condition=has_log,
             ),
@@ -96,6 +122,10 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=LaunchConfiguration("namespace"),
                 arguments=["-d", rviz_config],
                 parameters=[{"use_sim_time": use_sim_time}],
+                remappings=[
+                    ("/tf", LaunchConfiguration("tf")),
+                    ("/tf_static", LaunchConfiguration("tf_static")),
+                ],
                 condition=IfCondition(LaunchConfiguration("rviz")),
             ),
         ]

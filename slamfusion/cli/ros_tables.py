@@ -232,7 +232,7 @@ NAME_LISTS = {
         NameList(
             "wait_for",
             (),
-            "producers that must listen before the first scan, and answer in lockstep",
+            "producers that must answer the first scan, and in lockstep every one",
         ),
         NameList(
             "maps",

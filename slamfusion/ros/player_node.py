@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import threading
 import time
 import traceback
@@ -42,6 +43,8 @@ AGAIN_AT_JUMP_S = 0.1
 # Writers are known a moment before their readers hear them.
 SETTLE_S = 0.3
 ACKNOWLEDGE_S = 5.0
+# Maps that are saved when the player is stopped may take this long.
+SAVE_AT_END_S = 8.0
 STAMP_TOLERANCE_S = 1e-6
 # A pause in a log that is longer is not waited for.
 LONGEST_PAUSE_S = 3600.0
@@ -55,9 +58,10 @@ def make_node(_: str, **options: Any) -> NodeBase:
 class PlayerNode(NodeBase):
     """Plays a log: ``scan``, ``odom``, transforms and ``/clock``, all with the log's stamps.
 
-    With ``lockstep`` the next scan is sent when every producer of ``wait_for`` has told its pose
-    at the last one on ``NAME/pose``; a scan that is not answered is sent again each second. The
-    node ends by itself after the last scan; with ``save`` it writes the newest maps first.
+    The first scan is sent again each second until every producer of ``wait_for`` has told its pose
+    at it on ``NAME/pose``: a reader that is known may not hear yet. With ``lockstep`` so is every
+    scan. The node ends after the last scan; with ``save`` it writes the newest maps first, and also
+    when it is stopped before.
 
     Args:
         context: rclpy's; default: the one of ``rclpy.init``.
@@ -66,7 +70,7 @@ class PlayerNode(NodeBase):
     Raises:
         ConfigError: a parameter is refused, or no file is named.
         LogError: the log cannot be read.
-        OSError: the same, by the system.
+        OSError: the same, by the system; or the folder of ``save`` cannot be written to.
     """
 
     def __init__(self, *, context: Any = None, arguments: Any = None) -> None:
@@ -78,7 +82,7 @@ class PlayerNode(NodeBase):
             node,
             "wait_for",
             (),
-            "producers that must listen before the first scan, and answer in lockstep",
+            "producers that must answer the first scan, and in lockstep every one",
         )
         topics = [f"{name}/map" for name in self.wait_for]
         text = "map topics that are written to the folder `save` at the end of the log"
@@ -89,6 +93,8 @@ class PlayerNode(NodeBase):
         if self.settings.lockstep and not self.wait_for:
             message = "player: lockstep needs to know whom to wait for: -p wait_for:=[tinyslam]"
             raise ConfigError(message)
+        if self.settings.save is not None:
+            _check_writable(Path(self.settings.save))
         self._log: ScanLog = open_log(self.settings.file, reading)
         self._scans = self.publisher(LaserScan, SCAN_TOPIC, qos.STREAM)
         self._odometry = self.publisher(Odometry, ODOM_TOPIC, qos.STREAM)
@@ -138,10 +144,10 @@ class PlayerNode(NodeBase):
             begun_s = time.monotonic()
             self._wait_for_listeners()
             self._play()
-            self._wait_for_delivery()
             if not self._is_closed:
+                self._wait_for_delivery()
                 self.log.info(self._words_at_end(time.monotonic() - begun_s))
-                self._save_maps()
+            self._save_maps()
             code = 0
         except (SlamFusionError, OSError) as error:
             self.log.error(f"player: {error}")
@@ -201,6 +207,8 @@ class PlayerNode(NodeBase):
                 self._send(item)
                 if self.settings.lockstep:
                     self._wait_for_answers(item, before_s)
+                elif before_s is None and self.wait_for:
+                    self._wait_for_first_answers(item)
             if self._sent == sent and not self._is_closed:
                 skipped = "; ".join(self._log.skips.sentences())
                 message = (
@@ -265,6 +273,14 @@ class PlayerNode(NodeBase):
         if self.settings.publish_clock:
             self._clock.publish(Clock(clock=messages.to_stamp(max(stamp_s, 0.0))))
 
+    def _wait_for_first_answers(self, item: LogScan) -> None:
+        """Wait until every producer has told its pose at the first scan; name one that has not."""
+        try:
+            self._wait_for_answers(item, None)
+        except SlamFusionError as error:
+            self.troubles.add("first", Level.WARN, f"playing all the same: {error}")
+        self._due_s = time.monotonic()
+
     def _wait_for_answers(self, item: LogScan, before_s: float | None) -> None:
         """Wait until every producer has told its pose at a scan.
 
@@ -318,11 +334,14 @@ class PlayerNode(NodeBase):
     def _save_maps(self) -> None:
         """Write the newest map of every topic, as soon as they hold the last scan.
 
+        When the player is stopped before, those that have come.
+
         Raises:
             SlamFusionError: no map came, or one is none or cannot be written.
         """
         if self.settings.save is None:
             return
+        is_early = self._is_closed
         last_s = (self._stamp_s or 0.0) - STAMP_TOLERANCE_S
 
         def late() -> list[str]:
@@ -338,10 +357,14 @@ class PlayerNode(NodeBase):
                 lambda: self._is_closed or not late(), self.settings.save_timeout_s
             )
             maps, missing = dict(self._maps), late()
+        if is_early:
+            ends = "the maps that have come are saved" if maps else "no map has come to be saved"
+            self.log.warning(f"stopped after {self._sent} scans of {self._log.path}; {ends}")
+            missing = []
         for topic in missing:
             what = "it is older than the last scan" if topic in maps else "no map came"
             self.log.warning(f"the map on {self.node.resolve_topic_name(topic)!r}: {what}")
-        if not maps:
+        if not maps and not is_early:
             message = f"no map came on {', '.join(self._map_topics) or '(no topic)'}"
             raise SlamFusionError(message)
         folder = Path(self.settings.save)
@@ -379,4 +402,15 @@ class PlayerNode(NodeBase):
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
-        self._thread.join(ACKNOWLEDGE_S)
+        self._thread.join(SAVE_AT_END_S)
+
+
+def _check_writable(folder: Path) -> None:
+    """Make a folder, and refuse one in which no file can be made: before the log plays, not after.
+
+    Raises:
+        OSError: the folder cannot be made, or written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        pass

@@ -1,6 +1,6 @@
-"""The launch files, without ROS: every name in them is one that the code has.
+"""The launch files: every name in them is one that the code has, and what they start fits together.
 
-``launch`` is not on the package index, so the files are read, not run.
+``launch`` is not on the package index, so they are read: by ``launch_reader``.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import pytest
 
 from slamfusion.cli import executables
 from slamfusion.cli.node import NODES
-from slamfusion.cli.ros_tables import NAME_LISTS, TOPICS, node_parameters
+from slamfusion.cli.ros_tables import NAME_LISTS, PRODUCERS, TOPICS, node_parameters
 from tests.cli.command import ROOT
+from tests.launch.launch_reader import declared, started
 
 FILES = sorted((ROOT / "launch_scripts").glob("*.launch.py"))
 SINGLE = [path for path in FILES if path.name != "slamfusion.launch.py"]
@@ -31,21 +32,6 @@ def calls(path: Path, name: str) -> Iterator[ast.Call]:
 def keyword(call: ast.Call, name: str) -> Any:
     """The node of a keyword argument, None where it is not given."""
     return next((item.value for item in call.keywords if item.arg == name), None)
-
-
-def text(call: ast.Call, name: str) -> str:
-    """A keyword argument that is a text."""
-    return str(ast.literal_eval(keyword(call, name)))
-
-
-def own_node(path: Path) -> ast.Call:
-    """The one node of ours that a file starts itself."""
-    (node,) = [call for call in calls(path, "Node") if text(call, "package") == "slamfusion"]
-    return node
-
-
-def declared(path: Path) -> set[str]:
-    return {ast.literal_eval(call.args[0]) for call in calls(path, "DeclareLaunchArgument")}
 
 
 def strings(item: ast.AST) -> set[str]:
@@ -74,55 +60,71 @@ def test_a_file_compiles_and_uses_only_what_it_declares(path: Path):
 @pytest.mark.parametrize("path", SINGLE, ids=lambda path: path.name)
 def test_a_node_is_started_by_names_that_exist(path: Path):
     name = path.name.removesuffix(".launch.py")
-    node = own_node(path)
-    assert text(node, "name") == name
-    assert text(node, "executable") == f"{name}_node"
+    needed = {"log": "a.log", "wait_for": "tinyslam"} if name == "player" else {}
+    frames = {"frame_prefix": "robot1/", "odom_frame": "wheels"}
+    (node,) = started(path.name, **needed, **frames).values()
+    assert (node.package, node.executable, node.name) == ("slamfusion", f"{name}_node", name)
     assert hasattr(executables, f"{name}_node")
-    parameters = {option.key for option in node_parameters(name)} | {"use_sim_time"}
-    parameters |= {item.name for item in NAME_LISTS.get(name, ())}
-    given = [item for item in keyword(node, "parameters").elts if isinstance(item, ast.Dict)]
-    assert given
-    for item in given:
-        assert {ast.literal_eval(key) for key in item.keys if key is not None} <= parameters
-    group = "producers" if name in {"tinyslam", "gmapping", "graph"} else name
-    read = {topic.name for topic in TOPICS if group in topic.readers}
-    remappings = keyword(node, "remappings")
-    for pair in [] if remappings is None else remappings.elts:
-        assert ast.literal_eval(pair.elts[0]) in read
+    known = {option.key for option in node_parameters(name)} | {"use_sim_time"}
+    known |= {item.name for item in NAME_LISTS.get(name, ())}
+    file, *settings = node.parameters
+    assert Path(str(file)).resolve() == ROOT / "launch_scripts" / "slamfusion.yaml"
+    given: dict[str, Any] = {}
+    for item in settings:
+        assert isinstance(item, dict)
+        given |= item
+    assert given.keys() <= known
+    group = "producers" if name in PRODUCERS else name
+    own = {topic.name for topic in TOPICS if group in (*topic.readers, *topic.writers)}
+    assert {"/tf", "/tf_static", "odom"} <= node.remappings.keys() <= own
+    # Frames: every one has the prefix, but for one that is named itself.
+    assert given["odom_frame"] == "wheels"
+    wanted = {"base_frame": "robot1/base_link"}
+    wanted |= {"map_frame": f"robot1/{name}_map"} if name in PRODUCERS else {}
+    wanted |= {"fused_frame": "robot1/fused_map"} if name == "fusion" else {}
+    wanted |= {"laser_frame": "robot1/laser"} if name == "player" else {}
+    assert wanted.items() <= given.items()
+    # What is not said stays as the file has it.
+    (plain,) = started(path.name, **needed).values()
+    said = {key for item in plain.parameters if isinstance(item, dict) for key in item}
+    assert not said & {"base_frame", "odom_frame", *wanted}
     # A player that ends has played its log; every other node is to come back.
-    assert (keyword(node, "respawn") is not None) == (name != "player")
+    (call,) = calls(path, "Node")
+    assert (keyword(call, "respawn") is not None) == (name != "player")
 
 
-def test_the_whole_system_includes_every_file_with_arguments_that_it_has():
+def test_the_whole_system_starts_every_node_and_a_player_that_waits_for_all():
+    assert set(started("slamfusion.launch.py")) == {*PRODUCERS, "fusion"}
+    every = {"scan": "front/scan", "odom": "wheels", "namespace": "robot1", "base_frame": "foot"}
+    nodes = started("slamfusion.launch.py", log="a.log", rviz="true", rate="2", **every)
+    assert set(nodes) == {*NODES, "rviz2"}
+    player = [item for item in nodes["player"].parameters if isinstance(item, dict)]
+    given = {key: value for item in player for key, value in item.items()}
+    assert given["wait_for"].split(",") == list(PRODUCERS)
+    assert given["start_timeout_s"] >= 60.0
+    assert (given["file"], given["rate"]) == ("a.log", 2.0)
+    for name in NODES:
+        node = nodes[name]
+        assert node.namespace == "robot1"
+        assert node.remappings["odom"] == "wheels"
+        assert node.remappings.get("scan", "front/scan") == "front/scan"
+        assert {"base_frame": "foot"} in [
+            {key: value for key, value in item.items() if key == "base_frame"}
+            for item in node.parameters
+            if isinstance(item, dict)
+        ]
+    robot = started(
+        "slamfusion.launch.py", log="a.log", rviz="true", tf="tf", tf_static="tf_static"
+    )
+    for node in robot.values():
+        assert (node.remappings["/tf"], node.remappings["/tf_static"]) == ("tf", "tf_static")
+
+
+def test_every_argument_of_a_file_reaches_it_through_the_whole_system():
     path = ROOT / "launch_scripts" / "slamfusion.launch.py"
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    dicts = {
-        item.targets[0].id: item.value
-        for item in ast.walk(tree)
-        if isinstance(item, ast.Assign)
-        and isinstance(item.targets[0], ast.Name)
-        and isinstance(item.value, (ast.Dict, ast.DictComp))
-    }
-
-    def keys(item: ast.AST) -> set[str]:
-        """The keys of a dictionary, with those of the ones that are unpacked in it."""
-        if isinstance(item, ast.Name):
-            return keys(dicts[item.id])
-        if isinstance(item, ast.DictComp):
-            return set(ast.literal_eval(item.generators[0].iter))
-        assert isinstance(item, ast.Dict)
-        found: set[str] = set()
-        for key, value in zip(item.keys, item.values, strict=True):
-            found |= keys(value) if key is None else {ast.literal_eval(key)}
-        return found
-
-    included = {}
-    for call in calls(path, "IncludeLaunchDescription"):
-        (file,) = strings(call.args[0])
-        included[file] = keys(keyword(call, "launch_arguments").func.value)
-    assert set(included) == {item.name for item in SINGLE}
-    for file, given in included.items():
-        assert given == declared(path.parent / file), file
+    own = declared(path)
+    for item in SINGLE:
+        assert declared(item) - {"wait_for"} <= own, item.name
 
 
 def test_colcon_installs_every_file_and_the_files_beside_them():

@@ -125,6 +125,21 @@ def test_in_lockstep_a_scan_waits_for_every_answer(
     assert stamps_s == pytest.approx([FIRST_S + 0.1 * index for index in range(COUNT)])
 
 
+def test_the_first_scan_is_sent_again_until_every_producer_hears(
+    processes: Processes, observer: Observer, tmp_path: Path
+):
+    log = write_log(tmp_path, COUNT)
+    heard = observer.collect(LaserScan, "scan")
+    answer = observer.publisher(PoseStamped, "one/pose")
+    player = processes.node("player", file=str(log), rate=20.0, wait_for=["one"])
+    observer.wait(lambda: len(heard) >= 2, what="the first scan twice")
+    assert {messages.stamp_s(item) for item in heard} == {FIRST_S}
+    answer.publish(messages.pose_to_message(Pose2(), "map", messages.to_stamp(FIRST_S)))
+    # The others are not answered, and do not wait for it.
+    assert player.wait(30.0) == 0
+    observer.wait(lambda: len({*map(messages.stamp_s, heard)}) == COUNT, what="every scan")
+
+
 def test_a_scan_that_is_not_answered_is_sent_again_and_then_named(
     processes: Processes, observer: Observer, tmp_path: Path
 ):
@@ -166,6 +181,7 @@ def test_without_listeners_it_plays_all_the_same_and_says_so(processes: Processe
         ({"file": "absent.log"}, "absent.log: No such file or directory"),
         ({"file": "absent.log", "lockstep": True}, "lockstep needs to know whom to wait for"),
         ({"file": "absent.log", "rate": 0.0}, "rate"),
+        ({"file": "absent.log", "save": "/proc/none/here"}, "/proc/none"),
         ({"file": "absent.log", "wait_for": 5}, "wait_for: wanted a list of names, found 5"),
     ],
 )
