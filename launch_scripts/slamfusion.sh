@@ -6,7 +6,8 @@
 #               [-- ROS ARGUMENTS FOR EVERY NODE]
 #
 #   LOG               play a log or bag (also: --log LOG); at its end everything ends, and DIR has
-#                     the fused map, those of the producers and a report
+#                     the fused map, those of the producers and a report; after Ctrl-C before its
+#                     end the maps so far
 #   -o DIR            default: out/live
 #   --rate X          play X times as fast as recorded
 #   --lockstep        play as fast as every producer can follow
@@ -17,6 +18,15 @@
 # done so three times and never ran for longer cannot start at all, and everything ends.
 # SLAMFUSION names the installed command to use; default: that of .venv, which is made.
 set -euo pipefail
+# What a parent ignores (SIGINT: any script, of what it starts in the background) bash can never trap:
+# Ctrl-C would end the nodes, and this script would start them again.
+if [ -r /proc/$$/status ] && [ -z "${SLAMFUSION_HEARS_SIGINT:-}" ]; then
+    ignored="$(sed -n 's/^SigIgn:[^0-9a-f]*//p' /proc/$$/status)"
+    if ((0x${ignored:-0} & 2)) && env --default-signal=INT true 2>/dev/null; then
+        SLAMFUSION_HEARS_SIGINT=1 exec env --default-signal=INT bash "${BASH_SOURCE[0]}" "$@"
+    fi
+fi
+unset SLAMFUSION_HEARS_SIGINT
 # Ten processes with the Fast DDS profile for large maps.
 LEAST_SHM_KB=327680
 # shellcheck source=launch_scripts/setup.sh
@@ -49,6 +59,17 @@ while [ $# -gt 0 ]; do
 done
 [ -z "$log" ] || [ -e "$log" ] || die "$log: no such log"
 [ -z "$params" ] || [ -f "$params" ] || die "$params: no such file"
+changed_ns() { stat -c %.9Y "$1" | tr -d .; }
+began=0
+if [ -n "$log" ]; then
+    # Before the log plays, not after it. What is older was not made by this run.
+    mkdir -p "$out" 2>/dev/null || die "$out: cannot be made; name another folder with -o"
+    probe="$(mktemp "$out/.probe.XXXXXX" 2>/dev/null)" ||
+        die "$out: cannot be written to; name another folder with -o"
+    began="$(changed_ns "$probe")"
+    rm "$probe"
+fi
+is_new() { [ -f "$1" ] && [ "$(changed_ns "$1")" -ge "$began" ]; }
 
 slamfusion="${SLAMFUSION:-}"
 if [ -z "$slamfusion" ]; then
@@ -127,7 +148,16 @@ stop_all() {
     pid=()
 }
 
-trap 'say "stopping every node"; stop_all; exit 0' INT TERM HUP
+stop_early() {
+    say "stopping every node"
+    stop_all
+    # The player has saved what there was.
+    if [ -n "$log" ] && is_new "$out/fused.yaml"; then
+        say "stopped before the end of the log; the fused map so far: $out/fused.yaml"
+    fi
+    exit 0
+}
+trap stop_early INT TERM HUP
 trap 'stop_all' EXIT
 
 for name in $producers fusion; do
@@ -179,11 +209,11 @@ done
 
 stop_all
 trap 'say "stopping"; stop_all; exit 0' INT TERM HUP
-[ -f "$out/fused.yaml" ] || die "nothing was fused; see what the nodes said above"
+is_new "$out/fused.yaml" || die "nothing was fused; see what the nodes said above"
 say "the fused map: $out/fused.yaml"
 saved=()
 for name in $producers; do
-    [ ! -f "$out/$name.yaml" ] || saved+=("$out/$name.yaml")
+    ! is_new "$out/$name.yaml" || saved+=("$out/$name.yaml")
 done
 report() {
     "$slamfusion" "$@" --report "$out/report" &

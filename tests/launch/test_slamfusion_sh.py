@@ -11,7 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
+from nav_msgs.msg import OccupancyGrid
+
 from slamfusion.io import load_map
+from slamfusion.ros import qos
 from tests.cli.command import ROOT
 from tests.ros.drives import write_log
 from tests.ros.live import INSTALLED, Observer, Process, Processes
@@ -70,6 +73,48 @@ def test_ctrl_c_at_a_terminal_reaches_the_whole_group_and_leaves_nothing(
     assert script.wait(20.0) == 0
     assert nodes_in(domain) == {}
     assert "gmapping" not in script.text()
+
+
+def test_ctrl_c_in_mid_log_saves_what_there_is(
+    domain: int, processes: Processes, observer: Observer, tmp_path: Path
+):
+    log, out = write_log(tmp_path, 400), tmp_path / "live"
+    out.mkdir()
+    (out / "graph.yaml").write_text("of an earlier run")
+    fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    # As a script that runs in the background of another one: it ignores SIGINT, which bash alone
+    # cannot undo.
+    before = ("env", "--ignore-signal=INT", "setsid", "--wait")
+    words = (str(log), "-o", str(out), "--producers", "tinyslam,graph")
+    script = start(processes, *words, before=before)
+    observer.wait(lambda: len(fused) >= 3, 60.0, "some fused maps")
+    (leader,) = {os.getpgid(pid) for pid in nodes_in(domain)}
+    os.killpg(leader, signal.SIGINT)
+    assert script.wait(20.0) == 0
+    assert nodes_in(domain) == {}
+    text = script.text()
+    assert "stopping every node" in text
+    assert "scans of" in text
+    assert "the maps that have come are saved" in text
+    assert f"stopped before the end of the log; the fused map so far: {out}/fused.yaml" in text
+    assert "started again" not in text
+    for name in ("tinyslam", "graph", "fused"):
+        assert (load_map(out / f"{name}.yaml").cells == 100).sum() > 100, name
+    assert not list(out.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("folder", "said"), [("file/live", "cannot be made"), ("/proc", "cannot be written to")]
+)
+def test_a_folder_that_cannot_be_written_to_is_found_before_the_log_plays(
+    folder: str, said: str, domain: int, processes: Processes, tmp_path: Path
+):
+    (tmp_path / "file").write_text("")
+    out = tmp_path / folder
+    script = start(processes, str(write_log(tmp_path, 4)), "-o", str(out))
+    assert script.wait(30.0) == 1
+    assert script.text() == f"error: {out}: {said}; name another folder with -o\n"
+    assert nodes_in(domain) == {}
 
 
 def test_a_node_that_dies_again_and_again_is_started_later_each_time(
