@@ -165,8 +165,9 @@ class BagLog:
                 pose = None if self._odometry is None else self._odometry.at(stamp_s)
                 if isinstance(pose, str):
                     self.skips.add(pose, number)
-                elif continuity.accepts(stamp_s, pose, number):
-                    yield LogScan(scan, pose, number)
+                else:
+                    yield from continuity.passed(LogScan(scan, pose, number))
+            yield from continuity.rest()
         self.fraction_read = 1.0
 
     # --- opening ---------------------------------------------------------------------------------

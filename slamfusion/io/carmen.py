@@ -26,9 +26,10 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import IDENTITY
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.lines import TextLines, gzip_bytes
-from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
+from slamfusion.io.log import AHEAD_S, FARTHEST_M, Continuity, LogScan, Skips
 from slamfusion.io.no_return import NoReturn, NoReturnFinder
 from slamfusion.io.scan_odometry import ScanOdometry
+from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
 
 __all__ = ["CARMEN_WORDS", "CarmenLog", "write_carmen"]
@@ -175,8 +176,8 @@ class CarmenLog:
             except ScanError:
                 self.skips.add(NO_SCAN, line)
                 continue
-            if continuity.accepts(scan.stamp_s, odometry, line):
-                yield LogScan(scan, odometry, line)
+            yield from continuity.passed(LogScan(scan, odometry, line))
+        yield from continuity.rest()
         self.fraction_read = 1.0
 
     def _scan(self, message: _Message, stamp_s: float) -> LaserScan:
@@ -380,7 +381,7 @@ class _Stamps:
     lost: int = 0
     absent: int = 0
     are_zero: bool = True
-    latest_s: float = -math.inf
+    _gate: StampGate[float] = field(default_factory=lambda: StampGate(math.inf, ahead_s=AHEAD_S))
 
     def add(self, stamp_s: float | None) -> None:
         self.scans += 1
@@ -388,8 +389,11 @@ class _Stamps:
             self.absent += 1
             return
         self.are_zero &= stamp_s == 0.0
-        self.lost += stamp_s <= self.latest_s
-        self.latest_s = max(self.latest_s, stamp_s)
+        newest_s = self._gate.newest_s
+        if newest_s is not None and stamp_s <= newest_s:
+            self.lost += 1
+        else:
+            self.lost += len(self._gate.offer(stamp_s, stamp_s).strays)
 
     def trouble(self) -> str:
         """Return why the stamps cannot be used; empty when they can."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from slamfusion.geometry import Pose2
+from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
 
 __all__ = ["FARTHEST_M", "Continuity", "LogScan", "ScanLog", "Skips"]
@@ -20,6 +21,11 @@ LINES_KEPT = 5
 # Between two neighbouring scans, more than this is worth a word to the user.
 GAP_S = 3600.0
 JUMP_M = 50.0
+# A scan further ahead, seconds, waits for two more to bear its time out. Lines of a log may be out
+# of order by less.
+AHEAD_S = 10.0
+
+STRAY = "a time stamp far ahead of those before and after it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +82,9 @@ class Skips:
 class Continuity:
     """Lets scans through whose time is later than the last one's; counts the others.
 
-    A scan after a gap of an hour, or whose odometry has jumped by 50 m, is let through: the log
-    may be right. It is counted as a warning.
+    A scan after a pause of 10 s waits until two more bear its time out (see ``StampGate``): one
+    stray stamp far ahead would keep all others out. After a gap of an hour, or an odometry that has
+    jumped by 50 m, scans are let through: the log may be right. It is counted as a warning.
 
     Args:
         skips: where refused scans are counted.
@@ -87,25 +94,47 @@ class Continuity:
     def __init__(self, skips: Skips, warnings: Skips) -> None:
         self._skips = skips
         self._warnings = warnings
+        # Scans that are older never come to it.
+        self._gate: StampGate[LogScan] = StampGate(math.inf, ahead_s=AHEAD_S)
         self._stamp_s: float | None = None
         self._odometry: Pose2 | None = None
 
-    def accepts(self, stamp_s: float, odometry: Pose2 | None, line: int) -> bool:
-        """Return whether the scan may be used, and count what is wrong or odd about it."""
-        if self._stamp_s is not None:
-            if stamp_s <= self._stamp_s:
-                equal = stamp_s == self._stamp_s
-                self._skips.add("two scans of one stamp" if equal else "time goes back", line)
-                return False
-            if stamp_s - self._stamp_s >= GAP_S:
+    def passed(self, item: LogScan) -> Iterator[LogScan]:
+        """Take the next scan, count what is wrong or odd about it, and yield those to be used."""
+        stamp_s, newest_s = item.scan.stamp_s, self._gate.newest_s
+        if newest_s is not None and stamp_s <= newest_s:
+            self._refuse(newest_s, item)
+            return
+        passed = self._gate.offer(stamp_s, item)
+        for stray in passed.strays:
+            self._skips.add(STRAY, stray.line)
+        yield from self._noted(passed.items)
+
+    def rest(self) -> Iterator[LogScan]:
+        """Yield the scans that still wait at the end of the log, where nothing contradicts them."""
+        yield from self._noted(self._gate.confirm().items)
+
+    def _refuse(self, newest_s: float, item: LogScan) -> None:
+        is_equal = item.scan.stamp_s == newest_s
+        self._skips.add("two scans of one stamp" if is_equal else "time goes back", item.line)
+
+    def _noted(self, items: tuple[LogScan, ...]) -> Iterator[LogScan]:
+        for item in items:
+            stamp_s, line = item.scan.stamp_s, item.line
+            if self._stamp_s is not None and stamp_s <= self._stamp_s:
+                self._refuse(self._stamp_s, item)
+                continue
+            if self._stamp_s is not None and stamp_s - self._stamp_s >= GAP_S:
                 self._warnings.add("no scan for an hour or more", line)
-        if odometry is not None:
-            last = self._odometry
-            if last is not None and math.hypot(odometry.x - last.x, odometry.y - last.y) >= JUMP_M:
-                self._warnings.add(f"odometry jumps by {JUMP_M:g} m or more", line)
-            self._odometry = odometry
-        self._stamp_s = stamp_s
-        return True
+            odometry, last = item.odometry, self._odometry
+            if odometry is not None:
+                if last is not None and math.hypot(odometry.x - last.x, odometry.y - last.y) >= (
+                    JUMP_M
+                ):
+                    self._warnings.add(f"odometry jumps by {JUMP_M:g} m or more", line)
+                self._odometry = odometry
+            self._stamp_s = stamp_s
+            yield item
 
 
 class ScanLog(Protocol):

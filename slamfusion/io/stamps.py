@@ -48,12 +48,12 @@ class Passed(Generic[T]):
 
     Attributes:
         items: to be used, in their order; none while an item is held back.
-        strays_s: stamps of items that are left out for good, seconds.
+        strays: items that are left out for good.
         jump: of time, before the first of ``items``.
     """
 
     items: tuple[T, ...] = ()
-    strays_s: tuple[float, ...] = ()
+    strays: tuple[T, ...] = ()
     jump: Jump | None = None
 
 
@@ -61,7 +61,7 @@ class StampGate(Generic[T]):
     """Lets items through whose stamps go on from the last ones; holds the others back.
 
     An item that is older than the newest one by more than ``back_s``, or further ahead than the
-    real time that has passed and ``AHEAD_S`` (or twice the usual step, where steps are longer),
+    real time that has passed and ``ahead_s`` (or twice the usual step, where steps are longer),
     is held back. When ``CONFIRMING`` of them follow in their own order, with nothing from the old
     time between, time has jumped: all are let through. When the old time goes on, they were
     strays. A held item that is sent again, unchanged, confirms itself: its sender waits for it.
@@ -71,16 +71,23 @@ class StampGate(Generic[T]):
     Args:
         back_s: see above, seconds.
         is_same: whether two items of one stamp are the same one, sent again; default: never.
+        ahead_s: see above, seconds.
 
     Attributes:
         back_s: may be changed.
         newest_s: newest stamp that was let through, seconds; None before the first.
     """
 
-    def __init__(self, back_s: float, is_same: Callable[[T, T], bool] | None = None) -> None:
+    def __init__(
+        self,
+        back_s: float,
+        is_same: Callable[[T, T], bool] | None = None,
+        ahead_s: float = AHEAD_S,
+    ) -> None:
         self.back_s = back_s
         self.newest_s: float | None = None
         self._is_same = is_same
+        self._ahead_s = ahead_s
         self._arrived_s = 0.0
         # The last stamps that were let through and were newest then; and what is held back.
         self._last_s: deque[float] = deque(maxlen=CONFIRMING)
@@ -122,14 +129,14 @@ class StampGate(Generic[T]):
         """
         newest_s = self.newest_s
         if newest_s is None or self._is_regular(newest_s, stamp_s, arrived_s):
-            strays_s = self._drop_held()
+            strays = self._drop_held()
             self._note(stamp_s, arrived_s)
-            return Passed((item,), strays_s)
-        strays_s = self._hold(newest_s, stamp_s, arrived_s, item)
+            return Passed((item,), strays)
+        strays = self._hold(newest_s, stamp_s, arrived_s, item)
         if self.is_said_often and (agrees is None or agrees(newest_s, stamp_s)):
             passed = self.confirm()
-            return Passed(passed.items, strays_s, passed.jump)
-        return Passed((), strays_s)
+            return Passed(passed.items, strays, passed.jump)
+        return Passed((), strays)
 
     def confirm(self) -> Passed[T]:
         """Let through what is held back: something else has confirmed it, or nothing follows."""
@@ -162,32 +169,33 @@ class StampGate(Generic[T]):
         steps_s = [after_s - before_s for before_s, after_s in pairwise(self._last_s)]
         usual_s = min(steps_s) if len(steps_s) == CONFIRMING - 1 else 0.0
         passed_s = max(0.0, arrived_s - self._arrived_s)
-        return stamp_s - newest_s <= max(AHEAD_S, 2.0 * usual_s) + passed_s
+        return stamp_s - newest_s <= max(self._ahead_s, 2.0 * usual_s) + passed_s
 
     def _note(self, stamp_s: float, arrived_s: float) -> None:
         if self.newest_s is None or stamp_s > self.newest_s:
             self.newest_s, self._arrived_s = stamp_s, arrived_s
             self._last_s.append(stamp_s)
 
-    def _hold(
-        self, newest_s: float, stamp_s: float, arrived_s: float, item: T
-    ) -> tuple[float, ...]:
-        """Hold an item back; return the stamps of those that it shows to be strays."""
-        strays_s: tuple[float, ...] = ()
+    def _hold(self, newest_s: float, stamp_s: float, arrived_s: float, item: T) -> tuple[T, ...]:
+        """Hold an item back; return those that it shows to be strays."""
+        strays: tuple[T, ...] = ()
+        is_next = True
         if self._held:
-            last_s, _, last = self._held[-1]
+            (first_s, *_), (last_s, _, last) = self._held[0], self._held[-1]
             if stamp_s == last_s and self._is_same is not None and self._is_same(last, item):
                 self._said += 1
                 return ()
-            if stamp_s <= last_s or (stamp_s > newest_s) != (last_s > newest_s):
-                strays_s = self._drop_held()
+            if stamp_s < first_s or (stamp_s > newest_s) != (first_s > newest_s):
+                strays = self._drop_held()
+            else:  # one that is late among them, or of another sensor, says nothing new
+                is_next = stamp_s > max(held_s for held_s, *_ in self._held)
         self._held.append((stamp_s, arrived_s, item))
-        self._said += 1
+        self._said += is_next
         if len(self._held) > HELD_MOST:
-            return (*strays_s, self._held.pop(0)[0])
-        return strays_s
+            return (*strays, self._held.pop(0)[2])
+        return strays
 
-    def _drop_held(self) -> tuple[float, ...]:
-        strays_s = tuple(stamp_s for stamp_s, *_ in self._held)
+    def _drop_held(self) -> tuple[T, ...]:
+        strays = tuple(item for *_, item in self._held)
         self._held, self._said = [], 0
-        return strays_s
+        return strays

@@ -111,8 +111,9 @@ class TinySlamDat:
                     (now[1] - ticks[1]) * _METRES_PER_TICK,
                 )
             ticks = now
-            if continuity.accepts(stamp_s, pose, number):
-                yield LogScan(self._scan(values[_BEAMS] * 1e-3, stamp_s), pose, number)
+            scan = self._scan(values[_BEAMS] * 1e-3, stamp_s)
+            yield from continuity.passed(LogScan(scan, pose, number))
+        yield from continuity.rest()
         if lines.is_cut_off:
             self.skips.add(CUT_OFF_FILE, number + 1)
         self.fraction_read = 1.0

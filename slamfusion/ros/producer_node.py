@@ -222,7 +222,7 @@ class ProducerNode(NodeBase):
         self._counts.received += 1
         self._last_scan_s = time.monotonic()
         passed = self._gate.offer(message)
-        for _ in passed.strays_s:
+        for _ in passed.strays:
             self._skip(STRAY)
         if passed.jump is not None and passed.jump.is_back:
             self._begin_new_map()

@@ -90,7 +90,7 @@ class ScanGate:
         passed = self._gate.offer(scan.stamp_s, scan, scan.arrived_s, self._odometry_agrees)
         if before_s is None:
             return passed
-        self._name_strays(passed.strays_s, before_s)
+        self._name_strays(passed.strays, before_s)
         if passed.items:
             self._name_jump(passed, before_s)
         if passed.jump is not None:
@@ -125,11 +125,11 @@ class ScanGate:
         self._troubles.add("clocks", Level.ERROR, text)
         return False
 
-    def _name_strays(self, strays_s: tuple[float, ...], before_s: float) -> None:
-        if not strays_s:
+    def _name_strays(self, strays: tuple[ArrivedScan, ...], before_s: float) -> None:
+        if not strays:
             return
-        self.strays += len(strays_s)
-        stamp_s = strays_s[-1]
+        self.strays += len(strays)
+        stamp_s = strays[-1].stamp_s
         off_s = abs(stamp_s - before_s)
         how = "older than" if stamp_s < before_s else "ahead of"
         text = (

@@ -180,7 +180,7 @@ class TransformBuffer:
             edge.stamps_s, edge.rows = [time_s], [row]
             return True
         passed = edge.gate.offer(time_s, (time_s, row), arrived_s)
-        self.strays += len(passed.strays_s)
+        self.strays += len(passed.strays)
         return edge.take(passed) if passed.items else True
 
     def heard_s(self, target: str, source: str) -> float | None:

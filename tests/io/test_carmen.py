@@ -237,6 +237,16 @@ def test_a_scan_of_nothing_but_nan_or_inf_is_passed_on(tmp_path: Path, word: str
 # --- time ----------------------------------------------------------------------------------------
 
 
+def test_one_stray_stamp_does_not_break_the_others(tmp_path: Path) -> None:
+    stamps_s = [100.0 + 0.1 * index for index in range(60)]
+    lines = [flaser(f"{stamp_s + 3600.0 * (k == 20):.1f}") for k, stamp_s in enumerate(stamps_s)]
+    log = CarmenLog(write_lines(tmp_path / "a.log", *lines))
+    assert log.has_stamps
+    found = [item.scan.stamp_s for item in log]
+    assert found == pytest.approx(stamps_s[:20] + stamps_s[21:])
+    assert log.skips.lines == {"a time stamp far ahead of those before and after it": [21]}
+
+
 @pytest.mark.parametrize(
     "stamps",
     [[0] * 12, ["1.13486e+09"] * 12, [4294970000.0] * 12, [*range(90), *([5] * 10)]],

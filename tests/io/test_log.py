@@ -15,8 +15,9 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import open_log
 from slamfusion.io.carmen import CarmenLog
 from slamfusion.io.lines import TextLines
-from slamfusion.io.log import Continuity, Skips
+from slamfusion.io.log import Continuity, LogScan, Skips
 from slamfusion.io.tinyslam_dat import TinySlamDat
+from slamfusion.scan import LaserScan
 from tests.io.logs import flaser, write_lines
 from tests.io.test_tinyslam_dat import row
 
@@ -162,8 +163,28 @@ def test_skips_keep_the_first_lines_of_each_reason() -> None:
 def accepted(*scans: tuple[float, Pose2 | None]) -> tuple[list[bool], Skips, Skips]:
     skips, warnings = Skips(), Skips()
     continuity = Continuity(skips, warnings)
-    flags = [continuity.accepts(stamp, pose, k) for k, (stamp, pose) in enumerate(scans, start=1)]
-    return flags, skips, warnings
+    used: list[int] = []
+    for line, (stamp_s, pose) in enumerate(scans, start=1):
+        scan = LaserScan(stamp_s, np.ones(3, np.float32), -1.0, 1.0, 0.0, 10.0)
+        used += [item.line for item in continuity.passed(LogScan(scan, pose, line))]
+    used += [item.line for item in continuity.rest()]
+    return [line in used for line in range(1, len(scans) + 1)], skips, warnings
+
+
+@pytest.mark.parametrize("ahead_s", [20.0, 3600.0, 86_400.0])
+def test_one_stray_stamp_ahead_keeps_no_other_scan_out(ahead_s: float) -> None:
+    stamps_s = [100.0 + 0.1 * index for index in range(50)]
+    stamps_s[20] += ahead_s
+    flags, skips, warnings = accepted(*((stamp_s, None) for stamp_s in stamps_s))
+    assert [line for line, is_used in enumerate(flags) if not is_used] == [20]
+    assert skips.lines == {"a time stamp far ahead of those before and after it": [21]}
+    assert warnings.total == 0
+
+
+def test_a_pause_is_no_stray_stamp_also_at_the_end() -> None:
+    flags, skips, _ = accepted(*((stamp_s, None) for stamp_s in (0.0, 0.1, 30.0, 30.1, 30.2, 90.0)))
+    assert all(flags)
+    assert skips.total == 0
 
 
 def test_time_must_go_on() -> None:

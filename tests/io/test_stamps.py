@@ -25,12 +25,14 @@ class Heard:
 
     def offer(self, stamp_s: float, **options: object) -> None:
         passed = self.gate.offer(stamp_s, stamp_s, **options)
-        self.strays_s += passed.strays_s
+        self.strays_s += passed.strays
         if passed.jump is not None:
             self.jumps.append(passed.jump)
             if passed.jump.is_back:
                 self.used_s = []
-        self.used_s += [item for item in passed.items if not self.used_s or item > self.used_s[-1]]
+        for item in passed.items:
+            if not self.used_s or item > self.used_s[-1]:
+                self.used_s.append(item)
 
 
 @given(steps, backs, st.integers(1, 40), st.floats(-1e9, 1e9), st.booleans())
@@ -112,6 +114,17 @@ def test_two_clocks_in_turn_are_no_jump():
     assert heard.jumps == []
     assert heard.used_s == [100.0 + 0.1 * index for index in range(50)]
     assert len(heard.strays_s) == 49
+
+
+def test_two_sensors_of_one_stamp_are_no_hindrance_to_a_jump():
+    heard = Heard(StampGate(1.0))
+    heard.offer(100.0)
+    for stamp_s in (5.0, 5.0, 5.1, 5.05, 5.1, 5.2):
+        assert heard.jumps == []
+        heard.offer(stamp_s)
+    assert heard.jumps == [Jump(100.0, 5.0)]
+    assert heard.used_s == [5.0, 5.1, 5.2]
+    assert heard.strays_s == []
 
 
 def test_a_stamp_that_stands_still_is_no_jump_but_an_item_sent_again_is():
