@@ -1,7 +1,8 @@
 """Files that appear whole or not at all.
 
 Data goes into temporary files beside their targets, is forced to disk, and only then renamed. What
-was there before stays until that moment, and stays for good when anything fails.
+was there before stays until that moment, and stays for good when anything fails, also when the
+process is killed at any moment (``journal``).
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import os
 import secrets
 import stat
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from slamfusion.errors import MapFileError
+from slamfusion.io.journal import Entry, Journal, move_back, put_right, sync_folder
 
 __all__ = ["AtomicFiles", "write_atomic", "write_json_atomic", "write_text_atomic"]
 
@@ -34,18 +37,32 @@ _MENDS = {
 class AtomicFiles:
     """A set of files that are put in place together when the ``with`` block ends well.
 
-    Within the block ``add`` stages each file; leaving it renames all, in the order they were added.
-    An exception, also a keyboard interrupt, removes what was staged and leaves old files as they
-    were. Missing parent folders are made. Links are followed, so a linked file stays a link. Each
-    rename is atomic; between two of them a reader may meet one new and one old file.
+    Within the block ``add`` stages each file, ``remove`` the removal of one; leaving it switches
+    the whole set. An exception, also a keyboard interrupt, removes what was staged and leaves old
+    files as they were. Missing parent folders are made. Links are followed, so a linked file stays
+    a link.
+
+    A single file is renamed over the old one: a reader meets one or the other. Of several files
+    all old ones go before the first new one comes, so that no reader ever meets old and new side
+    by side; for about a millisecond it meets none. A process that is killed in that time leaves a
+    ``journal``, by which the next ``load_map`` or ``AtomicFiles`` in the folder brings the old set
+    back; what a killed process leaves otherwise is removed by the next ``AtomicFiles`` there.
 
     Raises:
         MapFileError: a target cannot be written; names it, the system's reason and the mend.
     """
 
     def __init__(self) -> None:
-        self._staged: list[tuple[Path, Path]] = []
+        self._entries: list[Entry] = []
+        self._journals: dict[Path, Journal] = {}
         self._made_folders: list[Path] = []
+        self._token = secrets.token_hex(8)
+        self._is_half_switched = False
+
+    @property
+    def targets(self) -> frozenset[Path]:
+        """The files that will be put in place; absolute, links followed."""
+        return frozenset(entry.target for entry in self._entries if entry.is_new)
 
     def add(self, path: str | Path, *parts: bytes | bytearray | memoryview) -> None:
         """Stage one file.
@@ -58,15 +75,24 @@ class AtomicFiles:
             target = Path(os.path.realpath(path))
             self._make_folder(target.parent)
             mode = _mode_of_regular(target)
-            temporary = target.parent / f".slamfusion-{secrets.token_hex(8)}.tmp"
+            entry = self._enter(target, is_new=True)
+            temporary = entry.temporary(self._token)
             with temporary.open("xb") as file:
-                self._staged.append((temporary, target))
                 for part in parts:
                     file.write(part)
                 file.flush()
                 os.fsync(file.fileno())
             if mode is not None:
                 temporary.chmod(mode)
+        except (OSError, ValueError) as error:
+            raise _cannot_write(path, error) from None
+
+    def remove(self, path: str | Path) -> None:
+        """Stage the removal of a file, which need not be there; not one that is also added."""
+        try:
+            target = Path(os.path.realpath(path))
+            if _mode_of_regular(target) is not None:
+                self._enter(target, is_new=False)
         except (OSError, ValueError) as error:
             raise _cannot_write(path, error) from None
 
@@ -93,44 +119,72 @@ class AtomicFiles:
             part.mkdir(exist_ok=True)
             self._made_folders.append(part)
 
+    def _enter(self, target: Path, *, is_new: bool) -> Entry:
+        """Take a file into the set, and begin the journal of its folder."""
+        folder = target.parent
+        if folder not in self._journals:
+            put_right(folder)
+            self._journals[folder] = Journal(folder, self._token)
+        entry = Entry(target, len(self._entries), is_new, target.exists())
+        self._entries.append(entry)
+        return entry
+
     def _publish(self) -> None:
-        """Rename every staged file to its target; on failure put the old files back."""
-        backups: list[Path] = []
-        done: list[tuple[Path, Path | None]] = []
-        target = Path()
+        """Put every staged file in place; on failure bring the old files back."""
+        if not self._entries:
+            return
+        if len(self._entries) == 1 and self._entries[0].is_new:
+            entry = self._entries[0]
+            try:
+                entry.temporary(self._token).replace(entry.target)
+            except OSError as error:
+                raise _cannot_write(entry.target, error) from None
+        else:
+            self._switch()
+        for folder in self._journals:
+            sync_folder(folder)
+
+    def _switch(self) -> None:
+        """Put several files in place: the old ones go, the new ones come, the set counts."""
+        home, *others = self._journals.values()
+        self._entries = [replace(item, was_there=item.target.exists()) for item in self._entries]
+        target = self._entries[0].target
+        self._is_half_switched = True
         try:
-            for temporary, target in self._staged:
-                backup = _link_beside(target)
-                if backup is not None:
-                    backups.append(backup)
-                was_there = target.exists()
-                temporary.replace(target)
-                if backup is not None or not was_there:
-                    done.append((target, backup))
+            for other in others:
+                other.point_to(home)
+            home.write(self._entries, list(self._journals))
+            for entry in self._entries:
+                target = entry.target
+                with suppress(FileNotFoundError):
+                    target.replace(entry.old(self._token))
+            for entry in self._entries:
+                target = entry.target
+                if entry.is_new:
+                    entry.temporary(self._token).replace(target)
+            for folder in self._journals:
+                sync_folder(folder)
+            home.empty()
         except BaseException as error:
-            for written, old in done:
-                if old is None:
-                    written.unlink(missing_ok=True)
-                else:
-                    old.replace(written)
+            move_back(self._entries, self._token)
+            self._is_half_switched = False
             if isinstance(error, OSError):
                 raise _cannot_write(target, error) from None
             raise
-        finally:
-            for backup in backups:
-                backup.unlink(missing_ok=True)
-        for folder in {target.parent for _, target in self._staged}:
-            _sync_folder(folder)
+        self._is_half_switched = False
 
     def _discard(self) -> None:
-        """Remove what is still staged and the folders made for it."""
-        for temporary, _ in self._staged:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+        """Remove what still waits, the journals (the home first), and the folders made for them.
+
+        Where the old files could not be brought back, they and the journals stay for the next try.
+        """
+        for journal in self._journals.values():
+            journal.close(keep=self._is_half_switched)
         for folder in reversed(self._made_folders):
             with suppress(OSError):
                 folder.rmdir()
-        self._staged.clear()
+        self._entries.clear()
+        self._journals.clear()
         self._made_folders.clear()
 
 
@@ -164,26 +218,6 @@ def _mode_of_regular(target: Path) -> int | None:
         message = f"it is {what}, not a regular file"
         raise ValueError(message)
     return stat.S_IMODE(mode)
-
-
-def _link_beside(target: Path) -> Path | None:
-    """Keep the old file reachable under a second name until the new set is in place."""
-    backup = target.parent / f".slamfusion-{secrets.token_hex(8)}.old"
-    try:
-        backup.hardlink_to(target)
-    except OSError:  # no old file, or a file system without hard links
-        return None
-    return backup
-
-
-def _sync_folder(folder: Path) -> None:
-    """Force the renames in a folder to disk, where the file system can."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _cannot_write(path: str | Path, error: OSError | ValueError) -> MapFileError:

@@ -21,7 +21,6 @@ from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import (
     AtomicFiles,
-    atomic,
     save_map,
     write_atomic,
     write_json_atomic,
@@ -103,15 +102,6 @@ def test_a_rename_that_fails_puts_the_old_files_back(
     with pytest.raises(MapFileError, match="cannot write: Input/output error; "):
         write_set({tmp_path / name: b"new" for name in names})
     assert tree(tmp_path) == before
-
-
-def test_without_hard_links_files_are_still_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_atomic(tmp_path / "a", b"old")
-    monkeypatch.setattr(atomic, "_link_beside", lambda _target: None)
-    write_atomic(tmp_path / "a", b"new")
-    assert tree(tmp_path) == {"a": b"new"}
 
 
 def test_permissions_follow_the_umask_or_the_old_file(tmp_path: Path) -> None:
