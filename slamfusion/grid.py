@@ -17,12 +17,30 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 
-__all__ = ["FREE", "OCCUPIED", "UNKNOWN", "CellBox", "OccupancyGrid", "known_box", "trinary_cells"]
+__all__ = [
+    "FREE",
+    "OCCUPIED",
+    "UNKNOWN",
+    "CellBox",
+    "OccupancyGrid",
+    "implausible",
+    "known_box",
+    "trinary_cells",
+]
 
 FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
 IDENTITY = Pose2()
+
+# Metres per cell that a map may have: finer than any sensor measures, coarser than any room.
+RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
+# Metres from the frame's origin along x or y. UTM northings reach 1e7. Positions are float64, whose
+# step there is 2e-9 m, a 5e4th of the finest cell; what runs in float32 or fixed point on the
+# device is relative to a map's own corner or centre.
+ORIGIN_MOST_M = 1e7
+# Radians: two turns; a number beyond is most likely in degrees.
+YAW_MOST_RAD = 4.0 * math.pi
 
 
 @dataclass(frozen=True)
@@ -48,6 +66,35 @@ class CellBox:
     def area(self) -> int:
         """Cells in the box."""
         return self.height * self.width
+
+
+def implausible(resolution: float, origin: Pose2) -> str | None:
+    """Say what is wrong with a map's cell size or place; None where both are plausible.
+
+    Numbers beyond these ranges are mistakes (millimetres for metres, degrees for radians, unset
+    memory), and arithmetic with them ends in absurd amounts of memory or in lost digits.
+
+    Args:
+        resolution: metres per cell.
+        origin: pose of the corner of cell [0, 0]; metres, radians.
+    """
+    if not RESOLUTION_LEAST_M <= resolution <= RESOLUTION_MOST_M:
+        return (
+            f"resolution must lie in {RESOLUTION_LEAST_M:g} to {RESOLUTION_MOST_M:g} metres per "
+            f"cell, found {resolution:g}"
+        )
+    for axis, value in (("x", origin.x), ("y", origin.y)):
+        if not abs(value) <= ORIGIN_MOST_M:
+            return (
+                f"{axis} of the origin must lie within {ORIGIN_MOST_M:g} metres of the frame's "
+                f"zero, found {value:g}"
+            )
+    if not abs(origin.yaw_rad) <= YAW_MOST_RAD:
+        return (
+            f"yaw of the origin must lie within {YAW_MOST_RAD:.2f} radians, found "
+            f"{origin.yaw_rad:g} (degrees?)"
+        )
+    return None
 
 
 def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:

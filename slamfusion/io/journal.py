@@ -277,9 +277,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 @contextmanager
 def _lock(path: Path) -> Iterator[int | None]:
-    """Hold the journal of a dead writer; None where it is alive, where that cannot be told, or
-    where the journal is gone.
-    """
+    """Hold the journal of a dead writer; None where that is not sure, or the journal gone."""
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
@@ -317,7 +315,7 @@ def _journals(folder: Path) -> list[Path]:
     try:
         with os.scandir(folder) as items:
             names = [item.name for item in items if item.name.startswith(PREFIX)]
-    except OSError:
+    except (OSError, ValueError):
         return []
     return [folder / name for name in sorted(names) if name.endswith(SUFFIX)]
 

@@ -17,9 +17,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, MemoryBudgetError, SlamFusionError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, memory, save_map
 from tests.io.pictures import bmp24, chunk, pgm, png, write_map
 from tests.support.datasets import load_entry, map_entries
@@ -137,6 +138,55 @@ def test_trinary_comparisons_are_strict(tmp_path: Path) -> None:
 def test_grey_205_is_unknown_at_0_196_and_free_at_0_25(tmp_path: Path) -> None:
     assert values_of(write_map(tmp_path, pgm([[205]]))) == [[-1]]
     assert values_of(write_map(tmp_path, pgm([[205]]), free_thresh="0.25")) == [[0]]
+
+
+GREY_ROWS = [[254, 205, 0], [205, 205, 254]]
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("map.pgm", pgm(GREY_ROWS)),
+        ("map.pgm", pgm([[v * 257 for v in row] for row in GREY_ROWS], 65535)),
+        ("map.png", png([bytes(v for w in r for v in (w, w, w)) for r in GREY_ROWS], 3, colour=2)),
+        (
+            "map.png",
+            png([bytes(v for w in r for v in (w, w, w, 255)) for r in GREY_ROWS], 3, colour=6),
+        ),
+    ],
+)
+def test_unknown_that_reads_as_free_is_counted_and_can_be_mended(
+    tmp_path: Path, name: str, data: bytes
+) -> None:
+    path = write_map(tmp_path, data, name, free_thresh="0.25")
+    told: list[str] = []
+    assert load_map(path, warn=told.append).cells.tolist() == [[0, 0, 0], [0, 0, 100]]
+    (sentence,) = told
+    assert sentence.startswith(f"{path}: 3 cells of grey 205")
+    assert "--legacy-unknown" in sentence
+    mended = load_map(path, warn=told.append, legacy_unknown=True)
+    assert mended.cells.tolist() == [[-1, -1, 0], [0, -1, 100]]
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"free_thresh": "0.25", "mode": "scale"},
+        {"free_thresh": "0.25", "mode": "raw"},
+        {"free_thresh": "0.25", "negate": "1"},
+    ],
+)
+def test_where_205_is_not_taken_for_free_nothing_is_said(
+    tmp_path: Path, changes: dict[str, str]
+) -> None:
+    path = write_map(tmp_path, pgm(GREY_ROWS), **changes)
+    told: list[str] = []
+    plain = load_map(path, warn=told.append)
+    mended = load_map(path, warn=told.append, legacy_unknown=True)
+    assert np.array_equal(plain.cells, mended.cells)
+    assert told == []
 
 
 def test_scale_is_linear_between_the_thresholds(tmp_path: Path) -> None:
@@ -264,6 +314,11 @@ def assert_refused(path: Path, *words: str, resolution: float | None = None) -> 
         ({"origin": "[0, 0, .nan]"}, ("'origin'", "finite", ".nan")),
         ({"origin": "[0, 0, east]"}, ("'origin'", "east")),
         ({"origin": "7"}, ("'origin'", "7")),
+        ({"resolution": "0.00005"}, ("resolution", "0.0001 to 100", "5e-05")),
+        ({"resolution": "50.0e+1"}, ("0.0001 to 100", "500")),
+        ({"origin": "[1.0e+12, 0, 0]"}, ("'origin'", "x of the origin", "1e+07", "1e+12")),
+        ({"origin": "[0, -1.1e+7, 0]"}, ("'origin'", "y of the origin", "-1.1e+07")),
+        ({"origin": "[0, 0, 90]"}, ("'origin'", "yaw", "12.57 radians", "90", "degrees?")),
         ({"origin": "{x: 1}"}, ("'origin'",)),
         ({"free_thresh": "1.5"}, ("'free_thresh'", "[0, 1]", "1.5")),
         ({"occupied_thresh": "65"}, ("'occupied_thresh'", "[0, 1]", "65")),
@@ -504,11 +559,30 @@ def test_saving_writes_254_0_and_205(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.pgm", "out.yaml"]
 
 
-def test_trinary_sorts_probabilities_as_nav2_does(tmp_path: Path) -> None:
-    # nav2 rounds the thresholds to whole percent: free up to 20, occupied from 65.
-    grid = grid_of([[0, 19, 20, 21, 64, 65, 100, -1]])
-    save_map(grid, tmp_path / "out")
-    assert values_of(tmp_path / "out.yaml") == [[0, 0, 0, -1, -1, 100, 100, -1]]
+PERCENTS = [[0, 19, 20, 25, 26, 64, 65, 100, -1]]
+
+
+@pytest.mark.parametrize(
+    "thresholds",
+    [NormalizeConfig(), NormalizeConfig(free_percent=10.0, occupied_percent=99.5)],
+)
+def test_the_classes_that_vote_are_saved(tmp_path: Path, thresholds: NormalizeConfig) -> None:
+    grid = grid_of(PERCENTS)
+    save_map(grid, tmp_path / "out", classes=thresholds)
+    votes = trinary_cells(grid.cells, thresholds)
+    for reader in (thresholds, NormalizeConfig()):
+        assert np.array_equal(trinary_cells(load_map(tmp_path / "out.yaml").cells, reader), votes)
+
+
+def test_no_reader_takes_a_saved_unknown_for_free(tmp_path: Path) -> None:
+    yaml_path, image_path = save_map(grid_of(PERCENTS), tmp_path / "out")
+    values = yaml.safe_load(yaml_path.read_text())
+    pixels = np.frombuffer(image_path.read_bytes()[-len(PERCENTS[0]) :], np.uint8)
+    assert pixels.tolist() == [254, 254, 254, 254, 205, 205, 0, 0, 205]
+    # nav2's rule, both comparisons strict.
+    occupancy = (255 - pixels.astype(float)) / 255.0
+    assert (occupancy < values["free_thresh"]).tolist() == [True] * 4 + [False] * 5
+    assert (occupancy > values["occupied_thresh"]).tolist() == [False] * 6 + [True] * 2 + [False]
 
 
 def test_scale_writes_the_greys_of_nav2(tmp_path: Path) -> None:
@@ -529,8 +603,9 @@ SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 TRINARY = arrays.arrays(np.int8, SHAPES, elements=st.sampled_from([-1, 0, 100]))
 PERCENT = arrays.arrays(np.int8, SHAPES, elements=st.integers(-1, 100))
 KNOWN = arrays.arrays(np.int8, SHAPES, elements=st.integers(0, 100))
-COORDINATES = st.floats(-1e6, 1e6)
-RESOLUTIONS = st.one_of(st.sampled_from([0.05, 0.1, 1e-5]), st.floats(1e-6, 1e3))
+COORDINATES = st.floats(-1e7, 1e7)
+YAWS = st.floats(-4.0 * math.pi, 4.0 * math.pi)
+RESOLUTIONS = st.one_of(st.sampled_from([0.05, 0.1, 1e-4]), st.floats(1e-4, 100.0))
 
 
 @settings(deadline=None, max_examples=150)
@@ -542,7 +617,7 @@ def test_save_then_load_is_identity(data: st.DataObject) -> None:
     if mode == "scale" and image_format != "png":
         cells = KNOWN
     thresholds = {"free_thresh": 0.0, "occupied_thresh": 1.0} if mode == "scale" else {}
-    origin = Pose2(*(data.draw(COORDINATES) for _ in range(3)))
+    origin = Pose2(data.draw(COORDINATES), data.draw(COORDINATES), data.draw(YAWS))
     grid = OccupancyGrid(data.draw(cells), data.draw(RESOLUTIONS), origin, "out")
     with tempfile.TemporaryDirectory() as folder:
         path, _ = save_map(
@@ -582,12 +657,12 @@ def test_any_grey_is_classed_by_the_written_rule(
 
 
 def test_numbers_are_written_so_that_any_yaml_reader_finds_numbers(tmp_path: Path) -> None:
-    grid = grid_of([[0]], resolution=1e-5, origin=Pose2(-1e-5, 1e22, -0.1))
+    grid = grid_of([[0]], resolution=1e-4, origin=Pose2(-1e-5, 1e7, -0.1))
     path, _ = save_map(grid, tmp_path / "out")
     assert "-1.0e-05" in path.read_text()
     values = yaml.safe_load(path.read_text())
-    assert values["resolution"] == 1e-5
-    assert values["origin"] == [-1e-5, 1e22, -0.1]
+    assert values["resolution"] == 1e-4
+    assert values["origin"] == [-1e-5, 1e7, -0.1]
 
 
 @pytest.mark.parametrize("name", ["map_0.05", "a: b", "#x", "ünïcode", "sp ace", "yes", "it's"])
@@ -614,13 +689,15 @@ def test_missing_folders_are_made(tmp_path: Path) -> None:
         ({"occupied_thresh": 1.0}, "would not load as free"),
         ({"mode": "scale", "image_format": "pgm"}, "use png"),
         ({"mode": "scale", "image_format": "bmp"}, "use png"),
+        ({"grid": grid_of(CELLS, resolution=1e-5)}, "resolution must lie in"),
+        ({"grid": grid_of(CELLS, origin=Pose2(0.0, 1e9))}, "y of the origin"),
     ],
 )
 def test_what_would_not_load_back_is_not_saved(
     tmp_path: Path, arguments: dict[str, object], words: str
 ) -> None:
     with pytest.raises(MapFileError, match=words):
-        save_map(grid_of(CELLS), tmp_path / "out", **arguments)  # type: ignore[arg-type]
+        save_map(**{"grid": grid_of(CELLS), "stem": tmp_path / "out", **arguments})  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
 

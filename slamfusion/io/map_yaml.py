@@ -1,0 +1,255 @@
+"""The YAML of a map server's map: read and checked, and written."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import math
+import re
+import reprlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from slamfusion.errors import MapFileError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid, implausible
+from slamfusion.io.images import open_regular
+
+__all__ = [
+    "FREE_THRESH",
+    "OCCUPIED_THRESH",
+    "MapFile",
+    "Rules",
+    "check_mode",
+    "check_resolution",
+    "check_thresholds",
+    "existing",
+    "map_yaml_text",
+    "read_map_yaml",
+]
+
+OCCUPIED_THRESH = 0.65
+FREE_THRESH = 0.196
+MODES = ("trinary", "scale", "raw")
+
+_LOG = logging.getLogger(__name__)
+_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_TRUTH = {
+    **dict.fromkeys(("1", "true", "yes", "on", "y"), True),
+    **dict.fromkeys(("0", "false", "no", "off", "n"), False),
+}
+_YAML_LIMIT = 2**20
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How a brightness becomes a cell."""
+
+    mode: str = "trinary"
+    negate: bool = False
+    occupied_thresh: float = OCCUPIED_THRESH
+    free_thresh: float = FREE_THRESH
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """What a map's YAML says, checked."""
+
+    image: Path
+    resolution: float
+    origin: Pose2
+    rules: Rules
+
+
+def read_map_yaml(path: Path) -> MapFile:
+    """Read and check a map's YAML."""
+    values = _parse_yaml(path)
+    _refuse_misspelt_keys(path, values)
+    image = _required(path, values, "image")
+    if not isinstance(image, str) or not image:
+        message = f"{path}: 'image' must name a file, found {reprlib.repr(image)}; name the picture"
+        raise MapFileError(message)
+    resolution = check_resolution(str(path), _number(_required(path, values, "resolution")))
+    origin = _required(path, values, "origin")
+    numbers = [_number(item) for item in origin] if isinstance(origin, list) else []
+    if len(numbers) != 3 or not all(
+        isinstance(item, float) and math.isfinite(item) for item in numbers
+    ):
+        message = (
+            f"{path}: 'origin' must be three finite numbers [x, y, yaw], "
+            f"found {_shown(origin)}; write for example [0.0, 0.0, 0.0]"
+        )
+        raise MapFileError(message)
+    reason = implausible(resolution, Pose2(*numbers))
+    if reason is not None:
+        message = f"{path}: {reason}; correct 'origin' in the YAML"
+        raise MapFileError(message)
+    absent = [key for key in ("negate", "occupied_thresh", "free_thresh") if key not in values]
+    if absent:
+        _LOG.info("%s: took the defaults for %s", path, ", ".join(absent))
+    negate = values.get("negate", "0")
+    if not isinstance(negate, str) or negate.lower() not in _TRUTH:
+        message = f"{path}: 'negate' must be 0 or 1, found {_shown(negate)}; write 0 or 1"
+        raise MapFileError(message)
+    rules = Rules(
+        mode=check_mode(str(path), values.get("mode", "trinary")),
+        negate=_TRUTH[negate.lower()],
+        occupied_thresh=_number(values.get("occupied_thresh", str(OCCUPIED_THRESH))),
+        free_thresh=_number(values.get("free_thresh", str(FREE_THRESH))),
+    )
+    check_thresholds(str(path), rules)
+    picture = existing(path.parent / image, f"{path}: 'image' names ")
+    return MapFile(picture, resolution, Pose2(*numbers), rules)
+
+
+def _parse_yaml(path: Path) -> dict[Any, Any]:
+    """Return the top mapping of a YAML file, all scalars as the text they are written in."""
+    with open_regular(path) as file:
+        data = file.read(_YAML_LIMIT + 1)
+    if len(data) > _YAML_LIMIT or b"\x00" in data:
+        message = f"{path}: wanted a map's YAML, found binary or endless data; give the YAML file"
+        raise MapFileError(message)
+    try:
+        # BaseLoader builds text, lists and mappings only, so 1e-3 and 0.05 stay as written.
+        values = yaml.load(data.decode("utf-8-sig"), Loader=yaml.BaseLoader)  # noqa: S506
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        message = f"{path}: not YAML ({reason}); mend the file or give the map's YAML"
+        raise MapFileError(message) from None
+    if not isinstance(values, dict):
+        found = "nothing" if values in ("", None) else f"a {type(values).__name__}"
+        message = (
+            f"{path}: wanted a mapping with image, resolution and origin, found {found}; "
+            "give the map's YAML"
+        )
+        raise MapFileError(message)
+    return values
+
+
+def _refuse_misspelt_keys(path: Path, values: dict[Any, Any]) -> None:
+    """Refuse a key that looks like an absent known one; other foreign keys are left alone."""
+    for key in values:
+        if key not in _KEYS:
+            near = difflib.get_close_matches(str(key), _KEYS, n=1, cutoff=0.8)
+            if near and near[0] not in values:
+                message = f"{path}: unknown key {_shown(key)}; write {near[0]!r} if that is meant"
+                raise MapFileError(message)
+
+
+def _required(path: Path, values: dict[Any, Any], key: str) -> Any:
+    """Return the value of a key that has no default."""
+    if key not in values:
+        message = f"{path}: the key {key!r} is missing; add it, as the map server's format asks"
+        raise MapFileError(message)
+    return values[key]
+
+
+def _number(value: Any) -> Any:
+    """Return the number that a scalar's text spells; anything else unchanged, to be refused."""
+    if isinstance(value, str) and _NUMBER.fullmatch(value):
+        return float(value)
+    return value
+
+
+def _shown(value: Any) -> str:
+    """Return a value from a file for a message: short, on one line, numbers without quotes."""
+    if isinstance(value, float):
+        return f"{value:.2f}" if value == round(value, 2) else f"{value:g}"
+    if isinstance(value, list):
+        return reprlib.repr(value).replace("'", "")
+    return reprlib.repr(value)
+
+
+def check_resolution(where: str, value: Any) -> float:
+    """Return metres per cell, or say what was found instead."""
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (usable and math.isfinite(value) and value > 0):
+        message = (
+            f"{where}: 'resolution' must be a positive, finite number of metres per cell, "
+            f"found {value if usable else _shown(value)}; write for example 0.05"
+        )
+        raise MapFileError(message)
+    reason = implausible(value, Pose2())
+    if reason is not None:
+        message = f"{where}: {reason}; write for example 0.05"
+        raise MapFileError(message)
+    return float(value)
+
+
+def check_mode(where: str, mode: Any) -> str:
+    """Return the mode in small letters, or name the three there are."""
+    if not isinstance(mode, str) or mode.lower() not in MODES:
+        message = (
+            f"{where}: 'mode' must be trinary, scale or raw, found {_shown(mode)}; "
+            "write one of them or omit it"
+        )
+        raise MapFileError(message)
+    return mode.lower()
+
+
+def check_thresholds(where: str, rules: Rules) -> None:
+    """Refuse thresholds that are no shares, or that cross."""
+    for key, value in (
+        ("free_thresh", rules.free_thresh),
+        ("occupied_thresh", rules.occupied_thresh),
+    ):
+        usable = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not (usable and 0.0 <= value <= 1.0):
+            message = (
+                f"{where}: {key!r} must lie in [0, 1], found {_shown(value)}; "
+                "write a share of 1 or omit it for the default"
+            )
+            raise MapFileError(message)
+    if rules.free_thresh >= rules.occupied_thresh:
+        message = (
+            f"{where}: 'free_thresh' ({_shown(float(rules.free_thresh))}) must be below "
+            f"'occupied_thresh' ({_shown(float(rules.occupied_thresh))}); swap them or omit both "
+            "for defaults"
+        )
+        raise MapFileError(message)
+
+
+def existing(path: Path, prefix: str = "") -> Path:
+    """Return the path, or the same with .gz where only that is there."""
+    packed = path.with_name(f"{path.name}.gz") if path.name else path
+    try:
+        if path.exists():
+            return path
+        if packed.exists():
+            return packed
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        message = f"{prefix}{path}: cannot read: {reason}; check the path"
+        raise MapFileError(message) from None
+    message = f"{prefix}{path}: no such file; check the path"
+    raise MapFileError(message)
+
+
+def map_yaml_text(grid: OccupancyGrid, image_name: str, rules: Rules) -> str:
+    """Return the YAML of a saved map; numbers keep every digit they need and no more."""
+    origin = (grid.origin.x, grid.origin.y, grid.origin.yaw_rad)
+    image = yaml.safe_dump({"image": image_name}, allow_unicode=True, width=math.inf)
+    return (
+        f"{image}"
+        f"mode: {rules.mode}\n"
+        f"resolution: {_yaml_number(grid.resolution)}\n"
+        f"origin: [{', '.join(_yaml_number(value) for value in origin)}]\n"
+        "negate: 0\n"
+        f"occupied_thresh: {_yaml_number(rules.occupied_thresh)}\n"
+        f"free_thresh: {_yaml_number(rules.free_thresh)}\n"
+    )
+
+
+def _yaml_number(value: float) -> str:
+    """Return the shortest decimal that reads back as the same number.
+
+    YAML 1.1 takes ``1e-05`` for text: a float needs its point.
+    """
+    text = repr(float(value))
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return text
