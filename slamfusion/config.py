@@ -37,6 +37,7 @@ __all__ = [
     "LidarConfig",
     "LiveConfig",
     "LogConfig",
+    "MapFileConfig",
     "MatcherConfig",
     "NormalizeConfig",
     "ObstacleConfig",
@@ -350,6 +351,17 @@ class EvaluateConfig(_Checked):
 
     tolerance_m: float = option(
         0.1, "a wall this near a true wall counts as found", unit="m", low=0.0
+    )
+
+
+@dataclass(frozen=True)
+class MapFileConfig(_Checked):
+    """Reading saved maps."""
+
+    legacy_unknown: bool = option(
+        False,
+        "read the grey 205 of saved maps, which map savers write for unknown, as unknown also "
+        "where free_thresh takes it for free",
     )
 
 
@@ -1226,6 +1238,7 @@ class RunConfig(_Checked):
     fusion: FusionConfig = FusionConfig()
     live: LiveConfig = LiveConfig()
     log: LogConfig = LogConfig()
+    map_files: MapFileConfig = MapFileConfig()
     tinyslam: TinySlamConfig = TinySlamConfig()
     gmapping: GmappingConfig = GmappingConfig()
     graph: GraphConfig = GraphConfig()

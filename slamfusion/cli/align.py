@@ -31,7 +31,7 @@ __all__ = ["command"]
     help="Start of the search in m, m, rad; the --window options count from here.",
 )
 @map_resolution_option
-@with_config("fusion.normalize", "fusion.align", "device", "")
+@with_config("fusion.normalize", "fusion.align", "map_files", "device", "")
 @common_options
 def command(
     reference: Path,
@@ -54,7 +54,7 @@ def command(
     except ValueError as error:
         message = f"--start: {error}"
         raise click.UsageError(message) from None
-    still, moved = load_maps((reference, moving), resolution)
+    still, moved = load_maps((reference, moving), resolution, config.map_files)
     backend = open_backend(config.device.device)
     found = align_grids(still, moved, config.fusion, backend, start_pose)
     if as_json:

@@ -124,7 +124,7 @@ def evaluate_maps(
     help="Write the difference image of the map here; several maps add their names.",
 )
 @map_resolution_option
-@with_config("fusion.normalize", "fusion.align", "evaluate", "device", "")
+@with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "device", "")
 @common_options
 def command(
     maps: tuple[Path, ...],
@@ -139,14 +139,14 @@ def command(
 ) -> int:
     """Measure the error of MAPS against the truth, or against measured distances."""
     _check_request(truth_path, distances_path, report_dir, image_path)
-    grids = load_maps(maps, resolution)
+    grids = load_maps(maps, resolution, config.map_files)
 
     evaluations: list[Evaluation] = []
     device = None
     if truth_path is not None:
         from slamfusion.compute import open_backend  # noqa: PLC0415
 
-        truth = load_maps([truth_path], resolution)[0]
+        truth = load_maps([truth_path], resolution, config.map_files)[0]
         backend = open_backend(config.device.device)
         device = backend.name
         with progress_bar() as progress:

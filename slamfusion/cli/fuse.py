@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.earlier import FAILED, failure_folder, remove_empty, report_files
 from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
 from slamfusion.cli.fused import (
     AllRequiredError,
@@ -29,7 +30,6 @@ from slamfusion.cli.options import (
     with_config,
 )
 from slamfusion.cli.output import notice, print_json, progress_bar
-from slamfusion.cli.produced import add_map
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
@@ -90,6 +90,7 @@ class _Outputs:
     "fusion.normalize",
     "fusion.align",
     "fusion.vote",
+    "map_files",
     "evaluate",
     "device",
     "",
@@ -122,8 +123,8 @@ def command(
         import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
         check_writable(report_dir)
-    grids = load_maps(maps, resolution)
-    truth = None if truth_path is None else load_maps([truth_path], resolution)[0]
+    grids = load_maps(maps, resolution, config.map_files)
+    truth = None if truth_path is None else load_maps([truth_path], resolution, config.map_files)[0]
     backend = open_backend(config.device.device)
 
     evaluations: list[Evaluation] = []
@@ -139,13 +140,7 @@ def command(
         _report_failure(error, grids, config, backend.name, report_dir, as_json)
         raise
 
-    _save(result, outputs)
-    if report_dir is not None:
-        from slamfusion.report import write_fusion_report  # noqa: PLC0415
-
-        errors = [evaluation.error for evaluation in evaluations]
-        write_fusion_report(result, report_dir, config=config, evaluations=errors)
-
+    _save(result, outputs, evaluations, config, report_dir)
     for record in result.rejected:
         notice(f"rejected: {record.name}: {record.reason}")
     if as_json:
@@ -164,13 +159,28 @@ def command(
     return 0
 
 
-def _save(result: FusionResult, outputs: _Outputs) -> None:
-    """Write the fused and the agreement map, both or neither."""
-    from slamfusion.io import AtomicFiles  # noqa: PLC0415
+def _save(
+    result: FusionResult,
+    outputs: _Outputs,
+    evaluations: Sequence[Evaluation],
+    config: RunConfig,
+    report_dir: Path | None,
+) -> None:
+    """Write the fused map, the agreement and the report, all or none."""
+    from slamfusion.io import AtomicFiles, save_map  # noqa: PLC0415
 
     with AtomicFiles() as files:
-        add_map(files, result.fused, outputs.fused)
-        add_map(files, result.agreement, outputs.agreement, "raw")
+        save_map(result.fused, outputs.fused, files=files)
+        save_map(result.agreement, outputs.agreement, mode="raw", files=files)
+        if report_dir is not None:
+            from slamfusion.report import write_fusion_report  # noqa: PLC0415
+
+            errors = [evaluation.error for evaluation in evaluations]
+            write_fusion_report(result, report_dir, config=config, evaluations=errors, files=files)
+            for path in report_files(report_dir / FAILED):
+                files.remove(path)
+    if report_dir is not None:
+        remove_empty(report_dir / FAILED)
 
 
 def _print_result(
@@ -201,15 +211,19 @@ def _report_failure(
     report_dir: Path | None,
     as_json: bool,
 ) -> None:
-    """Show what was tried: the report, and the JSON document or the table of pairs."""
+    """Show what was tried: the report, and the JSON document or the table of pairs.
+
+    The report of an earlier fusion stays, as its map does.
+    """
     pairs: tuple[Alignment, ...] = getattr(error, "pairs", ())
     if report_dir is not None:
         from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
 
+        folder = failure_folder(report_dir, report_files(report_dir))
         if isinstance(error, AllRequiredError):
-            write_fusion_report(error.result, report_dir, config=config, failure=str(error))
+            write_fusion_report(error.result, folder, config=config, failure=str(error))
         else:
-            write_failure_report(grids, pairs, str(error), report_dir, config=config, device=device)
+            write_failure_report(grids, pairs, str(error), folder, config=config, device=device)
     if not as_json:
         print_pairs(pairs, device)
         return

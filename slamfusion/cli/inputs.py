@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from slamfusion.cli.output import notice
+from slamfusion.config import MapFileConfig
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
 
@@ -15,17 +17,28 @@ __all__ = ["check_writable", "distinct_names", "load_maps"]
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm")
 
 
-def load_maps(paths: Sequence[Path], resolution: float | None) -> list[OccupancyGrid]:
+def load_maps(
+    paths: Sequence[Path], resolution: float | None, config: MapFileConfig
+) -> list[OccupancyGrid]:
     """Load maps in order, named apart even where their files have one name.
+
+    What is doubtful about a map is said on stderr.
 
     Args:
         paths: map_server YAML files, or bare images.
         resolution: metres per cell of the bare images.
+        config: how they are read.
     """
     from slamfusion.io import load_map  # noqa: PLC0415
 
     return [
-        load_map(path, resolution=None if _is_yaml(path) else resolution, name=name)
+        load_map(
+            path,
+            resolution=None if _is_yaml(path) else resolution,
+            name=name,
+            legacy_unknown=config.legacy_unknown,
+            warn=notice,
+        )
         for path, name in zip(paths, distinct_names(paths), strict=True)
     ]
 

@@ -166,7 +166,9 @@ def report_option(parameter: str) -> Callable[[F], F]:
 
 
 def drive_options(judged: str) -> Callable[[F], F]:
-    """Give a command ``--relations``, ``--odometry`` and ``--scan-odometry``: files beside LOG.
+    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``, ``--probabilities``.
+
+    The first three name files beside LOG.
 
     Args:
         judged: what the errors by the relations are of, as help says it.
@@ -191,6 +193,11 @@ def drive_options(judged: str) -> Callable[[F], F]:
             "CSV with the odometry of each scan of a CARMEN log (index, odom_x, odom_y, "
             "odom_theta), taken instead of the poses in LOG: those of a corrected log are the "
             "answer of a SLAM.",
+        ),
+        click.option(
+            "--probabilities",
+            is_flag=True,
+            help="Also write the map with its probabilities: NAME_probability.yaml and .png.",
         ),
     )
 

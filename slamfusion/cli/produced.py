@@ -6,18 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from slamfusion.cli.evaluate import Evaluation
 from slamfusion.cli.output import number, plain
 from slamfusion.cli.trajectory import Measures, measure_trajectory
 from slamfusion.config import RunConfig
-from slamfusion.errors import MapFileError
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import Relations
-    from slamfusion.grid import OccupancyGrid
     from slamfusion.io import AtomicFiles
     from slamfusion.slam.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
@@ -25,7 +22,6 @@ if TYPE_CHECKING:
 __all__ = [
     "SUFFIXES",
     "ProducerResult",
-    "add_map",
     "add_run",
     "measure_run",
     "output_files",
@@ -34,6 +30,9 @@ __all__ = [
 
 # The files of a run: the map, its picture, the path and the record.
 SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
+# The map with its probabilities, where that is asked for: the map itself has three classes.
+PROBABILITY = "_probability"
+PROBABILITY_SUFFIXES = (f"{PROBABILITY}.yaml", f"{PROBABILITY}.png")
 
 
 @dataclass(frozen=True)
@@ -152,33 +151,37 @@ def measure_run(
     return replace(final, online=measured(online))
 
 
-def output_files(stem: Path) -> list[Path]:
-    """Return the files that a run writes: map, its picture, path, record."""
-    return [stem.with_name(stem.name + suffix) for suffix in SUFFIXES]
+def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
+    """Return the files that a run writes: map, its picture, path, record; then probabilities."""
+    suffixes = (*SUFFIXES, *PROBABILITY_SUFFIXES) if probabilities else SUFFIXES
+    return [stem.with_name(stem.name + suffix) for suffix in suffixes]
 
 
-def add_map(files: AtomicFiles, grid: OccupancyGrid, stem: Path, mode: str = "trinary") -> None:
-    """Stage a map's YAML and image with other files.
+def add_run(
+    files: AtomicFiles,
+    run: ProducerRun,
+    document: Mapping[str, Any],
+    stem: Path,
+    config: RunConfig,
+    *,
+    probabilities: bool,
+) -> None:
+    """Stage a run's map, path and record with other files.
 
-    Raises:
-        MapFileError: it cannot be written; the message names the file that was wanted.
+    Args:
+        files: the set.
+        run: what was made.
+        document: the record.
+        stem: the files' path without their suffixes.
+        config: its thresholds of the vote decide what is free and occupied in the map.
+        probabilities: also stage the map with its probabilities: value by value, mode raw.
     """
-    from slamfusion.io import save_map  # noqa: PLC0415
-
-    with TemporaryDirectory(prefix="slamfusion-") as name:
-        try:
-            made = save_map(grid, Path(name) / stem.name, mode=mode)
-        except MapFileError as error:  # name the file that was wanted, not its draft
-            raise MapFileError(str(error).replace(name, str(stem.parent))) from None
-        for draft in made:
-            files.add(stem.parent / draft.name, draft.read_bytes())
-
-
-def add_run(files: AtomicFiles, run: ProducerRun, document: Mapping[str, Any], stem: Path) -> None:
-    """Stage a run's map, path and record with other files."""
-    from slamfusion.io import write_tum  # noqa: PLC0415
+    from slamfusion.io import save_map, write_tum  # noqa: PLC0415
 
     _, _, tum, record = output_files(stem)
-    add_map(files, run.grid, stem)
+    save_map(run.grid, stem, classes=config.fusion.normalize, files=files)
+    if probabilities:
+        other = stem.with_name(stem.name + PROBABILITY)
+        save_map(run.grid, other, mode="raw", image_format="png", files=files)
     write_tum(tum, run.trajectory, files=files)
     files.add(record, (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode())

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import importlib.util
-import re
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.earlier import (
+    AGREEMENT,
+    FAILED,
+    FUSED,
+    REPORT,
+    earlier_results,
+    failure_folder,
+    map_files,
+    possible_outputs,
+    remove_empty,
+    report_files,
+)
 from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
 from slamfusion.cli.fused import (
     AllRequiredError,
@@ -44,7 +54,6 @@ from slamfusion.cli.output import (
 )
 from slamfusion.cli.produced import (
     ProducerResult,
-    add_map,
     add_run,
     measure_run,
     output_files,
@@ -66,7 +75,6 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 PROGRESS_STEPS = 1000
-FUSED, AGREEMENT, REPORT = "fused", "fused_agreement", "report"
 # On recorded and simulated drives the consensus is nearest to the truth and doubles no walls; see
 # the README.
 BASE = replace(
@@ -90,6 +98,7 @@ class _Request:
     relations: Path | None
     odometry: Path | None
     scan_odometry: Path | None
+    probabilities: bool
 
     def check(self) -> None:
         """Refuse what cannot end well before any work."""
@@ -119,21 +128,9 @@ class _Request:
                 raise click.UsageError(message)
         check_writable(self.out)
 
-    def stem(self, name: str) -> Path:
-        """Return where the files of a producer or a map go, without suffix."""
-        return self.out / name
-
     def possible_outputs(self) -> list[Path]:
-        """Return every file that a run into this folder may write, but for the report's."""
-        files = [path for name in NAMES for path in output_files(self.stem(name))]
-        return [
-            *files,
-            *(self.stem(f"{n}.{s}") for n in (FUSED, AGREEMENT) for s in ("yaml", "pgm")),
-        ]
-
-
-def _map_files(stem: Path) -> list[Path]:
-    return [stem.with_name(stem.name + suffix) for suffix in (".yaml", ".pgm")]
+        """Return every file that a run into this folder may write or remove, but for reports."""
+        return [*possible_outputs(self.out), *possible_outputs(self.out / FAILED)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +151,7 @@ class _Yardsticks:
         truth, path = request.truth, request.truth_trajectory
         relations, odometry = request.relations, request.odometry
         return cls(
-            None if truth is None else load_maps([truth], request.resolution)[0],
+            None if truth is None else load_maps([truth], request.resolution, config.map_files)[0],
             None if path is None else read_trajectory(path, config.log),
             None if relations is None else read_relations(relations),
             None if odometry is None else read_odometry(odometry, config.log),
@@ -189,6 +186,7 @@ class _Job:
         best_founded: where nothing is fused, the input whose walls the others' fit best; else None.
         failure: why the job is to end with exit code 1; None where it is well.
         troubles: what could not be measured, a sentence each.
+        folder: where its files lie.
         stages: seconds of each stage, in order.
         device: what computed the fusion.
         true_path: the true trajectory.
@@ -197,6 +195,7 @@ class _Job:
     outcomes: Sequence[Outcome]
     grids: list[OccupancyGrid]
     device: str
+    folder: Path
     true_path: Trajectory | None = None
     results: dict[str, ProducerResult] = field(default_factory=dict)
     fused: FusionResult | None = None
@@ -271,6 +270,7 @@ class _ManyInputs(click.Command):
     "fusion.normalize",
     "fusion.align",
     "fusion.vote",
+    "map_files",
     "log",
     "evaluate",
     "trajectory",
@@ -284,6 +284,9 @@ def command(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag. A producer that fails is named and left out; at
     least two maps have to fit each other. Settings of the producers stand in --config.
+
+    A fused map with everything beside it replaces the results of an earlier run in DIR, all at
+    once. A run without one leaves them as they are; what it made goes to DIR/failed then.
     """
     names = tuple(name.strip() for name in config.run.producers.split(",") if name.strip())
     request = _Request(log, out, names, **asked)
@@ -307,14 +310,16 @@ def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) ->
     else:
         _print(job, request, document["time_s"])
     if job.failure is not None:
-        raise SlamFusionError(_kept(str(job.failure), request))
+        raise SlamFusionError(_kept(str(job.failure), job, request))
     if job.troubles:
-        raise SlamFusionError(_kept("; ".join(job.troubles), request))
+        raise SlamFusionError(_kept("; ".join(job.troubles), job, request))
     return 0
 
 
-def _kept(reason: str, request: _Request) -> str:
-    return f"{reason} (what was made lies in {request.out})"
+def _kept(reason: str, job: _Job, request: _Request) -> str:
+    """Say where what was made lies, and what stays beside it."""
+    earlier = "" if job.folder == request.out else f"; {request.out} keeps its earlier results"
+    return f"{reason} (what was made lies in {job.folder}{earlier})"
 
 
 def _work(request: _Request, config: RunConfig, begun_s: float) -> _Job:
@@ -326,7 +331,7 @@ def _work(request: _Request, config: RunConfig, begun_s: float) -> _Job:
         import slamfusion.report.run_report  # noqa: F401, PLC0415
 
         yardsticks = _Yardsticks.read(request, config)
-        maps = load_maps(request.maps, request.resolution)
+        maps = load_maps(request.maps, request.resolution, config.map_files)
         backend = _open(config)
         with progress_bar() as bar:
 
@@ -336,7 +341,7 @@ def _work(request: _Request, config: RunConfig, begun_s: float) -> _Job:
 
             outcomes = side_by_side.wait(tell)
     grids = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
-    job = _Job(outcomes, [*grids, *_renamed(maps)], backend.name, yardsticks.path)
+    job = _Job(outcomes, [*grids, *_renamed(maps)], backend.name, request.out, yardsticks.path)
     job.stages["producers"] = time.perf_counter() - begun_s
     with progress_bar() as bar:
         began_s = time.perf_counter()
@@ -448,59 +453,56 @@ def _measure(
 
 
 def _save(job: _Job, request: _Request, config: RunConfig) -> dict[str, list[Path]]:
-    """Write all files together or none, and remove what an earlier run left beside them.
+    """Write all files together or none; with them goes what an earlier run left beside them.
 
-    A map of an earlier run beside those of this one would be taken for one of them. That there was
-    an earlier run is told by its report; without one nothing is removed.
+    A map of an earlier run beside those of this one would be taken for one of them. So a run that
+    made a fused map replaces everything of an earlier one, and one that made none writes into a
+    folder of its own where there are results already. That there was an earlier run is told by its
+    report; without one nothing is removed.
 
     Returns:
         The files of each producer, of the fused map and of the report.
     """
-    from slamfusion.io import AtomicFiles  # noqa: PLC0415
+    from slamfusion.io import AtomicFiles, save_map  # noqa: PLC0415
     from slamfusion.report.run_report import write_run_report  # noqa: PLC0415
 
-    had_report = (request.out / REPORT / "report.html").exists()
+    if job.usable is None:
+        earlier = [*possible_outputs(request.out), *report_files(request.out / REPORT)]
+        job.folder = failure_folder(request.out, earlier)
+    failed = request.out / FAILED
     written: dict[str, list[Path]] = {}
     with AtomicFiles() as files:
         for name, result in job.results.items():
-            stem = request.stem(name)
-            written[name] = output_files(stem)
+            stem = job.folder / name
+            written[name] = output_files(stem, probabilities=request.probabilities)
             document = {
                 "producers": [_record(job, name, written[name])],
                 **_asked(request),
                 **circumstances(config, result.device),
             }
-            add_run(files, result.run, document, stem)
+            add_run(files, result.run, document, stem, config, probabilities=request.probabilities)
         if job.usable is not None:
             for name, grid, mode in (
                 (FUSED, job.usable.fused, "trinary"),
                 (AGREEMENT, job.usable.agreement, "raw"),
             ):
-                stem = request.stem(name)
-                add_map(files, grid, stem, mode)
-                written[name] = _map_files(stem)
+                stem = job.folder / name
+                save_map(grid, stem, mode=mode, files=files)
+                written[name] = map_files(stem)
         began_s = time.perf_counter()
         page = write_run_report(
-            _reported(job, request), request.out / REPORT, config=config, files=files
+            _reported(job, request), job.folder / REPORT, config=config, files=files
         )
         job.stages["report"] = time.perf_counter() - began_s
         written[REPORT] = [page]
-    if had_report:
-        _remove_old(request, {path for paths in written.values() for path in paths})
+        kept = {path for paths in written.values() for path in paths}
+        folders = [job.folder] if job.usable is None else [request.out, failed]
+        for path in earlier_results(folders):
+            if path not in kept and path not in report_files(job.folder / REPORT):
+                files.remove(path)
+    if job.usable is not None:
+        remove_empty(failed / REPORT, failed)
     return written
-
-
-def _remove_old(request: _Request, written: set[Path]) -> None:
-    """Remove the files of an earlier run that this one has not replaced."""
-    old = [path for path in request.possible_outputs() if path not in written]
-    report = request.out / REPORT
-    shown = set(
-        re.findall(r'href="(\d\d-[^"]+\.png)"', (report / "report.html").read_text("utf-8"))
-    )
-    old += [path for path in report.glob("[0-9][0-9]-*.png") if path.name not in shown]
-    for path in old:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
 
 
 def _reported(job: _Job, request: _Request) -> Any:
@@ -647,9 +649,9 @@ def _print(job: _Job, request: _Request, time_s: float) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in job.stages.items())
     print(f"time:      {time_s:.1f} s ({stages})")
     if job.usable is not None:
-        print(f"fused map: {request.stem(FUSED)}.yaml")
-        print(f"agreement: {request.stem(AGREEMENT)}.yaml")
-    print(f"report:    {request.out / REPORT / 'report.html'}")
+        print(f"fused map: {job.folder / FUSED}.yaml")
+        print(f"agreement: {job.folder / AGREEMENT}.yaml")
+    print(f"report:    {job.folder / REPORT / 'report.html'}")
 
 
 def _print_producers(job: _Job, request: _Request) -> None:

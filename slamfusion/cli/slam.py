@@ -75,6 +75,7 @@ class _Request:
     state: Path | None = None
     stop_after: int | None = None
     scan_odometry: Path | None = None
+    probabilities: bool = False
 
     def check(self) -> None:
         """Refuse what cannot end well before any work."""
@@ -113,7 +114,7 @@ class _Request:
             self.resume.open("rb").close()
         if self.state is None:
             return
-        others = output_files(self.stem)
+        others = output_files(self.stem, probabilities=self.probabilities)
         if self.report is not None:
             others.append(self.report / "report.html")
         if self.state.resolve() in {path.resolve() for path in others}:
@@ -128,8 +129,8 @@ class _Request:
         check_writable(self.state.parent)
 
     def outputs(self) -> list[Path]:
-        """Return the files that are written: map, path, record, and the state if it is wanted."""
-        files = output_files(self.stem)
+        """Return the files that are written: map, path, record, and what else is wanted."""
+        files = output_files(self.stem, probabilities=self.probabilities)
         return files if self.state is None else [*files, self.state]
 
 
@@ -194,7 +195,7 @@ def _make_command(name: str) -> click.Command:
     @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
     @report_option("report")
     @_state_options(name)
-    @with_config(name, "log", "trajectory", "device", "")
+    @with_config(name, "log", "trajectory", "map_files", "device", "")
     @common_options
     def run(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any) -> int:
         request = _Request(log, _stem(out), **asked)
@@ -221,7 +222,11 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     relations = None if request.relations is None else read_relations(request.relations)
     odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
     truth = None if request.truth is None else read_trajectory(request.truth, config.log)
-    truth_map = None if request.truth_map is None else load_maps([request.truth_map], None)[0]
+    truth_map = (
+        None
+        if request.truth_map is None
+        else load_maps([request.truth_map], None, config.map_files)[0]
+    )
     backend = open_producer_backend(name, config)
     producer = _producer(name, request.resume, config, backend)
     found = _produce(producer, request, config)
@@ -254,12 +259,10 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
         "config": to_mapping(config),
         "versions": versions(),
     }
-    _save(found, producer, document, request)
+    _save(result, producer, document, request, config, truth)
     if failed is not None:
         message = f"{failed} (the map and the path were written all the same)"
         raise SlamFusionError(message) from failed
-    if request.report is not None:
-        _report(result, request, request.report, config, truth)
     for sentence in (*_asked(found, request), *found.doubts()):
         notice(f"{name}: {sentence}")
     if as_json:
@@ -309,15 +312,29 @@ def _asked(run: ProducerRun, request: _Request) -> list[str]:
 
 
 def _save(
-    run: ProducerRun, producer: SlamBackend, document: dict[str, Any], request: _Request
+    result: ProducerResult,
+    producer: SlamBackend,
+    document: dict[str, Any],
+    request: _Request,
+    config: RunConfig,
+    truth: Trajectory | None,
 ) -> None:
-    """Write map, path, record and state; all of them or none."""
+    """Write map, path, record, state and report; all of them or none."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415
 
     with AtomicFiles() as files:
-        add_run(files, run, document, request.stem)
+        add_run(
+            files,
+            result.run,
+            document,
+            request.stem,
+            config,
+            probabilities=request.probabilities,
+        )
         if request.state is not None:
             _add_state(files, request.state, producer)
+        if request.report is not None:
+            _report(files, result, request, request.report, config, truth)
 
 
 def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
@@ -337,13 +354,14 @@ def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
 
 
 def _report(
+    files: AtomicFiles,
     result: ProducerResult,
     request: _Request,
     directory: Path,
     config: RunConfig,
     truth: Trajectory | None,
 ) -> None:
-    """Write the report: map, path, errors, health."""
+    """Stage the report: map, path, errors, health."""
     from slamfusion.report import Fact, Table, write_slam_report  # noqa: PLC0415
     from slamfusion.report.page import Cell  # noqa: PLC0415
 
@@ -383,6 +401,7 @@ def _report(
         other_paths=run.other_paths,
         closures=run.closures,
         device=result.device,
+        files=files,
     )
 
 

@@ -105,7 +105,7 @@ class Measures:
     metavar="DIR",
     help="Write a self-contained HTML report with its pictures here.",
 )
-@with_config("trajectory", "log")
+@with_config("trajectory", "log", "map_files")
 @common_options
 def command(
     estimate: Path,
@@ -140,7 +140,7 @@ def command(
     truth, scans = read(truth_path), read(log_path)
     rows = None if odometry_path is None else read_odometry(odometry_path, config.log)
     relations = None if relations_path is None else read_relations(relations_path)
-    grid = None if map_path is None else load_maps((map_path,), None)[0]
+    grid = None if map_path is None else load_maps((map_path,), None, config.map_files)[0]
     measures = measure_trajectory(
         poses, config.trajectory, relations=relations, odometry=rows, scans=scans, truth=truth
     )

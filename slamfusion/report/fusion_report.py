@@ -11,6 +11,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import MapError
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import plots
 from slamfusion.report.maps import (
     alignment_table,
@@ -58,6 +59,7 @@ def write_fusion_report(
     config: RunConfig,
     evaluations: Sequence[MapError] = (),
     failure: str | None = None,
+    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of a fusion as one self-contained page with its pictures beside it.
 
@@ -67,6 +69,7 @@ def write_fusion_report(
         config: the effective configuration, written out in full.
         evaluations: errors against a truth, of the inputs, the fused map, or both.
         failure: why the result must not be used all the same, e.g. ``--require-all``.
+        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of ``report.html``.
@@ -86,7 +89,7 @@ def write_fusion_report(
     page = Page(
         "SLAMfusion report", fusion_banner(result, failure), _facts(result, evaluations), sections
     )
-    return write_page(page, directory)
+    return write_page(page, directory, files)
 
 
 def write_failure_report(
@@ -97,6 +100,7 @@ def write_failure_report(
     *,
     config: RunConfig,
     device: str = "",
+    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of maps that could not be fused: each map, each pair, and why.
 
@@ -107,6 +111,7 @@ def write_failure_report(
         directory: for ``report.html`` and the PNG files; made when missing.
         config: the effective configuration, written out in full.
         device: the device that computed, in words.
+        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of ``report.html``.
@@ -150,7 +155,7 @@ def write_failure_report(
         Fact(f"0 of {len(grids)}", "maps fused", "bad"),
         Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
     ]
-    return write_page(Page("SLAMfusion report", banner, facts, sections), directory)
+    return write_page(Page("SLAMfusion report", banner, facts, sections), directory, files)
 
 
 _YAW_TEXT = (

@@ -191,6 +191,8 @@ def circumstances(config: RunConfig, device: str) -> Section:
 def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
     """Write ``report.html`` and the pictures beside it, all or none.
 
+    Pictures of an earlier report there that this one does not replace go.
+
     Args:
         page: its pictures go into the page and, numbered, beside it.
         directory: made when it is missing; older files of the same names are replaced.
@@ -218,10 +220,13 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         version=slamfusion.__version__,
     )
     path = directory / "report.html"
+    earlier = set(directory.glob("[0-9][0-9]-*.png")) if path.exists() else set()
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
         for picture in pictures:
             whole.add(directory / names[id(picture)], picture.png)
         whole.add(path, html.encode("utf-8", errors="replace"))
+        for picture_path in sorted(earlier - {directory / name for name in names.values()}):
+            whole.remove(picture_path)
     return path
 
 

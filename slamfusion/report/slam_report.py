@@ -8,6 +8,7 @@ from pathlib import Path
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import paths
 from slamfusion.report.closures import closure_pictures
 from slamfusion.report.maps import input_picture, statistics_table
@@ -51,6 +52,7 @@ def write_slam_report(
     other_paths: Sequence[Trajectory] = (),
     closures: Sequence[Closure] = (),
     device: str = "",
+    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the report of a producer's run as one self-contained page with its pictures beside it.
 
@@ -72,6 +74,7 @@ def write_slam_report(
             a producer with closures is the path as it was first reported.
         closures: of a producer that closes loops.
         device: the device that computed, in words.
+        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of ``report.html``.
@@ -114,7 +117,7 @@ def write_slam_report(
         warnings,
     )
     shown = [*facts, *error_facts(relations, errors)]
-    return write_page(Page("SLAMfusion run", banner, shown, sections), directory)
+    return write_page(Page("SLAMfusion run", banner, shown, sections), directory, files)
 
 
 def _other_paths_pictures(

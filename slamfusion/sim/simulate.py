@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -148,14 +147,12 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
         world = replace(course.world, map="truth.yaml")
         course = replace(course, world=world)
     text = yaml.safe_dump(course_to_mapping(course), sort_keys=False)
-    with tempfile.TemporaryDirectory() as scratch, AtomicFiles() as files:
+    with AtomicFiles() as files:
         write_carmen(log, recording.scans, files=files)
-        maps = save_map(recording.world.grid, Path(scratch) / "truth")
-        for path in maps:
-            files.add(folder / path.name, path.read_bytes())
+        maps = save_map(recording.world.grid, folder / "truth", files=files)
         write_tum(tum, recording.truth, files=files)
         files.add(settings, text.encode())
-    return [log, *(folder / path.name for path in maps), tum, settings]
+    return [log, *maps, tum, settings]
 
 
 def _chance(course: Course, stream: int) -> np.random.Generator:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.grid import OccupancyGrid
+from slamfusion.config import NormalizeConfig
+from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, read_trajectory, save_map, write_carmen, write_tum
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import (
@@ -125,7 +126,7 @@ def test_a_producer_makes_the_map_that_slam_makes(
         assert (tmp_path / f"graph{suffix}").read_bytes() == (out / f"graph{suffix}").read_bytes()
 
 
-def test_the_fused_map_is_nearly_what_fuse_makes_of_the_saved_maps(
+def test_the_fused_map_is_what_fuse_makes_of_the_saved_maps(
     made: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     out, _ = made
@@ -134,8 +135,39 @@ def test_the_fused_map_is_nearly_what_fuse_makes_of_the_saved_maps(
     assert done.returncode == 0, done.stderr
     again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
     assert again.origin == fused.origin
-    # A saved map has three values: what was nearly free is unknown in it.
-    assert np.mean(again.cells == fused.cells) > 0.98
+    assert np.array_equal(again.cells, fused.cells)
+
+
+def test_a_saved_map_has_the_errors_that_the_run_told(
+    made: tuple[Path, dict[str, Any]], place: Path
+) -> None:
+    out, document = made
+    maps = [out / f"{name}.yaml" for name in (*NAMES, "fused")]
+    done = run("evaluate", *maps, "--truth", place / "saved.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    told = {item["name"]: item for item in document["evaluations"]}
+    for found in json_of(done)["maps"]:
+        for key in ("error", "confusion", "wall_f1", "dx_m", "dy_m", "yaw_rad"):
+            assert found[key] == told[found["name"]][key], (found["name"], key)
+
+
+def test_the_probabilities_go_into_maps_of_their_own(
+    made: tuple[Path, dict[str, Any]], place: Path, tmp_path: Path
+) -> None:
+    out, _ = made
+    log, stem = place / "flat.log", tmp_path / "graph"
+    done = run("slam", "graph", log, "--seed", "3", "-o", stem, "--probabilities", "--json")
+    assert done.returncode == 0, done.stderr
+    assert outputs(tmp_path) == files_of("graph") | {
+        "graph_probability.yaml",
+        "graph_probability.png",
+    }
+    assert set(json_of(done)["producers"][0]["files"]) == {str(p) for p in tmp_path.iterdir()}
+    full, classes = load_map(tmp_path / "graph_probability.yaml"), load_map(out / "graph.yaml")
+    assert len(np.unique(full.cells)) > 5
+    votes = trinary_cells(full.cells, NormalizeConfig())
+    assert np.array_equal(votes, np.sign(classes.cells))
+    assert ((full.cells > 20) & (votes == 0)).any()
 
 
 def test_the_report_is_one_page_with_everything(made: tuple[Path, dict[str, Any]]) -> None:
@@ -200,30 +232,45 @@ def a_producer_of(parent: int) -> int:
     raise AssertionError(message)
 
 
-def test_with_one_map_left_nothing_is_fused_and_an_old_fused_map_goes(
-    place: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_fuses_nothing_leaves_the_earlier_results(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("run", place / "flat.log", "-o", out, *TWO)
     assert first.returncode == 0, first.stderr
     (out / "notes.txt").write_text("mine", encoding="utf-8")
+    before = tree(out)
     done = run("run", place / "flat.log", "-o", out, "--producers", "graph")
-    assert_one_line_failure(done, "1 of 1 maps was made", "at least 2", str(out))
-    # A map of the run before beside those of this one would be taken for one of them.
-    assert outputs(out) == files_of("graph") | {"notes.txt"}
-    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert_one_line_failure(
+        done, "1 of 1 maps was made", "at least 2", f"lies in {out}/failed", f"{out} keeps"
+    )
+    after = tree(out)
+    failed = {name for name in after if name.split("/")[0] == "failed"}
+    assert {name: data for name, data in after.items() if name not in failed} == before
+    assert outputs(out / "failed") == files_of("graph")
+    html = (out / "failed" / "report" / "report.html").read_text(encoding="utf-8")
     assert "Nothing was fused" in html
-    shown = {path.name for path in (out / "report").glob("*.png")}
+    shown = {path.name for path in (out / "failed" / "report").glob("*.png")}
     assert len(shown) == html.count("<img ")
+
+    # A run that ends well replaces all of it, what failed too; what is not of a run stays.
+    (out / "graph_probability.yaml").write_text("of the first", encoding="utf-8")
+    done = run("run", place / "flat.log", "-o", out, *TWO, "--seed", "5")
+    assert done.returncode == 0, done.stderr
+    assert outputs(out) == files_of("tinyslam", "graph") | MAPS_OF_FUSION | {"notes.txt"}
+    assert not (out / "failed").exists()
+    assert not list(out.rglob(".slamfusion-*"))
 
 
 def test_maps_that_no_run_made_are_left_alone(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run("slam", "tinyslam", place / "flat.log", "-o", out / "tinyslam")
-    assert done.returncode == 0, done.stderr
+    (out).mkdir()
+    for suffix in (".yaml", ".pgm"):
+        (out / f"tinyslam{suffix}").write_bytes((place / f"saved{suffix}").read_bytes())
+    before = tree(out)
     done = run("run", place / "flat.log", "-o", out, "--producers", "graph")
     assert done.returncode == 1
-    assert outputs(out) == files_of("graph", "tinyslam")
+    assert outputs(out / "failed") == files_of("graph")
+    assert tree(out).items() >= before.items()
+    assert outputs(out) == set(before)
 
 
 def test_a_time_limit_leaves_out_who_takes_longer(place: Path, tmp_path: Path) -> None:
@@ -262,11 +309,13 @@ def test_require_all_fuses_nothing_without_everyone(place: Path, tmp_path: Path)
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
     assert "rejected: blank" in done.stderr
+    before = tree(out)
     done = run(*arguments, "--require-all")
     assert done.returncode == 1
     assert "--require-all, but rejected: blank" in done.stderr
-    assert outputs(out) == files_of("tinyslam", "graph")
-    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert tree(out).items() >= before.items()
+    assert outputs(out / "failed") == files_of("tinyslam", "graph")
+    html = (out / "failed" / "report" / "report.html").read_text(encoding="utf-8")
     assert "Do not use this map" in html
 
 

@@ -1,0 +1,75 @@
+"""Results of an earlier job in the folder that a job writes to.
+
+What a failed job made never takes their place: it goes into ``failed`` in that folder, so that old
+and new are not taken for one. A job that ends well replaces all of them at once, ``failed`` too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from slamfusion.cli.produced import output_files
+from slamfusion.cli.slam import NAMES
+
+__all__ = [
+    "AGREEMENT",
+    "FAILED",
+    "FUSED",
+    "REPORT",
+    "earlier_results",
+    "failure_folder",
+    "map_files",
+    "possible_outputs",
+    "remove_empty",
+    "report_files",
+]
+
+FAILED = "failed"
+# What a run calls its maps and the folder of its report.
+FUSED, AGREEMENT, REPORT = "fused", "fused_agreement", "report"
+PAGE, PICTURES = "report.html", "[0-9][0-9]-*.png"
+
+
+def failure_folder(folder: Path, results: Iterable[Path]) -> Path:
+    """Return where the files of a failed job go: ``failed`` in the folder where it holds results.
+
+    Args:
+        folder: that the job was to write to.
+        results: any file that such a job may write there.
+    """
+    return folder / FAILED if any(path.exists() for path in results) else folder
+
+
+def report_files(folder: Path) -> list[Path]:
+    """Return the page and the pictures of a report that lies in a folder; empty without a page."""
+    page = folder / PAGE
+    return [page, *sorted(folder.glob(PICTURES))] if page.exists() else []
+
+
+def remove_empty(*folders: Path) -> None:
+    """Remove folders in which nothing is left; in this order."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def possible_outputs(folder: Path) -> list[Path]:
+    """Return every file that a run into a folder may write, but for the report's."""
+    files = [path for name in NAMES for path in output_files(folder / name, probabilities=True)]
+    return [*files, *(path for name in (FUSED, AGREEMENT) for path in map_files(folder / name))]
+
+
+def map_files(stem: Path) -> list[Path]:
+    """Return the files of a map, without suffix: its YAML and its picture."""
+    return [stem.with_name(stem.name + suffix) for suffix in (".yaml", ".pgm")]
+
+
+def earlier_results(folders: Sequence[Path]) -> list[Path]:
+    """Return what earlier runs may have left in folders; nothing where there is no report."""
+    found = []
+    for folder in folders:
+        if report := report_files(folder / REPORT):
+            found += [*possible_outputs(folder), *report]
+    return found
