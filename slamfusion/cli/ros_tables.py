@@ -27,6 +27,7 @@ from slamfusion.config import (
     GraphConfig,
     LiveConfig,
     LogConfig,
+    MapFileConfig,
     PlayerNodeConfig,
     ProducerNodeConfig,
     TinySlamConfig,
@@ -215,6 +216,7 @@ SECTIONS: dict[str, tuple[tuple[str, type[Any]], ...]] = {
     "fusion": (
         ("", FusionNodeConfig),
         ("", DeviceConfig),
+        ("", MapFileConfig),
         ("live", LiveConfig),
         ("fusion", FusionConfig),
     ),

@@ -15,7 +15,7 @@ from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.fusion.accept import Evidence, decide
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures, spread_sample
 from slamfusion.fusion.fixed_step import fixed_step_search
-from slamfusion.fusion.normalize import common_resolution, normalize_grid
+from slamfusion.fusion.normalize import check_resampling, common_resolution, normalize_grid
 from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
 from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.fusion.search import (
@@ -90,7 +90,9 @@ def align_grids(
 
     Raises:
         GridError: a grid has no known cells.
+        MemoryBudgetError: at their common resolution the grids would not fit into memory.
     """
+    check_resampling([reference, moving], config.normalize, "aligning")
     resolution = common_resolution([reference, moving], config.normalize)
     features = [
         GridFeatures(normalize_grid(grid, resolution, config.normalize, backend), backend)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +14,21 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
+from slamfusion.io.memory import check_memory
 
-__all__ = ["NormalizedGrid", "common_resolution", "lattice_box", "normalize_grid", "pool_cells"]
+__all__ = [
+    "NormalizedGrid",
+    "check_resampling",
+    "common_resolution",
+    "lattice_box",
+    "normalize_grid",
+    "pool_cells",
+]
 
 # Resolutions this close are one resolution: 0.05 and 0.050000001 need no resampling.
 SAME_RESOLUTION = 1e-4
+# What preparing, aligning and voting hold at once for each cell of an input.
+BYTES_PER_CELL = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +63,38 @@ def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> fl
     if config.resolution is not None:
         return config.resolution
     return min(grid.resolution for grid in grids)
+
+
+def check_resampling(grids: Sequence[OccupancyGrid], config: NormalizeConfig, what: str) -> None:
+    """Refuse grids that would not fit into memory at their common resolution.
+
+    Args:
+        grids: one or more.
+        config: may give the resolution.
+        what: is done with them: ``fusing``, ``aligning``.
+
+    Raises:
+        MemoryBudgetError: with the sizes, the resolutions and what to do; nothing was allocated.
+    """
+    resolution = common_resolution(list(grids), config)
+    own_cells = [_cells_at(grid, resolution) for grid in grids]
+    largest = grids[own_cells.index(max(own_cells))]
+    finest = min(grids, key=lambda grid: grid.resolution)
+    said = (
+        f"{what} {sum(own_cells)} known-box cells at {resolution:g} m (this map: {max(own_cells)})"
+    )
+    if config.resolution is None and finest.resolution < largest.resolution:
+        said += (
+            f", the cell size of {finest.name}, to which this map's {largest.resolution:g} m is "
+            "brought (is it right? another can be given: --fused-resolution),"
+        )
+    check_memory(sum(own_cells) * BYTES_PER_CELL, said, largest.name)
+
+
+def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
+    """Return how many cells the known box of a grid has at another resolution."""
+    box = grid.known_box()
+    return 0 if box is None else int(box.area * (grid.resolution / resolution) ** 2)
 
 
 def normalize_grid(

@@ -21,6 +21,7 @@ from slamfusion.fusion.consistency import Group, largest_group, path_transform
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
+    check_resampling,
     common_resolution,
     lattice_box,
     normalize_grid,
@@ -29,7 +30,6 @@ from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.vote import double_reach_cells, margin_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
-from slamfusion.io.memory import check_memory
 
 __all__ = [
     "AlignedGroup",
@@ -46,7 +46,6 @@ Progress = Callable[[str, int, int], None]
 SecondLook = Callable[[Alignment, GridFeatures, GridFeatures], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
-BYTES_PER_CELL = 24
 WEIGHT_CEILING = 0.99
 # [F16]: any two of three decide, so one input has nobody to agree with.
 MINIMUM_INPUTS = 2
@@ -186,17 +185,7 @@ def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
     if twice:
         message = f"inputs need distinct names; given twice: {', '.join(twice)}"
         raise ConfigError(message)
-    resolution = common_resolution(list(grids), config.normalize)
-    largest, cells = names[0], 0
-    total = 0
-    for grid in grids:
-        box = grid.known_box()
-        own = 0 if box is None else int(box.area * (grid.resolution / resolution) ** 2)
-        total += own
-        if own > cells:
-            largest, cells = grid.name, own
-    what = f"fusing {total} known-box cells at {resolution:g} m (this map: {cells})"
-    check_memory(total * BYTES_PER_CELL, what, largest)
+    check_resampling(grids, config.normalize, "fusing")
 
 
 def _align_pairs(

@@ -17,7 +17,14 @@ from std_srvs.srv import Trigger
 
 from slamfusion import grid as grids
 from slamfusion.compute import Backend, open_backend
-from slamfusion.config import DeviceConfig, FusionConfig, FusionNodeConfig, LiveConfig, RunConfig
+from slamfusion.config import (
+    DeviceConfig,
+    FusionConfig,
+    FusionNodeConfig,
+    LiveConfig,
+    MapFileConfig,
+    RunConfig,
+)
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.geometry import Pose2
@@ -125,11 +132,12 @@ class FusionNode(NodeBase):
             fusion=declare(node, FusionConfig, "fusion"),
             live=live,
             device=declare(node, DeviceConfig),
+            map_files=declare(node, MapFileConfig),
         )
         self._saved = {
             name: grid
             for name, entry in entries.items()
-            if (grid := load_saved(name, entry)) is not None
+            if (grid := load_saved(name, entry, config.map_files, self.log.warning)) is not None
         }
         self._backend = open_backend(config.device.device)
         _warm(config, self._backend)

@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy
 
+from slamfusion.config import MapFileConfig
 from slamfusion.errors import ConfigError, TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
@@ -55,15 +56,24 @@ def _short_name(entry: str) -> str:
     return entry.removesuffix(MAP_SUFFIX).strip("/") or entry
 
 
-def load_saved(name: str, entry: str) -> Grid | None:
+def load_saved(
+    name: str, entry: str, config: MapFileConfig, warn: Callable[[str], Any]
+) -> Grid | None:
     """Return the map of a ``file:`` entry, None of a topic.
+
+    Args:
+        name: of the input.
+        entry: as in ``inputs``.
+        config: how saved maps are read.
+        warn: told what is doubtful about the map.
 
     Raises:
         MapFileError: it cannot be read.
     """
     if not entry.startswith(FILE_PREFIX):
         return None
-    return load_map(entry.removeprefix(FILE_PREFIX), name=name)
+    path = entry.removeprefix(FILE_PREFIX)
+    return load_map(path, name=name, legacy_unknown=config.legacy_unknown, warn=warn)
 
 
 @dataclass(frozen=True)

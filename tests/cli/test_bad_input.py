@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from slamfusion.io import load_map, save_map
 from tests.cli.command import INSTALLED, MAPS, TRUTH, assert_one_line_failure, json_of, run, tree
 
 pytestmark = pytest.mark.once
@@ -82,6 +83,9 @@ CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
     "unknown mode": (with_line("mode", "quadrinary"), ("map.yaml", "quadrinary", "trinary")),
     "origin of two numbers": (with_line("origin", "[1.0, 2.0]"), ("map.yaml", "origin")),
     "nan origin": (with_line("origin", "[1.0, .nan, 0.0]"), ("map.yaml", "origin")),
+    "tiny cells": (with_line("resolution", "0.00001"), ("map.yaml", "0.0001 to 100", "1e-05")),
+    "far origin": (with_line("origin", "[0.0, 1.0e+12, 0.0]"), ("map.yaml", "origin", "1e+12")),
+    "yaw in degrees": (with_line("origin", "[0.0, 0.0, 90.0]"), ("map.yaml", "yaw", "degrees")),
     "bare image": (bare_image, ("map.pgm", "--resolution")),
     "not YAML": (lambda folder: bad_map(folder, "image: [\n"), ("map.yaml",)),
 }
@@ -106,6 +110,42 @@ def test_other_commands_say_the_same(tmp_path: Path, command: str) -> None:
     done = run(command, *arguments, "--device", "numpy")
     assert_one_line_failure(done, "map.yaml", "resolution")
     assert done.stdout == ""
+
+
+@pytest.mark.parametrize("command", ["align", "evaluate", "fuse"])
+def test_cell_sizes_that_differ_too_much_are_refused_by_the_memory_they_need(
+    tmp_path: Path, command: str
+) -> None:
+    """The finest cell decides: another map of 15 m would have 2e10 cells."""
+    fine = with_line("resolution", "0.0001")(tmp_path)
+    (tmp_path / "map.pgm").write_bytes(b"P5\n40 40\n255\n" + bytes(20 * [0, 254]) * SIZE)
+    arguments = {
+        "align": [MAPS[0], fine],
+        "evaluate": [MAPS[0], "--truth", fine],
+        "fuse": [MAPS[0], fine, "-o", tmp_path / "out"],
+    }
+    limits = {resource.RLIMIT_AS: 4 * 2**30}
+    done = run(command, *arguments[command], "--device", "numpy", limits=limits)
+    assert_one_line_failure(
+        done, "map_a: ", "at 0.0001 m", "the cell size of map,", "is brought", "GiB of memory"
+    )
+    assert not (tmp_path / "out.yaml").exists()
+
+
+def test_unknown_that_reads_as_free_is_told_and_mended(tmp_path: Path) -> None:
+    grid = load_map(MAPS[0])
+    yaml_path, _ = save_map(grid, tmp_path / "map")
+    text = yaml_path.read_text(encoding="utf-8").replace("0.196", "0.25")
+    yaml_path.write_text(text, encoding="utf-8")
+    unknown = int((grid.cells == -1).sum())
+    options = ("evaluate", yaml_path, "--truth", MAPS[0], "--no-align", "--json")
+    told, mended = run(*options), run(*options, "--legacy-unknown")
+    assert told.returncode == mended.returncode == 0
+    assert f"map.yaml: {unknown} cells of grey 205" in told.stderr
+    assert len(told.stderr.splitlines()) == 1
+    assert json_of(told)["maps"][0]["error"] > 0.0
+    assert mended.stderr == ""
+    assert json_of(mended)["maps"][0]["error"] == 0.0
 
 
 def test_one_map_alone(tmp_path: Path) -> None:

@@ -170,6 +170,22 @@ def test_two_strangers_fuse_nothing_and_report_why(tmp_path: Path, stranger: Pat
     assert not list(tmp_path.glob("*.yaml"))
 
 
+def test_a_fusion_that_fails_leaves_the_earlier_map_and_report(
+    tmp_path: Path, stranger: Path
+) -> None:
+    options = ("-o", tmp_path / "out", "--report", tmp_path / "report", "--device", "numpy")
+    assert run("fuse", *MAPS[:2], *options).returncode == 0
+    before = tree(tmp_path)
+    assert run("fuse", MAPS[0], stranger, *options).returncode == 1
+    after = tree(tmp_path)
+    assert after.items() >= before.items()
+    assert after["report/failed/report.html"]
+    assert all(name.startswith("report/failed") for name in set(after) - set(before))
+    # What is fused again replaces the report; the failed one goes.
+    assert run("fuse", *MAPS[:2], *options).returncode == 0
+    assert set(tree(tmp_path)) == set(before)
+
+
 def test_same_stems_get_distinct_names(tmp_path: Path) -> None:
     for letter in "ab":
         (tmp_path / letter).mkdir()

@@ -355,6 +355,8 @@ def test_a_truth_that_does_not_meet_the_drive_keeps_the_maps(place: Path, tmp_pa
         (("--inputs", "out/graph.yaml"), 2, "would replace the input"),
         (("--inputs", "absent.yaml"), 1, "absent.yaml"),
         (("--truth", "absent.yaml"), 1, "absent.yaml"),
+        (("--truth", "tiny.yaml"), 1, "tiny.yaml: resolution must lie in"),
+        (("--inputs", "tiny.yaml"), 1, "tiny.yaml: resolution must lie in"),
         (("--processes", "0"), 1, "must lie in"),
     ],
 )
@@ -362,6 +364,10 @@ def test_what_cannot_end_well_is_refused_before_any_work(
     place: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, word: str
 ) -> None:
     (tmp_path / "flat.log").write_bytes((place / "flat.log").read_bytes())
+    text = (place / "saved.yaml").read_text(encoding="utf-8")
+    (tmp_path / "tiny.yaml").write_text(
+        text.replace("resolution: 0.05", "resolution: 1.0e-09"), encoding="utf-8"
+    )
     before = tree(tmp_path)
     done = run("run", "flat.log", "-o", "out", *TWO, *arguments, cwd=tmp_path)
     assert done.returncode in {code, 2}
