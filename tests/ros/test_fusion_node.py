@@ -21,12 +21,14 @@ from rosgraph_msgs.msg import Clock
 from scipy import ndimage
 from std_srvs.srv import Trigger
 
+from slamfusion.config import MapFileConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
+from slamfusion.ros.map_source import load_saved
 from tests.fusion.live_maps import assert_same_lattice, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (
@@ -279,8 +281,16 @@ def test_writers_that_keep_nothing_and_saved_maps_take_part(
     processes: Processes, observer: Observer, tmp_path: Path
 ):
     yaml, _ = save_map(three()["c"], tmp_path / "lab")
+    # As map savers with other defaults write it: unknown reads as free, unless it is mended.
+    yaml.write_text(yaml.read_text().replace("0.196", "0.25"))
+    told: list[str] = []
+    plain = load_saved("lab", f"file:{yaml}", MapFileConfig(), told.append)
+    assert plain is not None
+    assert (plain.cells == -1).sum() == 0
+    assert "cells of grey 205" in told[0]
     writers = {name: observer.publisher(OccupancyGrid, f"{name}/map", qos.STREAM) for name in "ab"}
-    start_fusion(processes, inputs=["a/map", "b/map", f"file:{yaml}"])
+    inputs = ["a/map", "b/map", f"file:{yaml}"]
+    node = start_fusion(processes, inputs=inputs, legacy_unknown=True)
     statuses = observer.statuses()
     until_s = time.monotonic() + 40.0
     while FUSION not in statuses or "all 3 inputs vote" not in statuses[FUSION].message:
@@ -290,6 +300,7 @@ def test_writers_that_keep_nothing_and_saved_maps_take_part(
             writer.publish(messages.grid_to_message(three()[name], f"{name}_map", stamp))
         observer.listen(0.5)
     assert values(statuses["fusion: input lab"])["accepted"] == "yes"
+    assert "grey 205" not in node.text()
 
 
 def test_a_place_that_cannot_be_written_is_the_answer(
