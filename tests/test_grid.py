@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, known_box
+from slamfusion.grid import CellBox, OccupancyGrid, implausible, known_box
 
 CELLS = [[-1, -1, -1, -1], [-1, 0, 100, -1], [-1, -1, 50, -1]]
 
@@ -98,6 +98,26 @@ def test_the_cell_under_a_cells_centre_is_that_cell(row: int, col: int, origin: 
     grid = grid_of(origin=origin)
     rows, cols = grid.cell_indices(grid.cell_centres(np.array([row]), np.array([col])))
     assert (rows.tolist(), cols.tolist()) == ([row], [col])
+
+
+@pytest.mark.parametrize(
+    ("resolution", "origin", "words"),
+    [
+        (1e-4, Pose2(1e7, -1e7, 4.0 * math.pi), None),
+        (100.0, Pose2(-1e7, 1e7, -4.0 * math.pi), None),
+        (0.99e-4, Pose2(), "resolution must lie in 0.0001 to 100 metres per cell, found 9.9e-05"),
+        (100.1, Pose2(), "resolution must lie in 0.0001 to 100 metres per cell, found 100.1"),
+        (math.nan, Pose2(), "resolution must lie"),
+        (0.05, Pose2(1.01e7, 0.0), "x of the origin must lie within 1e+07 metres"),
+        (0.05, Pose2(0.0, -1.01e7), "y of the origin must lie within 1e+07 metres"),
+        (0.05, Pose2(0.0, 0.0, 12.6), "yaw of the origin must lie within 12.57 radians, found"),
+    ],
+)
+def test_a_cell_size_or_place_beyond_the_ranges_is_named(
+    resolution: float, origin: Pose2, words: str | None
+) -> None:
+    found = implausible(resolution, origin)
+    assert found == words if words is None else words in str(found)
 
 
 def test_renaming_changes_the_name_only() -> None:

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any
 
 from slamfusion.errors import MapFileError
-from slamfusion.io.journal import Entry, Journal, move_back, put_right, sync_folder
+from slamfusion.io.journal import Entry, Journal, hold_folders, move_back, put_right, sync_folder
 
 __all__ = ["AtomicFiles", "write_atomic", "write_json_atomic", "write_text_atomic"]
 
@@ -133,14 +133,15 @@ class AtomicFiles:
         """Put every staged file in place; on failure bring the old files back."""
         if not self._entries:
             return
-        if len(self._entries) == 1 and self._entries[0].is_new:
-            entry = self._entries[0]
-            try:
-                entry.temporary(self._token).replace(entry.target)
-            except OSError as error:
-                raise _cannot_write(entry.target, error) from None
-        else:
-            self._switch()
+        try:
+            with hold_folders(self._journals):
+                if len(self._entries) == 1 and self._entries[0].is_new:
+                    entry = self._entries[0]
+                    entry.temporary(self._token).replace(entry.target)
+                else:
+                    self._switch()
+        except OSError as error:
+            raise _cannot_write(self._entries[0].target, error) from None
         for folder in self._journals:
             sync_folder(folder)
 

@@ -16,13 +16,21 @@ import json
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Entry", "Journal", "is_switching", "move_back", "put_right", "sync_folder"]
+__all__ = [
+    "Entry",
+    "Journal",
+    "hold_folders",
+    "is_switching",
+    "move_back",
+    "put_right",
+    "sync_folder",
+]
 
 PREFIX = ".slamfusion-"
 SUFFIX = ".journal"
@@ -31,6 +39,8 @@ SUFFIX = ".journal"
 ORPHAN_S = 86_400.0
 # Creating a journal and locking it are two steps; a sweeper may come between them.
 LOCK_TRIES = 100
+# Seconds to wait for another writer's switch, which takes milliseconds unless it is stopped.
+SWITCH_S, LOOK_S = 5.0, 0.002
 
 _LEFT = re.compile(r"\.slamfusion-([0-9a-f]{16})(-\d+)?\.(tmp|old)")
 
@@ -154,6 +164,28 @@ def put_right(folder: Path, *, sweep: bool = True) -> None:
         _sweep_orphans(folder)
 
 
+@contextmanager
+def hold_folders(folders: Iterable[Path]) -> Iterator[None]:
+    """Keep other writers from switching files in folders meanwhile; wait while one does.
+
+    Raises:
+        OSError: another one did not come to its end.
+    """
+    held: list[int] = []
+    try:
+        for folder in sorted(set(folders)):
+            held.append(os.open(folder, os.O_RDONLY))
+            end_s = time.monotonic() + SWITCH_S
+            while not _try_lock(held[-1]):
+                if time.monotonic() > end_s:
+                    raise OSError(errno.EBUSY, "another process does not end writing there")
+                time.sleep(LOOK_S)
+        yield
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+
+
 def is_switching(folder: Path) -> bool:
     """Whether a live writer is putting a set of files in place there."""
     for path in _journals(folder):
@@ -224,12 +256,14 @@ def _roll_back(home: Path, descriptor: int, record: dict[str, Any]) -> None:
         )
         for values in record["entries"]
     ]
-    move_back(entries, token)
+    folders = [Path(os.path.normpath(home.parent / folder)) for folder in record["folders"]]
+    with hold_folders(folder for folder in folders if folder.is_dir()):
+        move_back(entries, token)
     _truncate(home)
     os.fsync(descriptor)
-    for folder in record["folders"]:
-        if folder != ".":
-            _sweep(Path(os.path.normpath(home.parent / folder)), token)
+    for folder in folders:
+        if folder != home.parent:
+            _sweep(folder, token)
 
 
 def _truncate(path: Path) -> None:

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from slamfusion.compute import Backend
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
-from slamfusion.fusion import FusionResult, fuse_grids, pipeline
+from slamfusion.fusion import FusionResult, fuse_grids, normalize
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pipeline import choose_reference, vote_again
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import ORIGIN_MOST_M, CellBox, OccupancyGrid
 from slamfusion.io import memory
 from tests.fusion.drawings import (
     assert_right,
@@ -298,6 +298,20 @@ def test_shifting_an_input_moves_no_fused_cell(
     assert turn < 1e-4
 
 
+@pytest.mark.parametrize("place_m", [(5e5, 1e7), (-ORIGIN_MOST_M, ORIGIN_MOST_M)])
+def test_maps_as_far_from_zero_as_may_be_fuse_as_near_it(
+    backend: Backend, place_m: tuple[float, float]
+) -> None:
+    grids, _ = three()
+    wanted = fuse_grids(grids, QUICK, backend)
+    there = Pose2(*place_m)
+    moved = [with_origin(grid, there.compose(grid.origin)) for grid in grids]
+    result = fuse_grids(moved, QUICK, backend)
+    assert np.array_equal(result.fused.cells, wanted.fused.cells)
+    assert result.fused.origin.x - there.x == pytest.approx(wanted.fused.origin.x, abs=1e-6)
+    assert result.fused.origin.y - there.y == pytest.approx(wanted.fused.origin.y, abs=1e-6)
+
+
 def test_shifting_the_reference_moves_the_fused_map_with_it(backend: Backend) -> None:
     grids, _ = three()
     config = replace(QUICK, reference="a")
@@ -466,13 +480,13 @@ def test_memory_is_asked_for_at_the_common_resolution(
 ) -> None:
     """A coarse map brought to fine cells takes what the fine map takes."""
     asked: list[int] = []
-    monkeypatch.setattr(pipeline, "check_memory", lambda count, _what, _where: asked.append(count))
+    monkeypatch.setattr(normalize, "check_memory", lambda count, _what, _where: asked.append(count))
     coarse = replace(place(), name="coarse")
     fine, _ = degraded(place(), 1, "fine", resolution=0.05)
     box = fine.known_box()
     assert box is not None
     fuse_grids([coarse, fine], QUICK, backend)
-    assert sum(asked) >= pipeline.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
+    assert sum(asked) >= normalize.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
 
 
 def test_maps_of_three_resolutions_fuse_at_the_finest(backend: Backend) -> None:

@@ -84,7 +84,7 @@ WRITERS: dict[str, Callable[[Path, int], None]] = {
     "set": write_set,
 }
 # At which of its own operations the first reader after a kill is killed too; None: it is not.
-READERS: dict[str, tuple[int | None, ...]] = {"pair": (None, 0, 2), "set": (None, 1, 4)}
+READERS: dict[str, tuple[int | None, ...]] = {"pair": (None, 1), "set": (None, 2)}
 
 
 def content(folder: Path) -> dict[str, str]:

@@ -143,18 +143,20 @@ def test_leftovers_without_a_journal_go_when_they_are_old(
 
 
 def test_a_map_that_is_replaced_all_the_time_is_never_mixed(tmp_path: Path) -> None:
-    """Another process writes two maps in turn; every load gives one of them, whole."""
+    """Two processes write two maps in turn; every load gives one of them, whole."""
     save_map(grid_of(OLD), tmp_path / "map")
     script = (
         "import sys; from pathlib import Path; from tests.io.killed import *\n"
-        "for i in range(80): write_pair(Path(sys.argv[1]), 1 + i % 2)\n"
+        "for i in range(40): write_pair(Path(sys.argv[1]), 1 + i % 2)\n"
     )
     wanted = {
         version: (grid_of(version).resolution, grid_of(version).cells.tolist())
         for version in (OLD, NEW)
     }
-    with subprocess.Popen([sys.executable, "-c", script, str(tmp_path)]) as writer:
-        while writer.poll() is None:
+    command = [sys.executable, "-c", script, str(tmp_path)]
+    with subprocess.Popen(command) as writer, subprocess.Popen(command) as other:
+        while writer.poll() is None or other.poll() is None:
             grid = load_map(tmp_path / "map.yaml")
             assert (grid.resolution, grid.cells.tolist()) in wanted.values()
-    assert writer.returncode == 0
+    assert (writer.returncode, other.returncode) == (0, 0)
+    assert leftovers(tmp_path) == []
