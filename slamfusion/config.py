@@ -314,6 +314,31 @@ class LiveConfig(_Checked):
     jump_rad: float = option(
         0.05, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
     )
+    confirm_s: float = option(
+        3.0,
+        "a map that jumped and has not changed since is searched again after this time, or after "
+        "its second message, in another way; where that finds the same it is believed",
+        unit="s",
+        low=0.0,
+        level="expert",
+    )
+    pose_apart_m: float = option(
+        1.0,
+        "poses of one robot farther apart than this contradict each other; see pose_apart_s",
+        unit="m",
+        low=0.0,
+        level="expert",
+    )
+    pose_apart_rad: float = option(
+        0.35, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
+    )
+    pose_apart_s: float = option(
+        3.0,
+        "for this long poses must be apart to take a vote, and together to give it back",
+        unit="s",
+        low=0.0,
+        level="expert",
+    )
     hold_cells: float = option(
         0.6,
         "a transform that moves every corner of an input by less is left as it was",

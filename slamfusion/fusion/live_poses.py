@@ -1,0 +1,201 @@
+"""Do the poses of the inputs contradict each other?
+
+The rule. SLAMs that track one robot tell a pose for each of its scans, at the scan's stamp. Two
+inputs are *linked*, which says that they track one robot, once their poses of equal stamps, each
+carried into the fused frame, have stayed together over a drive: within 0.3 of ``pose_apart_m`` and
+``pose_apart_rad`` for ``LINK_M`` metres. Two robots cannot stand in one place, and their scans
+seldom have one stamp, so that their inputs are never linked however they meet or stand side by
+side; inputs that are not linked are never compared. Linked inputs are *apart* when their poses
+have differed by more than ``pose_apart_m`` or ``pose_apart_rad`` for ``pose_apart_s`` seconds of
+stamps without a break, and are so until they have been within 0.7 of both limits for as long.
+
+Whoever is apart from the most others contradicts them; it is left out and the rest is looked at
+again. Where several are apart from equally many, nobody can say who is right, and all of these
+contradict. An input that was aligned again is given a fresh start, but stays linked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from slamfusion.config import LiveConfig
+from slamfusion.geometry import Pose2, wrap_angle
+
+__all__ = ["PoseWatch"]
+
+# Metres that two inputs drive together before they are taken to track one robot.
+LINK_M = 2.0
+# Shares of the limits: together, and together again.
+LINK_SHARE, RETURN_SHARE = 0.3, 0.7
+# Stamps that differ by less are one, seconds.
+SAME_STAMP_S = 1e-3
+# Poses kept of each input, for those of slower ones: 25 s at 20 Hz.
+KEPT = 512
+# Stamps that go back by more, seconds, begin a new time.
+BACK_S = 1.0
+
+
+@dataclass
+class _Pair:
+    """What is known of two inputs.
+
+    Attributes:
+        newest_s: stamp of the last poses that were compared.
+        last: where the first of the two was then, in the fused frame.
+        together_m: driven together without a break.
+        is_linked: whether both track one robot.
+        changing_s: since when they say otherwise than ``is_apart``; None: they do not.
+        is_apart: whether they contradict each other.
+        words: how far apart they were when it began.
+    """
+
+    newest_s: float = -math.inf
+    last: Pose2 | None = None
+    together_m: float = 0.0
+    is_linked: bool = False
+    changing_s: float | None = None
+    is_apart: bool = False
+    words: str = ""
+
+    def restart(self) -> None:
+        """Forget what was said of two that are linked."""
+        self.changing_s, self.is_apart, self.last = None, False, None
+        self.together_m = 0.0
+
+    def compare(self, stamp_s: float, a: Pose2, b: Pose2, live: LiveConfig) -> None:
+        """Take two poses of one stamp, in the fused frame."""
+        if stamp_s < self.newest_s - BACK_S:
+            self.changing_s, self.last = None, None
+        elif stamp_s <= self.newest_s:
+            return
+        self.newest_s = stamp_s
+        away_m = math.dist((a.x, a.y), (b.x, b.y))
+        turn_rad = abs(wrap_angle(a.yaw_rad - b.yaw_rad))
+        share = max(_share(away_m, live.pose_apart_m), _share(turn_rad, live.pose_apart_rad))
+        if not self.is_linked:
+            self._link(a, share)
+            return
+        is_other = share <= RETURN_SHARE if self.is_apart else share > 1.0
+        if not is_other:
+            self.changing_s = None
+            return
+        if self.changing_s is None:
+            self.changing_s = stamp_s
+        if stamp_s - self.changing_s >= live.pose_apart_s:
+            self.is_apart, self.changing_s = not self.is_apart, None
+            self.words = f"{away_m:.1f} m and {math.degrees(turn_rad):.0f} degrees apart"
+
+    def _link(self, a: Pose2, share: float) -> None:
+        """Measure how far the two drive together."""
+        if share > LINK_SHARE:
+            self.together_m, self.last = 0.0, None
+            return
+        if self.last is not None:
+            self.together_m += math.dist((a.x, a.y), (self.last.x, self.last.y))
+        self.last = a
+        self.is_linked = self.together_m >= LINK_M
+
+
+class PoseWatch:
+    """Compares the poses of the inputs; see the rule above. Not for several threads at once."""
+
+    def __init__(self, live: LiveConfig) -> None:
+        """Start without poses; ``live`` gives the limits."""
+        self.live = live
+        self._placed: dict[str, Pose2] = {}
+        self._poses: dict[str, OrderedDict[int, Pose2]] = {}
+        self._pairs: dict[tuple[str, str], _Pair] = {}
+
+    def place(self, transforms: Mapping[str, Pose2]) -> None:
+        """Take where the map frames of the inputs lie in the fused frame; others are not compared.
+
+        Args:
+            transforms: by name, of the inputs whose maps are believed; metres, radians.
+        """
+        for name in {*transforms, *self._placed}:
+            before, now = self._placed.get(name), transforms.get(name)
+            if before is not None and now is not None and not self._is_moved(name, before, now):
+                continue
+            self._poses.pop(name, None)
+            for names, pair in self._pairs.items():
+                if name in names:
+                    pair.restart()
+        self._placed = dict(transforms)
+
+    def _is_moved(self, name: str, before: Pose2, now: Pose2) -> bool:
+        """Whether a transform carries an input's newest pose elsewhere."""
+        poses = self._poses.get(name)
+        if before == now or not poses:
+            return False
+        newest = poses[next(reversed(poses))]
+        moved = now.compose(before.inverse()).compose(newest)
+        away_m = math.dist((moved.x, moved.y), (newest.x, newest.y))
+        turn_rad = abs(wrap_angle(moved.yaw_rad - newest.yaw_rad))
+        live = self.live
+        return away_m > LINK_SHARE * live.pose_apart_m or (
+            turn_rad > LINK_SHARE * live.pose_apart_rad
+        )
+
+    def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
+        """Take a pose of an input.
+
+        Args:
+            name: of the input.
+            stamp_s: of the scan that it is for, seconds.
+            pose: of the robot in the input's map frame; metres, radians.
+        """
+        transform = self._placed.get(name)
+        if transform is None:
+            return
+        here = transform.compose(pose)
+        key = round(stamp_s / SAME_STAMP_S)
+        for other, poses in self._poses.items():
+            there = poses.get(key)
+            if other == name or there is None:
+                continue
+            first, second = sorted((name, other))
+            pair = self._pairs.setdefault((first, second), _Pair())
+            pair.compare(stamp_s, *((here, there) if first == name else (there, here)), self.live)
+        own = self._poses.setdefault(name, OrderedDict())
+        own[key] = here
+        own.move_to_end(key)
+        if len(own) > KEPT:
+            own.popitem(last=False)
+
+    def contradictions(self) -> dict[str, str]:
+        """Return whose poses contradict those of others, by name, and why in one line."""
+        apart = {
+            names: pair
+            for names, pair in self._pairs.items()
+            if pair.is_linked and pair.is_apart and all(name in self._placed for name in names)
+        }
+        out: dict[str, str] = {}
+        left = dict(apart)
+        while left:
+            rivals: dict[str, int] = {}
+            for names in left:
+                for name in names:
+                    rivals[name] = rivals.get(name, 0) + 1
+            most = max(rivals.values())
+            for name in sorted(name for name, count in rivals.items() if count == most):
+                out[name] = _reason(name, apart)
+            left = {names: pair for names, pair in left.items() if not {*names} & {*out}}
+        return out
+
+
+def _reason(name: str, apart: Mapping[tuple[str, str], _Pair]) -> str:
+    """Return in words from whom an input is apart."""
+    mine = {
+        names[0] if names[1] == name else names[1]: pair.words
+        for names, pair in apart.items()
+        if name in names
+    }
+    return f"its poses contradict those of {', '.join(mine)}: {next(iter(mine.values()))}"
+
+
+def _share(value: float, limit: float) -> float:
+    """Return how much of a limit a value is; a limit of 0 is exceeded by anything."""
+    return value / limit if limit > 0.0 else math.inf if value > 0.0 else 0.0

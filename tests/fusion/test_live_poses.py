@@ -1,0 +1,230 @@
+"""Poses of inputs: who tracks one robot, who contradicts whom, on both sides of each threshold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import pytest
+
+from slamfusion.config import LiveConfig
+from slamfusion.fusion.live_poses import LINK_M, LINK_SHARE, RETURN_SHARE, PoseWatch
+from slamfusion.geometry import Pose2
+
+LIVE = LiveConfig()
+FRAMES = {
+    "a": Pose2(),
+    "b": Pose2(5.0, -3.0, 1.0),
+    "c": Pose2(-20.0, 7.0, -2.2),
+    "d": Pose2(1.0, 1.0, 0.1),
+}
+STEP_S, SPEED = 0.5, 0.5
+
+
+class Robot:
+    """Drives along x in the fused frame while some inputs tell where it is."""
+
+    def __init__(self, names: str, live: LiveConfig = LIVE) -> None:
+        self.watch = PoseWatch(live)
+        self.names = names
+        self.watch.place({name: FRAMES[name] for name in names})
+        self.stamp_s = 100.0
+        self.x = 0.0
+
+    def tell(self, name: str, pose: Pose2, stamp_s: float | None = None) -> None:
+        away = FRAMES[name].inverse().compose(pose)
+        self.watch.hear(name, self.stamp_s if stamp_s is None else stamp_s, away)
+
+    def drive(self, seconds: float, speed: float = SPEED, **off: tuple[float, float]) -> None:
+        """Drive; ``off`` says who is how many metres aside and radians turned."""
+        for _ in range(round(seconds / STEP_S)):
+            self.stamp_s += STEP_S
+            self.x += speed * STEP_S
+            for name in self.names:
+                aside, turn = off.get(name, (0.0, 0.0))
+                self.tell(name, Pose2(self.x, aside, turn))
+
+    def together(self) -> Robot:
+        self.drive(2.0 * LINK_M / SPEED)
+        assert not self.watch.contradictions()
+        return self
+
+    def wrong(self) -> str:
+        return "".join(sorted(self.watch.contradictions()))
+
+
+def sides(limit: float) -> Iterable[tuple[float, bool]]:
+    """Values a little below and above a limit, and whether they exceed it."""
+    return ((0.99 * limit, False), (1.01 * limit, True))
+
+
+@pytest.mark.parametrize(("away", "is_wrong"), sides(LIVE.pose_apart_m))
+def test_the_odd_one_of_three_contradicts_beyond_the_distance(away: float, is_wrong: bool) -> None:
+    robot = Robot("abc").together()
+    robot.drive(LIVE.pose_apart_s + 1.0, b=(away, 0.0))
+    assert robot.wrong() == ("b" if is_wrong else "")
+
+
+@pytest.mark.parametrize(("turn", "is_wrong"), sides(LIVE.pose_apart_rad))
+def test_the_odd_one_of_three_contradicts_beyond_the_turn(turn: float, is_wrong: bool) -> None:
+    robot = Robot("abc").together()
+    robot.drive(LIVE.pose_apart_s + 1.0, c=(0.0, turn))
+    assert robot.wrong() == ("c" if is_wrong else "")
+
+
+def test_a_contradiction_takes_its_time_without_a_break_and_so_does_its_end() -> None:
+    robot = Robot("abc").together()
+    robot.drive(LIVE.pose_apart_s, b=(7.0, 0.0))
+    assert robot.wrong() == ""
+    robot.drive(STEP_S)
+    robot.drive(LIVE.pose_apart_s, b=(7.0, 0.0))
+    assert robot.wrong() == "", "one pose that agreed was a break"
+    robot.drive(STEP_S, b=(7.0, 0.0))
+    assert robot.wrong() == "b"
+    assert "of a, c: 7.0 m and 0 degrees apart" in robot.watch.contradictions()["b"]
+    robot.drive(LIVE.pose_apart_s)
+    assert robot.wrong() == "b"
+    robot.drive(STEP_S)
+    assert robot.wrong() == ""
+
+
+@pytest.mark.parametrize(("away", "stays"), sides(RETURN_SHARE * LIVE.pose_apart_m))
+def test_who_contradicted_must_come_nearer_than_it_went(away: float, stays: bool) -> None:
+    robot = Robot("abc").together()
+    robot.drive(5.0, b=(2.0, 0.0))
+    robot.drive(5.0, b=(away, 0.0))
+    assert robot.wrong() == ("b" if stays else "")
+
+
+def test_the_limits_are_settings() -> None:
+    live = replace(LIVE, pose_apart_m=4.0, pose_apart_s=1.0)
+    robot = Robot("abc", live).together()
+    robot.drive(5.0, b=(3.9, 0.0))
+    assert robot.wrong() == ""
+    robot.drive(1.5, b=(4.1, 0.0))
+    assert robot.wrong() == "b"
+
+
+@pytest.mark.parametrize(
+    ("names", "off", "wrong"),
+    [
+        ("ab", {"b": 7.0}, "ab"),
+        ("abc", {"b": 7.0, "c": 20.0}, "abc"),
+        ("abcd", {"d": 7.0}, "d"),
+        ("abcd", {"c": 7.0, "d": 7.0}, "abcd"),
+        ("abcd", {"c": 7.0, "d": 20.0}, "cd"),
+        # Both are within reach of the one in the middle, which contradicts nobody.
+        ("abc", {"a": -0.6, "b": 0.6}, "ab"),
+    ],
+)
+def test_who_is_apart_from_most_is_wrong_and_among_equals_all_are(
+    names: str, off: dict[str, float], wrong: str
+) -> None:
+    robot = Robot(names).together()
+    robot.drive(5.0, **{name: (away, 0.0) for name, away in off.items()})
+    assert robot.wrong() == wrong
+
+
+def test_who_is_not_believed_is_not_counted() -> None:
+    robot = Robot("ab").together()
+    robot.drive(5.0, b=(7.0, 0.0))
+    assert robot.wrong() == "ab"
+    robot.watch.place({"a": FRAMES["a"]})
+    assert robot.wrong() == ""
+    # It was aligned again: what it said before counts no more, but that it is the same robot does.
+    robot.watch.place({name: FRAMES[name] for name in "ab"})
+    assert robot.wrong() == ""
+    robot.drive(5.0, b=(7.0, 0.0))
+    assert robot.wrong() == "ab"
+
+
+@pytest.mark.parametrize(("share", "restarts"), sides(LINK_SHARE))
+def test_a_transform_that_moves_begins_again_and_one_that_creeps_does_not(
+    share: float, restarts: bool
+) -> None:
+    robot = Robot("ab").together()
+    robot.drive(5.0, b=(7.0, 0.0))
+    moved = Pose2(share * LIVE.pose_apart_m, 0.0, 0.0).compose(FRAMES["b"])
+    robot.watch.place({"a": FRAMES["a"], "b": moved})
+    assert robot.wrong() == ("" if restarts else "ab")
+
+
+# -- two robots ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("share", "is_one"), [(0.9, True), (1.1, False)])
+def test_two_that_never_drove_together_are_two_robots(share: float, is_one: bool) -> None:
+    robot = Robot("ab")
+    # Side by side, as near as the robots' bodies allow, with equal stamps.
+    robot.drive(60.0, b=(share * LINK_SHARE * LIVE.pose_apart_m, 0.0))
+    robot.drive(60.0, b=(9.0, 0.0))
+    assert (robot.wrong() == "ab") == is_one
+
+
+@pytest.mark.parametrize(("metres", "is_one"), [(LINK_M - 0.3, False), (LINK_M + 0.6, True)])
+def test_two_that_met_for_less_than_a_way_are_two_robots(metres: float, is_one: bool) -> None:
+    robot = Robot("ab")
+    robot.drive(metres / SPEED)
+    robot.drive(20.0, b=(9.0, 0.0))
+    assert (robot.wrong() == "ab") == is_one
+    # Standing still in one place, as two robots may in two maps that were laid over each other.
+    robot = Robot("ab")
+    robot.drive(100.0, speed=0.0)
+    robot.drive(20.0, b=(9.0, 0.0))
+    assert robot.wrong() == ""
+
+
+def test_poses_of_other_stamps_are_never_compared() -> None:
+    robot = Robot("a")
+    robot.watch.place({name: FRAMES[name] for name in "ab"})
+    for away in (0.0, 9.0):
+        for _ in range(40):
+            robot.stamp_s += STEP_S
+            robot.x += SPEED * STEP_S
+            robot.tell("a", Pose2(robot.x, 0.0, 0.0))
+            robot.tell("b", Pose2(robot.x, away, 0.0), robot.stamp_s + 0.1)
+    assert robot.wrong() == ""
+
+
+# -- what comes late, twice, or from another time --------------------------------------------------
+
+
+def test_a_slow_one_is_compared_at_its_own_stamps() -> None:
+    robot = Robot("a")
+    robot.watch.place({name: FRAMES[name] for name in "ab"})
+    late: list[tuple[float, float]] = []
+    for step in range(80):
+        robot.stamp_s += STEP_S
+        robot.x += SPEED * STEP_S
+        robot.tell("a", Pose2(robot.x, 0.0, 0.0))
+        late.append((robot.stamp_s, robot.x))
+        if step >= 8:
+            stamp_s, x = late[step - 8]
+            robot.tell("b", Pose2(x, 7.0 if step > 60 else 0.0, 0.0), stamp_s)
+        if step == 60:
+            assert robot.wrong() == ""
+    assert robot.wrong() == "ab"
+
+
+def test_a_time_that_goes_back_is_no_contradiction_of_its_own() -> None:
+    robot = Robot("abc").together()
+    robot.drive(2.0, b=(7.0, 0.0))
+    robot.stamp_s = 0.0
+    robot.drive(2.0, b=(7.0, 0.0))
+    assert robot.wrong() == ""
+    robot.drive(2.0, b=(7.0, 0.0))
+    assert robot.wrong() == "b"
+
+
+def test_what_is_kept_of_poses_is_bounded() -> None:
+    robot = Robot("ab").together()
+    robot.drive(1000.0)
+    assert all(len(poses) <= 512 for poses in robot.watch._poses.values())
+
+
+@pytest.mark.parametrize("turn", [lambda yaw: yaw, lambda yaw: yaw + 2.0 * math.pi])
+def test_turns_are_compared_round_the_circle(turn: Callable[[float], float]) -> None:
+    robot = Robot("abc").together()
+    robot.drive(5.0, b=(0.0, turn(0.0)))
+    assert robot.wrong() == ""
