@@ -10,7 +10,18 @@ The rules, for a robot that drives by the fused map:
   last transform against the reference. A better fit by less than ``live.hold_cells`` moves nothing.
 * **Search.** An input is searched everywhere when it is new, or when its tracked score falls below
   a share of what the search last gave. A search that finds it elsewhere is believed when the next
-  map's search finds the same; until then the input does not vote.
+  map's search finds the same. Where the map does not change (the robot stands) it is searched once
+  more after ``live.confirm_s``, or at its second equal message, in another way: against another
+  voter, or with the roles swapped. Until then the input does not vote.
+* **Walls.** What votes matches: an input whose walls match the reference's no more loses its vote
+  until a search, or a third, says which of the two is right. One that fits clearly better mirrored
+  never votes (``live_mirror``).
+* **Poses.** Inputs of one robot whose poses contradict the others' lose their vote while that lasts
+  (``live_poses``); where nobody can say who is right, all of these do, and the last map stays.
+* **Limits.** Numbers that no place has, noise and maps that are all occupied are refused before
+  anything is done with them (``live_limits``); a map that is not believed takes no room in the
+  fused one. A search in vain is followed by a long pause, and a long one is put off while maps of
+  others wait, so that one bad map does not silence the others.
 * **Reference.** It is the input that others are aligned to. It hands over when it is lost, when its
   walls moved, or when two others agree with each other and not with it; never because another
   looks better.
@@ -32,17 +43,15 @@ from slamfusion.compute import Backend
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import GridError, MemoryBudgetError
 from slamfusion.fusion.live_canvas import Canvas, hull, joined
-from slamfusion.fusion.live_input import Track, unusable
+from slamfusion.fusion.live_input import Track
 from slamfusion.fusion.live_judge import Judge
+from slamfusion.fusion.live_limits import odd_resolution, too_large, unusable
+from slamfusion.fusion.live_poses import PoseWatch
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.io.memory import check_memory
 
 __all__ = ["LiveFusion", "LiveInput", "LiveUpdate"]
 
-# Working copies of one map, in bytes a cell, and the map from which they are worth a check.
-INPUT_BYTES = 12
-CHECKED_CELLS = 1 << 22
 # How much the newest interval counts in the rate.
 RATE_WEIGHT = 0.3
 
@@ -157,6 +166,7 @@ class LiveFusion:
         self._tracks = self._judge.tracks
         self._canvas: Canvas | None = None
         self._voters: tuple[str, ...] = ()
+        self._poses = PoseWatch(self._live)
 
     # -- mail -------------------------------------------------------------------------------------
 
@@ -192,6 +202,17 @@ class LiveFusion:
             mail.is_new = True
             mail.grid, mail.gone = None, reason
 
+    def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
+        """Take a pose that an input tells; see ``live_poses`` for what it is compared with.
+
+        Args:
+            name: of the input.
+            stamp_s: of the scan that it is for, seconds.
+            pose: of the robot in the input's map frame; metres, radians.
+        """
+        with self._lock:
+            self._poses.hear(name, stamp_s, pose)
+
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
         with self._lock:
@@ -205,6 +226,8 @@ class LiveFusion:
         """Take other settings for what comes; from the thread of updates."""
         self._live = live
         self._judge.configure(live)
+        with self._lock:
+            self._poses.live = live
 
     # -- update -----------------------------------------------------------------------------------
 
@@ -223,6 +246,7 @@ class LiveFusion:
         clock = [time.perf_counter()]
         before = self._state()
         has_mail = self._collect(now_s)
+        self._contradict()
         clock.append(time.perf_counter())
         self._judge.judge(
             now_s,
@@ -230,6 +254,7 @@ class LiveFusion:
             is_idle=not has_mail,
             is_wanted=lambda: self._has_mail() or (is_wanted is not None and is_wanted()),
         )
+        self._place()
         if self._canvas is None and self._judge.lattice is not None:
             self._canvas = Canvas(self._judge.lattice, self._config, self._backend)
         clock.append(time.perf_counter())
@@ -269,7 +294,7 @@ class LiveFusion:
         return self._canvas
 
     def _state(self) -> tuple[object, ...]:
-        inputs = tuple((t.name, t.votes, t.reason) for t in self._tracks.values())
+        inputs = tuple((t.name, t.votes, t.why) for t in self._tracks.values())
         return (self._judge.reference, self._voters, inputs)
 
     def inputs(self, now_s: float) -> tuple[LiveInput, ...]:
@@ -280,7 +305,7 @@ class LiveFusion:
         for name, track in self._tracks.items():
             mail = mails[name]
             is_reference = name == self._judge.reference and track.votes
-            reason = track.reason
+            reason = track.why
             if self._voters == (name,) and self._live.minimum_inputs > 1:
                 reason = "goes on alone: no other input to agree with"
             out.append(
@@ -338,16 +363,17 @@ class LiveFusion:
         if reason is not None:
             return reason
         resolution = None if self._canvas is None else self._canvas.lattice.resolution
-        cells = grid.height * grid.width
         if resolution is not None:
-            cells = int(cells * max(1.0, (grid.resolution / resolution) ** 2))
+            reason = odd_resolution(grid.resolution, resolution)
+        reason = reason or too_large(grid, resolution or grid.resolution)
+        if reason is not None:
+            return reason
         try:
-            if cells > CHECKED_CELLS:
-                size = f"a map of {grid.height} x {grid.width} cells"
-                check_memory(INPUT_BYTES * cells, size, track.name)
             change = track.follow(grid, resolution, thresholds, self._live, self._backend)
         except (GridError, MemoryBudgetError) as error:
             return str(error)
+        except MemoryError:
+            return f"no memory is left for a map of {grid.height} x {grid.width} cells"
         if not track.is_live:
             track.is_live = True
             track.tried = None
@@ -357,6 +383,23 @@ class LiveFusion:
                 if other is not track:
                     other.drift += change.walls
         return None
+
+    def _contradict(self) -> None:
+        """Take the vote of those whose poses contradict the others', and give it back."""
+        with self._lock:
+            reasons = self._poses.contradictions()
+        for name, track in self._tracks.items():
+            track.contradiction = reasons.get(name, "")
+
+    def _place(self) -> None:
+        """Let the poses of those be compared whose maps are believed."""
+        placed = {
+            name: track.transform
+            for name, track in self._tracks.items()
+            if track.stands and track.transform is not None
+        }
+        with self._lock:
+            self._poses.place(placed)
 
     # -- vote -------------------------------------------------------------------------------------
 
@@ -375,9 +418,10 @@ class LiveFusion:
         if canvas.box is None or not names:
             self._voters = names
             return None
+        has_shrunk = self._shrink(canvas, voters)
         parts = [self._lay(canvas, track) for track in voters]
         boxes = [part for part in parts if part is not None]
-        if any(grown) or names != self._voters or (boxes and self._is_weighted):
+        if has_shrunk or any(grown) or names != self._voters or (boxes and self._is_weighted):
             boxes = [canvas.box]
         self._voters = names
         if not boxes:
@@ -406,6 +450,21 @@ class LiveFusion:
         except MemoryBudgetError as error:
             track.refuse(str(error))
             return False
+
+    def _shrink(self, canvas: Canvas, voters: list[Track]) -> bool:
+        """Give back what the canvas holds for no voter; return whether there was any."""
+        boxes = [
+            canvas.lattice.box_of(track.known, track.sheet.lattice, track.transform)
+            for track in voters
+            if track.sheet is not None and track.known is not None and track.transform is not None
+            if self._live.extent != "reference" or track.name == self._judge.reference
+        ]
+        if not boxes:
+            return False
+        needed = boxes[0]
+        for box in boxes[1:]:
+            needed = hull(needed, box)
+        return canvas.shrink(needed) is not None
 
     @staticmethod
     def _lay(canvas: Canvas, track: Track) -> CellBox | None:

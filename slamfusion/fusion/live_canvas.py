@@ -46,6 +46,8 @@ SAME_YAW_RAD = 1e-6
 SAME_RESOLUTION = 1e-4
 # Cells between two boxes that are sooner voted on again than left out.
 SPARE_CELLS = 1 << 16
+# A canvas of this many cells or more shrinks where this share of them would do.
+SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
 
 
 @dataclass(frozen=True)
@@ -198,8 +200,9 @@ def carry(sheet: Sheet, transform: Pose2, lattice: Lattice, box: CellBox, backen
 class Canvas:
     """The fused cells, and what every input says of them.
 
-    The canvas grows by whole cells of its lattice and never moves; it does not shrink either, so
-    that an input which leaves for a while does not change the size of what is published.
+    The canvas grows by whole cells of its lattice and never moves. It shrinks only where four times
+    fewer cells would do, so that an input which leaves for a while does not change the size of what
+    is published, and one that lay far away gives the memory back.
 
     Attributes:
         lattice: of the fused frame.
@@ -242,6 +245,30 @@ class Canvas:
         self._layers = {name: self._moved(cells, grown) for name, cells in self._layers.items()}
         self.box = grown
         return grown
+
+    def shrink(self, box: CellBox) -> CellBox | None:
+        """Give back the memory of cells that nobody needs; return the whole canvas where it shrank.
+
+        Args:
+            box: cells of the lattice that the voters need.
+        """
+        if self.box is None or self.box.area < SHRUNK_CELLS:
+            return None
+        if box.area > SHRUNK_SHARE * self.box.area or hull(self.box, box) != self.box:
+            return None
+        self._fused = self._cut(self._fused, box)
+        self._agreement = self._cut(self._agreement, box)
+        self._layers = {name: self._cut(cells, box) for name, cells in self._layers.items()}
+        kept = {name: overlap(covered, box) for name, covered in self._covered.items()}
+        self._covered = {name: part for name, part in kept.items() if part is not None}
+        self.box = box
+        return box
+
+    def _cut(self, cells: I8, box: CellBox) -> I8:
+        whole = self.box
+        if whole is None:
+            return cells
+        return cells[slices(box, whole.row0, whole.col0)].copy()
 
     def _moved(self, cells: I8, grown: CellBox) -> I8:
         out = np.full((grown.height, grown.width), UNKNOWN, dtype=np.int8)

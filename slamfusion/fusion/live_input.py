@@ -14,18 +14,19 @@ from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live_canvas import Sheet, carry, hull, lay_out, overlap, padded
+from slamfusion.fusion.live_limits import bands
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
 
-__all__ = ["Change", "Track", "compare", "unusable"]
+__all__ = ["Change", "Track", "compare"]
 
 I8 = npt.NDArray[np.int8]
 
 # Share of the old walls.
 STANDING_MIN = 0.4
-# Cells that are looked at together, few enough for the processor's cache.
-BAND_CELLS = 1 << 18
+# Cells in which nothing lies, that a box of changes may hold for each cell of the two maps.
+SPARE_SHARE = 4
 NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
 
@@ -63,25 +64,6 @@ class Change:
         return is_enough and self.standing >= share * judged
 
 
-def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
-    """Return in words why a map says too little to take part, or None."""
-    occupied, walls = math.ceil(thresholds.occupied_percent), 0
-    for band in _bands(grid.height, grid.width):
-        walls += int(np.count_nonzero(grid.cells[band] >= occupied))
-        if walls >= WALLS_MIN:
-            return None
-    size = f"{grid.height} x {grid.width}"
-    if int(grid.cells.max()) < 0:
-        return f"all {size} cells are unknown"
-    return f"too few walls to judge: {walls} of the {WALLS_MIN} needed, on {size} cells"
-
-
-def _bands(height: int, width: int) -> list[slice]:
-    """Return rows that are looked at together, all of them one after the other."""
-    step = max(1, BAND_CELLS // width)
-    return [slice(row, min(row + step, height)) for row in range(0, height, step)]
-
-
 def compare(
     old: Sheet, new: Sheet, walls: int, thresholds: NormalizeConfig, backend: Backend
 ) -> Change:
@@ -99,6 +81,8 @@ def compare(
         if box is None:
             return Change(None, 0, walls, 0, walls, walls, is_lost=False)
         near = padded(box, 1)
+        if near.area > SPARE_SHARE * (old.box.area + new.box.area):
+            return _replaced(new, box, walls, thresholds)
         before, after = old.window(near), new.window(near)
         is_lost = bool(((before >= 0) & (after < 0)).any())
     else:
@@ -118,6 +102,16 @@ def compare(
         total = walls - int(np.count_nonzero(was)) + int(np.count_nonzero(now))
     contradicted = int(np.count_nonzero(gone & free))
     return Change(box, differ, walls - lost, contradicted, walls, total, is_lost)
+
+
+def _replaced(new: Sheet, box: CellBox, walls: int, thresholds: NormalizeConfig) -> Change:
+    """Return what a map changed that lies far from the one before: nothing stands.
+
+    No array of the cells between both is made: for maps 10 km apart it would take gigabytes.
+    """
+    occupied = math.ceil(thresholds.occupied_percent)
+    after = int(np.count_nonzero(new.cells >= occupied))
+    return Change(box, walls + after, 0, 0, walls, after)
 
 
 def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
@@ -142,7 +136,7 @@ def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
 def _differing(a: I8, b: I8) -> CellBox | None:
     """Return the box of cells that differ, None without any; two arrays of one shape."""
     out: CellBox | None = None
-    for band in _bands(*a.shape):
+    for band in bands(*a.shape):
         differs = a[band] != b[band]
         if not differs.any():
             continue
@@ -223,10 +217,17 @@ class Track:
         drift: wall cells that came or went, here and in the reference, since that alignment.
         key: the map at that alignment, its wall cells, and how many came or went since: what walls
             that creep a cell at a time are held against.
-        jump: a transform that waits to be found again; ``jump_version`` the map that gave it.
+        jump: a transform that waits to be found again; ``jump_version`` the map that gave it,
+            ``jump_s`` and ``jump_maps`` when it was first found and how many messages had come.
+        confirms: how often it was searched again on the same map.
+        mismatch: why its walls do not match those that it was last tracked against; empty: they do.
+        contradiction: why its poses contradict those of others, which takes its vote; empty: none.
         tried: own version, the reference's name and version when it was last aligned in vain.
         searched_s: when it was last searched everywhere.
         searches: how often.
+        rest_s: the least pause after that search.
+        patience_s: how long maps of others wait for its next search.
+        maps: usable messages that came.
         unlaid: cells of the sheet's lattice that the canvas has not seen.
         relay: whether the canvas has to take the whole sheet anew.
     """
@@ -250,18 +251,36 @@ class Track:
     key_drift: int = 0
     jump: Pose2 | None = None
     jump_version: int = -1
+    jump_s: float = -math.inf
+    jump_maps: int = 0
+    confirms: int = 0
+    mismatch: str = ""
+    contradiction: str = ""
     tried: tuple[int, str, int] | None = None
     searched_s: float = -math.inf
     searches: int = 0
+    rest_s: float = 0.0
+    patience_s: float = 1.0
+    maps: int = 0
     unlaid: CellBox | None = None
     relay: bool = True
     _features: GridFeatures | None = field(default=None, repr=False)
     _features_drift: int = 0
 
     @property
+    def stands(self) -> bool:
+        """Whether its walls stand where its transform carries them."""
+        return self.accepted and self.is_steady
+
+    @property
     def votes(self) -> bool:
         """Whether it votes."""
-        return self.accepted and self.is_steady
+        return self.stands and not self.contradiction
+
+    @property
+    def why(self) -> str:
+        """Why it votes, or why not, one line."""
+        return self.contradiction if self.stands and self.contradiction else self.reason
 
     def place(self, resolution: float, thresholds: NormalizeConfig, backend: Backend) -> None:
         """Lay the map out at the fused resolution; before the first fusion there is none."""
@@ -300,6 +319,7 @@ class Track:
         """
         before, walls, last = self.sheet, self.walls, self.grid
         self.grid = grid
+        self.maps += 1
         if resolution is None or before is None:
             if last is not None and _is_same(last, grid):
                 return None

@@ -36,6 +36,38 @@ def three(seed: int = 3) -> dict[str, OccupancyGrid]:
     }
 
 
+@cache
+def trio(seed: int = 0) -> dict[str, OccupancyGrid]:
+    """Return three faulty maps of one small place, whose mirror image fits at 60 % of its walls."""
+    place = building(seed, 9.0, 7.0, 0.05)
+    faults = {
+        "a": {"flip_share": 0.002, "resample": False},
+        "b": {"yaw_rad": -1.1, "flip_share": 0.01, "shift_share": (0.3, 0.1)},
+        "c": {"yaw_rad": 2.4, "flip_share": 0.005, "margin_share": 0.4},
+    }
+    return {
+        name: degraded(place, 10 * seed + index, name, **fault)[0]
+        for index, (name, fault) in enumerate(faults.items())
+    }
+
+
+def mirrored(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return the map as a program writes it that takes the first row for the last."""
+    return replace(grid, cells=np.ascontiguousarray(grid.cells[::-1]))
+
+
+def transposed(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return the map as a program writes it that takes rows for columns."""
+    return replace(grid, cells=np.ascontiguousarray(grid.cells.T))
+
+
+def noise(size: int = 300, seed: int = 0) -> OccupancyGrid:
+    """Return a map of chance alone: a third each unknown, free and wall."""
+    rng = np.random.default_rng(seed)
+    cells = rng.choice(np.array([-1, 0, 100], dtype=np.int8), (size, size))
+    return OccupancyGrid(cells, 0.1, Pose2(), "noise")
+
+
 def live_fusion(backend: Backend, mode: str = "majority", **live: Any) -> LiveFusion:
     """Return a live fusion without pauses between searches."""
     config = RunConfig(

@@ -494,7 +494,8 @@ def test_a_place_that_looks_alike_from_two_sides_is_believed_on_the_side_where_i
         assert drive.accepted() == "ab"
     judge = drive.live._judge
     track = judge.tracks["b"]
-    judge._search(track, judge._held(judge.tracks["a"]))
+    aligner = judge._aligner
+    aligner.search(track, aligner.held(judge.tracks["a"]))
     assert track.votes, track.reason
     assert track.transform is not None
     shift, turn = off_by(room("b", AWAY, has_boxes=False), track.transform, AWAY.inverse())

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from slamfusion.compute import Backend
 from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion import live_canvas, live_input
+from slamfusion.fusion import live_canvas, live_limits
 from slamfusion.fusion.live_canvas import Canvas, Lattice, Sheet, carry, joined, lay_out, overlap
-from slamfusion.fusion.live_input import Track, compare, unusable
+from slamfusion.fusion.live_input import Track, compare
+from slamfusion.fusion.live_limits import unusable
 from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
@@ -158,7 +159,7 @@ def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
     track, live = Track("a"), LiveConfig()
     with pytest.MonkeyPatch.context() as patch:
         # Several bands in a map of a few cells.
-        patch.setattr(live_input, "BAND_CELLS", 100)
+        patch.setattr(live_limits, "BAND_CELLS", 100)
         for box in boxes:
             track.follow(grid, 0.1, RULES, live, backend)
             sheet, known = track.sheet, track.known
@@ -217,7 +218,7 @@ def test_a_map_on_another_lattice_is_compared_where_it_lies(backend: Backend) ->
 def test_too_few_walls_say_nothing(backend: Backend) -> None:
     assert "unknown" in (unusable(draw("   \n   "), RULES) or "")
     assert "23 of the 24" in (unusable(draw("#" * 23 + "."), RULES) or "")
-    assert unusable(draw("#" * 24 + "."), RULES) is None
+    assert unusable(draw("#" * 24 + "\n" + 2 * ("." * 24 + "\n")), RULES) is None
     assert "0 of the 24" in (unusable(draw("?" * 40), RULES) or "")
     assert backend.name
 

@@ -1,0 +1,316 @@
+"""Align one input of the live fusion: track it, search it, confirm where it jumped to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+from slamfusion.compute import Backend
+from slamfusion.config import FusionConfig, LiveConfig
+from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
+from slamfusion.fusion.align import align_features, track_features
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.live_canvas import Lattice
+from slamfusion.fusion.live_input import Track
+from slamfusion.fusion.live_mirror import refuse_mirrored
+from slamfusion.fusion.live_pause import Pausable, PausedError
+from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY, OccupancyGrid
+
+__all__ = ["Aligner", "Held"]
+
+# An input that the search believed by clearly matching walls must go on to match; one that it
+# believed since its place stood out among all others, by this share of the walls that met then.
+CLEAR_MATCH = MATCH_MIN + 0.05
+LASTING_SHARE = 0.85
+CLASH_MORE = 0.05
+# New walls that fit worse than this share of what the search found may be mirrored.
+MIRROR_SHARE = 0.9
+# Messages, besides, after which an unchanged map that jumped is looked at once more.
+CONFIRM_MAPS = 2
+# Seconds of a first search for which maps of others wait; each that is given up doubles them.
+PATIENCE_S = 1.0
+# A search that found nothing is followed by a pause this many times as long.
+REST = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What an input is aligned to: another input, or the last fused map."""
+
+    name: str
+    transform: Pose2
+    features: GridFeatures
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """What the search, or the first fusion, gave for a pair."""
+
+    score: float
+    match: float
+    clash: float
+    reason: str
+
+    def lasts(self, pair: Alignment, share: float) -> bool:
+        """Whether a tracked pair still fits: by a share of its score then, and by its walls."""
+        if pair.score < share * self.score:
+            return False
+        if pair.accepted:
+            return True
+        was_clear = self.match >= CLEAR_MATCH and self.clash <= CLASH_MAX
+        statistics = pair.statistics
+        return (
+            not was_clear
+            and statistics.get("wall_match", 0.0) >= LASTING_SHARE * self.match
+            and statistics.get("wall_clash", 1.0) <= self.clash + CLASH_MORE
+        )
+
+
+class Aligner:
+    """Aligns inputs, one at a time, and keeps what the searches gave.
+
+    Attributes:
+        lattice: of the fused frame; None before the first fusion.
+        has_searched: whether this round searched an input everywhere.
+        now_s: paces the searches.
+        is_wanted: asked while a search takes long; True gives it up.
+    """
+
+    def __init__(self, config: FusionConfig, live: LiveConfig, backend: Backend) -> None:
+        """Start without a frame; proofs are left out, they take seconds."""
+        self.config = replace(config, align=replace(config.align, prove=False))
+        self.live = live
+        self.lattice: Lattice | None = None
+        self.has_searched = False
+        self.now_s = 0.0
+        self.is_wanted: Callable[[], bool] | None = None
+        self._pausable = Pausable(backend)
+        self.backend = cast("Backend", self._pausable)
+        self._found: dict[frozenset[str], _Searched] = {}
+
+    # -- what is aligned --------------------------------------------------------------------------
+
+    def fixed(self) -> Lattice:
+        """Return the lattice of the fused frame, which must be fixed."""
+        if self.lattice is None:
+            message = "nothing was fused yet"
+            raise ValueError(message)
+        return self.lattice
+
+    def features(self, track: Track) -> GridFeatures:
+        """Return what alignment looks at in an input's map."""
+        size, thresholds = self.fixed().resolution, self.config.normalize
+        return track.features(size, thresholds, self.live.track_share, self.backend)
+
+    def held(self, track: Track) -> Held:
+        """Return an input as something to align others to."""
+        return Held(track.name, track.transform or IDENTITY, self.features(track))
+
+    def hold_grid(self, name: str, grid: OccupancyGrid) -> Held:
+        """Return a map of the fused frame as something to align to."""
+        normal = normalize_grid(grid, grid.resolution, self.config.normalize, self.backend)
+        return Held(name, IDENTITY, GridFeatures(normal, self.backend))
+
+    def note(self, pair: Alignment) -> None:
+        """Keep what a search gave for a pair."""
+        statistics = pair.statistics
+        self._found[frozenset((pair.reference, pair.moving))] = _Searched(
+            pair.score,
+            statistics.get("wall_match", 0.0),
+            statistics.get("wall_clash", 0.0),
+            pair.reason,
+        )
+
+    def second_look(
+        self, pair: Alignment, reference: GridFeatures, moving: GridFeatures
+    ) -> Alignment:
+        """Return a pair, refused where its maps fit better mirrored."""
+        return refuse_mirrored(pair, reference, moving, self.config.align, self.backend)
+
+    # -- tracking ---------------------------------------------------------------------------------
+
+    def follow(self, track: Track, held: Held, is_wanted: Callable[[], bool] | None = None) -> bool:
+        """Track an input from its last transform and believe it where it still fits.
+
+        Raises:
+            PausedError: ``is_wanted`` answered True meanwhile; nothing was changed.
+        """
+        with self._pausable.until(is_wanted):
+            fit = self.fit(track, held)
+            if fit is not None and not track.is_steady:
+                fit = self._unmirrored(track, held, *fit)
+        if fit is not None:
+            self.believe(track, fit[1], fit[0], is_tracked=True)
+        return fit is not None
+
+    def _unmirrored(
+        self, track: Track, held: Held, pair: Alignment, moved: Pose2
+    ) -> tuple[Alignment, Pose2] | None:
+        """Look at new walls that fit much worse than the old ones did: are they mirrored?"""
+        found = self._found.get(frozenset((track.name, held.name)))
+        if found is not None and pair.score >= MIRROR_SHARE * found.score:
+            return pair, moved
+        believed = replace(pair, accepted=True)
+        looked = self.second_look(believed, held.features, self.features(track))
+        if looked.accepted:
+            return pair, moved
+        track.mismatch = looked.reason
+        return None
+
+    def fit(self, track: Track, held: Held) -> tuple[Alignment, Pose2] | None:
+        """Track an input from its last transform; None where it fits there no more.
+
+        ``track.mismatch`` says so where its walls do not match, and is empty otherwise.
+        """
+        last = track.transform or IDENTITY
+        start = held.transform.inverse().compose(last)
+        pair = track_features(held.features, self.features(track), self.backend, start)
+        track.score, track.overlap = pair.score, pair.overlap
+        moved = held.transform.compose(pair.transform)
+        found = self._found.get(frozenset((track.name, held.name)))
+        is_good = pair.accepted
+        if found is not None:
+            is_good = found.lasts(pair, self.live.search_share)
+            if is_good and not pair.accepted:
+                pair = replace(pair, reason=f"tracked where the search found it: {found.reason}")
+        track.mismatch = "" if is_good or pair.accepted else f"to {held.name}: {pair.reason}"
+        return (pair, moved) if is_good and not self.is_jump(track, last, moved) else None
+
+    # -- searching --------------------------------------------------------------------------------
+
+    def may_search(self, track: Track) -> bool:
+        """Whether it may be searched everywhere now: one an update, each not too often."""
+        pause = max(self.live.search_pause_s, track.rest_s)
+        return not self.has_searched and self.now_s - track.searched_s >= pause
+
+    def search(self, track: Track, held: Held) -> bool:
+        """Search an input everywhere and believe, doubt or refuse what is found.
+
+        Returns:
+            Whether it was searched to the end, and not given up for maps that wait.
+        """
+        pair = self._searched(track, held)
+        if pair is not None:
+            self._weigh(track, held, pair)
+        return pair is not None
+
+    def _weigh(self, track: Track, held: Held, pair: Alignment) -> None:
+        """Believe, doubt or refuse what a search found."""
+        last, jump = track.transform, track.jump
+        moved = held.transform.compose(pair.transform)
+        track.score, track.overlap = pair.score, pair.overlap
+        if not pair.accepted:
+            track.jump = None
+            track.refuse(f"to {held.name}: {pair.reason}")
+            return
+        is_found_again = (
+            jump is not None
+            and track.jump_version != track.version
+            and not self.is_jump(track, jump, moved)
+        )
+        if last is None or is_found_again or not self.is_jump(track, last, moved):
+            self.note(replace(pair, reference=held.name, moving=track.name))
+            self.believe(track, moved, pair, is_tracked=False)
+            return
+        if jump is None or self.is_jump(track, jump, moved):
+            track.jump_s, track.jump_maps = self.now_s, track.maps
+        track.jump, track.jump_version, track.confirms = moved, track.version, 0
+        away, turn, _ = track.apart(last, moved)
+        track.refuse(
+            f"jumped by {away:.2f} m and {turn:.2f} rad; its next map must confirm it, or a second "
+            f"search after {self.live.confirm_s:g} s"
+        )
+
+    def may_confirm(self, track: Track) -> bool:
+        """Whether a map that jumped and did not change since was waited for long enough."""
+        is_waited = self.now_s - track.jump_s >= self.live.confirm_s
+        is_repeated = track.maps - track.jump_maps >= CONFIRM_MAPS
+        is_same = track.jump is not None and track.jump_version == track.version
+        return is_same and (is_waited or is_repeated)
+
+    def confirm(self, track: Track, candidates: Sequence[Held]) -> bool:
+        """Search a jump of an unchanged map once more, in another way; return whether any is left.
+
+        Against the first candidate that was not tried; against the last, which is the one that it
+        was found by, the other way round: that one is turned and moved instead, from other points,
+        over another lattice of shifts and turns.
+        """
+        jump = track.jump
+        if jump is None:
+            return False
+        index = min(track.confirms, len(candidates) - 1)
+        held, is_last = candidates[index], index == len(candidates) - 1
+        pair = self._searched(track, held, is_swapped=is_last)
+        if pair is None:
+            return True
+        moved = held.transform.compose(pair.transform)
+        track.confirms += 1
+        if pair.accepted and not self.is_jump(track, jump, moved):
+            self.note(replace(pair, reference=held.name, moving=track.name))
+            self.believe(track, moved, pair, is_tracked=False)
+        elif is_last:
+            away, turn, _ = track.apart(track.transform or IDENTITY, jump)
+            track.jump = None
+            track.refuse(
+                f"jumped by {away:.2f} m and {turn:.2f} rad, and a second search does not find it "
+                "there; waits for its next map"
+            )
+        return not is_last
+
+    def _searched(self, track: Track, held: Held, *, is_swapped: bool = False) -> Alignment | None:
+        """Search an input everywhere; None where that was given up for maps that wait."""
+        self.has_searched = True
+        track.searched_s = self.now_s
+        track.searches += 1
+        # Where a place looks alike from two sides, the side of the last transform is believed.
+        last = track.transform
+        start = None if last is None else held.transform.inverse().compose(last)
+        own, began = self.features(track), time.perf_counter()
+        until_s = began + track.patience_s
+
+        def is_wanted() -> bool:
+            wanted = self.is_wanted
+            return wanted is not None and time.perf_counter() > until_s and wanted()
+
+        config, backend = self.config.align, self.backend
+        try:
+            with self._pausable.until(is_wanted):
+                if is_swapped:
+                    back = None if start is None else start.inverse()
+                    pair = align_features(own, held.features, config, backend, back)
+                    pair = replace(pair, transform=pair.transform.inverse())
+                else:
+                    pair = align_features(held.features, own, config, backend, start)
+                pair = self.second_look(pair, held.features, own)
+        except PausedError:
+            track.patience_s *= 2.0
+            track.searches -= 1
+            if not track.votes:
+                track.refuse("its search takes long and was put off for the maps of others")
+            return None
+        track.patience_s = PATIENCE_S
+        track.rest_s = 0.0 if pair.accepted else REST * (time.perf_counter() - began)
+        return pair
+
+    def is_jump(self, track: Track, a: Pose2, b: Pose2) -> bool:
+        """Whether two transforms carry an input's map too far apart to be one."""
+        centre, turn, _ = track.apart(a, b)
+        return centre > self.live.jump_m or turn > self.live.jump_rad
+
+    def believe(self, track: Track, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
+        """Let an input vote, at its old transform where the new one is nearly the same."""
+        hold_m = self.live.hold_cells * self.fixed().resolution
+        if track.transform is None or track.apart(track.transform, moved)[2] >= hold_m:
+            track.transform = moved
+            track.relay = True
+        track.score, track.overlap = pair.score, pair.overlap
+        track.is_tracked = is_tracked
+        track.reason = pair.reason
+        track.mismatch = ""
+        track.accepted = track.is_steady = True
+        track.pin()

@@ -1,0 +1,443 @@
+"""Live fusion: maps that jump, lie far away, say nothing, are mirrored or contradict the others."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import Backend
+from slamfusion.fusion import live_canvas
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid
+from tests.fusion.drawings import off_by, padded
+from tests.fusion.live_maps import (
+    AWAY,
+    Drive,
+    assert_same_lattice,
+    littered,
+    live_fusion,
+    mirrored,
+    moved_frame,
+    noise,
+    share_standing,
+    started,
+    three,
+    touched,
+    transposed,
+    trio,
+)
+
+MEGABYTE = 1 << 20
+
+
+def wait(drive: Drive, seconds: float) -> float:
+    """Let time pass without a map; return after how many seconds all three vote."""
+    for second in range(1, math.ceil(seconds) + 1):
+        drive.maybe()
+        if drive.accepted() == "abc":
+            return float(second)
+    return math.inf
+
+
+# -- a map that jumped and then stays as it is -----------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+@pytest.mark.parametrize("pause_s", [0.0, 2.0])
+def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
+    backend: Backend, name: str, pause_s: float
+) -> None:
+    drive = started(backend, search_pause_s=pause_s)
+    first, last = drive.fused, drive.input(name).transform
+    assert first is not None
+    assert last is not None
+    again = moved_frame(three()[name], AWAY)
+    drive.step(again)
+    assert "jumped by" in drive.input(name).reason
+    assert drive.accepted() == "abc".replace(name, "")
+    assert wait(drive, 2.0) == math.inf, "not at once"
+    assert wait(drive, 2.0) <= 2.0, drive.input(name).reason
+    found = drive.input(name).transform
+    assert found is not None
+    shift, turn = off_by(again, found, last.compose(AWAY.inverse()))
+    assert shift < 1.0
+    assert turn < 0.5
+    assert drive.fused is not None
+    assert_same_lattice(first, drive.fused)
+    assert share_standing(first, drive.fused) > 0.97
+
+
+def test_a_jump_is_confirmed_by_its_second_equal_message(backend: Backend) -> None:
+    drive = started(backend, confirm_s=1000.0)
+    again = moved_frame(three()["b"], AWAY)
+    drive.step(again)
+    drive.maybe(again)
+    assert drive.accepted() == "ac"
+    drive.step(again)
+    assert drive.accepted() == "abc"
+
+
+def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
+    backend: Backend,
+) -> None:
+    drive = Drive(live_fusion(backend))
+    drive.step(three()["a"], three()["b"])
+    first = drive.fused
+    drive.live.drop("a", "its producer is gone")
+    drive.step(moved_frame(three()["b"], AWAY))
+    assert drive.accepted() == ""
+    for _ in range(5):
+        drive.maybe()
+    assert drive.accepted() == "b", drive.input("b").reason
+    assert first is not None
+    assert drive.fused is not None
+    assert share_standing(drive.fused, first) > 0.97
+
+
+@pytest.mark.parametrize("others", ["abc", "ab"])
+def test_a_jump_that_a_second_search_does_not_find_is_not_believed(
+    backend: Backend, others: str
+) -> None:
+    drive = Drive(live_fusion(backend))
+    drive.step(*(three()[name] for name in others))
+    before = drive.input("b").transform
+    drive.step(moved_frame(three()["b"], AWAY))
+    track = drive.live._tracks["b"]
+    assert track.jump is not None
+    # As if that search had been wrong: 3 m from where every other one finds it.
+    track.jump = Pose2(3.0, 0.0, 0.0).compose(track.jump)
+    for _ in range(6):
+        drive.maybe()
+    assert drive.accepted() == others.replace("b", "")
+    assert "a second search does not find it" in drive.input("b").reason
+    assert drive.input("b").transform == before
+    # Its next map begins again.
+    again = moved_frame(touched(three()["b"], 1, 0.002), AWAY)
+    drive.step(again)
+    assert "jumped by" in drive.input("b").reason
+    for _ in range(4):
+        drive.maybe()
+    assert drive.accepted() == others
+
+
+def test_a_map_that_jumps_and_goes_back_within_the_time_stays_where_it_was(
+    backend: Backend,
+) -> None:
+    drive = started(backend)
+    before = drive.input("b").transform
+    drive.step(moved_frame(three()["b"], AWAY))
+    drive.maybe()
+    drive.step(three()["b"])
+    assert drive.accepted() == "abc"
+    for _ in range(6):
+        drive.maybe()
+    assert drive.input("b").transform == before
+    assert drive.accepted() == "abc"
+
+
+# -- far away and tiny -----------------------------------------------------------------------------
+
+FINE = replace(three()["b"], resolution=1e-9)
+COARSE = replace(three()["b"], resolution=5.0)
+FAR = replace(three()["b"], origin=Pose2(1e12, 0.0, 0.0))
+ENDLESS = OccupancyGrid(np.tile(np.array([[0], [100]], dtype=np.int8), (8000, 4)), 90.0, name="b")
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (FINE, "implausible resolution"),
+        (FAR, "implausible origin"),
+        (ENDLESS, "implausible size"),
+        (COARSE, "50 times coarser"),
+        (replace(FINE, resolution=0.001), "100 times finer"),
+    ],
+)
+def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
+    backend: Backend, bad: OccupancyGrid, words: str
+) -> None:
+    drive = started(backend)
+    box = drive.live._canvas.box if drive.live._canvas is not None else None
+    tracemalloc.start()
+    update = drive.step(bad, touched(three()["a"], 1))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert words in drive.input("b").reason
+    assert drive.accepted() == "ac"
+    assert drive.input("b").rejected == 1
+    assert update.fused is not None
+    assert drive.live._canvas is not None
+    assert drive.live._canvas.box == box
+    assert peak < 20 * MEGABYTE
+    drive.step(three()["b"])
+    assert drive.accepted() == "abc"
+    # From the start, beside two that are well.
+    drive = Drive(live_fusion(backend))
+    drive.step(three()["a"], bad, three()["c"])
+    assert drive.accepted() == "ac"
+    assert words in drive.input("b").reason
+
+
+def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(backend: Backend) -> None:
+    drive = started(backend)
+    assert drive.live._canvas is not None
+    first, box = drive.fused, drive.live._canvas.box
+    tracemalloc.start()
+    drive.step(moved_frame(three()["b"], Pose2(10_000.0, -7_000.0, 0.0)), touched(three()["a"], 1))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 30 * MEGABYTE
+    assert drive.accepted() == "ac"
+    assert wait(drive, 5.0) <= 4.0
+    assert drive.live._canvas.box == box
+    assert first is not None
+    assert drive.fused is not None
+    assert share_standing(first, drive.fused) > 0.97
+
+
+def test_the_canvas_gives_back_what_a_far_cell_took_and_the_frame_stays(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_canvas, "SHRUNK_CELLS", 1 << 16)
+    drive = started(backend)
+    canvas, first = drive.live._canvas, drive.fused
+    assert canvas is not None
+    assert canvas.box is not None
+    assert first is not None
+    before = canvas.box.area
+    far = padded(three()["b"], 0, 0, 0, 3000)
+    cells = far.cells.copy()
+    cells[0, -1] = 0
+    drive.step(replace(far, cells=cells))
+    assert drive.accepted() == "abc"
+    assert canvas.box.area > 10 * before
+    # A stray cell that is gone, an input that is lost: neither keeps the room.
+    update = drive.step(three()["b"])
+    assert update.fused is not None
+    assert canvas.box.area <= before
+    assert update.fused.cells.size == canvas.box.area
+    assert_same_lattice(first, update.fused)
+    assert share_standing(first, update.fused) > 0.999
+    assert np.array_equal(
+        update.fused.crop(CellBox(0, 0, first.height, first.width)).cells, first.cells
+    )
+
+
+def test_an_input_that_leaves_does_not_change_the_size_of_what_is_published(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_canvas, "SHRUNK_CELLS", 1)
+    drive = started(backend)
+    assert drive.fused is not None
+    shape = drive.fused.cells.shape
+    for name in "bc":
+        drive.live.drop(name, "its producer is gone")
+        drive.step()
+        assert drive.fused.cells.shape == shape
+
+
+# -- maps that say nothing -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (noise(), "noise"),
+        (replace(noise(), cells=np.full((300, 300), 100, dtype=np.int8)), "all occupied"),
+        (
+            replace(noise(), cells=(np.indices((300, 300)).sum(0) % 2 * 100).astype(np.int8)),
+            "noise",
+        ),
+    ],
+)
+def test_a_map_that_says_nothing_is_refused_before_it_is_looked_at(
+    backend: Backend, bad: OccupancyGrid, words: str
+) -> None:
+    drive = started(backend)
+    for number in range(2):
+        update = drive.step(bad.with_name("b"), touched(three()["a"], number))
+        assert update.fused is not None
+        assert words in drive.input("b").reason
+        assert drive.accepted() == "ac"
+        assert not update.is_full_search
+    drive = Drive(live_fusion(backend))
+    drive.step(three()["a"], bad.with_name("b"), three()["c"])
+    assert drive.accepted() == "ac"
+    assert words in drive.input("b").reason
+
+
+def test_a_long_search_is_put_off_while_maps_of_others_wait_and_ends_in_the_end(
+    backend: Backend,
+) -> None:
+    drive = started(backend)
+    drive.step(moved_frame(three()["b"], AWAY))
+    track = drive.live._tracks["b"]
+    track.jump, track.tried, track.patience_s = None, None, 0.0
+    drive.now_s += 1.0
+    update = drive.live.update(drive.now_s, lambda: True)
+    assert update is not None
+    assert "put off for the maps of others" in drive.input("b").reason
+    track.patience_s = 1000.0
+    drive.now_s += 1.0
+    drive.live.update(drive.now_s, lambda: True)
+    assert "jumped by" in drive.input("b").reason
+
+
+def test_searches_in_vain_leave_most_of_the_time_to_others(backend: Backend) -> None:
+    drive = started(backend, search_pause_s=2.0)
+    stranger = noise()
+    cells = np.where(stranger.cells == 100, 0, stranger.cells)
+    cells[np.random.default_rng(5).random(cells.shape) < 0.03] = 100
+    drive.step(replace(stranger, cells=cells, name="b"))
+    track = drive.live._tracks["b"]
+    assert not track.votes
+    assert track.searches == 1
+    assert track.rest_s > 0.0
+    track.rest_s = 20.0
+    for number in range(8):
+        drive.step(touched(replace(stranger, cells=cells, name="b"), number, 0.001))
+    assert track.searches == 1, "a long search in vain is followed by a long pause"
+
+
+# -- mirrored --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wrong", [mirrored, transposed])
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_a_map_that_is_mirrored_from_the_start_does_not_vote(
+    backend: Backend, wrong: object, name: str
+) -> None:
+    assert callable(wrong)
+    drive = Drive(live_fusion(backend))
+    drive.step(*(wrong(grid) if grid.name == name else grid for grid in trio().values()))
+    assert drive.accepted() == "abc".replace(name, "")
+    assert "mirrored or transposed" in drive.input(name).reason
+    # Also when it comes to a fusion that is under way, and comes again and again.
+    drive = Drive(live_fusion(backend))
+    well = [grid for grid in trio().values() if grid.name != name]
+    drive.step(*well)
+    for number in range(3):
+        drive.step(touched(wrong(trio()[name]), number, 0.001))
+        assert drive.accepted() == "abc".replace(name, "")
+    assert "mirrored or transposed" in drive.input(name).reason
+    drive.step(trio()[name])
+    assert sorted(drive.accepted()) == ["a", "b", "c"]
+
+
+def test_of_two_maps_one_is_mirrored_and_nobody_can_say_which(backend: Backend) -> None:
+    drive = Drive(live_fusion(backend))
+    update = drive.step(trio()["a"], mirrored(trio()["b"]))
+    assert update.fused is None
+    assert "one of the two maps is mirrored" in update.problem
+    drive.step(trio()["c"])
+    assert drive.accepted() == "ac"
+
+
+def test_a_map_that_turns_into_its_mirror_image_loses_its_vote(backend: Backend) -> None:
+    drive = Drive(live_fusion(backend))
+    drive.step(*trio().values())
+    assert drive.accepted() == "abc"
+    for number in range(3):
+        drive.step(touched(mirrored(trio()["b"]), number, 0.001))
+        assert drive.accepted() == "ac", drive.input("b").reason
+
+
+# -- walls that match no more ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 1000.0])
+@pytest.mark.parametrize("share", [0.2, 0.3])
+def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
+    backend: Backend, share: float, pause_s: float
+) -> None:
+    drive = started(backend, search_pause_s=pause_s)
+    worse = littered(three()["b"], 1, share)
+    for number in range(3):
+        well = (touched(three()[name], number, 0.001) for name in "ac")
+        drive.step(touched(worse, number, 0.001), *well)
+        assert drive.accepted() == "ac", drive.input("b").reason
+        assert "walls do not match" in drive.input("b").reason
+    drive.step(three()["b"])
+    assert drive.accepted() == "abc"
+    # A little litter is no contradiction.
+    drive.step(littered(three()["b"], 1, 0.04))
+    assert drive.accepted() == "abc"
+
+
+def test_nothing_that_votes_says_that_its_walls_do_not_match(backend: Backend) -> None:
+    drive = started(backend)
+    for number, share in enumerate(np.linspace(0.0, 0.3, 16)):
+        drive.maybe(littered(three()["b"], 1, float(share)), touched(three()["a"], number, 0.001))
+        for record in drive.live.inputs(drive.now_s):
+            assert not (record.accepted and "do not match" in record.reason)
+
+
+# -- poses -----------------------------------------------------------------------------------------
+
+
+def tell(drive: Drive, stamp_s: float, **off_m: float) -> None:
+    """Let inputs say where the robot is on its way along x, each off by some metres along y."""
+    for record in drive.live.inputs(drive.now_s):
+        if record.name in off_m and record.transform is not None:
+            there = Pose2(0.3 * stamp_s, off_m[record.name], 0.0)
+            drive.live.hear(record.name, stamp_s, record.transform.inverse().compose(there))
+
+
+def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
+    backend: Backend,
+) -> None:
+    drive = started(backend)
+    for stamp in range(10):
+        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    assert drive.maybe() is None
+    for stamp in range(10, 15):
+        tell(drive, float(stamp), a=0.0, b=7.0, c=-0.1)
+    update = drive.maybe()
+    assert update is not None
+    assert drive.accepted() == "ac"
+    assert "poses contradict those of a, c: 7.0 m" in drive.input("b").reason
+    assert update.fused is not None
+    # Its map goes on to be followed, and the votes come back when the poses do.
+    drive.step(touched(three()["b"], 1, 0.001))
+    assert drive.accepted() == "ac"
+    for stamp in range(15, 20):
+        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    drive.step()
+    assert drive.accepted() == "abc"
+
+
+def test_of_two_whose_poses_contradict_neither_votes_and_the_last_map_stays(
+    backend: Backend,
+) -> None:
+    drive = Drive(live_fusion(backend))
+    drive.step(three()["a"], three()["b"])
+    first = drive.fused
+    for stamp in range(10):
+        tell(drive, float(stamp), a=0.0, b=0.1)
+    for stamp in range(10, 15):
+        tell(drive, float(stamp), a=0.0, b=3.0)
+    update = drive.step(touched(three()["a"], 1), touched(three()["b"], 1))
+    assert drive.accepted() == ""
+    assert update.fused is None
+    assert "nobody can say who is right" in update.problem
+    assert all("poses contradict" in record.reason for record in update.inputs)
+    for stamp in range(15, 20):
+        tell(drive, float(stamp), a=0.0, b=0.1)
+    update = drive.step()
+    assert drive.accepted() == "ab"
+    assert first is not None
+    assert update.fused is not None
+    assert_same_lattice(first, update.fused)
+    # When one of two that contradict each other is lost, the other goes on.
+    for stamp in range(20, 25):
+        tell(drive, float(stamp), a=0.0, b=3.0)
+    drive.step()
+    assert drive.accepted() == ""
+    drive.live.drop("b", "its producer is gone")
+    for _ in range(3):
+        drive.maybe()
+    assert drive.accepted() == "a"
