@@ -164,7 +164,7 @@ class FusionNode(NodeBase):
         self._frames = FusedFrames(self, self.settings)
         self._worker: Worker[_Wake] = Worker(self._work, 1, self._failed, "fusion")
         self._sources = {
-            name: MapSource(self, name, entry, self._wake, self._frames.on_pose)
+            name: MapSource(self, name, entry, self._wake, self._on_pose)
             for name, entry in entries.items()
             if name not in self._saved
         }
@@ -187,6 +187,13 @@ class FusionNode(NodeBase):
 
     def _wake(self) -> None:
         self._worker.put(_Wake())
+
+    def _on_pose(self, source: MapSource) -> None:
+        """Let a pose be compared with the others', and send what it tells."""
+        heard = source.pose
+        if heard is not None:
+            self._live.hear(source.name, messages.stamp_s(heard.stamp), heard.pose)
+        self._frames.on_pose(source)
 
     def _look_turn(self) -> None:
         """Wake the worker for what had to wait for its turn, or for somebody who listens."""

@@ -10,20 +10,32 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import LaserScan
 
+from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
 from slamfusion.ros import messages, qos
-from tests.fusion.live_maps import assert_same_lattice, share_standing
+from tests.fusion.live_maps import (
+    assert_same_lattice,
+    mirrored,
+    moved_frame,
+    noise,
+    share_standing,
+    trio,
+)
 from tests.ros.drives import scans
-from tests.ros.live import Observer, Processes
+from tests.ros.fused import Makers, start_fusion
+from tests.ros.live import Observer, Processes, values
 
 pytestmark = pytest.mark.ros
 
 PRODUCERS = {"tinyslam": {}, "gmapping": {"gmapping__particles": 6}, "graph": {}}
 FUSION = "fusion: fusion"
+WARN = DiagnosticStatus.WARN
 PERIOD_S = 0.06
 
 
@@ -142,3 +154,89 @@ def test_the_fused_map_goes_on_through_a_bad_day(processes: Processes, observer:
     assert_unmoved()
     for process in processes.running:
         assert "Traceback" not in process.text(), process.name
+
+
+class Tellers:
+    """The inputs of a fusion tell where one robot is, a quarter of a metre further each time."""
+
+    def __init__(self, observer: Observer, names: str) -> None:
+        self.observer = observer
+        self.count = 0
+        self.topics = {
+            name: observer.publisher(PoseStamped, f"{name}/pose", qos.SENSOR) for name in names
+        }
+        for topic in self.topics.values():
+            observer.wait(lambda topic=topic: topic.get_subscription_count(), what="a reader")
+
+    def tell_until(self, is_done: Callable[[], bool], **aside_m: float) -> None:
+        """Tell poses, those of some inputs aside of the way, until something is so."""
+        statuses = self.observer.statuses()
+        for _ in range(400):
+            self.count += 1
+            stamp = messages.to_stamp(200.0 + 0.25 * self.count)
+            for name, topic in self.topics.items():
+                figures = values(statuses[f"fusion: input {name}"])
+                frame = Pose2(*(float(figures[key]) for key in ("x [m]", "y [m]", "yaw [rad]")))
+                there = Pose2(0.25 * self.count, aside_m.get(name, 0.0), 0.0)
+                here = frame.inverse().compose(there)
+                topic.publish(messages.pose_to_message(here, f"{name}_map", stamp))
+            self.observer.listen(0.03)
+            if is_done():
+                return
+        text = f"it never came: {[item.message for item in statuses.values()]}"
+        raise AssertionError(text)
+
+
+def test_what_an_input_says_wrong_takes_its_vote_and_nothing_else(
+    processes: Processes, observer: Observer
+):
+    heard = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    makers, statuses = Makers(observer), observer.statuses()
+    fusion = start_fusion(processes)
+    good = trio()
+
+    def fused() -> Grid:
+        return messages.grid_from_message(heard[-1], "fused")
+
+    def send_wrong(grid: Grid, *words: str) -> None:
+        """Send a map that must be refused with these words while the others go on."""
+        makers.send(grid.with_name("b"))
+        assert observer.wait_status("fusion: input b", *words).level == WARN
+        observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
+
+    # Mirrored from the start; the other two fix the frame.
+    makers.send(good["a"])
+    makers.send(good["c"])
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: b", timeout_s=60.0)
+    send_wrong(mirrored(good["b"]), "mirrored or transposed")
+    makers.send(good["b"])
+    observer.wait_status(FUSION, "all 3 inputs vote")
+    first = fused()
+
+    # Its frame jumps by 14 km, and no further message comes: a robot stands after a loop closure.
+    send_wrong(moved_frame(good["b"], Pose2(1e4, 1e4, 0.0)), "jumped by", "must confirm it")
+    observer.wait_status(FUSION, "all 3 inputs vote")
+
+    # What no place has, and what says nothing.
+    send_wrong(dataclasses.replace(good["b"], resolution=1e-9), "implausible resolution")
+    send_wrong(moved_frame(good["b"], Pose2(1e12, 0.0, 0.0)), "implausible origin")
+    send_wrong(dataclasses.replace(good["b"], resolution=5.0), "100 times coarser")
+    send_wrong(noise(1000), "is it noise?")
+    makers.send(good["b"])
+    observer.wait_status(FUSION, "all 3 inputs vote")
+    observer.wait(lambda: fused().cells.shape == first.cells.shape, what="the map of the three")
+    assert_same_lattice(first, fused())
+    assert share_standing(first, fused()) > 0.97
+
+    # Its poses leave those of the others, and come back.
+    tellers = Tellers(observer, "abc")
+    tellers.tell_until(lambda: tellers.count > 40)
+    assert statuses[FUSION].message == "all 3 inputs vote"
+    contradicts = "its poses contradict those of a, c: 7.0 m"
+    tellers.tell_until(lambda: contradicts in statuses["fusion: input b"].message, b=7.0)
+    assert statuses["fusion: input b"].level == WARN
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: b")
+    tellers.tell_until(lambda: statuses[FUSION].message == "all 3 inputs vote")
+    assert_same_lattice(first, fused())
+    for word in ("Traceback", "MemoryError"):
+        assert word not in fusion.text()
