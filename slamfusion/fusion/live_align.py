@@ -34,7 +34,7 @@ MIRROR_SHARE = 0.9
 CONFIRM_MAPS = 2
 # Seconds of a first search for which maps of others wait; each that is given up doubles them.
 PATIENCE_S = 1.0
-# A search that found nothing is followed by a pause this many times as long.
+# A search longer than that which found nothing is followed by a pause this many times as long.
 REST = 4.0
 
 
@@ -205,8 +205,8 @@ class Aligner:
         moved = held.transform.compose(pair.transform)
         track.score, track.overlap = pair.score, pair.overlap
         if not pair.accepted:
-            track.jump = None
-            track.refuse(f"to {held.name}: {pair.reason}")
+            track.jump, track.mismatch = None, f"to {held.name}: {pair.reason}"
+            track.refuse(track.mismatch)
             return
         is_found_again = (
             jump is not None
@@ -294,7 +294,8 @@ class Aligner:
                 track.refuse("its search takes long and was put off for the maps of others")
             return None
         track.patience_s = PATIENCE_S
-        track.rest_s = 0.0 if pair.accepted else REST * (time.perf_counter() - began)
+        spent_s = time.perf_counter() - began
+        track.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s
         return pair
 
     def is_jump(self, track: Track, a: Pose2, b: Pose2) -> bool:

@@ -220,7 +220,7 @@ class Track:
         jump: a transform that waits to be found again; ``jump_version`` the map that gave it,
             ``jump_s`` and ``jump_maps`` when it was first found and how many messages had come.
         confirms: how often it was searched again on the same map.
-        mismatch: why its walls do not match those that it was last tracked against; empty: they do.
+        mismatch: why its walls do not match those that it was last aligned to; empty: they do.
         contradiction: why its poses contradict those of others, which takes its vote; empty: none.
         tried: own version, the reference's name and version when it was last aligned in vain.
         searched_s: when it was last searched everywhere.

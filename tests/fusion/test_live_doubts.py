@@ -46,8 +46,7 @@ def wait(drive: Drive, seconds: float) -> float:
 # -- a map that jumped and then stays as it is -----------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["a", "b"])
-@pytest.mark.parametrize("pause_s", [0.0, 2.0])
+@pytest.mark.parametrize(("name", "pause_s"), [("a", 0.0), ("b", 2.0)])
 def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
     backend: Backend, name: str, pause_s: float
 ) -> None:
@@ -296,9 +295,8 @@ def test_searches_in_vain_leave_most_of_the_time_to_others(backend: Backend) -> 
     track = drive.live._tracks["b"]
     assert not track.votes
     assert track.searches == 1
-    assert track.rest_s > 0.0
-    track.rest_s = 20.0
-    for number in range(8):
+    track.rest_s = 20.0  # as after a search of 5 s
+    for number in range(4):
         drive.step(touched(replace(stranger, cells=cells, name="b"), number, 0.001))
     assert track.searches == 1, "a long search in vain is followed by a long pause"
 
@@ -306,8 +304,7 @@ def test_searches_in_vain_leave_most_of_the_time_to_others(backend: Backend) -> 
 # -- mirrored --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wrong", [mirrored, transposed])
-@pytest.mark.parametrize("name", ["a", "b"])
+@pytest.mark.parametrize(("wrong", "name"), [(mirrored, "a"), (transposed, "b")])
 def test_a_map_that_is_mirrored_from_the_start_does_not_vote(
     backend: Backend, wrong: object, name: str
 ) -> None:
@@ -349,8 +346,7 @@ def test_a_map_that_turns_into_its_mirror_image_loses_its_vote(backend: Backend)
 # -- walls that match no more ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("pause_s", [0.0, 1000.0])
-@pytest.mark.parametrize("share", [0.2, 0.3])
+@pytest.mark.parametrize(("share", "pause_s"), [(0.2, 1000.0), (0.3, 0.0)])
 def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
     backend: Backend, share: float, pause_s: float
 ) -> None:
@@ -370,7 +366,7 @@ def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
 
 def test_nothing_that_votes_says_that_its_walls_do_not_match(backend: Backend) -> None:
     drive = started(backend)
-    for number, share in enumerate(np.linspace(0.0, 0.3, 16)):
+    for number, share in enumerate(np.linspace(0.0, 0.3, 7)):
         drive.maybe(littered(three()["b"], 1, float(share)), touched(three()["a"], number, 0.001))
         for record in drive.live.inputs(drive.now_s):
             assert not (record.accepted and "do not match" in record.reason)

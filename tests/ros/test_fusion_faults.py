@@ -192,7 +192,7 @@ def test_what_an_input_says_wrong_takes_its_vote_and_nothing_else(
 ):
     heard = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
     makers, statuses = Makers(observer), observer.statuses()
-    fusion = start_fusion(processes)
+    fusion = start_fusion(processes, live__confirm_s=1.0)
     good = trio()
 
     def fused() -> Grid:
