@@ -33,33 +33,14 @@ OCCUPIED = 100
 UNKNOWN = -1
 IDENTITY = Pose2()
 
-# What a map of a place that robots drive in can have. Metres per cell:
-RESOLUTION_MIN_M, RESOLUTION_MAX_M = 1e-4, 100.0
-# Distance of a map's corner from the origin of its frame, metres: beyond, positions in float32, as
-# devices compute them, are coarser than 6 cm.
-ORIGIN_MAX_M = 1e6
-
-
-def implausible(resolution: float, origin: Pose2) -> str | None:
-    """Return in words what no map of a place can have, or None.
-
-    Args:
-        resolution: metres per cell; plausible from 1e-4 to 100.
-        origin: pose of the lower-left corner; plausible within 1000 km, of a finite yaw.
-    """
-    if not RESOLUTION_MIN_M <= resolution <= RESOLUTION_MAX_M:
-        return (
-            f"implausible resolution: wanted {RESOLUTION_MIN_M:g} to {RESOLUTION_MAX_M:g} m per "
-            f"cell, found {resolution:g}"
-        )
-    if not math.hypot(origin.x, origin.y) <= ORIGIN_MAX_M:
-        return (
-            f"implausible origin: wanted within {ORIGIN_MAX_M:g} m of the frame's, found "
-            f"({origin.x:g}, {origin.y:g})"
-        )
-    if not math.isfinite(origin.yaw_rad):
-        return f"implausible origin: wanted a finite yaw, found {origin.yaw_rad} rad"
-    return None
+# Metres per cell that a map may have: finer than any sensor measures, coarser than any room.
+RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
+# Metres from the frame's origin along x or y. UTM northings reach 1e7. Positions are float64, whose
+# step there is 2e-9 m, a 5e4th of the finest cell; what runs in float32 or fixed point on the
+# device is relative to a map's own corner or centre.
+ORIGIN_MOST_M = 1e7
+# Radians: two turns; a number beyond is most likely in degrees.
+YAW_MOST_RAD = 4.0 * math.pi
 
 
 @dataclass(frozen=True)

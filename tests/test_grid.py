@@ -134,9 +134,10 @@ def test_renaming_changes_the_name_only() -> None:
         (101.0, Pose2(), "resolution"),
         (math.nan, Pose2(), "resolution"),
         (-0.05, Pose2(), "resolution"),
-        (0.05, Pose2(1.01e6, 0.0, 0.0), "origin"),
-        (0.05, Pose2(0.0, -1.01e6, 0.0), "origin"),
-        (0.05, Pose2(math.nan, 0.0, 0.0), "origin"),
+        (0.05, Pose2(1.01e7, 0.0, 0.0), "x of the origin"),
+        (0.05, Pose2(0.0, -1.01e7, 0.0), "y of the origin"),
+        (0.05, Pose2(math.nan, 0.0, 0.0), "x of the origin"),
+        (0.05, Pose2(0.0, 0.0, 90.0), "yaw"),
         (0.05, Pose2(0.0, 0.0, math.inf), "yaw"),
     ],
 )
@@ -145,6 +146,6 @@ def test_numbers_that_no_place_has_are_named(resolution: float, origin: Pose2, w
 
 
 @pytest.mark.parametrize("resolution", [1e-4, 0.05, 100.0])
-@pytest.mark.parametrize("origin", [Pose2(), Pose2(-7e5, 7e5, 9.0), Pose2(1e6, 0.0, -3.0)])
+@pytest.mark.parametrize("origin", [Pose2(), Pose2(-7e5, 7e6, 9.0), Pose2(1e7, 0.0, -3.0)])
 def test_numbers_that_a_place_may_have_are_plausible(resolution: float, origin: Pose2) -> None:
     assert implausible(resolution, origin) is None

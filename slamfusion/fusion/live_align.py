@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -125,6 +125,19 @@ class Aligner:
             statistics.get("wall_clash", 0.0),
             pair.reason,
         )
+
+    @property
+    def scores(self) -> dict[frozenset[str], float]:
+        """What the searches gave, by the names of the pair."""
+        return {pair: found.score for pair, found in self._found.items()}
+
+    def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
+        """Take the fused frame of an earlier run, and what its searches gave.
+
+        On what ground a pair was believed is not kept: until it is searched its walls must match.
+        """
+        self.lattice = lattice
+        self._found = {pair: _Searched(score, 1.0, 0.0, "") for pair, score in scores.items()}
 
     def second_look(
         self, pair: Alignment, reference: GridFeatures, moving: GridFeatures

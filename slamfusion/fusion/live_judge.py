@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from slamfusion.compute import Backend
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live_align import Aligner, Held
+from slamfusion.fusion.live_begin import align_first, fusable, place_all
 from slamfusion.fusion.live_canvas import Lattice
 from slamfusion.fusion.live_input import Track
-from slamfusion.fusion.live_limits import odd_resolution, odd_resolutions, too_large, unusable
+from slamfusion.fusion.live_limits import unusable
 from slamfusion.fusion.live_pause import PausedError
-from slamfusion.fusion.normalize import common_resolution
-from slamfusion.fusion.pipeline import AlignedGroup, align_group
+from slamfusion.fusion.pipeline import AlignedGroup
 from slamfusion.grid import OccupancyGrid
 
 __all__ = ["Judge"]
@@ -56,6 +56,16 @@ class Judge:
         return self._aligner.lattice
 
     @property
+    def scores(self) -> dict[frozenset[str], float]:
+        """What the search, or the first fusion, gave for a pair of names."""
+        return self._aligner.scores
+
+    def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
+        """Take the fused frame of an earlier run; inputs come back by the last fused map."""
+        self._aligner.restore(lattice, scores)
+        self.problem = "no input has come yet"
+
+    @property
     def has_searched(self) -> bool:
         """Whether the last round searched an input everywhere."""
         return self._aligner.has_searched
@@ -95,7 +105,8 @@ class Judge:
 
     def _begin(self) -> None:
         """Try the first fusion, once for every new map and not too often."""
-        usable = self._fusable([track for track in self.tracks.values() if track.is_live])
+        live = [track for track in self.tracks.values() if track.is_live]
+        usable = fusable(live, self._config.normalize)
         least = self._live.minimum_inputs
         if len(usable) < least:
             self._doubt(usable, f"waits for {least} inputs that agree, has {len(usable)}")
@@ -105,44 +116,19 @@ class Judge:
         if versions == tried or self._now_s - last_s < self._live.search_pause_s:
             return
         self._began = (self._now_s, versions)
-        aligner, thresholds = self._aligner, self._config.normalize
-        aligner.has_searched = len(usable) > 1
-        resolution = common_resolution([t.grid for t in usable if t.grid is not None], thresholds)
-        backend, look = aligner.backend, aligner.second_look
-        features = {t.name: t.features(resolution, thresholds, -1.0, backend) for t in usable}
+        self._aligner.has_searched = len(usable) > 1
         try:
-            group = align_group(
-                features, {}, self._config, backend, list(features), second_look=look
-            )
-        except (SlamFusionError, MemoryError) as error:
+            group, lattice = align_first(usable, least, self._aligner)
+        except SlamFusionError as error:
             self._doubt(usable, str(error))
-            return
-        if len(group.alignments) < least:
-            self._doubt(usable, f"{len(group.alignments)} of the {least} inputs needed agree")
-            return
-        base = features[group.reference].grid.grid
-        self._fix(group, Lattice(base.resolution, base.origin))
-
-    def _fusable(self, tracks: list[Track]) -> list[Track]:
-        """Return the inputs that can be brought to one resolution; refuse the others by name."""
-        grids = {track.name: track.grid for track in tracks if track.grid is not None}
-        reasons = odd_resolutions({name: grid.resolution for name, grid in grids.items()})
-        rest = [grid for name, grid in grids.items() if name not in reasons]
-        for grid in rest:
-            resolution = common_resolution(rest, self._config.normalize)
-            reason = too_large(grid, resolution)
-            if reason is not None:
-                reasons[grid.name] = reason
-        for name, reason in reasons.items():
-            self.tracks[name].refuse(reason)
-        return [track for track in tracks if track.name in grids and track.name not in reasons]
+        else:
+            self._fix(group, lattice)
 
     def _fix(self, group: AlignedGroup, lattice: Lattice) -> None:
         """Fix the fused frame, and let the group vote."""
         aligner = self._aligner
         aligner.lattice, self.reference = lattice, group.reference
-        for name in self._placeable(lattice):
-            self.tracks[name].place(lattice.resolution, self._config.normalize, aligner.backend)
+        place_all(self.tracks.values(), aligner)
         for name, pair in group.alignments.items():
             aligner.believe(self.tracks[name], pair.transform, pair, is_tracked=False)
         for pair in group.pairs:
@@ -153,22 +139,6 @@ class Judge:
             track.refuse(reason)
             if shown is not None:
                 track.score, track.overlap = shown.score, shown.overlap
-
-    def _placeable(self, lattice: Lattice) -> list[str]:
-        """Return whose maps can be laid out on the fused lattice; the others begin anew."""
-        out = []
-        for name, track in self.tracks.items():
-            grid = track.grid
-            if grid is None:
-                continue
-            odd = odd_resolution(grid.resolution, lattice.resolution)
-            reason = odd or too_large(grid, lattice.resolution)
-            if reason is None:
-                out.append(name)
-            else:
-                track.is_live = False
-                track.refuse(reason)
-        return out
 
     # -- every round after it ---------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.fusion.accept import WALLS_MIN
-from slamfusion.grid import ORIGIN_MAX_M, OccupancyGrid, implausible
+from slamfusion.grid import OccupancyGrid, implausible
 from slamfusion.io.memory import check_memory
 
 __all__ = ["bands", "odd_resolution", "odd_resolutions", "too_large", "unusable"]
@@ -36,6 +36,8 @@ STEPS_MAX = 0.4
 EDGE_MIN = 0.001
 # A map with fewer free cells for each wall cell is one of walls alone; there unknown is their rest.
 FREE_MIN = 0.01
+# Metres from corner to corner.
+LENGTH_MAX_M = 1e6
 # How many times coarser or finer than the fused cells a map's may be. Walls are compared within
 # 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
 RATIO_MAX = 16.0
@@ -64,8 +66,8 @@ def unusable(grid: OccupancyGrid, thresholds: NormalizeConfig) -> str | None:
     if reason is not None:
         return reason
     length = math.hypot(grid.height, grid.width) * grid.resolution
-    if length > ORIGIN_MAX_M:
-        return f"implausible size: wanted {ORIGIN_MAX_M:g} m at most, found {length:g} m"
+    if length > LENGTH_MAX_M:
+        return f"a map must be at most {LENGTH_MAX_M:g} m long, found {length:g} m"
     occupied, walls = math.ceil(thresholds.occupied_percent), 0
     for band in bands(grid.height, grid.width):
         walls += int(np.count_nonzero(grid.cells[band] >= occupied))

@@ -149,9 +149,9 @@ ENDLESS = OccupancyGrid(np.tile(np.array([[0], [100]], dtype=np.int8), (8000, 4)
 @pytest.mark.parametrize(
     ("bad", "words"),
     [
-        (FINE, "implausible resolution"),
-        (FAR, "implausible origin"),
-        (ENDLESS, "implausible size"),
+        (FINE, "resolution must lie in"),
+        (FAR, "x of the origin must lie"),
+        (ENDLESS, "at most 1e+06 m long"),
         (COARSE, "50 times coarser"),
         (replace(FINE, resolution=0.001), "100 times finer"),
     ],

@@ -218,8 +218,8 @@ def test_what_an_input_says_wrong_takes_its_vote_and_nothing_else(
     observer.wait_status(FUSION, "all 3 inputs vote")
 
     # What no place has, and what says nothing.
-    send_wrong(dataclasses.replace(good["b"], resolution=1e-9), "implausible resolution")
-    send_wrong(moved_frame(good["b"], Pose2(1e12, 0.0, 0.0)), "implausible origin")
+    send_wrong(dataclasses.replace(good["b"], resolution=1e-9), "resolution must lie in")
+    send_wrong(moved_frame(good["b"], Pose2(1e12, 0.0, 0.0)), "x of the origin must lie")
     send_wrong(dataclasses.replace(good["b"], resolution=5.0), "100 times coarser")
     send_wrong(noise(1000), "is it noise?")
     makers.send(good["b"])

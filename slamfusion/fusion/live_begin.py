@@ -1,0 +1,77 @@
+"""The first fusion of the live fusion: which maps can be brought together, and which agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.errors import AlignmentError, MemoryBudgetError
+from slamfusion.fusion.live_align import Aligner
+from slamfusion.fusion.live_canvas import Lattice
+from slamfusion.fusion.live_input import Track
+from slamfusion.fusion.live_limits import odd_resolution, odd_resolutions, too_large
+from slamfusion.fusion.normalize import common_resolution
+from slamfusion.fusion.pipeline import AlignedGroup, align_group
+
+__all__ = ["align_first", "fusable", "place_all"]
+
+
+def fusable(tracks: Sequence[Track], config: NormalizeConfig) -> list[Track]:
+    """Return the inputs that can be brought to one resolution; refuse the others by name."""
+    grids = {track.name: track.grid for track in tracks if track.grid is not None}
+    reasons = odd_resolutions({name: grid.resolution for name, grid in grids.items()})
+    rest = [grid for name, grid in grids.items() if name not in reasons]
+    for grid in rest:
+        reason = too_large(grid, common_resolution(rest, config))
+        if reason is not None:
+            reasons[grid.name] = reason
+    for track in tracks:
+        if track.name in reasons:
+            track.refuse(reasons[track.name])
+    return [track for track in tracks if track.name in grids and track.name not in reasons]
+
+
+def align_first(
+    tracks: Sequence[Track], least: int, aligner: Aligner
+) -> tuple[AlignedGroup, Lattice]:
+    """Return the inputs that agree, and the cells of the frame that their reference gives.
+
+    Args:
+        tracks: inputs that can be brought to one resolution.
+        least: so many must agree.
+        aligner: gives the settings, computes, and tells mirrored maps.
+
+    Raises:
+        SlamFusionError: too few agree, or memory cannot hold them; in one line.
+    """
+    config, backend = aligner.config, aligner.backend
+    thresholds = config.normalize
+    resolution = common_resolution([t.grid for t in tracks if t.grid is not None], thresholds)
+    try:
+        features = {t.name: t.features(resolution, thresholds, -1.0, backend) for t in tracks}
+        group = align_group(
+            features, {}, config, backend, list(features), second_look=aligner.second_look
+        )
+    except MemoryError:
+        message = f"no memory is left to align {len(tracks)} maps at {resolution:g} m a cell"
+        raise MemoryBudgetError(message) from None
+    if len(group.alignments) < least:
+        message = f"{len(group.alignments)} of the {least} inputs needed agree"
+        raise AlignmentError(message)
+    base = features[group.reference].grid.grid
+    return group, Lattice(base.resolution, base.origin)
+
+
+def place_all(tracks: Iterable[Track], aligner: Aligner) -> None:
+    """Lay every input's map out on the fused lattice; one that cannot be begins with its next."""
+    lattice, thresholds = aligner.fixed(), aligner.config.normalize
+    for track in tracks:
+        if track.grid is None:
+            continue
+        odd = odd_resolution(track.grid.resolution, lattice.resolution)
+        reason = odd or too_large(track.grid, lattice.resolution)
+        if reason is None:
+            track.place(lattice.resolution, thresholds, aligner.backend)
+        elif track.is_live:
+            track.is_live = False
+            track.refuse(reason)
