@@ -9,6 +9,7 @@ from typing import Any
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.pocl import is_plain, name_processor, offer_plain
+from slamfusion.compute.records import DeviceJson
 from slamfusion.errors import DeviceError
 
 __all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices"]
@@ -33,6 +34,20 @@ class DeviceInfo:
     memory_mb: int
     usable: bool
     note: str
+
+    def to_json(self) -> DeviceJson:
+        """Return the description for a JSON document."""
+        return {
+            "index": self.index,
+            "name": self.name,
+            "platform": self.platform,
+            "type": self.type,
+            "version": self.version,
+            "compute_units": self.compute_units,
+            "memory_mb": self.memory_mb,
+            "usable": self.usable,
+            "note": self.note,
+        }
 
 
 def find_devices() -> list[Any]:

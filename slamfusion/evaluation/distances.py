@@ -21,6 +21,7 @@ from scipy.spatial import KDTree
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation.cells import wall_centres
+from slamfusion.evaluation.records import DistanceComparisonJson, DistanceRowJson
 from slamfusion.grid import OccupancyGrid, trinary_cells
 
 __all__ = [
@@ -77,7 +78,7 @@ class DistanceRow:
         """``error_m`` in percent of the measured distance."""
         return None if self.error_m is None else 100.0 * self.error_m / self.measured.distance_m
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DistanceRowJson:
         """Return name, both distances and their difference as plain values."""
         return {
             "name": self.measured.name,
@@ -113,7 +114,7 @@ class DistanceComparison:
         """Mean of |error| in percent of the measured distance; None when no row found its walls."""
         return _mean([abs(row.error_percent) for row in self.rows if row.error_percent is not None])
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DistanceComparisonJson:
         """Return the rows and their means as plain values."""
         return {
             "name": self.name,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.spatial import KDTree
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
+from slamfusion.evaluation.records import MapErrorJson, WallDistanceJson
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, known_box, trinary_cells
 
@@ -76,7 +76,7 @@ class WallDistance:
     p95_m: float
     max_m: float
 
-    def to_json(self) -> dict[str, float]:
+    def to_json(self) -> WallDistanceJson:
         """Return ``mean``, ``p95`` and ``max`` in metres."""
         return {"mean": self.mean_m, "p95": self.p95_m, "max": self.max_m}
 
@@ -128,7 +128,7 @@ class MapError:
     resolution: float
     origin: Pose2
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> MapErrorJson:
         """Return plain values; ``name`` and ``error`` first, undefined values as None."""
         return {
             "name": self.name,

@@ -10,7 +10,7 @@ import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.records import DensePosesJson
 from slamfusion.evaluation.trajectory_error import associate
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses
 from slamfusion.grid import IDENTITY
@@ -87,11 +88,11 @@ class DensePoses:
     """
 
     trajectory: Trajectory
-    by: str
+    by: Literal["odometry", "stamp"]
     poses_total: int
     poses_used: int
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DensePosesJson:
         """Return how the poses were composed, for a JSON document."""
         return {
             "rows": len(self.trajectory),

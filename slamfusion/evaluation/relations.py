@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.records import RelationErrorsAtScansJson, RelationErrorsJson
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.io.lines import TextLines, strip_gz
@@ -126,7 +126,7 @@ class RelationErrors:
         """Return which relations join two visits of one place, (M,): over ``REVISIT_S`` apart."""
         return np.asarray(np.abs(self.stamps_s[:, 1] - self.stamps_s[:, 0]) > REVISIT_S)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> RelationErrorsJson:
         """Return the figures for a JSON document; metres and degrees."""
         return {
             "translation": self.translation.to_json(),
@@ -137,7 +137,7 @@ class RelationErrors:
             "poses": self.poses,
         }
 
-    def to_json_with_intervals(self) -> dict[str, Any]:
+    def to_json_with_intervals(self) -> RelationErrorsAtScansJson:
         """Return the figures, and the intervals that hold the means with 95 %."""
         return {
             **self.to_json(),

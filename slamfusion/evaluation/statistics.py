@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from slamfusion.evaluation.records import (
+    DifferenceJson,
+    ErrorStatisticsJson,
+    PairedDifferenceJson,
+    SummaryJson,
+)
 
 __all__ = [
     "Difference",
@@ -70,9 +76,16 @@ class ErrorStatistics:
         """Return the same figures in another unit (radians to degrees)."""
         return ErrorStatistics(**{name: factor * value for name, value in asdict(self).items()})
 
-    def to_json(self) -> dict[str, float]:
+    def to_json(self) -> ErrorStatisticsJson:
         """Return the figures by name."""
-        return asdict(self)
+        return {
+            "mean": self.mean,
+            "std": self.std,
+            "rmse": self.rmse,
+            "median": self.median,
+            "min": self.min,
+            "max": self.max,
+        }
 
 
 @dataclass(frozen=True)
@@ -109,9 +122,15 @@ class Summary:
             worst=float(known.max()),
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> SummaryJson:
         """Return the figures by name."""
-        return asdict(self)
+        return {
+            "count": self.count,
+            "mean": self.mean,
+            "std": self.std,
+            "median": self.median,
+            "worst": self.worst,
+        }
 
 
 @dataclass(frozen=True)
@@ -127,9 +146,9 @@ class Difference:
     welch: float
     mann_whitney: float
 
-    def to_json(self) -> dict[str, float]:
+    def to_json(self) -> DifferenceJson:
         """Return both p-values by name."""
-        return asdict(self)
+        return {"welch": self.welch, "mann_whitney": self.mann_whitney}
 
 
 def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> Difference | None:
@@ -174,9 +193,9 @@ class Interval:
     low: float
     high: float
 
-    def to_json(self) -> list[float]:
+    def to_json(self) -> tuple[float, float]:
         """Return both ends."""
-        return [self.low, self.high]
+        return self.low, self.high
 
 
 def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> Interval:
@@ -274,12 +293,15 @@ class PairedDifference:
     t_test: float
     wilcoxon: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> PairedDifferenceJson:
         """Return the figures by name."""
         return {
-            **asdict(self),
+            "count": self.count,
+            "mean": self.mean,
             "interval": self.interval.to_json(),
             "bootstrap": self.bootstrap.to_json(),
+            "t_test": self.t_test,
+            "wilcoxon": self.wilcoxon,
         }
 
 

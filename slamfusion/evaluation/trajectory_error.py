@@ -7,13 +7,13 @@ errors); Umeyama, PAMI 13(4), 1991 (the alignment, here in the plane and without
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
+from slamfusion.evaluation.records import TrajectoryErrorsJson
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
 from slamfusion.grid import IDENTITY
@@ -88,7 +88,7 @@ class TrajectoryErrors:
         pairs = self.relative_rotation_rad
         return ErrorStatistics.of(np.rad2deg(pairs)) if len(pairs) else None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> TrajectoryErrorsJson:
         """Return the figures for a JSON document; metres and degrees."""
         motion = self.pose_truth_estimate
         rpe, turns = self.rpe, self.rpe_rotation_deg

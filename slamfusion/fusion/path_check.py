@@ -29,7 +29,13 @@ from slamfusion.fusion.align import track_features
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pipeline import fuse_grids
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp
+from slamfusion.fusion.records import (
+    Alignment,
+    FusionResult,
+    InputRecord,
+    PathGapJson,
+    RunnerUp,
+)
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
@@ -107,7 +113,7 @@ class PathGap:
         """Where they are farthest apart."""
         return float(self.gaps_m.max())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> PathGapJson:
         """Return the figures for a JSON document."""
         return {
             "a": self.a,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,81 @@ import numpy.typing as npt
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 
-__all__ = ["Alignment", "FusionResult", "InputRecord", "RunnerUp", "VoteResult"]
+__all__ = [
+    "Alignment",
+    "AlignmentJson",
+    "FusionResult",
+    "InputRecord",
+    "PathGapJson",
+    "RunnerUp",
+    "RunnerUpJson",
+    "VoteResult",
+]
+
+
+class RunnerUpJson(TypedDict):
+    """The best distinct peak of a search beside its answer."""
+
+    dx_m: float
+    """Pose of the moving map's frame in the reference's: x, metres."""
+    dy_m: float
+    """Its y, metres."""
+    yaw_rad: float
+    """Its heading, radians."""
+    score: float
+    """On the scale of the alignment's score."""
+    ratio: float
+    """Score over the answer's; near 1 the place looks alike under both."""
+
+
+class AlignmentJson(TypedDict):
+    """One moving map against one reference map."""
+
+    name: str
+    """The moving map."""
+    reference: str
+    """The reference map."""
+    accepted: bool
+    """Whether the alignment may be believed."""
+    reason: str
+    """Why (not)."""
+    dx_m: float
+    """Transform of a point of the moving map's frame into the reference's: x, metres."""
+    dy_m: float
+    """Its y, metres."""
+    yaw_rad: float
+    """Its heading, radians."""
+    score: float
+    """Symmetric wall score, 1 for identical maps; larger is better."""
+    overlap: float
+    """Cells known in both over known cells of the smaller map, 0 to 1."""
+    error: float
+    """[F16] map error over the reference's known box; smaller is better."""
+    runner_up: RunnerUpJson | None
+    """The best distinct peak beside the answer; null when there is none."""
+    bound_gap: float | None
+    """0: proven the best of the search set; above: the deadline came first; null: not asked for."""
+    time_s: float
+    """Wall time, seconds."""
+    statistics: Mapping[str, float | None]
+    """The numbers that the decision used, by name."""
+
+
+class PathGapJson(TypedDict):
+    """How far two paths of one drive lie apart in the fused frame."""
+
+    a: str
+    """One producer."""
+    b: str
+    """The other producer."""
+    median_m: float
+    """Half of the time the paths are nearer than this, metres."""
+    max_m: float
+    """Where they are farthest apart, metres."""
+    start_m: float
+    """How far apart they begin, metres."""
+    median_yaw_rad: float
+    """Median of the differences of the headings, 0 to pi, radians."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +138,9 @@ class Alignment:
     statistics: dict[str, float] = field(default_factory=dict)
     yaw_profile: npt.NDArray[np.float64] | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> AlignmentJson:
         """Return the keys that other programs rely on."""
-        runner_up = None
+        runner_up: RunnerUpJson | None = None
         if self.runner_up is not None:
             runner_up = {
                 "dx_m": self.runner_up.transform.x,

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol, TypedDict
 
 from slamfusion.geometry import Pose2
 from slamfusion.io.stamps import StampGate
 from slamfusion.scan import LaserScan
 
-__all__ = ["FARTHEST_M", "Continuity", "LogScan", "ScanLog", "Skips"]
+__all__ = ["FARTHEST_M", "Continuity", "LogScan", "ScanLog", "SkipJson", "Skips"]
 
 # No robot is farther from the origin of its frame; beyond, sums of poses lose their centimetres.
 FARTHEST_M = 1e9
@@ -44,6 +44,17 @@ class LogScan:
     line: int
 
 
+class SkipJson(TypedDict):
+    """Things of one kind that were left out or warned of."""
+
+    reason: str
+    """What was the matter."""
+    count: int
+    """How often."""
+    first_lines: list[int]
+    """Line, message or scan numbers of the first ones, from 1."""
+
+
 @dataclass
 class Skips:
     """What was left out (or warned of), by reason: how often, and the first lines of each."""
@@ -71,7 +82,7 @@ class Skips:
             for reason, count in sorted(self.counts.items())
         )
 
-    def to_json(self) -> list[dict[str, Any]]:
+    def to_json(self) -> list[SkipJson]:
         """Return the counts for a JSON document."""
         return [
             {"reason": reason, "count": count, "first_lines": list(self.lines[reason])}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
 from slamfusion.slam.node_map import MapJob
+from slamfusion.slam.records import HealthJson
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ClosesLoops", "Closure", "DrawsAside", "Health", "Series", "SlamBackend", "Step"]
@@ -62,7 +63,7 @@ class Health:
         """Return what speaks against the map in the producer's own words, a sentence each."""
         return ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> HealthJson:
         """Return the record for a JSON document."""
         return {
             "scans": self.scans,

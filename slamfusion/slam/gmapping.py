@@ -44,6 +44,7 @@ from slamfusion.slam.proposal import (
     propose,
     resample_systematic,
 )
+from slamfusion.slam.records import HealthJson
 from slamfusion.slam.shared_tiles import SharedTileMaps
 from slamfusion.slam.state import (
     health_record,
@@ -107,19 +108,21 @@ class FilterHealth(Health):
     tiles_owned: int = 0
     tiles_shared: int = 0
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> HealthJson:
         """Return the record for a JSON document."""
-        names = (
-            "best_score",
-            "filter_steps",
-            "resamplings",
-            "resamplings_for_memory",
-            "rejected",
-            "path_entropy",
-            "tiles_owned",
-            "tiles_shared",
-        )
-        return {**super().to_json(), "filter": {name: getattr(self, name) for name in names}}
+        return {
+            **super().to_json(),
+            "filter": {
+                "best_score": self.best_score,
+                "filter_steps": self.filter_steps,
+                "resamplings": self.resamplings,
+                "resamplings_for_memory": self.resamplings_for_memory,
+                "rejected": self.rejected,
+                "path_entropy": self.path_entropy,
+                "tiles_owned": self.tiles_owned,
+                "tiles_shared": self.tiles_shared,
+            },
+        }
 
 
 class Gmapping:

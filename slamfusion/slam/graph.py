@@ -15,7 +15,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ from slamfusion.slam.closures import ClosureSearch, Found, How, Waiting, Waiting
 from slamfusion.slam.constraints import Constraint, solve_constraints, turned
 from slamfusion.slam.matcher import Match, ScanOnTiles
 from slamfusion.slam.node_map import MapJob, Node, NodeMap
+from slamfusion.slam.records import HealthJson
 from slamfusion.slam.relocation import Guess, Relocation
 from slamfusion.slam.response import information_of, response_information
 from slamfusion.slam.state import (
@@ -153,11 +154,29 @@ class GraphHealth(Health):
     solutions: int = 0
     solve_s: float | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> HealthJson:
         """Return the record for a JSON document."""
-        common = {item.name for item in fields(Health)}
-        names = [item.name for item in fields(self) if item.name not in common]
-        return {**super().to_json(), "graph": {name: getattr(self, name) for name in names}}
+        return {
+            **super().to_json(),
+            "graph": {
+                "nodes": self.nodes,
+                "submaps": self.submaps,
+                "restarts": self.restarts,
+                "breaks": self.breaks,
+                "refound": self.refound,
+                "parts": self.parts,
+                "closures_tried": self.closures_tried,
+                "closures_accepted": self.closures_accepted,
+                "closures_rejected": self.closures_rejected,
+                "closures_doubted": self.closures_doubted,
+                "largest_correction_m": self.largest_correction_m,
+                "pauses": self.pauses,
+                "longest_pause_s": self.longest_pause_s,
+                "chi2": self.chi2,
+                "solutions": self.solutions,
+                "solve_s": self.solve_s,
+            },
+        }
 
     def doubts(self) -> tuple[str, ...]:
         """Return what speaks against the map; see ``Health.doubts``."""

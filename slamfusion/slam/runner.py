@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from slamfusion.io.log import LogScan, ScanLog, Skips
 from slamfusion.slam.base import ClosesLoops, Closure, Health, Series, SlamBackend, Step
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.records import LogJson, ProducerRunJson, TimePerScanJson
 from slamfusion.slam.tinyslam import TinySlam
 from slamfusion.trajectory import Trajectory
 
@@ -98,7 +99,8 @@ PRODUCERS: dict[str, Producer] = {
 }
 
 BYTES_PER_MB = 1e6
-TIME_PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
+# Percent of the scans that took at most p50, p95, p99, p999.
+TIME_PERCENTILES = (50.0, 95.0, 99.0, 99.9)
 # What a producer calls the path that it told as it went.
 FIRST_REPORTED = "as first reported"
 # A robot on its way has a bad match now and then (a door, a crowd); a lost one has many.
@@ -181,7 +183,7 @@ class LogRecord:
         """Return the record of a log's last iteration."""
         return cls(log.path, log.skips, log.warnings, tuple(log.notes), log.has_stamps)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> LogJson:
         """Return the record for a JSON document."""
         return {
             "path": str(self.path),
@@ -251,15 +253,21 @@ class ProducerRun:
         """Of these, the ones that were matched or mapped."""
         return self.health.scans_used
 
-    def time_per_scan_ms(self) -> dict[str, float]:
+    def time_per_scan_ms(self) -> TimePerScanJson:
         """Return mean, median (p50), percentiles (p95, p99, p99.9) and longest time for a scan.
 
         The name of the last percentile is ``p999``.
         """
         feed_ms = 1e3 * self.feed_s
-        shares = np.percentile(feed_ms, tuple(TIME_PERCENTILES.values())).tolist()
-        percentiles = dict(zip(TIME_PERCENTILES, shares, strict=True))
-        return {"mean": float(feed_ms.mean()), **percentiles, "max": float(feed_ms.max())}
+        p50, p95, p99, p999 = np.percentile(feed_ms, TIME_PERCENTILES).tolist()
+        return {
+            "mean": float(feed_ms.mean()),
+            "p50": p50,
+            "p95": p95,
+            "p99": p99,
+            "p999": p999,
+            "max": float(feed_ms.max()),
+        }
 
     def online_path(self) -> Trajectory | None:
         """Return the poses as they were first reported; None where the producer keeps none."""
@@ -294,7 +302,7 @@ class ProducerRun:
             )
         return tuple(sentences)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ProducerRunJson:
         """Return the record for a JSON document; times in s and ms, memory in MB of 10^6 bytes."""
         stamps_s = self.trajectory.stamps_s
         return {

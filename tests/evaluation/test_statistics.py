@@ -116,7 +116,7 @@ def test_the_interval_of_a_mean_is_that_of_theory_where_errors_are_normal() -> N
     assert found.high == pytest.approx(errors.mean() + spread, abs=0.01)
     assert found == mean_interval(errors)
     assert found == mean_interval(-errors)
-    assert found.to_json() == [found.low, found.high]
+    assert found.to_json() == (found.low, found.high)
 
 
 def test_the_interval_holds_the_mean_about_as_often_as_it_says() -> None:
@@ -134,8 +134,8 @@ def test_a_wider_interval_holds_the_mean_more_often() -> None:
 
 
 def test_errors_that_do_not_vary_have_an_interval_without_width() -> None:
-    assert mean_interval([0.25]).to_json() == [0.25, 0.25]
-    assert mean_interval([0.5, -0.5, 0.5]).to_json() == [0.5, 0.5]
+    assert mean_interval([0.25]).to_json() == (0.25, 0.25)
+    assert mean_interval([0.5, -0.5, 0.5]).to_json() == (0.5, 0.5)
 
 
 def test_no_error_has_no_interval() -> None:
@@ -232,7 +232,7 @@ def test_pairs_show_what_samples_hide() -> None:
     assert found.interval.low < found.bootstrap.low < -1.0 < found.bootstrap.high
     assert found.bootstrap.high < found.interval.high < 0.0
     assert found.t_test == pytest.approx(stats.ttest_1samp(-gains, 0.0).pvalue)
-    assert found.to_json()["interval"] == [found.interval.low, found.interval.high]
+    assert found.to_json()["interval"] == (found.interval.low, found.interval.high)
 
 
 def test_pairs_that_differ_by_one_value_or_nothing() -> None:

@@ -1,0 +1,33 @@
+"""What a JSON document says of a device: a typed record.
+
+The text below a key is its meaning and unit; the published JSON Schema carries it.
+"""
+
+from __future__ import annotations
+
+from typing import TypedDict
+
+__all__ = ["DeviceJson"]
+
+
+class DeviceJson(TypedDict):
+    """An OpenCL device."""
+
+    index: int
+    """What --device takes."""
+    name: str
+    """The device's own name."""
+    platform: str
+    """The OpenCL driver that offers it."""
+    type: str
+    """cpu, gpu or other."""
+    version: str
+    """Of OpenCL, in the driver's words."""
+    compute_units: int
+    """As the driver counts them."""
+    memory_mb: int
+    """Global memory, MB."""
+    usable: bool
+    """Whether it can run the kernels."""
+    note: str
+    """Why it cannot, or when it is chosen; may be empty."""
