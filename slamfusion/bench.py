@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,7 @@ from slamfusion.fusion.search import SearchWindow, displacement
 from slamfusion.fusion.vote import vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.jobs.tool_records import BenchEntryJson, BenchResultsJson
 from slamfusion.sim import Degradation, degrade_map, draw_building
 
 __all__ = ["Entry", "run_benchmarks"]
@@ -97,7 +98,7 @@ class Entry:
     baseline_seconds: float
     must: float | None = None
     stretch: float | None = None
-    target_of: str = "seconds"
+    target_of: Literal["seconds", "ratio"] = "seconds"
     detail: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -105,18 +106,26 @@ class Entry:
         """Seconds over the baseline's seconds; smaller is better."""
         return self.seconds / self.baseline_seconds
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> BenchEntryJson:
         """Return plain values, the ratio and whether the targets are met among them."""
         value = self.ratio if self.target_of == "ratio" else self.seconds
         return {
-            **dataclasses.asdict(self),
+            "name": self.name,
+            "seconds": self.seconds,
+            "runs": self.runs,
+            "baseline": self.baseline,
+            "baseline_seconds": self.baseline_seconds,
+            "must": self.must,
+            "stretch": self.stretch,
+            "target_of": self.target_of,
+            "detail": self.detail,
             "ratio": self.ratio,
             "meets_must": None if self.must is None else value <= self.must,
             "meets_stretch": None if self.stretch is None else value <= self.stretch,
         }
 
 
-def run_benchmarks(backend: Backend, *, quick: bool = False) -> dict[str, Any]:
+def run_benchmarks(backend: Backend, *, quick: bool = False) -> BenchResultsJson:
     """Time alignment, vote and the [F16] batch.
 
     Args:

@@ -17,6 +17,7 @@ from slamfusion.geometry import Pose2
 
 if TYPE_CHECKING:
     from slamfusion.fusion.records import Alignment
+    from slamfusion.jobs.records import AlignDocument
 
 __all__ = ["command"]
 
@@ -58,7 +59,7 @@ def command(
     backend = open_backend(config.device.device)
     found = align_grids(still, moved, config.fusion, backend, start_pose)
     if as_json:
-        document = {
+        document: AlignDocument = {
             **found.to_json(),
             "device": backend.name,
             "seed": config.seed,

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import number, print_json, print_table, versions
 from slamfusion.config import RunConfig
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.tool_records import BenchDocument, BenchEntryJson
 
 __all__ = ["command"]
 
@@ -23,9 +26,14 @@ def command(quick: bool, config: RunConfig, as_json: bool) -> int:
     from slamfusion.compute import open_backend  # noqa: PLC0415
 
     backend = open_backend(config.device.device)
-    results: dict[str, Any] = run_benchmarks(backend, quick=quick)
+    results = run_benchmarks(backend, quick=quick)
     if as_json:
-        print_json({**results, "device": backend.name, "versions": versions()})
+        document: BenchDocument = {
+            **results,
+            "device": backend.name,
+            "versions": versions(),
+        }
+        print_json(document)
     else:
         print_table(
             COLUMNS,
@@ -38,13 +46,13 @@ def command(quick: bool, config: RunConfig, as_json: bool) -> int:
 COLUMNS = ("work ", "s", "runs", "baseline ", "baseline s", "ratio", "must", "stretch", "reached ")
 
 
-def _row(entry: dict[str, Any]) -> list[str]:
+def _row(entry: BenchEntryJson) -> list[str]:
     """Return an entry's row; the target is of the seconds or of the ratio, as the entry says."""
     reached = "-"
     if entry["must"] is not None:
         reached = "stretch" if entry["meets_stretch"] else "must" if entry["meets_must"] else "NO"
     unit = "x" if entry["target_of"] == "ratio" else "s"
-    targets = ["-" if entry[k] is None else f"{entry[k]:g} {unit}" for k in ("must", "stretch")]
+    targets = ["-" if x is None else f"{x:g} {unit}" for x in (entry["must"], entry["stretch"])]
     return [
         entry["name"],
         number(entry["seconds"], 4),

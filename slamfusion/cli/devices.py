@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
+from typing import TYPE_CHECKING
 
 import click
 
 from slamfusion.cli.options import common_options
 from slamfusion.cli.output import print_json, print_table
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.tool_records import DevicesDocument
 
 __all__ = ["command", "print_devices"]
 
@@ -22,7 +25,8 @@ def command(as_json: bool) -> int:
 
     devices = list_devices()
     if as_json:
-        print_json({"devices": [dataclasses.asdict(device) for device in devices]})
+        document: DevicesDocument = {"devices": [device.to_json() for device in devices]}
+        print_json(document)
         return 0
     print_devices()
     print(NUMPY_NOTE)

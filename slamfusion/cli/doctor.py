@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.metadata
 import os
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,6 +13,9 @@ from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import print_json, print_table, versions
 from slamfusion.config import RunConfig
 from slamfusion.errors import DeviceError, SlamFusionError
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.tool_records import DoctorDocument
 
 __all__ = ["INSTALL", "command"]
 
@@ -46,20 +49,18 @@ def command(config: RunConfig, as_json: bool) -> int:
     problems += [f"self test {name}: {detail}" for name, passed, detail in tests if not passed]
 
     if as_json:
-        print_json(
-            {
-                "ok": not problems,
-                "problems": problems,
-                "versions": found,
-                "devices": [dataclasses.asdict(item) for item in devices],
-                "device": device,
-                "self_test": [
-                    {"name": name, "passed": passed, "detail": detail}
-                    for name, passed, detail in tests
-                ],
-                "install": INSTALL,
-            },
-        )
+        document: DoctorDocument = {
+            "ok": not problems,
+            "problems": problems,
+            "versions": found,
+            "devices": [item.to_json() for item in devices],
+            "device": device,
+            "self_test": [
+                {"name": name, "passed": passed, "detail": detail} for name, passed, detail in tests
+            ],
+            "install": INSTALL,
+        }
+        print_json(document)
     else:
         rows = [[name, version or "absent"] for name, version in found.items()]
         print_table(("package ", "version "), rows)

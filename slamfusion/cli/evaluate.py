@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,6 +15,7 @@ from slamfusion.cli.output import (
     Progress,
     notice,
     number,
+    path_text,
     print_json,
     print_table,
     progress_bar,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from slamfusion.compute import Backend
     from slamfusion.evaluation import DistanceComparison, MapError
     from slamfusion.fusion.records import Alignment
+    from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
 
 __all__ = ["Evaluation", "command", "evaluate_maps", "print_evaluations"]
 
@@ -44,7 +46,7 @@ class Evaluation:
         """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
         return self.alignment is None or self.alignment.accepted
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> EvaluationJson:
         """Return the errors with ``aligned`` and the alignment's record."""
         return {
             **self.error.to_json(),
@@ -160,17 +162,16 @@ def command(
         if evaluation.alignment is not None and not evaluation.is_aligned:
             notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
     if as_json:
-        print_json(
-            {
-                "maps": [evaluation.to_json() for evaluation in evaluations],
-                "distances": [comparison.to_json() for comparison in comparisons],
-                "truth": None if truth_path is None else str(truth_path),
-                "device": device,
-                "seed": config.seed,
-                "config": to_mapping(config),
-                "versions": versions(),
-            }
-        )
+        document: EvaluateDocument = {
+            "maps": [evaluation.to_json() for evaluation in evaluations],
+            "distances": [comparison.to_json() for comparison in comparisons],
+            "truth": path_text(truth_path),
+            "device": device,
+            "seed": config.seed,
+            "config": to_mapping(config),
+            "versions": versions(),
+        }
+        print_json(document)
     else:
         if evaluations:
             print_evaluations(evaluations)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Trial,
     )
     from slamfusion.experiments.error_table import Tables
+    from slamfusion.experiments.records import CellModelsDocument
     from slamfusion.report.experiment_report import Difference, Panel
     from slamfusion.report.page import Table
 
@@ -79,14 +80,13 @@ def cell_models(folder: Path, as_json: bool) -> int:
     rows = table_two()
     files = _write_cell_models(folder, rows)
     if as_json:
-        print_json(
-            {
-                "rows": [row.to_json() for row in rows],
-                "equal": all(row.is_equal for row in rows),
-                "files": files,
-                "versions": versions(),
-            }
-        )
+        document: CellModelsDocument = {
+            "rows": [row.to_json() for row in rows],
+            "equal": all(row.is_equal for row in rows),
+            "files": [str(path) for path in files],
+            "versions": versions(),
+        }
+        print_json(document)
     else:
         heading, cells = _cell_model_table(rows)
         columns = [f"{heading[0]} ", f"{heading[1]} ", *heading[2:-1], f"{heading[-1]} "]

@@ -36,6 +36,7 @@ from slamfusion.grid import OccupancyGrid
 
 if TYPE_CHECKING:
     from slamfusion.fusion.records import Alignment, FusionResult
+    from slamfusion.jobs.records import FailedFuseDocument, FuseDocument
 
 __all__ = ["command"]
 
@@ -144,16 +145,15 @@ def command(
     for record in result.rejected:
         notice(f"rejected: {record.name}: {record.reason}")
     if as_json:
-        print_json(
-            {
-                **fusion_document(result, DoubledWalls.of(result, config)),
-                "fused": f"{outputs.fused}.yaml",
-                "agreement": f"{outputs.agreement}.yaml",
-                "evaluations": [evaluation.to_json() for evaluation in evaluations],
-                **circumstances(config, result.device),
-                "time_s": result.time_s,
-            }
-        )
+        document: FuseDocument = {
+            **fusion_document(result, DoubledWalls.of(result, config)),
+            "fused": f"{outputs.fused}.yaml",
+            "agreement": f"{outputs.agreement}.yaml",
+            "evaluations": [evaluation.to_json() for evaluation in evaluations],
+            **circumstances(config, result.device),
+            "time_s": result.time_s,
+        }
+        print_json(document)
     else:
         _print_result(result, outputs, evaluations, config, report_dir)
     return 0
@@ -227,14 +227,13 @@ def _report_failure(
     if not as_json:
         print_pairs(pairs, device)
         return
-    print_json(
-        {
-            **failure_document(grids, pairs, str(error)),
-            "fused": None,
-            "agreement": None,
-            "evaluations": [],
-            "error": str(error),
-            **circumstances(config, device),
-            "time_s": None,
-        }
-    )
+    document: FailedFuseDocument = {
+        **failure_document(grids, pairs, str(error)),
+        "fused": None,
+        "agreement": None,
+        "evaluations": [],
+        "error": str(error),
+        **circumstances(config, device),
+        "time_s": None,
+    }
+    print_json(document)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,14 @@ from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
 
 if TYPE_CHECKING:
-    from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+    from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
+    from slamfusion.jobs.records import (
+        CircumstancesJson,
+        DoubledWallsJson,
+        FusionJson,
+        NoAlignmentJson,
+        UnalignedInputJson,
+    )
 
 __all__ = [
     "AllRequiredError",
@@ -28,7 +35,7 @@ __all__ = [
     "print_pairs",
 ]
 
-NO_ALIGNMENT = {
+NO_ALIGNMENT: NoAlignmentJson = {
     "dx_m": None,
     "dy_m": None,
     "yaw_rad": None,
@@ -99,12 +106,12 @@ class DoubledWalls:
             _added_doubled(result),
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DoubledWallsJson:
         """Return the shares for a JSON document."""
         return {"inputs": self.inputs, "fused": self.fused, "added_by_fusion": self.added}
 
 
-def fusion_document(result: FusionResult, doubled: DoubledWalls) -> dict[str, Any]:
+def fusion_document(result: FusionResult, doubled: DoubledWalls) -> FusionJson:
     """Return what a JSON document says of a fusion."""
     return {
         "inputs": [_input(record, result.reference) for record in result.inputs],
@@ -120,7 +127,7 @@ def fusion_document(result: FusionResult, doubled: DoubledWalls) -> dict[str, An
 
 def failure_document(
     grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
-) -> dict[str, Any]:
+) -> FusionJson:
     """Return the same keys where nothing was fused.
 
     Args:
@@ -180,7 +187,7 @@ def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
     )
 
 
-def circumstances(config: RunConfig, device: str) -> dict[str, Any]:
+def circumstances(config: RunConfig, device: str) -> CircumstancesJson:
     """Return what a result depends on beside its inputs, for a JSON document."""
     return {
         "device": device,
@@ -190,13 +197,19 @@ def circumstances(config: RunConfig, device: str) -> dict[str, Any]:
     }
 
 
-def _input(record: InputRecord, reference: str | None) -> dict[str, Any]:
+def _input(record: InputRecord, reference: str | None) -> AlignmentJson | UnalignedInputJson:
     """Return one input's record: its alignment, and what became of it."""
-    alignment = NO_ALIGNMENT if record.alignment is None else record.alignment.to_json()
+    if record.alignment is None:
+        return {
+            **NO_ALIGNMENT,
+            "name": record.name,
+            "reference": reference,
+            "accepted": record.accepted,
+            "reason": record.reason,
+        }
     return {
-        **alignment,
+        **record.alignment.to_json(),
         "name": record.name,
-        "reference": record.alignment.reference if record.alignment else reference,
         "accepted": record.accepted,
         "reason": record.reason,
     }

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import typing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 
 from slamfusion.cli.inputs import check_writable
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import notice, number, print_json, print_table, versions
+from slamfusion.cli.output import notice, number, path_text, print_json, print_table, versions
 from slamfusion.config import GraphOptimizerConfig, RunConfig, to_mapping
 
 if TYPE_CHECKING:
+    from slamfusion.jobs.tool_records import GraphOptimizeDocument
     from slamfusion.pose_graph import GraphFile, Optimized, Robust, Start
 
 __all__ = ["command"]
@@ -74,9 +75,7 @@ def optimize_command(
         notice(f"{path}: not converged; raise graph_optimizer.max_iterations")
     _write(file, found, out, tum_path)
     if as_json:
-        document = _document(path, file, found)
-        document |= {"output": out, "tum": tum_path, "config": to_mapping(config)}
-        print_json(document | {"versions": versions()})
+        print_json(_document(path, file, found, out, tum_path, config))
     else:
         _print_result(path, file, found, settings)
     return 0
@@ -114,16 +113,23 @@ def _write(file: GraphFile, found: Optimized, out: Path | None, tum_path: Path |
             write_tum(tum_path, poses, files=files)
 
 
-def _doubted(file: GraphFile, found: Optimized) -> list[list[int]]:
+def _doubted(file: GraphFile, found: Optimized) -> list[tuple[int, int]]:
     """Return the ids of from and to of the edges taken to be false."""
     ends = file.ids[file.graph.edges[found.is_doubted]]
-    return [[int(start), int(end)] for start, end in ends]
+    return [(int(start), int(end)) for start, end in ends]
 
 
-def _document(path: Path, file: GraphFile, found: Optimized) -> dict[str, Any]:
+def _document(
+    path: Path,
+    file: GraphFile,
+    found: Optimized,
+    out: Path | None,
+    tum_path: Path | None,
+    config: RunConfig,
+) -> GraphOptimizeDocument:
     """Return the figures for a JSON document."""
     return {
-        "file": path,
+        "file": str(path),
         "nodes": len(file.graph),
         "edges": len(file.graph.edges),
         "closures": int(file.graph.is_closure.sum()),
@@ -137,6 +143,10 @@ def _document(path: Path, file: GraphFile, found: Optimized) -> dict[str, Any]:
         "converged": found.is_converged,
         "doubted": _doubted(file, found),
         "time_s": found.time_s,
+        "output": path_text(out),
+        "tum": path_text(tum_path),
+        "config": to_mapping(config),
+        "versions": versions(),
     }
 
 
@@ -167,7 +177,7 @@ def _of_odometry(file: GraphFile) -> str:
     return "" if file.has_poses else " (along the odometry; the file has no vertices)"
 
 
-def _named(doubted: list[list[int]]) -> str:
+def _named(doubted: list[tuple[int, int]]) -> str:
     """Return how many closures are doubted and which, the first few by name."""
     if not doubted:
         return "0"

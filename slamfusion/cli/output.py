@@ -22,6 +22,7 @@ __all__ = [
     "notice",
     "number",
     "one_line",
+    "path_text",
     "plain",
     "print_json",
     "print_table",
@@ -63,6 +64,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value
+
+
+def path_text(path: Path | None) -> str | None:
+    """Return a path as a JSON document has it; None where no file was named."""
+    return None if path is None else str(path)
 
 
 def one_line(text: str) -> str:

@@ -16,6 +16,7 @@ from slamfusion.config import RunConfig
 if TYPE_CHECKING:
     from slamfusion.evaluation import Relations
     from slamfusion.io import AtomicFiles
+    from slamfusion.jobs.records import ProducerJson
     from slamfusion.slam.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
@@ -44,13 +45,13 @@ class ProducerResult:
     evaluation: Evaluation | None
     device: str
 
-    def to_json(self, files: Sequence[Path]) -> dict[str, Any]:
+    def to_json(self, files: Sequence[Path]) -> ProducerJson:
         """Return the run's record with its errors and files."""
         return {
             **self.run.to_json(),
             **self.measures.to_json(),
             "map_error": None if self.evaluation is None else self.evaluation.to_json(),
-            "files": list(files),
+            "files": [str(path) for path in files],
         }
 
     def figures(self) -> list[tuple[str, str]]:

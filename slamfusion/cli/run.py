@@ -48,6 +48,7 @@ from slamfusion.cli.output import (
     Settings,
     notice,
     number,
+    path_text,
     print_json,
     print_table,
     progress_bar,
@@ -69,6 +70,13 @@ if TYPE_CHECKING:
     from slamfusion.evaluation import Relations
     from slamfusion.fusion.path_check import PathGap
     from slamfusion.fusion.records import Alignment, FusionResult
+    from slamfusion.jobs.records import (
+        FailedProducerJson,
+        RunDocument,
+        RunFilesJson,
+        RunProducerJson,
+        RunRecordDocument,
+    )
     from slamfusion.slam.side_by_side import Outcome
     from slamfusion.trajectory import Trajectory
 
@@ -300,10 +308,7 @@ def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) ->
     begun_s = time.perf_counter()
     job = _work(request, config, begun_s)
     files = _save(job, request, config)
-    document = {
-        **_document(job, request, config, files),
-        "time_s": time.perf_counter() - begun_s,
-    }
+    document = _document(job, request, config, files, time.perf_counter() - begun_s)
     _tell(job, debug=debug)
     if as_json:
         print_json(document)
@@ -475,8 +480,8 @@ def _save(job: _Job, request: _Request, config: RunConfig) -> dict[str, list[Pat
         for name, result in job.results.items():
             stem = job.folder / name
             written[name] = output_files(stem, probabilities=request.probabilities)
-            document = {
-                "producers": [_record(job, name, written[name])],
+            document: RunRecordDocument = {
+                "producers": [_made(job, name, written[name])],
                 **_asked(request),
                 **circumstances(config, result.device),
             }
@@ -546,51 +551,60 @@ def _reported(job: _Job, request: _Request) -> Any:
 # --- what is said -----------------------------------------------------------------------------
 
 
-def _asked(request: _Request) -> dict[str, Any]:
+def _asked(request: _Request) -> RunFilesJson:
     """Return the files that the run was given, for a JSON document."""
     return {
-        "log": request.log,
-        "relations": request.relations,
-        "odometry_file": request.odometry,
-        "scan_odometry": request.scan_odometry,
-        "truth": request.truth_trajectory,
-        "truth_map": request.truth,
-        "saved_maps": list(request.maps),
+        "log": str(request.log),
+        "relations": path_text(request.relations),
+        "odometry_file": path_text(request.odometry),
+        "scan_odometry": path_text(request.scan_odometry),
+        "truth": path_text(request.truth_trajectory),
+        "truth_map": path_text(request.truth),
+        "saved_maps": [str(path) for path in request.maps],
     }
 
 
-def _record(job: _Job, name: str, files: Sequence[Path]) -> dict[str, Any]:
+def _record(
+    job: _Job, outcome: Outcome, files: Sequence[Path]
+) -> RunProducerJson | FailedProducerJson:
     """Return a producer's record; of one that made no map, why."""
-    outcome = next(item for item in job.outcomes if item.name == name)
-    result = job.results.get(name)
-    told = (
-        {"name": name, **dict.fromkeys(UNKNOWN_OF_FAILED), "files": []}
-        if result is None
-        else result.to_json(files)
-    )
+    if outcome.name in job.results:
+        return _made(job, outcome.name, files)
     return {
-        **told,
-        "failed": outcome.reason or None,
+        "name": outcome.name,
+        "scans": None,
+        "scans_used": None,
+        "time_s": None,
+        "time_per_scan_ms": None,
+        "peak_memory_mb": None,
+        "health": None,
+        "map_error": None,
+        "files": [],
+        "failed": outcome.reason,
         "process_time_s": outcome.time_s,
         "process_cpu_s": outcome.cpu_s,
     }
 
 
-UNKNOWN_OF_FAILED = (
-    "scans",
-    "scans_used",
-    "time_s",
-    "time_per_scan_ms",
-    "peak_memory_mb",
-    "health",
-    "map_error",
-)
+def _made(job: _Job, name: str, files: Sequence[Path]) -> RunProducerJson:
+    """Return the record of a producer that made a map."""
+    outcome = next(item for item in job.outcomes if item.name == name)
+    return {
+        **job.results[name].to_json(files),
+        "failed": None,
+        "process_time_s": outcome.time_s,
+        "process_cpu_s": outcome.cpu_s,
+    }
 
 
 def _document(
-    job: _Job, request: _Request, config: RunConfig, files: dict[str, list[Path]]
-) -> dict[str, Any]:
-    """Return the JSON document, but for the time in all."""
+    job: _Job,
+    request: _Request,
+    config: RunConfig,
+    files: dict[str, list[Path]],
+    time_s: float,
+) -> RunDocument:
+    """Return the JSON document."""
     usable, failure = job.usable, job.failure
     fusion = (
         failure_document(job.grids, job.pairs, str(failure))
@@ -599,20 +613,21 @@ def _document(
     )
     return {
         "producers": [
-            _record(job, outcome.name, files.get(outcome.name, [])) for outcome in job.outcomes
+            _record(job, outcome, files.get(outcome.name, [])) for outcome in job.outcomes
         ],
         **fusion,
-        "fused": None if usable is None else files[FUSED][0],
-        "agreement": None if usable is None else files[AGREEMENT][0],
+        "fused": None if usable is None else str(files[FUSED][0]),
+        "agreement": None if usable is None else str(files[AGREEMENT][0]),
         "best_founded": job.best_founded,
         "path_gaps": [gap.to_json() for gap in job.gaps],
         "evaluations": [item.to_json() for item in job.evaluations],
         "error": None if failure is None else str(failure),
         "not_measured": job.troubles,
-        "report": files[REPORT][0],
+        "report": str(files[REPORT][0]),
         **_asked(request),
         **circumstances(config, job.device),
         "stages_s": job.stages,
+        "time_s": time_s,
     }
 
 

@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,6 +16,7 @@ from slamfusion.cli.output import notice, number, print_json, print_table, progr
 from slamfusion.config import RunConfig, to_mapping
 
 if TYPE_CHECKING:
+    from slamfusion.jobs.tool_records import SimulatedDriveJson, SimulateDocument
     from slamfusion.sim import Course, Recording
 
 __all__ = ["command"]
@@ -72,9 +73,9 @@ def command(
     if recording.left_out:
         count = len(recording.left_out)
         notice(f"planned waypoints left out, as this robot cannot drive to them: {count}")
-    made = {
+    made: SimulateDocument = {
         **_summary(recording),
-        "files": files,
+        "files": [str(path) for path in files],
         "device": backend.name,
         "seed": recording.course.seed,
         "time_s": time.perf_counter() - start,
@@ -102,7 +103,7 @@ def _course(name: str, config: RunConfig, *, is_seed_given: bool) -> Course:
     return with_overrides(course, config.simulate)
 
 
-def _summary(recording: Recording) -> dict[str, Any]:
+def _summary(recording: Recording) -> SimulatedDriveJson:
     """Return what was made, in numbers."""
     truth, odometry = recording.truth, recording.odometry()
     end = truth.pose(-1).inverse().compose(odometry.pose(-1))
@@ -133,7 +134,7 @@ def _summary(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _print(made: dict[str, Any], recording: Recording) -> None:
+def _print(made: SimulateDocument, recording: Recording) -> None:
     """Print the numbers and the files as two columns."""
     course, end = recording.course, made["odometry_end_error"]
     rows = [
@@ -147,7 +148,7 @@ def _print(made: dict[str, Any], recording: Recording) -> None:
             "odometry at the end",
             f"{number(end['translation_m'], 2)} m and {number(end['rotation_deg'], 1)} deg off",
         ],
-        *(["file", str(path)] for path in made["files"]),
+        *(["file", path] for path in made["files"]),
         ["time", f"{number(made['time_s'], 1)} s on {made['device']}"],
     ]
     print_table((" ", " "), rows, title="Simulated drive", header=False)

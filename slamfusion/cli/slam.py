@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +21,7 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import (
     notice,
+    path_text,
     print_json,
     print_table,
     progress_bar,
@@ -41,6 +42,7 @@ from slamfusion.errors import MapFileError, SlamFusionError
 if TYPE_CHECKING:
     from slamfusion.compute import Backend
     from slamfusion.io import AtomicFiles
+    from slamfusion.jobs.records import SlamDocument
     from slamfusion.slam.base import SlamBackend
     from slamfusion.slam.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
@@ -240,20 +242,20 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     except SlamFusionError as error:  # the map is made; it is kept, then the failure is told
         failed = error
     result = ProducerResult(found, measures, evaluation, backend.name)
-    document = {
+    document: SlamDocument = {
         "producers": [
             {
                 **result.to_json(request.outputs()),
-                "resumed_from": request.resume,
-                "state_file": request.state,
+                "resumed_from": path_text(request.resume),
+                "state_file": path_text(request.state),
             }
         ],
-        "log": request.log,
-        "relations": request.relations,
-        "odometry_file": request.odometry,
-        "scan_odometry": request.scan_odometry,
-        "truth": request.truth,
-        "truth_map": request.truth_map,
+        "log": str(request.log),
+        "relations": path_text(request.relations),
+        "odometry_file": path_text(request.odometry),
+        "scan_odometry": path_text(request.scan_odometry),
+        "truth": path_text(request.truth),
+        "truth_map": path_text(request.truth_map),
         "device": backend.name,
         "seed": config.seed,
         "config": to_mapping(config),
@@ -314,7 +316,7 @@ def _asked(run: ProducerRun, request: _Request) -> list[str]:
 def _save(
     result: ProducerResult,
     producer: SlamBackend,
-    document: dict[str, Any],
+    document: Mapping[str, Any],
     request: _Request,
     config: RunConfig,
     truth: Trajectory | None,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from slamfusion.cli.inputs import check_writable, load_maps
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import number, print_json, print_table, versions
+from slamfusion.cli.output import number, path_text, print_json, print_table, versions
 from slamfusion.config import RunConfig, TrajectoryConfig, to_mapping
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         Relations,
         TrajectoryErrors,
     )
+    from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument
     from slamfusion.trajectory import Trajectory
 
 __all__ = ["Measures", "command", "measure_trajectory", "print_measures"]
@@ -44,13 +45,13 @@ class Measures:
     at_scans: RelationErrors | None = None
     online: Measures | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> MeasuresJson:
         """Return the figures for a JSON document."""
-        document: dict[str, Any] = {}
+        document: MeasuresJson = {}
         if self.truth is not None:
-            document |= self.truth.to_json()
+            document = {**document, **self.truth.to_json()}
         if self.relations is not None:
-            document |= self.relations.to_json()
+            document = {**document, **self.relations.to_json()}
             document["odometry"] = None if self.dense is None else self.dense.to_json()
             own = self.at_scans
             document["at_scans"] = None if own is None else own.to_json_with_intervals()
@@ -159,22 +160,21 @@ def command(
         )
 
     if as_json:
-        print_json(
-            {
-                "name": poses.name,
-                "path_length_m": poses.path_length_m(),
-                "duration_s": float(poses.stamps_s[-1] - poses.stamps_s[0]),
-                **measures.to_json(),
-                "poses": len(poses),
-                "estimate": estimate,
-                "relations": relations_path,
-                "odometry_file": odometry_path,
-                "log": log_path,
-                "truth": truth_path,
-                "config": to_mapping(config),
-                "versions": versions(),
-            }
-        )
+        document: TrajectoryDocument = {
+            "name": poses.name,
+            "path_length_m": poses.path_length_m(),
+            "duration_s": float(poses.stamps_s[-1] - poses.stamps_s[0]),
+            **measures.to_json(),
+            "poses": len(poses),
+            "estimate": str(estimate),
+            "relations": path_text(relations_path),
+            "odometry_file": path_text(odometry_path),
+            "log": path_text(log_path),
+            "truth": path_text(truth_path),
+            "config": to_mapping(config),
+            "versions": versions(),
+        }
+        print_json(document)
     else:
         print_measures(poses, measures)
     return 0

@@ -9,8 +9,8 @@ Source: Huletski, Kartashov and Krinkin, *TinySLAM Improvements for Indoor Navig
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
+from slamfusion.experiments.records import CellModelJson
 from slamfusion.slam.cell_models import CELL_MODELS
 
 __all__ = ["CellModelRow", "table_two"]
@@ -57,7 +57,7 @@ class CellModelRow:
         """Whether the value is the paper's in all three decimals."""
         return f"{self.value:.3f}" == f"{self.paper:.3f}"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> CellModelJson:
         """Return the row for a JSON document."""
         return {
             "model": self.model,

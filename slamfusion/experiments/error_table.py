@@ -22,6 +22,15 @@ from slamfusion.evaluation import (
     pooled_p_value,
     t_interval,
 )
+from slamfusion.experiments.records import (
+    AgainstBestInputJson,
+    ErrorTableJson,
+    MethodPairJson,
+    MethodSummaryJson,
+    OverallRatioJson,
+    RatiosJson,
+    RealLogTableJson,
+)
 from slamfusion.experiments.table import markdown_table
 from slamfusion.experiments.trials import FUSIONS, TrialRecord, alone
 from slamfusion.io import AtomicFiles
@@ -76,7 +85,7 @@ class MethodPair:
     paired: PairedDifference
     holm: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> MethodPairJson:
         """Return the pair for a JSON document."""
         return {
             "condition": self.condition,
@@ -107,7 +116,7 @@ class Against:
     interval: Interval | None
     p_value: float | None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> AgainstBestInputJson:
         """Return the comparison for a JSON document."""
         return {
             "condition": self.condition,
@@ -215,13 +224,13 @@ class ErrorTable:
             found.append(Against(condition, fusion, best, ratio, interval, p_value))
         return found
 
-    def overall(self) -> dict[str, dict[str, float]]:
+    def overall(self) -> dict[str, OverallRatioJson]:
         """Return for each way to vote its error against the best inputs' over all conditions.
 
         ``ratio`` is the mean of the conditions' ratios, ``worst`` the largest of them; ``of_sums``
         is that of the sums of the mean errors, in which large places count more than small ones.
         """
-        found = {}
+        found: dict[str, OverallRatioJson] = {}
         for number, fusion in enumerate(FUSIONS):
             ratios = [self.against_best(name)[number].ratio for name in self.conditions()]
             best = [
@@ -430,9 +439,9 @@ class ErrorTable:
                 writer.writerow(row)
         return buffer.getvalue()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ErrorTableJson:
         """Return summaries, tests and every trial."""
-        summaries = []
+        summaries: list[MethodSummaryJson] = []
         for condition in self.conditions():
             for method in self.methods(condition):
                 errors = self.errors(condition, method)
@@ -468,7 +477,7 @@ class Tables(Protocol):
     def title(self) -> str:
         """Of the experiment."""
 
-    def overall(self) -> dict[str, dict[str, float]]:
+    def overall(self) -> Mapping[str, RatiosJson]:
         """Return for each way to vote its error against the best inputs'."""
 
     def sheets(self, *, details: bool) -> list[Sheet]:
@@ -480,7 +489,7 @@ class Tables(Protocol):
     def to_csv(self) -> str:
         """Return every number."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ErrorTableJson | RealLogTableJson:
         """Return everything."""
 
 

@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from scipy import stats
 from slamfusion.compute.backend import Backend
 from slamfusion.config import RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
+from slamfusion.experiments.records import VerdictJson
 from slamfusion.experiments.table import Level, Results, measure_label, p_text, repeat
 from slamfusion.slam.tinyslam import TinySlam
 
@@ -55,7 +56,7 @@ class Verdict:
     p_value: float | None
 
     @property
-    def answer(self) -> str:
+    def answer(self) -> Literal["helps", "harms", "no difference"]:
         """``helps``, ``harms``, or ``no difference``."""
         if self.p_value is None or self.p_value >= SIGNIFICANT:
             return "no difference"
@@ -78,7 +79,7 @@ class Verdict:
             f"is {abs(change):.1f} % {'larger' if change > 0.0 else 'smaller'} with it; {test}."
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> VerdictJson:
         """Return the verdict for a JSON document."""
         return {
             "drive": self.drive,

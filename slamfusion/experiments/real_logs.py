@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, doubled_wall_share
 from slamfusion.experiments.error_table import Sheet
+from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealLogTableJson
 from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
@@ -95,7 +95,7 @@ class RealLogRow:
     doubled_share: float
     error: MapError | None
 
-    def numbers(self) -> dict[str, float | None]:
+    def numbers(self) -> RealLogNumbersJson:
         """Return what is measured, by name; lengths in metres."""
         error = self.error
         there = None if error is None else error.map_to_truth
@@ -150,9 +150,9 @@ class RealLogTable:
         best = min(errors[name] for name in PRODUCERS if name in errors)
         return {mode: errors[mode] / best for mode in FUSIONS if mode in errors}
 
-    def overall(self) -> dict[str, dict[str, float]]:
+    def overall(self) -> dict[str, RatiosJson]:
         """Return for each way to vote the mean of the ratios of all drives, and the worst."""
-        found = {}
+        found: dict[str, RatiosJson] = {}
         for mode in FUSIONS:
             ratios = [self.ratios(log)[mode] for log in self.logs() if mode in self.ratios(log)]
             if ratios:
@@ -166,7 +166,7 @@ class RealLogTable:
         for log in self.logs():
             rows = []
             for row in (row for row in self.rows if row.log == log):
-                numbers = row.numbers()
+                numbers: dict[str, object] = {**row.numbers()}
                 cells = [
                     NO_NUMBER if (value := numbers[key]) is None else form.format(value)
                     for key, (_, form) in COLUMNS.items()
@@ -207,7 +207,7 @@ class RealLogTable:
             writer.writerow([row.log, row.method, *row.numbers().values()])
         return buffer.getvalue()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> RealLogTableJson:
         """Return every map and what they say."""
         return {
             "title": self.title,

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.evaluation import Difference, Summary, compare_samples
+from slamfusion.experiments.records import ComparisonJson, RepeatedRunsJson
 from slamfusion.io import AtomicFiles
 
 __all__ = [
@@ -72,7 +73,7 @@ class Comparison:
     second: Summary
     difference: Difference | None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ComparisonJson:
         """Return the comparison for a JSON document."""
         return {
             "levels": list(self.levels),
@@ -208,7 +209,7 @@ class Results:
             ]
         return "\n".join(lines)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> RepeatedRunsJson:
         """Return conditions with their summaries, comparisons, and every run."""
         measures = self.measures()
         return {

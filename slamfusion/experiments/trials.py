@@ -33,6 +33,7 @@ from slamfusion.config import FusionConfig, RunConfig, VoteConfig, field_infos, 
 from slamfusion.errors import AlignmentError, GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.experiments.faults import FAULTS
+from slamfusion.experiments.records import TrialJson
 from slamfusion.fusion.align import align_grids
 from slamfusion.fusion.path_check import LEAST_FUSED, best_founded, fuse_with_paths
 from slamfusion.fusion.pipeline import vote_again
@@ -118,7 +119,7 @@ class TrialRecord:
     wall_f1: Mapping[str, float]
     notes: Mapping[str, str]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> TrialJson:
         """Return the record for a JSON document."""
         return {
             "condition": self.condition,

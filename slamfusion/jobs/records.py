@@ -1,0 +1,445 @@
+"""What the commands print with ``--json``: typed documents, and the JSON Schema made of them.
+
+A type ``...Document`` is a whole document, composed of the records (``...Json``) of the packages
+below; the text under a key is its meaning and unit. The documents of ``slamfusion experiment`` are
+in ``slamfusion.experiments.records``, those of the commands beside the main work in
+``tool_records``.
+
+``schema.json`` beside this module holds them all as JSON Schema (2020-12), made of these types by
+``python -m tests.support.make_schema``. ``load_schema("fuse")`` is what any validator takes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any, TypedDict
+
+from slamfusion.evaluation.records import (
+    DensePosesJson,
+    DistanceComparisonJson,
+    ErrorStatisticsJson,
+    MapErrorJson,
+    RelationErrorsAtScansJson,
+    TrajectoryAlignmentJson,
+)
+from slamfusion.fusion.records import AlignmentJson, PathGapJson
+from slamfusion.slam.records import ProducerRunJson
+
+__all__ = [
+    "AlignDocument",
+    "CircumstancesJson",
+    "DoubledWallsJson",
+    "EvaluateDocument",
+    "EvaluationJson",
+    "FailedFuseDocument",
+    "FailedProducerJson",
+    "FailureDocument",
+    "FuseDocument",
+    "FusionJson",
+    "MeasuresJson",
+    "NoAlignmentJson",
+    "PathErrorsJson",
+    "ProducerJson",
+    "RunDocument",
+    "RunFilesJson",
+    "RunProducerJson",
+    "RunRecordDocument",
+    "SettingsJson",
+    "SlamDocument",
+    "SlamProducerJson",
+    "TrajectoryDocument",
+    "UnalignedInputJson",
+    "load_schema",
+]
+
+
+# --- what many documents share ----------------------------------------------------------------
+
+
+class FailureDocument(TypedDict):
+    """All that a command prints that failed before it had anything to tell; exit code 1."""
+
+    error: str
+    """What was wrong, in one line."""
+
+
+class SettingsJson(TypedDict):
+    """What a result depends on beside its inputs."""
+
+    config: Mapping[str, Any]
+    """The settings in effect, as --config takes them."""
+    versions: Mapping[str, str | None]
+    """Versions of Python, of this package and of those it stands on; null: not installed."""
+
+
+class CircumstancesJson(SettingsJson):
+    """What a computed result depends on beside its inputs."""
+
+    device: str
+    """What computed it, in words."""
+    seed: int
+    """Seed of every random number."""
+
+
+class EvaluationJson(MapErrorJson):
+    """A map's errors, and the alignment with the truth that they rest on."""
+
+    aligned: bool
+    """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
+    alignment: AlignmentJson | None
+    """The alignment with the truth; null: the map was taken as it lies."""
+
+
+# --- fuse -------------------------------------------------------------------------------------
+
+
+class NoAlignmentJson(TypedDict):
+    """The numbers of an alignment that was not made."""
+
+    dx_m: None
+    """Null: it was not aligned."""
+    dy_m: None
+    """Null: it was not aligned."""
+    yaw_rad: None
+    """Null: it was not aligned."""
+    score: None
+    """Null: it was not aligned."""
+    overlap: None
+    """Null: it was not aligned."""
+    error: None
+    """Null: it was not aligned."""
+    runner_up: None
+    """Null: it was not aligned."""
+    bound_gap: None
+    """Null: it was not aligned."""
+    time_s: None
+    """Null: it was not aligned."""
+
+
+class UnalignedInputJson(NoAlignmentJson):
+    """An input of a fusion that was not aligned with the reference."""
+
+    name: str
+    """The input."""
+    reference: str | None
+    """The input whose frame the fused map has; null where nothing was fused."""
+    accepted: bool
+    """Whether it voted."""
+    reason: str
+    """Why not."""
+
+
+class DoubledWallsJson(TypedDict):
+    """Shares of the wall cells that have a parallel wall close by, the trace of a slip."""
+
+    inputs: Mapping[str, float]
+    """Of each input as it was given, by name; 0 to 1."""
+    fused: float
+    """Of the fused map, 0 to 1."""
+    added_by_fusion: float
+    """Of the fused map's wall cells, doubled there and in no input; 0 to 1."""
+
+
+class FusionJson(TypedDict):
+    """What came of a fusion; null and empty values where nothing was fused."""
+
+    inputs: Sequence[AlignmentJson | UnalignedInputJson]
+    """The inputs, in the order given."""
+    reference: str | None
+    """The input whose frame and lattice the fused map has."""
+    fused_count: int
+    """Inputs that voted."""
+    phantom_cells: int | None
+    """Cells occupied in the fused map by vote, and in no input."""
+    wall_backs: int | None
+    """Cells occupied in the fused map as backs of walls: nobody voted for them."""
+    doubled_wall_share: DoubledWallsJson | None
+    """Shares of the wall cells that have a parallel wall close by."""
+    weights: Mapping[str, float]
+    """Weight of each vote, by input."""
+    pairs: Sequence[AlignmentJson]
+    """Every pair that was aligned, also between rejected inputs."""
+
+
+class FuseDocument(FusionJson, CircumstancesJson):
+    """``slamfusion fuse``."""
+
+    fused: str | None
+    """YAML file of the fused map; null where nothing was fused."""
+    agreement: str | None
+    """YAML file of the agreement map; null where nothing was fused."""
+    evaluations: Sequence[EvaluationJson]
+    """Errors of the inputs and of the fused map, with --truth."""
+    time_s: float | None
+    """Wall time of the fusion, seconds; null where nothing was fused."""
+
+
+class FailedFuseDocument(FuseDocument):
+    """``slamfusion fuse`` of maps that do not fit, or with --require-all; exit code 1."""
+
+    error: str
+    """Why nothing was fused."""
+
+
+# --- align, evaluate --------------------------------------------------------------------------
+
+
+class AlignDocument(AlignmentJson, CircumstancesJson):
+    """``slamfusion align``; exit code 1 where the alignment is not accepted."""
+
+
+class EvaluateDocument(SettingsJson):
+    """``slamfusion evaluate``."""
+
+    maps: Sequence[EvaluationJson]
+    """The maps against the truth; empty without --truth."""
+    distances: Sequence[DistanceComparisonJson]
+    """The maps against measured distances; empty without --distances."""
+    truth: str | None
+    """The true map's file; null without --truth."""
+    device: str | None
+    """What computed the alignments, in words; null without --truth."""
+    seed: int
+    """Seed of every random number."""
+
+
+# --- trajectory, slam, run --------------------------------------------------------------------
+
+
+class _PathErrorsJson(TypedDict, total=False):
+    ate: ErrorStatisticsJson
+    """Absolute errors of place against the truth, metres."""
+    ate_rotation_deg: ErrorStatisticsJson
+    """Absolute errors of heading against the truth, degrees."""
+    rpe: ErrorStatisticsJson | None
+    """Relative errors of place, metres a pair; null where the path is too short for a pair."""
+    rpe_rotation_deg: ErrorStatisticsJson | None
+    """Relative errors of heading, degrees a pair; null where there is no pair."""
+    rpe_pairs: int
+    """Pairs that the relative errors rest on."""
+    rpe_delta: float
+    """What a pair spans."""
+    rpe_unit: str
+    """Unit of what a pair spans: the setting trajectory.rpe_unit."""
+    alignment: TrajectoryAlignmentJson
+    """What laid the path on the truth."""
+    poses_matched: int
+    """Poses of the path that met a true one in time."""
+    translation: ErrorStatisticsJson
+    """Remaining translations on the known relations, metres."""
+    rotation_deg: ErrorStatisticsJson
+    """Remaining rotations on the known relations, degrees."""
+    relations_used: int
+    """Relations whose two times met a pose."""
+    relations_total: int
+    """All relations of the file."""
+    odometry: DensePosesJson | None
+    """How poses at the relations' times were composed with odometry; null: they were not."""
+    at_scans: RelationErrorsAtScansJson | None
+    """Errors on the relations whose both ends are poses of the path; null: the same or none."""
+    tolerance_s: float
+    """Poses further apart in time than this do not meet, seconds."""
+
+
+class PathErrorsJson(_PathErrorsJson, total=False):
+    """Errors of a path: against the truth, on known relations, both or none."""
+
+    poses: int
+    """Poses of the path."""
+
+
+class _MeasuresJson(_PathErrorsJson, total=False):
+    as_first_reported: PathErrorsJson
+    """The same of the path as it was first reported, of a producer that corrects it later."""
+
+
+class MeasuresJson(_MeasuresJson, total=False):
+    """Errors of a path, and of the same path as it was first reported."""
+
+    poses: int
+    """Poses of the path."""
+
+
+class TrajectoryDocument(_MeasuresJson, SettingsJson):
+    """``slamfusion trajectory``."""
+
+    name: str
+    """The trajectory."""
+    path_length_m: float
+    """Its length, metres."""
+    duration_s: float
+    """From its first pose to its last, seconds."""
+    poses: int
+    """Its poses."""
+    estimate: str
+    """Its file."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    log: str | None
+    """The log that the trajectory was made from."""
+    truth: str | None
+    """The file of the true trajectory."""
+
+
+class ProducerJson(ProducerRunJson, MeasuresJson):
+    """What one producer made of a log, what it took, and the errors that could be measured."""
+
+    map_error: EvaluationJson | None
+    """Errors of its map; null without a true map."""
+    files: Sequence[str]
+    """The files that it was written to: map, picture, path, record."""
+
+
+class SlamProducerJson(ProducerJson):
+    """The producer of ``slamfusion slam``."""
+
+    resumed_from: str | None
+    """The state that it was resumed from; null: it began afresh."""
+    state_file: str | None
+    """The file that its state was saved to."""
+
+
+class SlamDocument(CircumstancesJson):
+    """``slamfusion slam``; also the record OUT.json."""
+
+    producers: Sequence[SlamProducerJson]
+    """The one producer."""
+    log: str
+    """The log that it was fed."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    scan_odometry: str | None
+    """The file that gave the scans their odometry."""
+    truth: str | None
+    """The file of the true trajectory."""
+    truth_map: str | None
+    """The true map's file."""
+
+
+class RunProducerJson(ProducerJson):
+    """A producer of ``slamfusion run`` that made a map."""
+
+    failed: None
+    """Null: it made a map."""
+    process_time_s: float
+    """Wall time of its process, seconds."""
+    process_cpu_s: float | None
+    """Processor time of its process, seconds; null where unknown."""
+
+
+class FailedProducerJson(TypedDict):
+    """A producer of ``slamfusion run`` that made no map."""
+
+    name: str
+    """The producer."""
+    scans: None
+    """Null: unknown."""
+    scans_used: None
+    """Null: unknown."""
+    time_s: None
+    """Null: unknown."""
+    time_per_scan_ms: None
+    """Null: unknown."""
+    peak_memory_mb: None
+    """Null: unknown."""
+    health: None
+    """Null: unknown."""
+    map_error: None
+    """Null: there is no map."""
+    files: Sequence[str]
+    """Empty: nothing was written."""
+    failed: str
+    """Why it made no map."""
+    process_time_s: float
+    """Wall time of its process, seconds."""
+    process_cpu_s: float | None
+    """Processor time of its process, seconds; null where unknown."""
+
+
+class RunFilesJson(TypedDict):
+    """The files that ``slamfusion run`` was given."""
+
+    log: str
+    """The log that the producers were fed."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    scan_odometry: str | None
+    """The file that gave the scans their odometry."""
+    truth: str | None
+    """The file of the true trajectory."""
+    truth_map: str | None
+    """The true map's file."""
+    saved_maps: Sequence[str]
+    """Saved maps that voted too."""
+
+
+class RunRecordDocument(RunFilesJson, CircumstancesJson):
+    """The record NAME.json that ``slamfusion run`` writes beside a producer's map."""
+
+    producers: Sequence[RunProducerJson]
+    """The one producer."""
+
+
+class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
+    """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``."""
+
+    producers: Sequence[RunProducerJson | FailedProducerJson]
+    """What became of each producer."""
+    fused: str | None
+    """YAML file of the fused map; null where nothing was fused."""
+    agreement: str | None
+    """YAML file of the agreement map; null where nothing was fused."""
+    best_founded: str | None
+    """Where nothing was fused, the map whose walls the others' fit best; else null."""
+    path_gaps: Sequence[PathGapJson]
+    """Between every two producers' paths in the fused frame."""
+    evaluations: Sequence[EvaluationJson]
+    """Errors of the inputs and of the fused map, with --truth."""
+    error: str | None
+    """Why nothing was fused; null where it was."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+    report: str
+    """The page of the report."""
+    stages_s: Mapping[str, float]
+    """Wall time of each stage, seconds."""
+    time_s: float
+    """Wall time of all, seconds."""
+
+
+# --- the schema -------------------------------------------------------------------------------
+
+
+def load_schema(what: str | None = None) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of what commands print with ``--json``.
+
+    Args:
+        what: the words of a command, e.g. ``fuse`` or ``graph optimize``, or the name of a record,
+            e.g. ``Alignment`` or ``RunRecordDocument``; None: any command's document.
+
+    Returns:
+        A whole schema, for any validator. ``$defs`` holds an entry for each command, named by its
+        words joined by hyphens (``graph-optimize``), and one for each record, named in CapWords.
+
+    Raises:
+        KeyError: there is no such command or record.
+    """
+    text = resources.files("slamfusion.jobs").joinpath("schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    if what is None:
+        return schema
+    name = what.replace(" ", "-")
+    if name not in schema["$defs"]:
+        raise KeyError(what)
+    return {
+        **{key: value for key, value in schema.items() if key != "anyOf"},
+        "$ref": f"#/$defs/{name}",
+    }

@@ -1,0 +1,215 @@
+"""Make ``slamfusion/jobs/schema.json`` of the types of the JSON documents.
+
+Run in the root of the repository, after a change to a type or its text::
+
+    python -m tests.support.make_schema
+
+pydantic turns the types into JSON Schema. It is shown copies of them: the texts below the keys,
+which Python does not keep, become descriptions in these, and other keys are refused.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import sys
+import typing
+from collections.abc import Mapping
+from functools import cache, reduce
+from operator import or_
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any
+
+import typing_extensions
+from pydantic import Field, TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema
+
+from slamfusion.evaluation.records import RelationErrorsJson, TrajectoryErrorsJson
+from slamfusion.experiments import records as experiments
+from slamfusion.jobs import records as jobs
+from slamfusion.jobs import tool_records as tools
+from slamfusion.slam.records import HealthJson
+
+__all__ = ["DOCUMENTS", "PATH", "make_schema", "to_text"]
+
+PATH = Path(__file__).resolve().parents[2] / "slamfusion" / "jobs" / "schema.json"
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+# What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
+DOCUMENTS: dict[str, tuple[type, ...]] = {
+    "run": (jobs.RunDocument,),
+    "fuse": (jobs.FuseDocument, jobs.FailedFuseDocument),
+    "align": (jobs.AlignDocument,),
+    "evaluate": (jobs.EvaluateDocument,),
+    "simulate": (tools.SimulateDocument,),
+    "experiment cell-models": (experiments.CellModelsDocument,),
+    "experiment occupancy-estimator": (experiments.EstimatorSweepDocument,),
+    "experiment cell-models-trajectories": (experiments.RepeatedRunsDocument,),
+    "experiment ground-obstacle": (experiments.ErrorTableDocument,),
+    "experiment failures": (experiments.ErrorTableDocument,),
+    "experiment real-logs": (experiments.RealLogsDocument,),
+    "slam": (jobs.SlamDocument,),
+    "trajectory": (jobs.TrajectoryDocument,),
+    "graph optimize": (tools.GraphOptimizeDocument,),
+    "devices": (tools.DevicesDocument,),
+    "doctor": (tools.DoctorDocument,),
+    "bench": (tools.BenchDocument,),
+}
+# Written to files alone.
+WRITTEN = (jobs.RunRecordDocument,)
+# A producer of another package may say more of itself.
+OPEN = (HealthJson,)
+_FORMS: tuple[Any, ...] = (
+    Annotated,
+    typing_extensions.NotRequired,
+    typing_extensions.TypedDict,
+)
+# Of these keys a measured path has all or none.
+TOGETHER = (
+    frozenset(TrajectoryErrorsJson.__annotations__),
+    frozenset(RelationErrorsJson.__annotations__) | {"odometry", "at_scans"},
+)
+
+
+class _WithoutTitles(GenerateJsonSchema):
+    """pydantic's generator, without a title for each key that repeats its name."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
+        return False
+
+
+def make_schema() -> dict[str, Any]:
+    """Return the schema of all documents."""
+    asked = {
+        kind: TypeAdapter(_described(kind))
+        for kinds in (*DOCUMENTS.values(), (jobs.FailureDocument, *WRITTEN))
+        for kind in kinds
+    }
+    _, made = TypeAdapter.json_schemas(
+        [(kind.__name__, "serialization", adapter) for kind, adapter in asked.items()],
+        schema_generator=_WithoutTitles,
+    )
+    records = made["$defs"]
+    for record in records.values():
+        _keep_together(record)
+        _shorten(record)
+    commands = {command.replace(" ", "-"): kinds for command, kinds in DOCUMENTS.items()}
+    return {
+        "$schema": DIALECT,
+        "title": "JSON documents of slamfusion",
+        "description": "What the commands print with --json; $defs has an entry for each command.",
+        "anyOf": [_reference(name) for name in commands],
+        "$defs": {
+            **{
+                name: {
+                    "description": f"What slamfusion {command} prints with --json.",
+                    "anyOf": [_reference(_name(kind)) for kind in (*kinds, jobs.FailureDocument)],
+                }
+                for (name, kinds), command in zip(commands.items(), DOCUMENTS, strict=True)
+            },
+            **dict(sorted(records.items())),
+        },
+    }
+
+
+def to_text(schema: Mapping[str, Any]) -> str:
+    """Return a schema as the file has it."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+def _reference(name: str) -> dict[str, str]:
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def _name(kind: type) -> str:
+    """Return what a record is called in the schema: ``Alignment`` for ``AlignmentJson``."""
+    return kind.__name__.removesuffix("Json")
+
+
+def _keep_together(record: dict[str, Any]) -> None:
+    """Say which optional keys come together."""
+    properties, required = record.get("properties", {}), set(record.get("required", ()))
+    if not properties.keys() >= frozenset.union(*TOGETHER):
+        return
+    shared = frozenset.intersection(*TOGETHER)
+    record["dependentRequired"] = {
+        key: sorted(group - required - {key})
+        for group in TOGETHER
+        for key in sorted(group - shared - required)
+    }
+
+
+def _shorten(schema: Any) -> None:
+    """Write ``anyOf`` of plain types as a list of types, wherever it stands."""
+    if isinstance(schema, list):
+        for item in schema:
+            _shorten(item)
+    if not isinstance(schema, dict):
+        return
+    for item in schema.values():
+        _shorten(item)
+    choices = schema.get("anyOf", ())
+    if choices and all(isinstance(choice, dict) and set(choice) == {"type"} for choice in choices):
+        del schema["anyOf"]
+        schema["type"] = [choice["type"] for choice in choices]
+
+
+@cache
+def _described(kind: type) -> Any:
+    """Return a copy of a TypedDict whose keys have their texts and admit no others.
+
+    Raises:
+        ValueError: a key has no text.
+    """
+    texts = _texts(kind)
+    hints = typing.get_type_hints(kind)
+    # Types that are made as the program runs are no types to a checker.
+    annotated, not_required, typed_dict = _FORMS
+    fields = {}
+    for key, hint in hints.items():
+        if not texts.get(key):
+            message = f"{kind.__name__}.{key} has no text below it"
+            raise ValueError(message)
+        field = annotated[_copied(hint), Field(description=texts[key])]
+        is_required = key in getattr(kind, "__required_keys__", ())
+        fields[key] = field if is_required else not_required[field]
+    copy = typed_dict(_name(kind), fields)
+    copy.__doc__ = (inspect.getdoc(kind) or "").replace("``", "`")
+    copy.__pydantic_config__ = {"extra": "allow" if kind in OPEN else "forbid"}
+    return copy
+
+
+def _copied(hint: Any) -> Any:
+    """Return a type with every TypedDict in it replaced by its described copy."""
+    if typing.is_typeddict(hint):
+        return _described(hint)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is None or origin is typing.Literal:
+        return hint
+    copies = tuple(map(_copied, arguments))
+    return reduce(or_, copies) if origin in {UnionType, typing.Union} else origin[copies]
+
+
+def _texts(kind: type) -> dict[str, str]:
+    """Return the text below each key of a TypedDict, those of its bases too."""
+    module = sys.modules[kind.__module__]
+    (node,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(node, ast.ClassDef)
+    texts: dict[str, str] = {}
+    for base in node.bases:
+        other = getattr(module, base.id) if isinstance(base, ast.Name) else None
+        if isinstance(other, type):  # TypedDict itself is a function
+            texts |= _texts(other)
+    for key, text in zip(node.body, node.body[1:], strict=False):
+        if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
+            assert isinstance(key.target, ast.Name)
+            assert isinstance(text.value, ast.Constant)
+            texts[key.target.id] = " ".join(str(text.value.value).split())
+    return texts
+
+
+if __name__ == "__main__":
+    PATH.write_text(to_text(make_schema()), encoding="utf-8")
+    print(f"written: {PATH}")
