@@ -26,6 +26,7 @@ LAYERS = {  # what a package may not import, directly
     "sim": ("cli", "report", "ros", "fusion", "experiments"),
     "slam": ("cli", "report", "ros", "fusion", "evaluation", "sim", "experiments"),
     "report": ("cli", "ros", "experiments"),
+    "jobs": ("cli", "ros", "experiments"),
     "experiments": ("cli", "ros", "report"),
 }
 
@@ -40,7 +41,7 @@ def test_the_wheel_carries_every_kernel(tmp_path: Path):
     sources = {f"slamfusion/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()}
     assert sources
     assert sources <= inside
-    assert "slamfusion/py.typed" in inside
+    assert {"slamfusion/py.typed", "slamfusion/jobs/schema.json"} <= inside
     assert not any(name.startswith("tests/") for name in inside)
 
 

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tests.support.documents import check_document, command_of
+
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "data" / "sample"
 MAPS = [str(SAMPLE / f"map_{letter}.yaml") for letter in "abc"]
@@ -52,7 +54,10 @@ def run(
 
 
 def json_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
-    """Return the one JSON document on stdout; anything else there, or NaN, is an error."""
+    """Return the one JSON document on stdout, which is one that the command may print.
+
+    Anything else there is an error: NaN, or a key that the published schema does not know.
+    """
 
     def refuse(constant: str) -> float:
         message = f"{constant} in JSON"
@@ -60,6 +65,7 @@ def json_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
 
     document = json.loads(done.stdout, parse_constant=refuse)
     assert isinstance(document, dict)
+    check_document(document, command_of(done.args), failed=done.returncode != 0)
     return document
 
 

@@ -283,6 +283,15 @@ def test_doctor_passes_where_the_tests_run() -> None:
     assert all(test["passed"] for test in document["self_test"])
 
 
+def test_doctor_tells_of_a_device_that_is_not_there() -> None:
+    done = run("doctor", "--device", "abacus", "--json", env={"ROS_DISTRO": ""})
+    assert done.returncode == 1
+    document = json_of(done)
+    assert (document["ok"], document["device"]) == (False, None)
+    assert [test["name"] for test in document["self_test"]] == ["open the device"]
+    assert any("abacus" in problem for problem in document["problems"])
+
+
 @pytest.mark.once
 def test_bench_gives_ratios() -> None:
     done = run("bench", "--quick", "--json", timeout=300)

@@ -14,6 +14,7 @@ from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.runner import PRODUCERS
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.experiments.drives import room
+from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
 
@@ -105,6 +106,8 @@ def test_cell_models_trajectories_on_logs(drive: Path, tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["drive"] for row in rows] == ["room"] * 6 + ["room#2"] * 6
     assert "gmapping" in {row["method"] for row in rows}
+    saved = json.loads((tmp_path / "cell-models-trajectories.json").read_text(encoding="utf-8"))
+    check_document({**saved, "files": []}, "experiment cell-models-trajectories")
 
 
 def test_ground_obstacle_small(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -25,6 +26,7 @@ from tests.cli.command import (
 )
 from tests.slam.drives import drive
 from tests.support.datasets import ABSENT, DATASETS
+from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
 
@@ -84,6 +86,8 @@ def test_the_folder_holds_every_map_path_and_record(made: tuple[Path, dict[str, 
     assert not list(out.rglob(".slamfusion-*"))
     for name in NAMES:
         assert len(read_trajectory(out / f"{name}.tum")) == 64
+        record = json.loads((out / f"{name}.json").read_text(encoding="utf-8"))
+        check_document(record, "RunRecordDocument")
 
 
 def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[str, Any]]) -> None:
@@ -203,7 +207,7 @@ def test_a_killed_producer_is_named_and_the_others_are_fused(place: Path, tmp_pa
     os.kill(a_producer_of(started.pid), signal.SIGKILL)
     stdout, stderr = started.communicate(timeout=180)
     assert started.returncode == 0, stderr
-    document = json_of(subprocess.CompletedProcess([], 0, stdout, stderr))
+    document = json_of(subprocess.CompletedProcess(started.args, 0, stdout, stderr))
     failed = [record for record in document["producers"] if record["failed"]]
     (record,) = failed
     assert "killed by SIGKILL" in record["failed"]

@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from slamfusion.cli.fused import circumstances
+from slamfusion.cli.output import plain
+from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord, write_error_table
 from slamfusion.experiments.trials import FUSIONS, alone
+from tests.support.documents import check_document
 
 PRODUCERS = ("tinyslam", "gmapping", "graph")
 
@@ -101,6 +105,8 @@ def test_a_harmed_producer_is_held_against_the_others_alone() -> None:
     assert row == ("b", "weighted", "84.00", "80.00", "+5.0 %")
     assert "b: weighted +5.0 % against fusing the others alone." in table.sentences()
     assert list(table.to_json()["against_others_alone"]) == ["b"]
+    told = {"sentences": table.sentences(), "files": [], **circumstances(RunConfig(), "numpy")}
+    check_document(plain({**table.to_json(), **told}), "experiment failures")
 
 
 def test_the_gain_is_told_for_each_world_and_for_all() -> None:

@@ -1,0 +1,226 @@
+"""The schema of the JSON documents: made of the types, published, and strict."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from typing import Any, TypedDict
+
+import click
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator, ValidationError
+
+from slamfusion.cli.fused import circumstances
+from slamfusion.cli.main import cli, main
+from slamfusion.cli.output import plain
+from slamfusion.cli.trajectory import measure_trajectory
+from slamfusion.config import RunConfig
+from slamfusion.fusion.records import Alignment, RunnerUp
+from slamfusion.geometry import Pose2
+from slamfusion.jobs.records import load_schema
+from slamfusion.slam.base import Health
+from slamfusion.trajectory import Trajectory
+from tests.support import make_schema
+from tests.support.documents import check_document
+
+MAKE = "python -m tests.support.make_schema"
+
+
+def aligned() -> dict[str, Any]:
+    """What ``align`` prints, as JSON has it."""
+    place = Pose2(1.0, -2.0, 0.5)
+    found = Alignment(
+        "one", "other", place, True, "fits", 0.9, 0.8, 12.0, RunnerUp(place, 0.3, 0.4), 0.0, 0.1,
+        {"z": 9.0},
+    )  # fmt: skip
+    return plain({**found.to_json(), **circumstances(RunConfig(), "numpy")})
+
+
+def test_the_schema_is_what_the_types_say() -> None:
+    assert json.loads(make_schema.PATH.read_text(encoding="utf-8")) == make_schema.make_schema(), (
+        f"the types of the JSON documents have changed; run {MAKE}"
+    )
+
+
+def test_the_schema_is_one_of_the_dialect_that_it_names() -> None:
+    schema = load_schema()
+    assert schema["$schema"] == Draft202012Validator.META_SCHEMA["$id"]
+    Draft202012Validator.check_schema(schema)
+
+
+def commands_with_json(group: click.Group, *words: str) -> set[str]:
+    """The words of every command that has ``--json``; the producers of ``slam`` print the same."""
+    found: set[str] = set()
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group) and name != "slam":
+            found |= commands_with_json(command, *words, name)
+            continue
+        leaf = next(iter(command.commands.values())) if name == "slam" else command
+        if any("--json" in parameter.opts for parameter in leaf.params):
+            found.add(" ".join((*words, name)))
+    return found
+
+
+def test_every_command_that_prints_json_has_an_entry() -> None:
+    wanted = commands_with_json(cli)
+    assert wanted == set(make_schema.DOCUMENTS)
+    entries = {entry["$ref"].rpartition("/")[2] for entry in load_schema()["anyOf"]}
+    assert entries == {command.replace(" ", "-") for command in wanted}
+
+
+def test_every_key_says_what_it_is() -> None:
+    records = {name: item for name, item in load_schema()["$defs"].items() if "properties" in item}
+    assert len(records) > 50
+    for name, record in records.items():
+        assert record["description"], name
+        assert all(key["description"].endswith(".") for key in record["properties"].values()), name
+
+
+def test_a_right_document_passes() -> None:
+    check_document(aligned(), "align")
+    Draft202012Validator(load_schema("align")).validate(aligned())
+    Draft202012Validator(load_schema()).validate(aligned())
+    with pytest.raises(AssertionError, match=r"'accepted'.* were unexpected"):
+        check_document(aligned(), "fuse")
+    with pytest.raises(ValidationError):
+        Draft202012Validator(load_schema("fuse")).validate(aligned())
+
+
+@pytest.mark.parametrize("key", sorted(aligned()))
+def test_a_missing_key_is_refused(key: str) -> None:
+    document = aligned()
+    del document[key]
+    with pytest.raises(AssertionError, match=f"'{key}' is a required property"):
+        check_document(document, "align")
+    with pytest.raises(ValidationError):
+        Draft202012Validator(load_schema()).validate(document)
+
+
+def put(*path: str | int, value: Any) -> Callable[[dict[str, Any]], None]:
+    """A change of one value of a document."""
+
+    def change(document: Any) -> None:
+        for step in path[:-1]:
+            document = document[step]
+        document[path[-1]] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        put("accepted", value="yes"),
+        put("dx_m", value=None),
+        put("score", value="0.9"),
+        put("seed", value=0.5),
+        put("name", value=7),
+        put("runner_up", value=[]),
+        put("runner_up", "ratio", value=None),
+        put("statistics", "z", value="9"),
+        put("versions", "numpy", value=2.0),
+        put("config", value=[]),
+        put("colour", value="red"),
+        put("runner_up", "colour", value="red"),
+    ],
+)
+def test_a_wrong_type_and_an_unknown_key_are_refused(
+    change: Callable[[dict[str, Any]], None],
+) -> None:
+    document = copy.deepcopy(aligned())
+    change(document)
+    with pytest.raises(AssertionError):
+        check_document(document, "align")
+
+
+def test_an_error_alone_is_for_a_failure() -> None:
+    check_document({"error": "no"}, "align", failed=True)
+    with pytest.raises(AssertionError, match="exit code 0"):
+        check_document({"error": "no"}, "align")
+    with pytest.raises(AssertionError):
+        check_document({"error": None}, "align", failed=True)
+
+
+def test_errors_of_a_path_come_all_or_none() -> None:
+    path = Trajectory(np.arange(3.0), np.zeros((3, 3)), "still")
+    measured = plain(measure_trajectory(path, RunConfig().trajectory, truth=path).to_json())
+    check_document(measured, "PathErrors")
+    check_document({}, "PathErrors")
+    for key in measured:
+        part = {other: value for other, value in measured.items() if other != key}
+        with pytest.raises(AssertionError, match="is a dependency of"):
+            check_document(part, "PathErrors")
+
+
+def test_a_producer_may_say_more_of_its_health() -> None:
+    health = plain(Health().to_json())
+    check_document({**health, "wheels": {"slips": 3}}, "Health")
+    with pytest.raises(AssertionError):
+        check_document({**health, "graph": {"slips": 3}}, "Health")
+
+
+def test_an_unknown_document_is_no_key() -> None:
+    with pytest.raises(KeyError, match="paint"):
+        load_schema("paint")
+
+
+class NamelessJson(TypedDict):
+    """A record with a key that nobody describes."""
+
+    name: str
+    """What it is called."""
+    size: int
+
+
+def test_a_key_without_a_text_makes_no_schema() -> None:
+    with pytest.raises(ValueError, match=r"NamelessJson\.size has no text below it"):
+        make_schema._described(NamelessJson)
+
+
+FAILURES: dict[str, tuple[str, ...]] = {
+    "run": ("run", "absent.log", "-o", "out"),
+    "fuse": ("fuse", "absent.yaml", "other.yaml", "-o", "out"),
+    "align": ("align", "absent.yaml", "other.yaml"),
+    "evaluate": ("evaluate", "absent.yaml", "--truth", "other.yaml"),
+    "simulate": ("simulate", "absent.yaml", "-o", "out"),
+    "experiment cell-models": ("experiment", "cell-models", "-o", "file"),
+    "experiment occupancy-estimator": (
+        *("experiment", "occupancy-estimator", "--floors", "0"),
+        *("--log", "absent.log", "-o", "out", "--device", "numpy"),
+    ),
+    "experiment cell-models-trajectories": (
+        *("experiment", "cell-models-trajectories", "--floors", "0"),
+        *("--log", "absent.log:absent.relations", "-o", "out", "--device", "numpy"),
+    ),
+    "experiment ground-obstacle": ("experiment", "ground-obstacle", "-o", "file"),
+    "experiment failures": ("experiment", "failures", "-o", "file"),
+    "experiment real-logs": ("experiment", "real-logs", "--datasets", "absent", "-o", "out"),
+    "slam": ("slam", "tinyslam", "absent.log", "-o", "out", "--device", "numpy"),
+    "trajectory": ("trajectory", "absent.tum", "--truth", "other.tum"),
+    "graph optimize": ("graph", "optimize", "absent.g2o"),
+    "bench": ("bench", "--device", "abacus"),
+}
+
+
+def test_every_command_but_the_lists_can_fail() -> None:
+    assert set(FAILURES) | {"devices", "doctor"} == set(make_schema.DOCUMENTS)
+
+
+@pytest.mark.parametrize("command", FAILURES)
+def test_a_failure_is_a_document_too(
+    command: str,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path_factory.mktemp("empty")
+    (folder / "file").write_text("no folder", encoding="utf-8")
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit) as ended:
+        main([*FAILURES[command], "--json"])
+    assert ended.value.code == 1
+    document = json.loads(capsys.readouterr().out)
+    assert set(document) == {"error"}
+    check_document(document, command, failed=True)
