@@ -47,6 +47,7 @@ from slamfusion.fusion.live_input import Track
 from slamfusion.fusion.live_judge import Judge
 from slamfusion.fusion.live_limits import odd_resolution, too_large, unusable
 from slamfusion.fusion.live_poses import PoseWatch
+from slamfusion.fusion.live_state import LiveState, StateError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 
@@ -167,6 +168,7 @@ class LiveFusion:
         self._canvas: Canvas | None = None
         self._voters: tuple[str, ...] = ()
         self._poses = PoseWatch(self._live)
+        self._restored: dict[str, Pose2] = {}
 
     # -- mail -------------------------------------------------------------------------------------
 
@@ -213,6 +215,15 @@ class LiveFusion:
         with self._lock:
             self._poses.hear(name, stamp_s, pose)
 
+    def recall(self, name: str) -> None:
+        """Take an input that was dropped for present again, with the last map that it sent."""
+        with self._lock:
+            mail, track = self._mail.get(name), self._tracks.get(name)
+            if mail is None or mail.gone is None:
+                return
+            mail.gone, mail.is_new = None, True
+            mail.grid = None if track is None else track.grid
+
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
         with self._lock:
@@ -228,6 +239,53 @@ class LiveFusion:
         self._judge.configure(live)
         with self._lock:
             self._poses.live = live
+
+    # -- over a restart ---------------------------------------------------------------------------
+
+    def state(self, stamp_s: float = 0.0) -> LiveState | None:
+        """Return what another one needs to go on from here; from the thread of updates.
+
+        Args:
+            stamp_s: of the newest map in the fused one, to be kept beside it.
+
+        Returns:
+            None before the first fusion.
+        """
+        canvas = self._canvas
+        if canvas is None or canvas.box is None:
+            return None
+        fused, agreement = canvas.grids()
+        placed = {t.name: t.transform for t in self._tracks.values() if t.transform is not None}
+        return LiveState(
+            canvas.lattice,
+            canvas.box.row0,
+            canvas.box.col0,
+            fused.cells,
+            agreement.cells,
+            {**self._restored, **placed},
+            self._judge.reference,
+            self._judge.scores,
+            stamp_s,
+        )
+
+    def restore(self, state: LiveState) -> None:
+        """Go on in the fused frame of a state; before the first update.
+
+        Inputs are tried where they lay, against the last fused map, and are searched when they fit
+        there no more; none that fits nowhere votes.
+
+        Raises:
+            StateError: its cells are of another size than the settings ask for.
+        """
+        wanted, found = self._config.normalize.resolution, state.lattice.resolution
+        if wanted is not None and wanted != found:
+            message = f"the state has cells of {found:g} m, and resolution asks for {wanted:g} m"
+            raise StateError(message)
+        self._clear()
+        self._judge.restore(state.lattice, state.scores)
+        self._canvas = Canvas(state.lattice, self._config, self._backend)
+        self._canvas.restore(state.box, state.fused, state.agreement)
+        self._restored = dict(state.transforms)
 
     # -- update -----------------------------------------------------------------------------------
 
@@ -337,7 +395,7 @@ class LiveFusion:
                 name: mail.received_s for name, mail in self._mail.items() if not mail.is_saved
             }
         for name, mail in fresh.items():
-            track = self._tracks.setdefault(name, Track(name))
+            track = self._tracks.setdefault(name, Track(name, transform=self._restored.get(name)))
             reason = mail.gone or mail.refused
             if reason is None and mail.grid is not None:
                 reason = self._take(track, mail.grid)

@@ -270,6 +270,22 @@ class Canvas:
             return cells
         return cells[slices(box, whole.row0, whole.col0)].copy()
 
+    def restore(self, box: CellBox, fused: I8, agreement: I8) -> None:
+        """Begin with the cells of an earlier canvas of this lattice, which no layer is under yet.
+
+        Args:
+            box: cells of the lattice; those of the arrays.
+            fused: (H, W) int8, cells -1, 0, 100, as ``grids`` gives them.
+            agreement: (H, W) int8, 0..100, -1 without votes.
+        """
+        classes = np.array([UNKNOWN] * 256, dtype=np.int8)
+        classes[FREE], classes[OCCUPIED] = 0, 1
+        self._fused = np.asarray(cv2.LUT(fused.view(np.uint8), classes.view(np.uint8))).view(
+            np.int8
+        )
+        self._agreement = agreement.copy()
+        self.box = box
+
     def _moved(self, cells: I8, grown: CellBox) -> I8:
         out = np.full((grown.height, grown.width), UNKNOWN, dtype=np.int8)
         if self.box is not None:

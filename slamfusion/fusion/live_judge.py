@@ -58,7 +58,7 @@ class Judge:
     @property
     def scores(self) -> dict[frozenset[str], float]:
         """What the search, or the first fusion, gave for a pair of names."""
-        return self._aligner.scores
+        return dict(self._aligner.scores)
 
     def restore(self, lattice: Lattice, scores: Mapping[frozenset[str], float]) -> None:
         """Take the fused frame of an earlier run; inputs come back by the last fused map."""

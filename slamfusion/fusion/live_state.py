@@ -1,0 +1,194 @@
+"""``LiveState``: what a live fusion needs to go on in the same fused frame after a restart.
+
+As bytes: one line with the kind and version, one with the SHA-256 of everything after it, one line
+of JSON, then the two grids as zlib streams. Nothing is taken apart before its digest is right, and
+nothing in it is code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import SlamFusionError
+from slamfusion.fusion.live_canvas import Lattice
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+
+__all__ = ["LiveState", "StateError", "is_state"]
+
+I8 = npt.NDArray[np.int8]
+
+KIND = b"slamfusion live state"
+VERSION = 1
+# Most of a fused map is alike; more effort makes it hardly smaller.
+ZLIB_LEVEL = 1
+# A fused map with a side of more cells is none (1000 km of cells of 5 cm).
+SIDE_MAX = 20_000_000
+
+
+class StateError(SlamFusionError):
+    """Bytes are no state, or one that cannot be used."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveState:
+    """The fused frame, where the inputs lie in it, and the last fused map.
+
+    Attributes:
+        lattice: of the fused frame; metres per cell, and the pose of its cell [0, 0].
+        row, col: the lattice's indices of the first cell of ``fused``.
+        fused: (H, W) int8, -1 unknown, 0 free, 100 occupied; read-only.
+        agreement: (H, W) int8, share of the votes in percent, -1 without; read-only.
+        transforms: every believed input's map frame into the fused frame, metres, by name.
+        reference: name of the input that others were aligned to; empty without.
+        scores: what the search gave for a pair of names; tracked scores are held against it.
+        stamp_s: of the newest map in ``fused``, seconds; 0 where all were saved maps.
+    """
+
+    lattice: Lattice
+    row: int
+    col: int
+    fused: I8
+    agreement: I8
+    transforms: Mapping[str, Pose2]
+    reference: str = ""
+    scores: Mapping[frozenset[str], float] = field(default_factory=dict)
+    stamp_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no fusion can have kept.
+
+        Raises:
+            StateError: sizes, values, or numbers that are none.
+        """
+        lattice, shape = self.lattice, self.fused.shape
+        poses = (lattice.origin, *self.transforms.values())
+        numbers = [lattice.resolution, self.stamp_s, *self.scores.values()]
+        numbers += [value for pose in poses for value in (pose.x, pose.y, pose.yaw_rad)]
+        if not all(math.isfinite(value) for value in numbers) or lattice.resolution <= 0.0:
+            message = "a state with numbers that are not finite, or cells without a size"
+            raise StateError(message)
+        if len(shape) != 2 or not self.fused.size or shape != self.agreement.shape:
+            message = f"a state with grids of shapes {shape} and {self.agreement.shape}"
+            raise StateError(message)
+        for cells in (self.fused, self.agreement):
+            if cells.dtype != np.int8 or int(cells.min()) < UNKNOWN or int(cells.max()) > 100:
+                message = "a state with cells other than -1 and 0 to 100"
+                raise StateError(message)
+            cells.flags.writeable = False
+
+    @property
+    def box(self) -> CellBox:
+        """The cells of the lattice that ``fused`` covers."""
+        height, width = self.fused.shape
+        return CellBox(self.row, self.col, self.row + height, self.col + width)
+
+    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
+        """Return the fused map and the agreement as grids in the fused frame."""
+        origin, size = self.lattice.corner(self.row, self.col), self.lattice.resolution
+        return (
+            OccupancyGrid(self.fused, size, origin, "fused"),
+            OccupancyGrid(self.agreement, size, origin, "agreement"),
+        )
+
+    def to_bytes(self) -> bytes:
+        """Return the state as bytes; the same state gives the same."""
+        fused, agreement = (
+            zlib.compress(np.ascontiguousarray(cells).data, ZLIB_LEVEL)
+            for cells in (self.fused, self.agreement)
+        )
+        record = {
+            "resolution": self.lattice.resolution,
+            "origin": _numbers(self.lattice.origin),
+            "first": [self.row, self.col],
+            "shape": list(self.fused.shape),
+            "bytes": [len(fused), len(agreement)],
+            "transforms": {name: _numbers(pose) for name, pose in self.transforms.items()},
+            "reference": self.reference,
+            "scores": [[*sorted(pair), score] for pair, score in self.scores.items()],
+            "stamp_s": self.stamp_s,
+        }
+        body = b"".join((json.dumps(record, allow_nan=False).encode(), b"\n", fused, agreement))
+        digest = hashlib.sha256(body).hexdigest().encode()
+        return b"".join((KIND, b" %d\n" % VERSION, digest, b"\n", body))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> LiveState:
+        """Return the state that ``to_bytes`` wrote.
+
+        Raises:
+            StateError: other bytes, of another version, or damaged; says which.
+        """
+        head, _, rest = data.partition(b"\n")
+        if not is_state(data):
+            message = "this is no state of a live fusion"
+            raise StateError(message)
+        version = head.removeprefix(KIND).strip()
+        if version != b"%d" % VERSION:
+            found = version.decode(errors="replace")[:20]
+            message = f"wanted a state of version {VERSION}, found {found!r}"
+            raise StateError(message)
+        digest, _, body = rest.partition(b"\n")
+        if hashlib.sha256(body).hexdigest().encode() != digest:
+            message = "the state is damaged or not whole: its digest is another"
+            raise StateError(message)
+        line, _, packed = body.partition(b"\n")
+        try:
+            return cls._from_record(json.loads(line), packed)
+        except (ValueError, KeyError, TypeError, zlib.error) as error:
+            message = f"the state cannot be understood: {type(error).__name__}: {error}"
+            raise StateError(message) from None
+
+    @classmethod
+    def _from_record(cls, record: dict[str, Any], packed: bytes) -> LiveState:
+        height, width = (int(side) for side in record["shape"])
+        if not (0 < height <= SIDE_MAX and 0 < width <= SIDE_MAX):
+            message = f"a state with {height} x {width} cells"
+            raise StateError(message)
+        row, col = record["first"]
+        split = int(record["bytes"][0])
+        return cls(
+            Lattice(float(record["resolution"]), _pose(record["origin"])),
+            int(row),
+            int(col),
+            _cells(packed[:split], height, width),
+            _cells(packed[split:], height, width),
+            {str(name): _pose(numbers) for name, numbers in record["transforms"].items()},
+            str(record["reference"]),
+            {frozenset((str(a), str(b))): float(score) for a, b, score in record["scores"]},
+            float(record["stamp_s"]),
+        )
+
+
+def is_state(data: bytes) -> bool:
+    """Return whether bytes begin as a state does, of whatever version, damaged or not."""
+    return data.startswith(KIND + b" ")
+
+
+def _cells(packed: bytes, height: int, width: int) -> I8:
+    """Return the cells of a zlib stream that must hold exactly so many."""
+    reader = zlib.decompressobj()
+    # One byte more than wanted tells a longer stream, however long it would be.
+    raw = reader.decompress(packed, height * width + 1)
+    if len(raw) != height * width or not reader.eof:
+        message = f"cells of another number than {height} x {width}"
+        raise ValueError(message)
+    return np.frombuffer(raw, dtype=np.int8).reshape(height, width)
+
+
+def _numbers(pose: Pose2) -> list[float]:
+    return [pose.x, pose.y, pose.yaw_rad]
+
+
+def _pose(numbers: list[float]) -> Pose2:
+    x, y, yaw_rad = (float(number) for number in numbers)
+    return Pose2(x, y, yaw_rad)

@@ -1,0 +1,242 @@
+"""The state of a live fusion: bytes and back, damage, and a restart that moves nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend
+from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
+from slamfusion.fusion.live import LiveFusion
+from slamfusion.fusion.live_canvas import Lattice
+from slamfusion.fusion.live_state import KIND, LiveState, StateError, is_state
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
+from tests.fusion.drawings import building
+from tests.fusion.live_maps import (
+    AWAY,
+    Drive,
+    assert_same_lattice,
+    live_fusion,
+    moved_frame,
+    share_standing,
+    started,
+    three,
+    touched,
+)
+
+NUMBERS = st.floats(-1e9, 1e9)
+POSES = st.builds(Pose2, NUMBERS, NUMBERS, st.floats(-math.pi, math.pi))
+NAMES = st.text(max_size=8)
+
+
+@st.composite
+def states(draw: st.DrawFn) -> LiveState:
+    shape = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
+    rng = np.random.default_rng(draw(st.integers(0, 99)))
+    return LiveState(
+        Lattice(draw(st.floats(1e-3, 10.0)), draw(POSES)),
+        draw(st.integers(-5000, 5000)),
+        draw(st.integers(-5000, 5000)),
+        rng.choice(np.array([-1, 0, 100], dtype=np.int8), shape),
+        rng.integers(-1, 101, shape).astype(np.int8),
+        draw(st.dictionaries(NAMES, POSES, max_size=4)),
+        draw(NAMES),
+        draw(st.dictionaries(st.frozensets(NAMES, min_size=2, max_size=2), NUMBERS, max_size=3)),
+        draw(NUMBERS),
+    )
+
+
+SMALL = LiveState(
+    Lattice(0.05, Pose2(1.0, 2.0, 0.3)),
+    -3,
+    7,
+    np.array([[-1, 0, 100]], dtype=np.int8),
+    np.array([[-1, 100, 67]], dtype=np.int8),
+    {"a": IDENTITY, "b": Pose2(0.1, 0.2, 0.3)},
+    "a",
+    {frozenset(("a", "b")): 0.7},
+    123.5,
+)
+
+
+def described(state: LiveState) -> tuple[Any, ...]:
+    """Everything of a state, to be compared."""
+    cells = [array.tobytes() for array in (state.fused, state.agreement)]
+    named = (state.lattice, state.box, dict(state.transforms), state.reference)
+    return (*named, dict(state.scores), state.stamp_s, *cells)
+
+
+@given(states())
+def test_bytes_and_back_give_the_same_state(state: LiveState):
+    data = state.to_bytes()
+    assert is_state(data)
+    assert described(LiveState.from_bytes(data)) == described(state)
+
+
+@given(st.data())
+def test_a_damaged_state_is_refused_in_one_line(data: st.DataObject):
+    whole = SMALL.to_bytes()
+    place = data.draw(st.integers(0, len(whole) - 1))
+    if data.draw(st.booleans()):
+        damaged = whole[:place]
+    else:
+        flip = data.draw(st.integers(1, 255))
+        damaged = whole[:place] + bytes([whole[place] ^ flip]) + whole[place + 1 :]
+    with pytest.raises(StateError) as found:
+        LiveState.from_bytes(damaged)
+    assert "\n" not in str(found.value)
+
+
+def test_another_version_is_named():
+    data = SMALL.to_bytes().replace(b" 1\n", b" 2\n", 1)
+    with pytest.raises(StateError, match="version 1, found '2'"):
+        LiveState.from_bytes(data)
+
+
+@given(st.binary(max_size=60))
+def test_other_bytes_are_no_state(data: bytes):
+    assert not is_state(data)
+    with pytest.raises(StateError, match="no state"):
+        LiveState.from_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("shape", [10**7, 10**7]),
+        ("shape", [10**12, 1]),
+        ("shape", [1, 2]),
+        ("shape", None),
+        ("resolution", 0.0),
+        ("resolution", -0.05),
+        ("resolution", math.inf),
+        ("origin", [0.0, math.nan, 0.0]),
+        ("origin", [0.0]),
+        ("bytes", [3, 3]),
+        ("transforms", {"a": [0.0, 0.0, "x"]}),
+        ("scores", [["a", "b"]]),
+        ("first", [0.0]),
+    ],
+)
+def test_a_record_of_right_digest_that_says_nonsense_is_refused(key: str, value: Any):
+    head, _, rest = SMALL.to_bytes().partition(b"\n")
+    line, _, packed = rest.partition(b"\n")[2].partition(b"\n")
+    body = json.dumps({**json.loads(line), key: value}).encode() + b"\n" + packed
+    digest = hashlib.sha256(body).hexdigest().encode()
+    with pytest.raises(StateError):
+        LiveState.from_bytes(head + b"\n" + digest + b"\n" + body)
+    assert head.startswith(KIND)
+
+
+def test_cells_that_are_none_are_refused():
+    with pytest.raises(StateError, match="cells other than"):
+        replace(SMALL, fused=np.array([[-2, 0, 100]], dtype=np.int8))
+    with pytest.raises(StateError, match="shapes"):
+        replace(SMALL, agreement=np.zeros((2, 2), dtype=np.int8))
+
+
+# -- a restart -------------------------------------------------------------------------------------
+
+
+def restarted(drive: Drive, backend: Backend, **live: Any) -> Drive:
+    """A fusion that goes on from another's state, through bytes."""
+    state = drive.live.state(drive.now_s)
+    assert state is not None
+    again = Drive(live_fusion(backend, **live))
+    again.live.restore(LiveState.from_bytes(state.to_bytes()))
+    return again
+
+
+def test_before_the_first_fusion_there_is_no_state(backend: Backend):
+    assert live_fusion(backend).state() is None
+
+
+def test_after_a_restart_the_lattice_and_the_cells_are_the_same(backend: Backend):
+    drive = started(backend)
+    drive.step(touched(three()["b"], 1))
+    assert drive.fused is not None
+    again = restarted(drive, backend)
+    # The maps of now, and not the search of everything that a new fusion needs.
+    update = again.step(three()["a"], touched(three()["b"], 1), three()["c"])
+    assert not update.is_full_search
+    while again.maybe() is not None:
+        pass
+    assert again.accepted() == "abc"
+    assert again.fused is not None
+    assert assert_same_lattice(drive.fused, again.fused) == (0, 0)
+    assert np.array_equal(drive.fused.cells, again.fused.cells)
+    for name in "abc":
+        assert again.input(name).transform == drive.input(name).transform
+
+
+def test_the_last_map_is_there_before_any_input_comes(backend: Backend):
+    drive = started(backend)
+    assert drive.fused is not None
+    again = restarted(drive, backend)
+    assert again.maybe() is None
+    state = again.live.state(5.0)
+    assert state is not None
+    fused, agreement = state.grids()
+    assert np.array_equal(fused.cells, drive.fused.cells)
+    assert fused.origin == agreement.origin == drive.fused.origin
+    assert state.stamp_s == 5.0
+    assert {*state.transforms} == {*"abc"}
+
+
+def test_an_input_that_began_elsewhere_is_searched_and_the_frame_stays(backend: Backend):
+    drive = started(backend)
+    assert drive.fused is not None
+    again = restarted(drive, backend)
+    moved = {name: moved_frame(grid, AWAY) for name, grid in three().items()}
+    for number in range(12):
+        again.maybe(*(touched(grid, number, 0.002) for grid in moved.values()))
+    assert again.accepted() == "abc"
+    assert again.fused is not None
+    assert_same_lattice(drive.fused, again.fused)
+    assert share_standing(drive.fused, again.fused) > 0.9
+
+
+def test_inputs_of_another_place_abstain_and_reset_takes_them(backend: Backend):
+    drive = started(backend)
+    assert drive.fused is not None
+    again = restarted(drive, backend)
+    other = [replace(building(71, 12.0, 10.0), name=name) for name in "ab"]
+    for _ in range(3):
+        assert again.step(*other).fused is None
+    assert again.accepted() == ""
+    state = again.live.state()
+    assert state is not None
+    assert np.array_equal(state.grids()[0].cells, drive.fused.cells)
+    again.live.reset()
+    assert again.live.state() is None
+    again.step(*other)
+    assert again.accepted() == "ab"
+
+
+def test_cells_of_another_size_than_asked_for_are_refused(backend: Backend):
+    state = started(backend).live.state()
+    assert state is not None
+    config = RunConfig(fusion=FusionConfig(normalize=NormalizeConfig(resolution=0.5)))
+    with pytest.raises(StateError, match=r"cells of .* resolution asks for 0.5 m"):
+        LiveFusion(config, backend).restore(state)
+
+
+def test_an_input_that_was_dropped_is_recalled_with_its_last_map(backend: Backend):
+    drive = started(backend)
+    drive.live.drop("b", "lost: frozen")
+    drive.step()
+    assert drive.accepted() == "ac"
+    assert drive.input("b").reason == "lost: frozen"
+    drive.live.recall("b")
+    drive.live.recall("c")  # was never gone
+    drive.step()
+    assert drive.accepted() == "abc"
