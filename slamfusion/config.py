@@ -1204,9 +1204,23 @@ class FusionNodeConfig(_Checked):
     )
     base_frame: str = option("base_link", "the robot's frame")
     odom_frame: str = option("odom", "the odometry frame")
-    save_path: str = option("fused_map", "save_map writes this path with .yaml and .pgm")
+    save_path: str = option(
+        "fused_map",
+        "save_map writes this path with .yaml and .pgm; a change leads nowhere but into the folder "
+        "that the node was started with",
+    )
+    state_path: str = option(
+        "",
+        "file that keeps fused frame, transforms and last map, so that a restart goes on with "
+        "them; empty: nothing is kept",
+    )
     lost_after_s: float = option(
-        3.0, "an input that nobody publishes for this long is lost", unit="s", low=0.1, high=1e6
+        3.0,
+        "an input whose process shows no sign of life, or that nobody publishes, for this long is "
+        "lost",
+        unit="s",
+        low=0.1,
+        high=1e6,
     )
 
 

@@ -22,6 +22,13 @@ from slamfusion.ros.map_source import HeardPose, MapSource
 __all__ = ["Believed", "FusedFrames"]
 
 ODOM_TOPIC, POSE_TOPIC = "odom", "fused/pose"
+# publish_tf that has sent nothing for so long since somebody votes is named, seconds.
+TF_LATE_S = 5.0
+# A stamp of an input this far behind its last one begins a new time: a bag that loops.
+BACK_NS = 10**9
+# What a new fusion says of a stamp that has been told already is told this much later, so that no
+# stamp comes twice; less than what float seconds of today can tell apart twice over.
+STEP_NS = 1000
 # A pose that is older says nothing of its producer's health now.
 POSE_FRESH_S = 2.0
 SHOWN_S = 10.0
@@ -51,6 +58,8 @@ class FusedFrames:
     A voter's transform goes out with every pose that it tells, at that pose's stamp; those without
     poses get the newest stamp of anything heard. The pose is that of the healthiest voter: the
     reference, or else the best score; it stays with one until that one votes no more or is silent.
+    The stamps of each of them only grow: what a new fusion changes of a stamp that was told already
+    is told a microsecond later, and the pose of a new leader is told from its first newer stamp on.
 
     Args:
         base: the node.
@@ -60,16 +69,22 @@ class FusedFrames:
         settings: may be replaced.
         believed: set by whoever fuses.
         leader: name of the input whose pose is taken; empty without.
+        rival: name of another node that fuses into the same topic; empty without.
     """
 
     def __init__(self, base: NodeBase, settings: FusionNodeConfig) -> None:
         self.settings = settings
         self.believed = Believed()
         self.leader = ""
+        self.rival = ""
         self._base = base
         self._sources: dict[str, MapSource] = {}
         self._newest_s: float | None = None
-        self._sent: dict[str, tuple[float, Pose2]] = {}
+        # The last stamp and what was sent with it: by child frame, and of the fused pose.
+        self._sent: dict[str, tuple[int, Pose2]] = {}
+        self._heard_ns: dict[str, int] = {}
+        self._wanted_since_s: float | None = None
+        self._has_sent_odometry = False
         self._told = self.believed
         self._output = TransformOutput(base.node)
         self._pose_topic = base.publisher(PoseStamped, POSE_TOPIC, qos.STREAM)
@@ -87,18 +102,57 @@ class FusedFrames:
     def on_pose(self, source: MapSource) -> None:
         """Send what a new pose of an input tells."""
         heard = source.pose
+        if heard is None:
+            return
+        stamp_ns = messages.stamp_ns(heard.stamp)
+        if stamp_ns < self._heard_ns.get(source.name, stamp_ns) - BACK_NS:
+            self._go_back(stamp_ns)
+        self._heard_ns[source.name] = stamp_ns
+        self._tell(source, heard, is_revised=False)
+
+    def _tell(self, source: MapSource, heard: HeardPose, *, is_revised: bool) -> None:
+        """Send what a pose says; ``is_revised``: it was told before, and may be told otherwise."""
         transform = self.believed.transform(source.name)
-        if heard is None or transform is None:
+        if transform is None:
             return
         self._note(messages.stamp_s(heard.stamp))
         self._send_frame(source, transform, heard.stamp)
         self.leader = self._choose()
-        if source.name == self.leader:
-            pose = transform.compose(heard.pose)
-            frame = self.settings.fused_frame
-            self._pose_topic.publish(messages.pose_to_message(pose, frame, heard.stamp))
-            if self.settings.publish_tf:
-                self._send_odometry(pose, heard)
+        if source.name != self.leader:
+            return
+        settings = self.settings
+        pose = transform.compose(heard.pose)
+        stamp = self._fresh(POSE_TOPIC, heard.stamp, pose, is_revised=is_revised)
+        if stamp is not None:
+            frame = settings.fused_frame
+            self._pose_topic.publish(messages.pose_to_message(pose, frame, stamp))
+        if settings.publish_tf:
+            self._send_odometry(pose, heard, is_revised=is_revised)
+
+    def _fresh(self, key: str, stamp: Any, value: Pose2, *, is_revised: bool) -> Any:
+        """Return the stamp that a value is to be sent with; None where it is not to be sent.
+
+        Args:
+            key: the child frame, or the topic.
+            stamp: builtin_interfaces/Time that the value holds for.
+            value: what is sent.
+            is_revised: an older stamp may be told again, later, where the value is another now.
+        """
+        stamp_ns = messages.stamp_ns(stamp)
+        last = self._sent.get(key)
+        if last is not None and stamp_ns <= last[0]:
+            if not is_revised or last[1] == value:
+                return None
+            stamp_ns = last[0] + STEP_NS
+        self._sent[key] = stamp_ns, value
+        return messages.ns_to_stamp(stamp_ns)
+
+    def _go_back(self, stamp_ns: int) -> None:
+        """Forget what was sent for a future that has not come: time begins at a stamp."""
+        self._newest_s = None
+        future = [key for key, (sent_ns, _) in self._sent.items() if sent_ns > stamp_ns + BACK_NS]
+        for key in future:
+            del self._sent[key]
 
     def _choose(self) -> str:
         """Return the name of the healthiest voter that tells poses; empty without."""
@@ -125,7 +179,8 @@ class FusedFrames:
         if self._told is not self.believed:
             self._told = self.believed
             for source in self._sources.values():
-                self.on_pose(source)
+                if source.pose is not None:
+                    self._tell(source, source.pose, is_revised=True)
         for source in self._sources.values():
             transform = self.believed.transform(source.name)
             has_pose = source.pose is not None and now_s - source.pose.heard_s < POSE_FRESH_S
@@ -134,12 +189,14 @@ class FusedFrames:
             if transform is not None and not has_pose and self._newest_s is not None:
                 self._send_frame(source, transform, messages.to_stamp(self._newest_s))
         self._name_frames()
+        self._name_unsent()
 
     def on_time_jump(self, now_s: float) -> None:
         """Forget what came of a future that has not come; ``now_s`` is the node's time."""
         self._odometry.forget_after(now_s)
         self._newest_s = None
         self._sent.clear()
+        self._heard_ns.clear()
 
     def _note(self, stamp_s: float) -> None:
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
@@ -149,11 +206,9 @@ class FusedFrames:
         frame, parent = source.frame, self.settings.fused_frame
         if not frame or frame == parent or self._owner(frame) != source.name:
             return
-        told = messages.stamp_s(stamp), transform
-        if self._sent.get(frame) == told:
-            return
-        self._sent[frame] = told
-        self._output.send([messages.transform_to_message(transform, parent, frame, stamp)])
+        fresh = self._fresh(frame, stamp, transform, is_revised=True)
+        if fresh is not None:
+            self._output.send([messages.transform_to_message(transform, parent, frame, fresh)])
 
     def _owner(self, frame: str) -> str:
         """Return the first voter whose map has this frame."""
@@ -162,30 +217,23 @@ class FusedFrames:
                 return source.name
         return ""
 
-    def _send_odometry(self, pose: Pose2, heard: HeardPose) -> None:
+    def _send_odometry(self, pose: Pose2, heard: HeardPose, *, is_revised: bool) -> None:
         """Send where the odometry frame lies, from the robot's pose in the fused frame."""
         settings, troubles = self.settings, self._base.troubles
-        stamp_s = messages.stamp_s(heard.stamp)
+        parent, child = settings.fused_frame, settings.odom_frame
         try:
-            odometry = self._odometry.lookup(settings.odom_frame, settings.base_frame, stamp_s)
-        except TransformError as error:
-            troubles.add(
-                "odometry",
-                Level.WARN,
-                f"no odometry for {settings.fused_frame} -> {settings.odom_frame}: {error}",
+            odometry = self._odometry.lookup(
+                child, settings.base_frame, messages.stamp_s(heard.stamp)
             )
+        except TransformError as error:
+            troubles.add("odometry", Level.WARN, f"no odometry for {parent} -> {child}: {error}")
             return
         troubles.clear("odometry")
-        self._output.send(
-            [
-                messages.transform_to_message(
-                    pose.compose(odometry.inverse()),
-                    settings.fused_frame,
-                    settings.odom_frame,
-                    heard.stamp,
-                )
-            ]
-        )
+        moved = pose.compose(odometry.inverse())
+        stamp = self._fresh(child, heard.stamp, moved, is_revised=is_revised)
+        if stamp is not None and child != parent:
+            self._has_sent_odometry = True
+            self._output.send([messages.transform_to_message(moved, parent, child, stamp)])
 
     def _on_odometry(self, message: Any) -> None:
         """Keep a pose of the odometry."""
@@ -217,16 +265,43 @@ class FusedFrames:
             if fused in frames
             else None,
         )
+        self._say("rival", self._rival_words(), Level.ERROR)
+
+    def _rival_words(self) -> str | None:
+        """Say who else sends one of our transforms, and what to do; None where nobody does."""
         rivals = self._output.rivals()
-        child = next(iter(rivals), None)
-        self._say(
-            "rival",
-            None
-            if child is None
-            else f"another node sends the transform to {child!r} too (from {rivals[child]!r}): set "
-            "publish_tf to false in all but one",
-            Level.ERROR,
-        )
+        if not rivals:
+            return None
+        settings = self.settings
+        child = settings.odom_frame if settings.odom_frame in rivals else next(iter(rivals))
+        words = f"another node sends the transform to {child!r} too (from {rivals[child]!r}): "
+        if self.rival:
+            return words + f"the other fusion is {self.rival!r}; end one of the two"
+        if child == settings.odom_frame:
+            return words + "set publish_tf to false in all but one"
+        return words + "end one of them, or give the frames of each robot names of their own"
+
+    def _name_unsent(self) -> None:
+        """Name that fused_frame -> odom_frame was never sent, though somebody votes."""
+        settings = self.settings
+        has_voters = any(record.accepted for record in self.believed.inputs.values())
+        if not (settings.publish_tf and has_voters) or self._has_sent_odometry:
+            self._wanted_since_s = None
+            self._say("unsent", None)
+            return
+        now_s = time.monotonic()
+        if self._wanted_since_s is None:
+            self._wanted_since_s = now_s
+        if now_s - self._wanted_since_s < TF_LATE_S:
+            return
+        if settings.fused_frame == settings.odom_frame:
+            why = "both are one frame; rename one of them"
+        elif not self.leader:
+            why = "no input that votes tells the robot's pose (NAME/pose beside NAME/map)"
+        else:
+            why = "the odometry does not tell where the robot is at the times of its poses"
+        text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
+        self._say("unsent", text)
 
     def _say(self, key: str, text: str | None, level: Level = Level.WARN) -> None:
         if text is None:

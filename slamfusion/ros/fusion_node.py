@@ -5,15 +5,11 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
-from nav_msgs.srv import GetMap
-from std_srvs.srv import Trigger
 
 from slamfusion import grid as grids
 from slamfusion.compute import Backend, open_backend
@@ -28,28 +24,28 @@ from slamfusion.config import (
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.geometry import Pose2
-from slamfusion.io.map_server import save_map
-from slamfusion.ros import messages, qos
+from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.fused_frames import Believed, FusedFrames
+from slamfusion.ros.fused_output import MAP_TOPIC, Fused, FusedOutput
+from slamfusion.ros.fusion_services import FusionServices
+from slamfusion.ros.fusion_status import fusion_status, input_status
 from slamfusion.ros.map_source import MapSource, input_names, load_saved
 from slamfusion.ros.parameters import declare, declare_names, parameter_names
+from slamfusion.ros.stamps import Stamps
+from slamfusion.ros.state_keeper import Memory
 from slamfusion.ros.worker import Worker
+from slamfusion.ros.writers import Writers
 
 __all__ = ["FusionNode", "make_node"]
 
 DEFAULT_INPUTS = ("tinyslam/map", "gmapping/map", "graph/map")
-MAP_TOPIC, AGREEMENT_TOPIC = "fused/map", "fused/agreement"
 CHANGEABLE = ("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s")
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs.
 TURN_S, LOOK_S, LOOK_AROUND_S = 0.02, 0.1, 1.0
 SHOWN_S = 10.0
-LATENCIES = 300
 # Updates of one turn of the worker; it is woken again each second.
 ROUNDS = 8
-# A fused map waits no longer than this for maps that came while it was made: sending one of 16 MB
-# keeps them waiting longer than fusing them does.
-GATHER_S = 0.25
 
 
 def make_node(_: str, **options: Any) -> NodeBase:
@@ -61,29 +57,12 @@ class _Wake:
     """Tells the worker to look what there is to do."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Fused:
-    """A fused map on its way out.
-
-    Attributes:
-        grid, agreement: of one update; the agreement goes out after it, when somebody listens.
-        stamp_s: of the newest map in it; 0 where all were saved maps.
-        arrived_s: when the first map came that it shows and none before it did.
-    """
-
-    grid: grids.OccupancyGrid
-    agreement: grids.OccupancyGrid
-    stamp_s: float
-    arrived_s: float | None
-
-
 @dataclass
 class _Counts:
     """What happened so far; written by the worker."""
 
     updates: int = 0
     searches: int = 0
-    maps: int = 0
     resets: int = 0
 
 
@@ -94,8 +73,11 @@ class FusionNode(NodeBase):
     an entry ``file:PATH`` is a saved map. Writes ``fused/map`` and ``fused/agreement`` (reliable,
     transient local: who comes late gets the last ones; the agreement is sent only while somebody
     listens, and to the first who does), ``fused/pose``, ``/diagnostics`` and the transforms of
-    ``FusedFrames``. Services: ``get_map``; ``save_map``, which answers the path or
-    the reason; ``reset``, after which the newest maps begin a new fused frame.
+    ``FusedFrames``. Services: those of ``FusionServices``.
+
+    With ``state_path`` the fused frame, the transforms and the last map are kept in a file. A node
+    that finds one publishes that map at once and goes on in that frame; its inputs are tried where
+    they lay, and those that fit nowhere do not vote until ``reset`` begins a new frame.
 
     The callbacks only keep the newest message. One worker converts, fuses and publishes: of maps
     that come while it works only the newest of each input counts, and a fused map waits a moment
@@ -107,7 +89,7 @@ class FusionNode(NodeBase):
         arguments: ROS arguments of this node alone.
 
     Raises:
-        ConfigError: a parameter is refused.
+        ConfigError: a parameter is refused, or ``state_path`` cannot be a file.
         DeviceError: the device cannot be used.
         MapFileError: a saved map cannot be read.
     """
@@ -146,36 +128,35 @@ class FusionNode(NodeBase):
         # Written by the worker's thread, read by the executor's: each is replaced as a whole.
         self._inputs: tuple[tuple[LiveInput, ...], float] = ((), time.monotonic())
         self._last: LiveUpdate | None = None
-        self._waiting: _Fused | None = None
-        self._untold: _Fused | None = None
-        self._published: OccupancyGrid | None = None
-        self._grid: grids.OccupancyGrid | None = None
-        self._published_s = float("-inf")
         self._arrived_s: float | None = None
-        self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
         self._counts = _Counts()
         # Written by the executor's thread, taken by the worker's.
         self._wanted_live: LiveConfig | None = None
         self._is_reset_wanted = threading.Event()
         self._lost: set[str] = set()
 
-        self._map_topic = self.publisher(OccupancyGrid, MAP_TOPIC, qos.MAP)
-        self._agreement_topic = self.publisher(OccupancyGrid, AGREEMENT_TOPIC, qos.MAP)
+        self._output = FusedOutput(self, self.settings)
         self._frames = FusedFrames(self, self.settings)
+        self._writers = Writers(self, MAP_TOPIC)
+        self._stamps = Stamps(self.clock_s)
+        self._memory = Memory(self, self._live, self.settings.state_path, entries)
+        if (kept := self._memory.restored) is not None:
+            self._output.waiting = Fused(*kept.grids(), kept.stamp_s, None)
         self._worker: Worker[_Wake] = Worker(self._work, 1, self._failed, "fusion")
+        lost_after_s = self.settings.lost_after_s
         self._sources = {
-            name: MapSource(self, name, entry, self._wake, self._on_pose)
+            name: MapSource(
+                self, name, entry, lost_after_s, self._stamps, self._wake, self._on_pose
+            )
             for name, entry in entries.items()
             if name not in self._saved
         }
         self._frames.watch(self._sources)
-        node.create_service(GetMap, "get_map", self._serve(self._get_map))
-        node.create_service(Trigger, "save_map", self._serve(self._save_map))
-        node.create_service(Trigger, "reset", self._serve(self._reset))
+        self._services = FusionServices(self, self)
         for name, grid in self._saved.items():
             self._live.put(name, grid, time.monotonic(), is_saved=True)
         self.timer(TURN_S, self._look_turn)
-        self.timer(LOOK_S, self._frames.look)
+        self.timer(LOOK_S, self._look)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
             f"fuses {', '.join(entries.values())} on {self._backend.name}; the fused map is on "
@@ -197,27 +178,39 @@ class FusionNode(NodeBase):
 
     def _look_turn(self) -> None:
         """Wake the worker for what had to wait for its turn, or for somebody who listens."""
-        if (self._waiting is not None and self._is_turn()) or self._is_agreement_wanted():
+        if self._output.is_wanted:
             self._wake()
 
+    def _look(self) -> None:
+        """See which inputs are lost or back, and send what is new of the frames."""
+        for name, source in self._sources.items():
+            reason = source.lost
+            if reason and source.frame:
+                record = self._frames.believed.inputs.get(name)
+                # Also where a map that waited was taken after all.
+                if name not in self._lost or (record is not None and record.accepted):
+                    self._live.drop(name, reason)
+                    self._lost.add(name)
+                    self._wake()
+            elif name in self._lost:
+                self._lost.remove(name)
+                if source.is_back:
+                    self._live.recall(name)
+                    self._wake()
+        self._frames.look()
+
     def _look_around(self) -> None:
-        """See who publishes the inputs, and let ages be looked at."""
+        """See who publishes the inputs and the fused map, and let ages be looked at."""
         for source in self._sources.values():
             source.look()
-            since_s = source.silent_since_s
-            is_lost = (
-                since_s is not None and time.monotonic() - since_s > self.settings.lost_after_s
-            )
-            if is_lost and source.name not in self._lost and source.frame:
-                topic = self.node.resolve_topic_name(source.topic)
-                self._live.drop(source.name, f"lost: nobody publishes {topic!r} any more")
-                self._lost.add(source.name)
-            elif not is_lost:
-                self._lost.discard(source.name)
+        self._writers.look({name: source.topic for name, source in self._sources.items()})
+        self._frames.rival = self._writers.rival
         self._wake()
 
     def _on_settings(self, settings: FusionNodeConfig) -> None:
-        self.settings = self._frames.settings = settings
+        self.settings = self._frames.settings = self._output.settings = settings
+        for source in self._sources.values():
+            source.ask(settings.lost_after_s)
 
     def _on_live(self, live: LiveConfig) -> None:
         self._wanted_live = live
@@ -226,85 +219,51 @@ class FusionNode(NodeBase):
     def on_time_jump(self, delta_s: float) -> None:
         """Forget the odometry of a future that has not come; the maps speak for themselves."""
         if delta_s < 0.0:
+            self._stamps.forget()
             self._frames.on_time_jump(self.clock_s())
 
-    def _serve(self, answer: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return a service's callback that cannot bring the node down."""
+    @property
+    def published(self) -> tuple[OccupancyGrid, grids.OccupancyGrid] | None:
+        """The last published map as message and as grid; None before the first."""
+        return self._output.published
 
-        def callback(_: Any, response: Any) -> Any:
-            try:
-                return answer(response)
-            except Exception as error:  # noqa: BLE001  (a node must outlive a request)
-                self.log.error(traceback.format_exc())
-                text = f"{type(error).__name__}: {error}"
-                self.troubles.add("service", Level.ERROR, text, SHOWN_S)
-                if hasattr(response, "success"):
-                    response.success, response.message = False, text
-                return response
-
-        return callback
-
-    def _get_map(self, response: Any) -> Any:
-        """Answer the last published map; without cells before the first."""
-        if self._published is None:
-            response.map.header.frame_id = self.settings.fused_frame
-        else:
-            response.map = self._published
-        return response
-
-    def _save_map(self, response: Any) -> Any:
-        """Write the last published map."""
-        grid = self._grid
-        if grid is None:
-            response.success, response.message = False, self._nothing_fused()
-            return response
-        try:
-            path, _ = save_map(grid, self.settings.save_path)
-        except (SlamFusionError, OSError) as error:
-            response.success, response.message = False, f"not saved: {error}"
-            self.troubles.add("save", Level.WARN, response.message, SHOWN_S)
-            return response
-        response.success, response.message = True, str(path.resolve())
-        return response
-
-    def _nothing_fused(self) -> str:
+    def nothing_fused(self) -> str:
+        """Say why no input votes."""
         problem = "no map yet" if self._last is None else self._last.problem
         return f"nothing is fused: {problem or 'no map yet'}"
 
-    def _reset(self, response: Any) -> Any:
+    def ask_reset(self) -> None:
         """Let the worker begin a new fused frame."""
         self._is_reset_wanted.set()
         self._wake()
-        response.success = True
-        response.message = "the newest maps begin a new fused frame"
-        return response
 
     # --- the worker's thread -----------------------------------------------------------------
 
     def _work(self, _wake: _Wake) -> None:
         """Take what came, fuse, publish; then do what could wait, until a map comes."""
         self._obey()
+        output = self._output
         for _ in range(ROUNDS):
             took = [self._take(source) for source in self._sources.values()]
             if not any(took):
-                self._send()
-                if self._waiting is not None:
+                output.send()
+                if output.waiting is not None:
                     return  # what could wait is not begun while a fused map waits for its turn
+            if self._memory.is_waiting(self._has_come):
+                return
             update = self._live.update(time.monotonic(), self._has_maps)
             if update is not None:
                 self._note(update)
-            if self._waiting is not None and not self._may_gather(self._waiting):
-                self._send(with_agreement=not self._has_maps())
+            if output.waiting is not None and not output.may_gather(self._has_maps):
+                output.send(with_agreement=not self._has_maps())
             if update is None and not self._has_maps():
-                return
-        self._send()  # however many maps come
+                break
+        output.send()  # however many maps come
+        self._memory.keep()
 
-    def _send(self, *, with_agreement: bool = True) -> None:
-        """Publish what waits, if its turn has come; the agreement where somebody listens."""
-        if self._waiting is not None and self._is_turn():
-            self._publish(self._waiting)
-        if with_agreement and self._is_agreement_wanted():
-            self._tell_agreement()
+    def _has_come(self, name: str) -> bool:
+        """Whether an input has sent a map, or is a saved one."""
+        return name in self._saved or bool(self._sources[name].frame)
 
     def _obey(self) -> None:
         """Do what was asked for since the last turn."""
@@ -315,31 +274,11 @@ class FusionNode(NodeBase):
             self._is_reset_wanted.clear()
             self._live.reset()
             self._counts.resets += 1
+            self._memory.clear()
 
     def _has_maps(self) -> bool:
         """Whether a map waits to be taken."""
         return any(source.is_waiting for source in self._sources.values())
-
-    def _may_gather(self, fused: _Fused) -> bool:
-        """Whether a fused map waits for the maps that came while it was made."""
-        arrived_s = fused.arrived_s
-        is_young = arrived_s is not None and time.monotonic() - arrived_s < GATHER_S
-        return is_young and self._has_maps()
-
-    def _is_agreement_wanted(self) -> bool:
-        """Whether somebody listens to an agreement that was not sent."""
-        return self._untold is not None and self._agreement_topic.get_subscription_count() > 0
-
-    def _tell_agreement(self) -> None:
-        """Send the agreement of the map that was published last."""
-        fused, self._untold = self._untold, None
-        if fused is not None:
-            self._agreement_topic.publish(self._message(fused, fused.agreement))
-
-    def _message(self, fused: _Fused, grid: grids.OccupancyGrid) -> OccupancyGrid:
-        """Return a grid of a fused map as a message in the fused frame."""
-        stamp = messages.to_stamp(fused.stamp_s)
-        return messages.grid_to_message(grid, self.settings.fused_frame, stamp)
 
     def _take(self, source: MapSource) -> bool:
         """Convert the newest map of an input and hand it to the fusion; say if there was one."""
@@ -373,6 +312,8 @@ class FusionNode(NodeBase):
                 self.log.info(f"{name} votes: {record.reason}")
             else:
                 self.log.warning(f"{name} does not vote: {record.reason}")
+        if any(record.accepted for record in update.inputs):
+            self._memory.confirm()
         self._frames.believed = Believed(records, update.reference)
         self._inputs = (update.inputs, time.monotonic())
         self._last = update
@@ -381,30 +322,22 @@ class FusionNode(NodeBase):
         arrived_s, self._arrived_s = self._arrived_s, None
         if update.fused is None or update.agreement is None:
             return
-        if self._waiting is not None:
-            arrived_s = self._waiting.arrived_s
-        stamps = [
-            source.stamp_s
+        if self._output.waiting is not None:
+            arrived_s = self._output.waiting.arrived_s
+        stamp_s = self._newest_s(records)
+        self._output.waiting = Fused(update.fused, update.agreement, stamp_s, arrived_s)
+        self._memory.change(stamp_s)
+
+    def _newest_s(self, records: dict[str, LiveInput]) -> float:
+        """Return the stamp of a fused map: of the newest map in it, 0 where all were saved ones."""
+        voters = [
+            source
             for name, source in self._sources.items()
-            if records.get(name) is not None and records[name].accepted and source.stamp_s
+            if records.get(name) is not None and records[name].accepted
         ]
-        newest_s = max(stamps, default=0.0)
-        self._waiting = _Fused(update.fused, update.agreement, newest_s, arrived_s)
-
-    def _is_turn(self) -> bool:
-        """Whether the last published map is old enough for another one."""
-        period_s = 1.0 / self.settings.max_publish_rate_hz
-        return time.monotonic() - self._published_s >= period_s
-
-    def _publish(self, fused: _Fused) -> None:
-        self._waiting, self._untold = None, fused
-        self._published_s = time.monotonic()
-        message = self._message(fused, fused.grid)
-        self._published, self._grid = message, fused.grid
-        self._map_topic.publish(message)
-        if fused.arrived_s is not None:
-            self._latencies_s.append(time.monotonic() - fused.arrived_s)
-        self._counts.maps += 1
+        stamps = [source.stamp_s for source in voters if source.stamp_s is not None]
+        # None of their stamps can be right: then the node's time is.
+        return max(stamps, default=self.clock_s() if voters else 0.0)
 
     def _failed(self, _: Any, error: Exception) -> None:
         """Name what the worker stumbled over."""
@@ -421,74 +354,42 @@ class FusionNode(NodeBase):
         by_name = {record.name: record for record in records}
         since_s = time.monotonic() - noted_s
         names = [*self._sources, *self._saved]
-        lines = [self._input_status(name, by_name.get(name), since_s) for name in names]
-        return [self._fusion_status(lines), *lines]
+        lines = []
+        for name in names:
+            source = self._sources.get(name)
+            topic = "" if source is None else self.node.resolve_topic_name(source.topic)
+            lines.append(input_status(name, source, topic, by_name.get(name), since_s))
+        is_worse = self.published is not None and not self._memory.is_unconfirmed
+        worst = Level.ERROR if is_worse else Level.WARN
+        troubles, nothing = self.troubles.worst(""), self.nothing_fused()
+        return [fusion_status(lines, troubles, nothing, worst, self._figures()), *lines]
 
-    def _fusion_status(self, lines: list[Status]) -> Status:
-        level, message = self.troubles.worst("")
-        update = self._last
-        out = [line.name.removeprefix("input ") for line in lines if line.level != Level.OK]
-        voters = len(lines) - len(out)
-        if not voters:
-            words = self._nothing_fused()
-            level = max(level, Level.ERROR if self._published is not None else Level.WARN)
-        elif out:
-            words = f"{voters} of {len(lines)} inputs vote; not: {', '.join(out)}"
-            level = max(level, Level.WARN)
-        else:
-            words = f"all {voters} inputs vote"
-        latency_ms = 1e3 * np.percentile([*self._latencies_s] or [0.0], (50.0, 95.0))
-        grid = self._grid
-        values = {
-            "inputs": len(lines),
-            "voters": voters,
+    def _figures(self) -> dict[str, object]:
+        """Return the figures of the fusion's line."""
+        update, published = self._last, self.published
+        median_ms, high_ms = self._output.latencies_ms()
+        values: dict[str, object] = {
             "reference": update.reference if update is not None else None,
             "pose from": self._frames.leader or None,
-            "maps published": self._counts.maps,
+            "maps published": self._output.count,
             "updates": self._counts.updates,
             "full searches": self._counts.searches,
             "resets": self._counts.resets,
             "phantom cells": update.phantom_cells if update is not None else None,
-            "map [cells]": "-" if grid is None else f"{grid.width} x {grid.height}",
-            "latency median [ms]": float(latency_ms[0]),
-            "latency p95 [ms]": float(latency_ms[1]),
+            "map [cells]": "-"
+            if published is None
+            else f"{published[1].width} x {published[1].height}",
+            "latency median [ms]": median_ms,
+            "latency p95 [ms]": high_ms,
             "device": self._backend.name,
         }
         if update is not None:
             values |= {f"{step} [ms]": 1e3 * spent for step, spent in update.time_s.items()}
-        return Status("fusion", level, "; ".join(filter(None, (words, message))), values)
-
-    def _input_status(self, name: str, record: LiveInput | None, since_s: float) -> Status:
-        """Return the line of one input."""
-        source = self._sources.get(name)
-        if record is None:
-            topic = "" if source is None else self.node.resolve_topic_name(source.topic)
-            who = "nobody publishes it"
-            if source is None or source.silent_since_s is None:
-                who = "a node could publish it"
-            return Status(f"input {name}", Level.STALE, f"no map on {topic!r} yet; {who}")
-        transform = record.transform or Pose2()
-        is_silent = record.reason.startswith(("lost", "no map for"))
-        level = Level.OK if record.accepted else Level.STALE if is_silent else Level.WARN
-        values: dict[str, object] = {
-            "accepted": record.accepted,
-            "score": record.score,
-            "overlap": record.overlap,
-            "tracked": record.is_tracked,
-            "age [s]": record.age_s + since_s,
-            "rate [Hz]": record.rate_hz,
-            "maps": record.maps,
-            "maps refused": record.rejected,
-            "x [m]": transform.x if record.transform is not None else None,
-            "y [m]": transform.y if record.transform is not None else None,
-            "yaw [rad]": transform.yaw_rad if record.transform is not None else None,
-            "frame": "-" if source is None else source.frame,
-        }
-        return Status(f"input {name}", level, record.reason, values)
+        return values
 
     def close(self) -> None:
-        """End the worker; the map that is being fused is fused to its end."""
-        self._worker.close()
+        """End the worker; the map that is being fused is fused to its end, and the state kept."""
+        self._memory.close(is_whole=self._worker.close())
 
 
 def _warm(config: RunConfig, backend: Backend) -> None:

@@ -28,12 +28,14 @@ __all__ = [
     "grid_from_message",
     "grid_to_message",
     "metadata_to_message",
+    "ns_to_stamp",
     "odometry_to_message",
     "path_to_message",
     "pose2_from_message",
     "pose_to_message",
     "scan_from_message",
     "scan_to_message",
+    "stamp_ns",
     "stamp_s",
     "to_stamp",
     "transform_to_message",
@@ -52,8 +54,22 @@ def stamp_s(message: Any) -> float:
     Args:
         message: a builtin_interfaces/Time, or a message with a header.
     """
+    return stamp_ns(message) / NS
+
+
+def stamp_ns(message: Any) -> int:
+    """Return a time in nanoseconds.
+
+    Args:
+        message: a builtin_interfaces/Time, or a message with a header.
+    """
     stamp = message.header.stamp if hasattr(message, "header") else message
-    return float((stamp.sec * NS + stamp.nanosec) / NS)
+    return int(stamp.sec) * NS + int(stamp.nanosec)
+
+
+def ns_to_stamp(nanoseconds: int) -> Time:
+    """Return nanoseconds as a builtin_interfaces/Time."""
+    return Time(sec=nanoseconds // NS, nanosec=nanoseconds % NS)
 
 
 def to_stamp(seconds: float) -> Time:

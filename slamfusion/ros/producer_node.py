@@ -185,7 +185,7 @@ class ProducerNode(NodeBase):
         self._map_topic = self.publisher(OccupancyGrid, f"{name}/map", qos.MAP)
         self._metadata_topic = self.publisher(MapMetaData, f"{name}/map_metadata", qos.MAP)
         self._path_topic = self.publisher(Path, f"{name}/path", qos.MAP)
-        self._pose_topic = self.publisher(PoseStamped, f"{name}/pose", qos.STREAM)
+        self._pose_topic = self.publisher(PoseStamped, f"{name}/pose", qos.POSE)
         self._messages: Worker[_Map] = Worker(self._publish_map, 1, self._failed, f"{name} maps")
         self._worker: Worker[_Queued | _MapDue] = Worker(
             self._work, self.settings.scan_queue, self._failed, f"{name} scans"

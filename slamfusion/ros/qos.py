@@ -8,34 +8,57 @@ from __future__ import annotations
 
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 __all__ = [
     "CLOCK",
+    "LEASE_S",
     "MAP",
+    "POSE",
     "SENSOR",
     "STREAM",
     "TF",
     "TF_STATIC",
+    "heartbeat",
     "latched",
     "map_qos",
     "offered_durability",
 ]
 
 
-def _profile(depth: int, *, reliable: bool, latched: bool) -> QoSProfile:
-    return QoSProfile(
+# Poses are offered with this liveliness lease, seconds: DDS says three times in two of these that
+# the process lives, from a thread of its own that needs no interpreter.
+LEASE_S = 0.5
+
+
+def _profile(
+    depth: int, *, reliable: bool, latched: bool, lease_s: float | None = None
+) -> QoSProfile:
+    profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
+    if lease_s is not None:
+        profile.liveliness = LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(seconds=lease_s)
+    return profile
 
 
 # Scans and odometry, read: hears every writer.
 SENSOR = _profile(50, reliable=False, latched=False)
 # Scans, odometry and poses, written: every reader can hear them.
 STREAM = _profile(50, reliable=True, latched=False)
+# Poses, written: the same, and who asks for it hears within its lease that the writer has gone.
+POSE = _profile(50, reliable=True, latched=False, lease_s=LEASE_S)
 # Maps: who comes late gets the last one at once.
 MAP = _profile(1, reliable=True, latched=True)
 # As tf2 has them.
@@ -47,6 +70,18 @@ CLOCK = _profile(1, reliable=False, latched=False)
 def latched(depth: int) -> QoSProfile:
     """Return reliable and transient local, for many kept messages or many writers."""
     return _profile(depth, reliable=True, latched=True)
+
+
+def heartbeat(lease_s: float) -> QoSProfile:
+    """Return how to watch whether the writers of a topic live.
+
+    Writers that offer no lease, or a longer one, are not heard at all: read them with another
+    subscription.
+
+    Args:
+        lease_s: a writer that said nothing for so long is gone, seconds; ours offer ``LEASE_S``.
+    """
+    return _profile(1, reliable=False, latched=False, lease_s=lease_s)
 
 
 def map_qos(durability: DurabilityPolicy | None) -> QoSProfile:

@@ -7,13 +7,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from nav_msgs.msg import OccupancyGrid
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
 
 from slamfusion.compute import open_backend
+from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
 from tests.fusion.live_maps import live_fusion, three, touched
-from tests.ros.live import Observer, Processes
+from tests.ros.live import Observer, Processes, values
 
 INPUTS = ["a/map", "b/map", "c/map"]
 NAMES = "abc"
@@ -34,7 +36,7 @@ class Makers:
     def send(self, grid: Grid, **changes: Any) -> OccupancyGrid:
         """Publish a map, a second later than the last one; ``changes`` are put into the message."""
         self.stamp_s += 1.0
-        stamp = messages.to_stamp(self.stamp_s)
+        stamp = messages.to_stamp(changes.get("stamp_s", self.stamp_s))
         message = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
         if "resolution" in changes:
             message.info.resolution = changes["resolution"]
@@ -73,6 +75,34 @@ class Makers:
         """Begin to publish again."""
         topic = f"{self.prefix}{name}/map"
         self.topics[name] = self.observer.publisher(OccupancyGrid, topic, qos.MAP)
+
+
+class Robot:
+    """Tells where it is, to every SLAM in its own frame, and its odometry."""
+
+    def __init__(self, observer: Observer, names: str = "abc") -> None:
+        self.odometry = observer.publisher(Odometry, "odom")
+        self.poses = {name: observer.publisher(PoseStamped, f"{name}/pose") for name in names}
+        self.drift = Pose2(3.0, 4.0, 0.5)
+
+    def at(self, stamp_s: float, place: Pose2, transforms: dict[str, Pose2]) -> None:
+        """Tell that it is at a place of the fused frame."""
+        stamp = messages.to_stamp(stamp_s)
+        self.odometry.publish(
+            messages.odometry_to_message(self.drift.compose(place), "odom", "base_link", stamp)
+        )
+        for name, publisher in self.poses.items():
+            pose = transforms[name].inverse().compose(place)
+            publisher.publish(messages.pose_to_message(pose, f"{name}_map", stamp))
+
+
+def told_transforms(observer: Observer) -> dict[str, Pose2]:
+    """Return every voter's transform as the diagnostics tell it (four digits)."""
+    out = {}
+    for name in "abc":
+        figures = values(observer.statuses()[f"fusion: input {name}"])
+        out[name] = Pose2(*(float(figures[key]) for key in ("x [m]", "y [m]", "yaw [rad]")))
+    return out
 
 
 def start_fusion(processes: Processes, *ros_arguments: str, **parameters: Any) -> Any:

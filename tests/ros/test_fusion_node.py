@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetMap
 from rosgraph_msgs.msg import Clock
 from scipy import ndimage
@@ -33,9 +33,11 @@ from tests.fusion.live_maps import assert_same_lattice, share_standing, three, t
 from tests.ros import tf2
 from tests.ros.fused import (
     Makers,
+    Robot,
     fused_without_ros,
     share_equal,
     start_fusion,
+    told_transforms,
     unlike,
 )
 from tests.ros.live import Observer, Processes, values
@@ -60,6 +62,7 @@ def test_three_maps_become_one_as_without_ros(
     maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
     agreements = observer.collect(OccupancyGrid, "fused/agreement", qos.MAP)
     makers.send_all()
+    (tmp_path / "saved").mkdir()
     node = start_fusion(processes, save_path=str(tmp_path / "saved" / "lab"))
     wait_for_all(observer)
     observer.wait(lambda: maps and agreements, what="the fused map")
@@ -306,25 +309,39 @@ def test_writers_that_keep_nothing_and_saved_maps_take_part(
 def test_a_place_that_cannot_be_written_is_the_answer(
     processes: Processes, observer: Observer, makers: Makers, tmp_path: Path
 ):
-    blocked = tmp_path / "file"
-    blocked.write_text("no folder")
     makers.send_all()
-    node = start_fusion(processes, save_path=str(blocked / "map"))
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "away").symlink_to(tmp_path)
+    node = start_fusion(processes, save_path=str(tmp_path / "maps" / "lab"))
     wait_for_all(observer)
-    for path in (str(blocked / "map"), "/proc/slamfusion/map", "/dev/full/map"):
+    # Nothing leads out of the folder, no folder is made, and each time the answer says why.
+    root = tmp_path / "maps"
+    for path, words in (
+        (f"{root}/../lab", "leads out of"),
+        (f"{root}/a/../../lab", "leads out of"),
+        (f"{root}/away/lab", "leads out of"),
+        (f"{tmp_path}/lab", "leads out of"),
+        ("/dev/full/map", "leads out of"),
+        (f"{root}/new/lab", f"there is no folder '{root}/new'"),
+        (f"{root}/", "leads out of"),
+        (f"{root}/..", "names no file"),
+    ):
         assert observer.set_parameter("fusion", "save_path", path).successful
         answer = observer.call(Trigger, "save_map", Trigger.Request())
-        assert not answer.success
-        assert path.split("/map")[0] in answer.message
+        assert not answer.success, path
+        assert answer.message.startswith("not saved: save_path")
+        assert words in answer.message
+    assert {item.name for item in tmp_path.rglob("*")} <= {"maps", "away", "0-fusion.txt"}
     # A place that is full after 8 kB: nothing is left behind.
     pid = node.process.pid
-    observer.set_parameter("fusion", "save_path", str(tmp_path / "lab" / "map"))
+    (root / "lab").mkdir()
+    observer.set_parameter("fusion", "save_path", str(root / "lab" / "map"))
     before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (8000, before[1]))
     answer = observer.call(Trigger, "save_map", Trigger.Request())
     assert not answer.success
     assert "not saved" in answer.message
-    assert not list((tmp_path / "lab").rglob("*.*"))
+    assert not list((root / "lab").rglob("*.*"))
     observer.wait_status(FUSION, "not saved")
     resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
     answer = observer.call(Trigger, "save_map", Trigger.Request())
@@ -401,34 +418,6 @@ def test_in_a_namespace_of_its_own(processes: Processes, observer: Observer):
 # -- frames ----------------------------------------------------------------------------------------
 
 
-class Robot:
-    """Tells where it is, to every SLAM in its own frame, and its odometry."""
-
-    def __init__(self, observer: Observer, names: str = "abc") -> None:
-        self.odometry = observer.publisher(Odometry, "odom")
-        self.poses = {name: observer.publisher(PoseStamped, f"{name}/pose") for name in names}
-        self.drift = Pose2(3.0, 4.0, 0.5)
-
-    def at(self, stamp_s: float, place: Pose2, transforms: dict[str, Pose2]) -> None:
-        """Tell that it is at a place of the fused frame."""
-        stamp = messages.to_stamp(stamp_s)
-        self.odometry.publish(
-            messages.odometry_to_message(self.drift.compose(place), "odom", "base_link", stamp)
-        )
-        for name, publisher in self.poses.items():
-            pose = transforms[name].inverse().compose(place)
-            publisher.publish(messages.pose_to_message(pose, f"{name}_map", stamp))
-
-
-def told_transforms(observer: Observer) -> dict[str, Pose2]:
-    """Return every voter's transform as the diagnostics tell it (four digits)."""
-    out = {}
-    for name in "abc":
-        figures = values(observer.statuses()[f"fusion: input {name}"])
-        out[name] = Pose2(*(float(figures[key]) for key in ("x [m]", "y [m]", "yaw [rad]")))
-    return out
-
-
 def assert_near(a: Pose2, b: Pose2, metres: float, radians: float) -> None:
     assert math.hypot(a.x - b.x, a.y - b.y) < metres, (a, b)
     assert abs(math.remainder(a.yaw_rad - b.yaw_rad, math.tau)) < radians, (a, b)
@@ -501,27 +490,3 @@ def test_pose_and_transforms_agree_and_a_point_lands_on_its_fused_cell(
     observer.wait(go_on, what="the pose of another input")
     assert_near(messages.pose2_from_message(poses[-1].pose), place, 0.02, 0.01)
     observer.node.destroy_publisher(silent)
-
-
-def test_two_inputs_in_one_frame_and_a_rival_are_named(
-    processes: Processes, observer: Observer, makers: Makers
-):
-    tf2.skip_without()
-    start_fusion(processes, publish_tf=True)
-    start_fusion(processes, "-r", "__node:=second", publish_tf=True)
-    for grid in three().values():
-        makers.send(grid, frame="map")
-    observer.wait_status(FUSION, "all 3 inputs vote", timeout_s=60.0)
-    observer.wait_status(FUSION, "more than one is in frame 'map'")
-    robot = Robot(observer)
-    observer.wait_status("second: fusion", "all 3 inputs vote", timeout_s=60.0)
-    transforms = told_transforms(observer)
-    stamp_s = 300.0
-    until_s = time.monotonic() + 40.0
-    while observer.statuses()[FUSION].level != b"\x02":
-        assert time.monotonic() < until_s, observer.statuses()[FUSION].message
-        stamp_s += 0.1
-        robot.at(stamp_s, Pose2(1.0, 1.0, 0.1), transforms)
-        observer.listen(0.1)
-    assert "another node sends the transform to" in observer.statuses()[FUSION].message
-    assert all(process.is_running for process in processes.running)

@@ -1,0 +1,82 @@
+"""What the fusion node says of itself and of its inputs on ``/diagnostics``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from slamfusion.fusion.live import LiveInput
+from slamfusion.geometry import Pose2
+from slamfusion.ros.base import Level, Status
+from slamfusion.ros.map_source import MapSource
+
+__all__ = ["fusion_status", "input_status"]
+
+PREFIX = "input "
+
+
+def fusion_status(
+    lines: Sequence[Status],
+    troubles: tuple[Level, str],
+    nothing: str,
+    worst: Level,
+    values: Mapping[str, object],
+) -> Status:
+    """Return the line of the fusion.
+
+    Args:
+        lines: those of its inputs.
+        troubles: the worst level of what else is wrong, and all of it in words.
+        nothing: why nothing is fused, where no input votes.
+        worst: the level of that.
+        values: its figures.
+    """
+    level, message = troubles
+    out = [line.name.removeprefix(PREFIX) for line in lines if line.level != Level.OK]
+    voters = len(lines) - len(out)
+    if not voters:
+        words = nothing
+        level = max(level, worst)
+    elif out:
+        words = f"{voters} of {len(lines)} inputs vote; not: {', '.join(out)}"
+        level = max(level, Level.WARN)
+    else:
+        words = f"all {voters} inputs vote"
+    said = "; ".join(filter(None, (words, message)))
+    return Status("fusion", level, said, {"inputs": len(lines), "voters": voters, **values})
+
+
+def input_status(
+    name: str, source: MapSource | None, topic: str, record: LiveInput | None, since_s: float
+) -> Status:
+    """Return the line of one input.
+
+    Args:
+        name: of the input.
+        source: of its maps; None for a saved map.
+        topic: its name in full.
+        record: as the last update left it; None before its first map.
+        since_s: how long ago that update was.
+    """
+    if record is None:
+        who = "nobody publishes it"
+        if source is None or source.silent_since_s is None:
+            who = "a node could publish it"
+        return Status(PREFIX + name, Level.STALE, f"no map on {topic!r} yet; {who}")
+    transform = record.transform or Pose2()
+    is_silent = record.reason.startswith(("lost", "no map for"))
+    level = Level.OK if record.accepted else Level.STALE if is_silent else Level.WARN
+    values: dict[str, object] = {
+        "accepted": record.accepted,
+        "score": record.score,
+        "overlap": record.overlap,
+        "tracked": record.is_tracked,
+        "age [s]": record.age_s + since_s,
+        "rate [Hz]": record.rate_hz,
+        "maps": record.maps,
+        "maps refused": record.rejected,
+        "x [m]": transform.x if record.transform is not None else None,
+        "y [m]": transform.y if record.transform is not None else None,
+        "yaw [rad]": transform.yaw_rad if record.transform is not None else None,
+        "frame": "-" if source is None else source.frame,
+    }
+    return Status(PREFIX + name, level, record.reason, values)

@@ -1,0 +1,127 @@
+"""``Heartbeat``: whether the process that writes a topic still lives, however little it sends.
+
+A robot that stands still, or whose log has ended, makes no maps and no poses, and its SLAMs are
+well; one whose process was killed or frozen must lose its vote. Neither messages nor diagnostics
+tell the two apart soon enough: a node that is busy with a loop closure is late with both. So the
+poses of our producers are offered with a DDS liveliness lease, which the process renews three times
+a second from a thread that neither Python nor a long computation holds up, and a second reader of
+the pose topic asks for that lease. A reader that asks hears nothing from writers that offer none
+(the SLAMs of others), so it is no part of the reading of poses, and such inputs are told from dead
+ones only by DDS itself, after the lease of a participant (20 s by default).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+
+from slamfusion.ros import qos
+from slamfusion.ros.base import NodeBase
+
+__all__ = ["Heartbeat"]
+
+# A lease that ran out is believed after this long, seconds: when this process itself was stopped,
+# every lease seems to have run out at once, and the next sign of life is a third of a second away.
+DOUBT_S = 0.5
+
+
+class Heartbeat:
+    """Watches the liveliness lease that the writers of a pose topic offer.
+
+    All in the executor's thread.
+
+    Args:
+        base: the node.
+        topic: of poses.
+        lost_after_s: a writer without a sign of life for this long is dead; below one second it is
+            taken for one.
+        on_change: called when a writer has fallen silent or is back.
+
+    """
+
+    def __init__(
+        self, base: NodeBase, topic: str, lost_after_s: float, on_change: Callable[[], None]
+    ) -> None:
+        self.is_back = False
+        self._base = base
+        self._topic = topic
+        self._on_change = on_change
+        self._silent_since_s: float | None = None
+        self._alive = 0
+        self._lost_after_s = lost_after_s
+        self._subscription: Any = None
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether every writer with a lease has fallen silent, and none has taken its place."""
+        since_s = self._silent_since_s
+        return since_s is not None and time.monotonic() - since_s > DOUBT_S
+
+    def look(self) -> None:
+        """Begin to watch when a writer offers a lease."""
+        if self._subscription is None:
+            infos = self._base.node.get_publishers_info_by_topic(self._topic)
+            leases_s = [1e-9 * i.qos_profile.liveliness_lease_duration.nanoseconds for i in infos]
+            if any(0.0 < lease_s <= self._lease_s for lease_s in leases_s):
+                self._subscription = self._listen()
+
+    @property
+    def _lease_s(self) -> float:
+        return max(self._lost_after_s - DOUBT_S, qos.LEASE_S)
+
+    def forgive(self) -> None:
+        """Take note that somebody sends: the topic lives, whatever became of the lease."""
+        if self.is_dead:
+            self._silent_since_s = None
+
+    def ask(self, lost_after_s: float) -> None:
+        """Ask for another lease, if it is one."""
+        if lost_after_s == self._lost_after_s:
+            return
+        self._lost_after_s = lost_after_s
+        if self._subscription is not None:
+            self._base.node.destroy_subscription(self._subscription)
+            self._subscription = None
+        self._silent_since_s = None
+        self._alive = 0
+        self.look()
+
+    def _listen(self) -> Any:
+        profile = qos.heartbeat(self._lease_s)
+        try:
+            return self._base.node.create_subscription(
+                PoseStamped,
+                self._topic,
+                _ignore,
+                profile,
+                # Without the default ones: that others offer no lease is nothing to warn of.
+                event_callbacks=SubscriptionEventCallbacks(
+                    use_default_callbacks=False, liveliness=self._on_liveliness
+                ),
+                raw=True,
+            )
+        except UnsupportedEventTypeError:
+            # This middleware has no leases; its own word that nobody publishes must do.
+            return self._base.node.create_subscription(
+                PoseStamped, self._topic, _ignore, profile, raw=True
+            )
+
+    def _on_liveliness(self, event: Any) -> None:
+        had, self._alive = self._alive, event.alive_count
+        if self._alive > 0:
+            self._silent_since_s = None
+            self.is_back = had == 0 and event.not_alive_count_change < 0
+        elif event.not_alive_count > 0 and self._silent_since_s is None:
+            self._silent_since_s = time.monotonic()
+        # Without any writer: one that said good-bye is missed by who reads the maps, one that had
+        # fallen silent has now been given up by DDS, and stays dead.
+        if (had > 0) != (self._alive > 0):
+            self._on_change()
+
+
+def _ignore(_: Any) -> None:
+    """Take no note of a pose; it is the lease that counts."""

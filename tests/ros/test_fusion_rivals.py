@@ -1,0 +1,136 @@
+"""Several writers of one topic, stamps of tomorrow, and stamps that come only once."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+
+from slamfusion.geometry import Pose2
+from slamfusion.ros import messages, qos
+from slamfusion.ros.frames import TransformInput
+from slamfusion.ros.stamps import AHEAD_S, Stamps
+from tests.fusion.live_maps import three, touched
+from tests.ros.fused import Makers, Robot, start_fusion, told_transforms
+from tests.ros.live import Observer, Processes
+
+pytestmark = pytest.mark.ros
+
+FUSION = "fusion: fusion"
+DAY_S = 86400.0
+
+
+class Told(TransformInput):
+    """The stamps of every transform by its child frame, nanoseconds, in the order they came."""
+
+    def __init__(self, node: Any) -> None:
+        self.stamps_ns: dict[str, list[int]] = {}
+        super().__init__(node)
+
+    def add(self, transforms: Iterable[Any], *, is_static: bool = False) -> None:
+        listed = list(transforms)
+        for item in listed:
+            self.stamps_ns.setdefault(item.child_frame_id, []).append(messages.stamp_ns(item))
+        super().add(listed, is_static=is_static)
+
+
+def test_no_stamp_comes_twice_and_none_is_of_tomorrow(processes: Processes, observer: Observer):
+    makers = Makers(observer)
+    fused = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    poses = observer.collect(PoseStamped, "fused/pose")
+    told = Told(observer.node)
+    start_fusion(processes, publish_tf=True)
+    robot = Robot(observer)
+    makers.send_all()
+    observer.wait_status(FUSION, "all 3 inputs vote")
+    transforms = told_transforms(observer)
+    # Fusions between two poses, and poses of several SLAMs of one scan, as leaders change.
+    for number in range(40):
+        robot.at(200.0 + 0.1 * number, Pose2(2.0, 1.5, 0.01 * number), transforms)
+        makers.send(touched(three()["abc"[number % 3]], number))
+        observer.listen(0.08)
+    # The next ones are of tomorrow: named, and no stamp of ours is.
+    tomorrow = messages.to_stamp(time.time() + DAY_S)
+    robot.poses["c"].publish(messages.pose_to_message(Pose2(), "c_map", tomorrow))
+    count = len(fused)
+    makers.send(touched(three()["b"], 99), stamp_s=time.time() + DAY_S)
+    words = "s ahead of the clock, and other inputs are not"
+    observer.wait_status(FUSION, f"the map of 'b' is stamped {DAY_S:.0f} {words}")
+    observer.wait_status(FUSION, f"the pose of 'c' is stamped {DAY_S:.0f} {words}")
+    observer.wait(lambda: len(fused) > count, what="the map with that of tomorrow")
+    assert max(messages.stamp_s(item) for item in fused) <= makers.stamp_s
+
+    stamps = {**told.stamps_ns, "pose": [messages.stamp_ns(item) for item in poses]}
+    assert {*stamps} == {"odom", "a_map", "b_map", "c_map", "pose"}
+    for name, found in stamps.items():
+        again = sum(b <= a for a, b in itertools.pairwise(found))
+        assert again == 0, f"{again} of {len(found)} stamps of {name} are not newer than the last"
+        assert len(found) >= 20, name
+        assert max(found) < 1e9 * (makers.stamp_s + 200.0)
+
+
+def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, observer: Observer):
+    makers = Makers(observer)
+    start_fusion(processes, publish_tf=True)
+    second = start_fusion(processes, "-r", "__node:=second", publish_tf=True)
+    for grid in three().values():
+        makers.send(grid, frame="map")
+    observer.wait_status(FUSION, "all 3 inputs vote", timeout_s=60.0)
+    observer.wait_status(FUSION, "more than one is in frame 'map'")
+    observer.wait_status("second: fusion", "all 3 inputs vote", timeout_s=60.0)
+    observer.wait_status(FUSION, "another node, '/second', publishes '/fused/map' too: end one")
+    observer.wait_status("second: fusion", "another node, '/fusion', publishes '/fused/map' too")
+    # Nobody tells where the robot is.
+    words = "publish_tf: fused_map -> odom was never sent: no input that votes tells"
+    observer.wait_status(FUSION, words)
+    robot = Robot(observer)
+    transforms = told_transforms(observer)
+    stamps = itertools.count(3000)
+
+    def is_said() -> bool:
+        robot.at(0.1 * next(stamps), Pose2(1.0, 1.0, 0.1), transforms)
+        observer.listen(0.1)
+        message = observer.statuses()[FUSION].message
+        words = "another node sends the transform to", "the other fusion is '/second'; end one"
+        return all(word in message for word in words)
+
+    observer.wait(is_said, what="the word of the other fusion")
+    assert observer.statuses()[FUSION].level == b"\x02"
+    assert "was never sent" not in observer.statuses()[FUSION].message
+    # A second writer of an input is named until it has gone, as is the other fusion.
+    assert second.interrupt() == 0
+    with Observer(domain, "stranger") as other:
+        Makers(other, "b").send(three()["b"])
+        words = "2 nodes publish '/b/map', '/observer' and '/stranger'"
+        observer.wait_status(FUSION, words)
+    for words in ("publishes '/fused/map'", "nodes publish"):
+        observer.wait(lambda words=words: words not in observer.statuses()[FUSION].message)
+
+
+def test_a_stamp_is_ahead_of_the_clock_and_of_all_others_or_it_is_not():
+    now_s = 1000.0
+    tomorrow_s = now_s + DAY_S
+    stamps = Stamps(lambda: now_s)
+    # Alone it has nobody to contradict it, and within a minute nobody does.
+    assert stamps.ahead_s("a", tomorrow_s) is None
+    assert stamps.ahead_s("a", now_s + AHEAD_S) is None
+    assert stamps.ahead_s("b", now_s + AHEAD_S) is None
+    # Two that agree are as wrong as one, where the clock is with the third.
+    assert stamps.ahead_s("b", tomorrow_s) == pytest.approx(DAY_S)
+    assert stamps.ahead_s("c", tomorrow_s) == pytest.approx(DAY_S)
+    assert stamps.ahead_s("a", now_s + 1.0) is None
+    # All say the same: it is the node's clock that is behind.
+    stamps.forget()
+    assert [stamps.ahead_s(name, tomorrow_s) for name in "abcabc"] == [None] * 6
+    # A clock that has not begun says nothing; a log lies behind it.
+    for clock_s in (0.0, 1e9):
+        stamps = Stamps(lambda clock_s=clock_s: clock_s)
+        assert [stamps.ahead_s(*item) for item in (("a", 5.0), ("b", 5000.0))] == [None, None]
