@@ -9,16 +9,16 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def _start(context: LaunchContext) -> list[Node]:
-    """Return the node; frames that are not named are those of the parameter file."""
+    """Return the node; what is not asked for here is left to the parameter file."""
     asked = {
         name: LaunchConfiguration(name).perform(context)
-        for name in ("frame_prefix", "base_frame", "odom_frame")
+        for name in ("frame_prefix", "base_frame", "odom_frame", "state_path")
     }
-    prefix, frames = asked.pop("frame_prefix"), {}
+    prefix, own = asked.pop("frame_prefix"), {}
     if prefix:
         names = {"base_frame": "base_link", "odom_frame": "odom", "fused_frame": "fused_map"}
-        frames = {key: prefix + name for key, name in names.items()}
-    frames |= {key: name for key, name in asked.items() if name}
+        own = {key: prefix + name for key, name in names.items()}
+    own |= {key: value for key, value in asked.items() if value}
     use_sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     parameters = [LaunchConfiguration("params_file"), {"use_sim_time": use_sim_time}]
     return [
@@ -27,7 +27,7 @@ def _start(context: LaunchContext) -> list[Node]:
             executable="fusion_node",
             name="fusion",
             namespace=LaunchConfiguration("namespace"),
-            parameters=[*parameters, frames] if frames else parameters,
+            parameters=[*parameters, own] if own else parameters,
             remappings=[
                 ("odom", LaunchConfiguration("odom")),
                 ("/tf", LaunchConfiguration("tf")),
@@ -62,6 +62,11 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("tf", default_value="/tf", description="topic of transforms"),
             DeclareLaunchArgument(
                 "tf_static", default_value="/tf_static", description="topic of static transforms"
+            ),
+            DeclareLaunchArgument(
+                "state_path",
+                default_value="",
+                description="file that keeps the fused frame over a restart; default: of params_file",
             ),
             DeclareLaunchArgument(
                 "frame_prefix", default_value="", description="before the name of every frame"

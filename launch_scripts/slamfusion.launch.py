@@ -76,6 +76,11 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "odom_frame", default_value="", description="odometry; default: of params_file"
             ),
+            DeclareLaunchArgument(
+                "state_path",
+                default_value="",
+                description="file that keeps the fused frame over a restart; default: of params_file",
+            ),
             DeclareLaunchArgument("log", default_value="", description="play this log or bag"),
             DeclareLaunchArgument(
                 "rate", default_value="1.0", description="of the log: times as fast as recorded"
@@ -103,7 +108,11 @@ def generate_launch_description() -> LaunchDescription:
             ),
             IncludeLaunchDescription(
                 _file("fusion.launch.py"),
-                launch_arguments={**timed, "odom": topics["odom"]}.items(),
+                launch_arguments={
+                    **timed,
+                    "odom": topics["odom"],
+                    "state_path": LaunchConfiguration("state_path"),
+                }.items(),
             ),
             IncludeLaunchDescription(
                 _file("player.launch.py"),

@@ -117,7 +117,10 @@ start() {
     # The last one to say it is right: a parameter file may name other inputs, but no other log.
     local arguments=(${common[@]+"${common[@]}"})
     case "$name" in
-        fusion) arguments=(-p "inputs:=[$maps]" ${common[@]+"${common[@]}"}) ;;
+        fusion)
+            arguments=(-p "inputs:=[$maps]" -p "state_path:=$session/fusion"
+                ${common[@]+"${common[@]}"})
+            ;;
         player)
             arguments+=(-p "file:=$log" -p "wait_for:=[$listed]" -p "maps:=[$maps,fused/map]"
                 -p "save:=$out" -p "start_timeout_s:=$START_TIMEOUT_S.0" "${pace[@]}")
@@ -127,6 +130,10 @@ start() {
     pid[$name]=$!
     started[$name]=$SECONDS
 }
+
+# A fusion that is started again goes on in its frame; the next session begins another one, unless
+# a parameter file names a state_path.
+session="$(mktemp -d)"
 
 stop_all() {
     trap '' INT TERM HUP
@@ -158,7 +165,7 @@ stop_early() {
     exit 0
 }
 trap stop_early INT TERM HUP
-trap 'stop_all' EXIT
+trap 'stop_all; rm -rf "$session"' EXIT
 
 for name in $producers fusion; do
     start "$name"
@@ -182,7 +189,9 @@ take_end() {
     due[$name]=$((SECONDS + pause))
     local when=""
     [ "$pause" = 0 ] || when=", in $pause s"
-    say "$name has ended with $code; it is started again, with an empty map$when"
+    local how="with an empty map"
+    [ "$name" != fusion ] || how="in its frame"
+    say "$name has ended with $code; it is started again, $how$when"
 }
 
 is_over=""

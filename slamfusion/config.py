@@ -1209,10 +1209,10 @@ class FusionNodeConfig(_Checked):
         "save_map writes this path with .yaml and .pgm; a change leads nowhere but into the folder "
         "that the node was started with",
     )
-    state_path: str = option(
-        "",
+    state_path: str | None = option(
+        None,
         "file that keeps fused frame, transforms and last map, so that a restart goes on with "
-        "them; empty: nothing is kept",
+        "them; default: nothing is kept",
     )
     lost_after_s: float = option(
         3.0,

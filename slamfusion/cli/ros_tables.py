@@ -128,7 +128,7 @@ TOPICS = (
         "geometry_msgs/PoseStamped",
         ("producers",),
         ("fusion", "player"),
-        STREAM,
+        f"{STREAM}, liveliness lease 0.5 s",
         "the robot in NAME_map, one for every scan that was used, with its stamp",
     ),
     Topic("NAME/path", "nav_msgs/Path", ("producers",), (), MAP, "the path so far, corrected"),
@@ -203,9 +203,14 @@ SERVICES = (
         "save_map",
         "std_srvs/Trigger",
         "fusion",
-        "writes it to save_path; answers the path, or why not",
+        "writes it to save_path, into a folder that is there; answers the path, or why not",
     ),
-    Service("reset", "std_srvs/Trigger", "fusion", "the newest maps begin a new fused frame"),
+    Service(
+        "reset",
+        "std_srvs/Trigger",
+        "fusion",
+        "the newest maps begin a new fused frame; the kept state is removed",
+    ),
 )
 
 # The sections of each node's parameters with the prefix of their names.

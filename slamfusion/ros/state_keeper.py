@@ -39,13 +39,13 @@ class StateKeeper:
 
     Args:
         base: the node, whose diagnostics name what goes wrong.
-        path: of the file, ``~`` for the home folder; empty: nothing is kept.
+        path: of the file, ``~`` for the home folder; None or empty: nothing is kept.
 
     Raises:
         ConfigError: the path's folder does not exist, or the path is a folder.
     """
 
-    def __init__(self, base: NodeBase, path: str) -> None:
+    def __init__(self, base: NodeBase, path: str | None) -> None:
         self._base = base
         self._path = Path(path).expanduser() if path else None
         self._next_s = float("-inf")
@@ -149,7 +149,7 @@ class Memory:
     Args:
         base: the node.
         live: what is restored and kept; nothing was put there yet.
-        path: of the file; empty for none.
+        path: of the file; None or empty for none.
         names: the inputs; places of others are forgotten.
 
     Attributes:
@@ -159,7 +159,9 @@ class Memory:
         ConfigError: the path cannot be that of a file.
     """
 
-    def __init__(self, base: NodeBase, live: LiveFusion, path: str, names: Collection[str]) -> None:
+    def __init__(
+        self, base: NodeBase, live: LiveFusion, path: str | None, names: Collection[str]
+    ) -> None:
         self.restored: LiveState | None = None
         self._base = base
         self._live = live

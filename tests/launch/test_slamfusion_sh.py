@@ -129,7 +129,7 @@ def test_a_node_that_dies_again_and_again_is_started_later_each_time(
         )
         (victim,) = [pid for pid, words in nodes_in(domain).items() if "node fusion" in words]
         os.kill(victim, signal.SIGKILL)
-        words = f"fusion has ended with 137; it is started again, with an empty map, in {pause} s"
+        words = f"fusion has ended with 137; it is started again, in its frame, in {pause} s"
         wait_said(observer, script, words, 10.0)
         assert script.is_running, number
     statuses = observer.statuses()
