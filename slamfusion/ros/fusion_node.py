@@ -129,6 +129,7 @@ class FusionNode(NodeBase):
         self._inputs: tuple[tuple[LiveInput, ...], float] = ((), time.monotonic())
         self._last: LiveUpdate | None = None
         self._arrived_s: float | None = None
+        self._has_news = False
         self._counts = _Counts()
         # Written by the executor's thread, taken by the worker's.
         self._wanted_live: LiveConfig | None = None
@@ -182,7 +183,7 @@ class FusionNode(NodeBase):
             self._wake()
 
     def _look(self) -> None:
-        """See which inputs are lost or back, and send what is new of the frames."""
+        """See which inputs are lost or back, and send what is new of the frames and votes."""
         for name, source in self._sources.items():
             reason = source.lost
             if reason and source.frame:
@@ -198,6 +199,9 @@ class FusionNode(NodeBase):
                     self._live.recall(name)
                     self._wake()
         self._frames.look()
+        if self._has_news:  # who votes is said at once, not within the second
+            self._has_news = False
+            self.publish_diagnostics()
 
     def _look_around(self) -> None:
         """See who publishes the inputs and the fused map, and let ages be looked at."""
@@ -303,10 +307,12 @@ class FusionNode(NodeBase):
     def _note(self, update: LiveUpdate) -> None:
         """Keep what an update did; a fused map waits for its turn to be published."""
         records = {record.name: record for record in update.inputs}
+        has_news = False
         for name, record in records.items():
             old = self._frames.believed.inputs.get(name)
             if old is not None and old.accepted == record.accepted:
                 continue
+            has_news = True
             # Two calls: rclpy ties a place in the code to one level.
             if record.accepted:
                 self.log.info(f"{name} votes: {record.reason}")
@@ -316,6 +322,7 @@ class FusionNode(NodeBase):
             self._memory.confirm()
         self._frames.believed = Believed(records, update.reference)
         self._inputs = (update.inputs, time.monotonic())
+        self._has_news = self._has_news or has_news
         self._last = update
         self._counts.updates += 1
         self._counts.searches += update.is_full_search

@@ -27,6 +27,8 @@ __all__ = ["Heartbeat"]
 # A lease that ran out is believed after this long, seconds: when this process itself was stopped,
 # every lease seems to have run out at once, and the next sign of life is a third of a second away.
 DOUBT_S = 0.5
+# Kept of the time after which a writer is dead, seconds, to see it and to say so.
+NOTICE_S = 0.2
 
 
 class Heartbeat:
@@ -71,7 +73,7 @@ class Heartbeat:
 
     @property
     def _lease_s(self) -> float:
-        return max(self._lost_after_s - DOUBT_S, qos.LEASE_S)
+        return max(self._lost_after_s - DOUBT_S - NOTICE_S, qos.LEASE_S)
 
     def forgive(self) -> None:
         """Take note that somebody sends: the topic lives, whatever became of the lease."""
