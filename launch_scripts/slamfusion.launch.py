@@ -79,7 +79,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "state_path",
                 default_value="",
-                description="file that keeps the fused frame over a restart; default: of params_file",
+                description="file that keeps the fused frame; default: of params_file",
             ),
             DeclareLaunchArgument("log", default_value="", description="play this log or bag"),
             DeclareLaunchArgument(
