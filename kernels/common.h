@@ -1,5 +1,8 @@
 /* Shared by every kernel family.
  *
+ * Constants and records that the host knows too stand in slamfusion/compute/layout.py and come as -D
+ * options. What a kernel alone knows is defined in it.
+ *
  * Cells are trinary: -1 unknown, 0 free, 1 occupied; grids are row-major, row grows with +y.
  * A lattice position is in half cells, so the centre of cell (row, col) is (2 col + 1, 2 row + 1)
  * and stays an integer. A fixed pose is four longs in Q30: cos, sin, tx, ty with tx and ty in half
@@ -7,23 +10,6 @@
  */
 #ifndef SLAMFUSION_COMMON_H
 #define SLAMFUSION_COMMON_H
-
-#define UNKNOWN (-1)
-#define FREE 0
-#define OCCUPIED 1
-
-/* Largest squared distance kept in a distance field, in cells squared. */
-#define DISTANCE2_MAX 4096
-#define DISTANCE_MAX 64
-
-/* Cells that one work item does, one after the other, where a cell is little work. */
-#define RUN 64
-
-/* A wall cell with this many free cells among its eight neighbours is a speck, not a wall. */
-#define SPECK_FREE_CELLS 7
-
-/* Q30 half cells to whole cells: drop 30 fraction bits and the half. */
-#define FIXED_TO_CELL_SHIFT 31
 
 /* PoCL defines `inline` as nothing, and a loop with a call in it is not vectorised. */
 #define INLINE inline __attribute__((always_inline))

@@ -5,6 +5,7 @@
  * contraction, for the same reason. Loops over the hits have no branches and no short vectors, and
  * hits lie side by side: so they turn into vector gathers.
  * Method: Olson, ICRA 2009 (score of a pose as the sum over the hits of a wall likelihood).
+ * Twin: slamfusion/compute/scan_match/numpy.py; score_smooth and score_wide are score_poses.
  */
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.h"
@@ -17,13 +18,14 @@ INLINE int smooth_value(
   const float x = pose.x + (pose.z * px - pose.w * py) - 0.5f;
   const float y = pose.y + (pose.w * px + pose.z * py) - 0.5f;
   const int col = (int)x, row = (int)y;
-  const int right = (int)((x - col) * 16.0f), up = (int)((y - row) * 16.0f);
+  const int right = (int)((x - col) * (float)SIXTEENTHS);
+  const int up = (int)((y - row) * (float)SIXTEENTHS);
   const int a = field[tile_cell(pages, width, height, col, row)];
   const int b = field[tile_cell(pages, width, height, col + 1, row)];
   const int c = field[tile_cell(pages, width, height, col, row + 1)];
   const int d = field[tile_cell(pages, width, height, col + 1, row + 1)];
-  const int low = a * (16 - right) + b * right, high = c * (16 - right) + d * right;
-  return (low * (16 - up) + high * up) >> 8;
+  const int low = a * (SIXTEENTHS - right) + b * right, high = c * (SIXTEENTHS - right) + d * right;
+  return (low * (SIXTEENTHS - up) + high * up) >> SIXTEENTHS_SHIFT;
 }
 
 /* Sum of the field under the hits at one pose. */
@@ -56,15 +58,17 @@ __kernel void score_smooth(
   }
 }
 
-/* Loss of a pose (x, y, yaw) that leaves all of some guesses: the least over the guesses of the
- * weighted squares of its distances plus the guess's own loss.
+/* Loss of a pose (x, y, yaw) that leaves all of some hypotheses: the least over the hypotheses of the
+ * weighted squares of its distances plus the hypothesis' own loss.
  *
- * guesses  float, seven per guess: x, y, yaw, weights of the squares of x, y and yaw, own loss */
+ * hypotheses  float, HYPOTHESIS_FLOATS each: x, y, yaw, weights of the squares of x, y and yaw, own
+ *             loss */
 INLINE float pose_loss(
-    __global const float *guesses, const int count, const float x, const float y, const float yaw) {
+    __global const float *hypotheses, const int count, const float x, const float y,
+    const float yaw) {
   float least = INFINITY;
   for (int i = 0; i < count; i++) {
-    __global const float *g = guesses + 7 * i;
+    __global const float *g = hypotheses + HYPOTHESIS_FLOATS * i;
     const float dx = x - g[0], dy = y - g[1], dyaw = yaw - g[2];
     const float loss = ((dx * dx * g[3] + dy * dy * g[4]) + dyaw * dyaw * g[5]) + g[6];
     least = loss < least ? loss : least;
@@ -75,37 +79,37 @@ INLINE float pose_loss(
 /* Climb from some poses: each work-group takes one; in each round its items try a step each from
  * the group's best pose, and the best of them (the first of equals) is where the next round starts.
  *
- * starts   float, five per group: x, y in cells of the window, yaw, cos, sin
- * steps    float, five per round, group and item: dx, dy, dyaw, cos, sin of dyaw
+ * starts   float, START_FLOATS per group: x, y in cells of the window, yaw, cos, sin
+ * steps    float, START_FLOATS per round, group and item: dx, dy, dyaw, cos, sin of dyaw
  * scale    from a sum of the field to a score
- * found    float, six per group: x, y, yaw, cos, sin, score less loss
+ * found    float, FOUND_FLOATS per group: x, y, yaw, cos, sin, score less loss
  *
  * Work-groups must have CLIMBERS items.
  */
-#define CLIMBERS 16
 __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
     __global const uchar *field, __global const int *pages, const int width, const int height,
     __global const float *points, const int count,
-    __global const float *guesses, const int guess_count, __global const float *starts,
+    __global const float *hypotheses, const int hypothesis_count, __global const float *starts,
     __global const float *steps, const int rounds, const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0), groups = get_num_groups(0);
-  __local float tried[CLIMBERS][5];
+  __local float tried[CLIMBERS][START_FLOATS];
   __local float values[CLIMBERS];
-  __local float best[6];
+  __local float best[FOUND_FLOATS];
   if (item == 0) {
-    for (int k = 0; k < 5; k++) {
-      best[k] = starts[5 * group + k];
+    for (int k = 0; k < START_FLOATS; k++) {
+      best[k] = starts[START_FLOATS * group + k];
     }
   }
   barrier(CLK_LOCAL_MEM_FENCE);
   for (int round = 0; round < rounds; round++) {
-    __global const float *step = steps + 5 * ((round * groups + group) * CLIMBERS + item);
+    const int number = (round * groups + group) * CLIMBERS + item;
+    __global const float *step = steps + START_FLOATS * number;
     const float x = best[0] + step[0], y = best[1] + step[1], yaw = best[2] + step[2];
     const float cos = best[3] * step[3] - best[4] * step[4];
     const float sin = best[4] * step[3] + best[3] * step[4];
     const float4 pose = (float4)(x, y, cos, sin);
     const int sum = smooth_sum(field, pages, width, height, points, count, pose);
-    values[item] = (float)sum * scale - pose_loss(guesses, guess_count, x, y, yaw);
+    values[item] = (float)sum * scale - pose_loss(hypotheses, hypothesis_count, x, y, yaw);
     tried[item][0] = x;
     tried[item][1] = y;
     tried[item][2] = yaw;
@@ -117,16 +121,16 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
       for (int k = 1; k < CLIMBERS; k++) {
         winner = values[k] > values[winner] ? k : winner;
       }
-      for (int k = 0; k < 5; k++) {
+      for (int k = 0; k < START_FLOATS; k++) {
         best[k] = tried[winner][k];
       }
-      best[5] = values[winner];
+      best[START_FLOATS] = values[winner];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
   }
   if (item == 0) {
-    for (int k = 0; k < 6; k++) {
-      found[6 * group + k] = best[k];
+    for (int k = 0; k < FOUND_FLOATS; k++) {
+      found[FOUND_FLOATS * group + k] = best[k];
     }
   }
 }
@@ -136,18 +140,18 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb(
  * where none is better the step goes on to the next of its sizes.
  *
  * pages    int, width x height per map
- * guesses  float, seven per map, as for pose_loss
- * starts   float, five per map: x, y in cells of the window, yaw, cos, sin
- * sizes    float, four per size: cells, radians, cos and sin of them
- * tries    at most so many
- * found    float, six per map: x, y, yaw, cos, sin, score less loss
+ * hypotheses  float, HYPOTHESIS_FLOATS per map, as for pose_loss
+ * starts   float, START_FLOATS per map: x, y in cells of the window, yaw, cos, sin
+ * sizes    float, SIZE_FLOATS per size: cells, radians, cos and sin of them
+ * tries    tries in all, at most
+ * found    float, FOUND_FLOATS per map: x, y, yaw, cos, sin, score less loss
  *
  * Work-groups must have CLIMBERS items.
  */
 __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     __global const uchar *field, __global const int *pages, const int width, const int height,
     __global const float *points, const int count,
-    __global const float *guesses, __global const float *starts, __global const float *sizes,
+    __global const float *hypotheses, __global const float *starts, __global const float *sizes,
     const int size_count, const int tries, const float scale, __global float *found) {
   const int item = get_local_id(0), group = get_group_id(0);
   /* Base three: item 0 stays; 1 to 6 follow an axis, 7 to 14 a diagonal of the cube, 15 stays. */
@@ -157,20 +161,21 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
   const int along_y = is_axis ? (axis == 1 ? sign : 0) : is_corner ? ((corner & 2) ? 1 : -1) : 0;
   const int turn = is_axis ? (axis == 2 ? sign : 0) : is_corner ? ((corner & 4) ? 1 : -1) : 0;
   __global const int *own = pages + group * width * height;
-  __local float tried[CLIMBERS][5];
+  __global const float *hypothesis = hypotheses + HYPOTHESIS_FLOATS * group;
+  __local float tried[CLIMBERS][START_FLOATS];
   __local float values[CLIMBERS];
-  __local float best[6];
+  __local float best[FOUND_FLOATS];
   __local int at;
   if (item == 0) {
-    for (int k = 0; k < 5; k++) {
-      best[k] = starts[5 * group + k];
+    for (int k = 0; k < START_FLOATS; k++) {
+      best[k] = starts[START_FLOATS * group + k];
     }
     at = 0;
   }
   barrier(CLK_LOCAL_MEM_FENCE);
   for (int round = 0; round < tries; round++) {
     const int size = at;
-    __global const float *step = sizes + 4 * size;
+    __global const float *step = sizes + SIZE_FLOATS * size;
     const float x = best[0] + along_x * step[0], y = best[1] + along_y * step[0];
     const float yaw = best[2] + turn * step[1];
     const float dcos = turn == 0 ? 1.0f : step[2], dsin = turn * step[3];
@@ -178,7 +183,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     const float sin = best[4] * dcos + best[3] * dsin;
     const float4 pose = (float4)(x, y, cos, sin);
     const int sum = smooth_sum(field, own, width, height, points, count, pose);
-    values[item] = (float)sum * scale - pose_loss(guesses + 7 * group, 1, x, y, yaw);
+    values[item] = (float)sum * scale - pose_loss(hypothesis, 1, x, y, yaw);
     tried[item][0] = x;
     tried[item][1] = y;
     tried[item][2] = yaw;
@@ -190,10 +195,10 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
       for (int k = 1; k < CLIMBERS; k++) {
         winner = values[k] > values[winner] ? k : winner;
       }
-      for (int k = 0; k < 5; k++) {
+      for (int k = 0; k < START_FLOATS; k++) {
         best[k] = tried[winner][k];
       }
-      best[5] = values[winner];
+      best[START_FLOATS] = values[winner];
       at = winner == 0 ? size + 1 : size;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -202,8 +207,8 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
     }
   }
   if (item == 0) {
-    for (int k = 0; k < 6; k++) {
-      found[6 * group + k] = best[k];
+    for (int k = 0; k < FOUND_FLOATS; k++) {
+      found[FOUND_FLOATS * group + k] = best[k];
     }
   }
 }
@@ -211,7 +216,7 @@ __kernel __attribute__((reqd_work_group_size(CLIMBERS, 1, 1))) void climb_maps(
 /* Sums over the hits of what a table makes of the field, for some poses on each of many maps.
  *
  * poses    float4, each per map
- * table    int, 256
+ * table    int, TABLE_LAST + 1
  * sums     int, each per map
  */
 __kernel void score_maps(

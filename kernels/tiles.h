@@ -7,10 +7,6 @@
 #ifndef SLAMFUSION_TILES_H
 #define SLAMFUSION_TILES_H
 
-#define TILE_SHIFT 5
-#define TILE_MASK 31
-#define TILE_CELLS 1024
-
 /* Place of cell (x, y) in a pool; cells beyond the window fall on its border, which is empty. */
 INLINE int tile_cell(__global const int *pages, const int width, const int height, int x, int y) {
   const int last_x = (width << TILE_SHIFT) - 1, last_y = (height << TILE_SHIFT) - 1;

@@ -15,11 +15,11 @@ INLINE walk walk_of(const int end_x, const int end_y, const int laser_x, const i
   const int longest = wide > high ? wide : high;
   walk w;
   w.longest = longest > 0 ? longest : 1;
-  w.x = (long)end_x << 10;
-  w.y = (long)end_y << 10;
-  w.step_x = (long)wide * (1 << 20) / w.longest * (dx < 0 ? -1 : 1);
-  w.step_y = (long)high * (1 << 20) / w.longest * (dy < 0 ? -1 : 1);
-  w.steps = w.longest >> 10;
+  w.x = (long)end_x << WALK_TO_BEAM_SHIFT;
+  w.y = (long)end_y << WALK_TO_BEAM_SHIFT;
+  w.step_x = (long)wide * (1 << WALK_SHIFT) / w.longest * (dx < 0 ? -1 : 1);
+  w.step_y = (long)high * (1 << WALK_SHIFT) / w.longest * (dy < 0 ? -1 : 1);
+  w.steps = w.longest >> BEAM_SHIFT;
   return w;
 }
 

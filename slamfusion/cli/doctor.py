@@ -86,7 +86,8 @@ def has_two_rclpy() -> bool:
 
 def _self_test(device: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
     """Run the kernels on the chosen device; a device that cannot be opened is a failed test."""
-    from slamfusion.compute import open_backend, self_test  # noqa: PLC0415
+    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute.self_test import self_test  # noqa: PLC0415
 
     try:
         backend = open_backend(device)

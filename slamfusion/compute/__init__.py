@@ -1,42 +1,52 @@
-"""Everything that runs once per cell, per point or per candidate pose, on an OpenCL device.
+"""Everything that runs once per cell, per point or per candidate pose, on a compute device.
 
-``open_backend`` chooses the device; the NumPy twins are a backend too, for machines without
-OpenCL. pyopencl is imported here only, and only when an OpenCL device is asked for.
+Each family of operations (``fields``, ``search``, ``votes``, ``rays``, ``tiles``, ``scan_match``,
+``cell_means``, ``hit_counts``) is a small protocol, a ``numpy.py`` that defines it and an
+``opencl.py``; ``ComputeDevice`` is all of them. ``open_device`` chooses the device; the NumPy twins
+are a device too, for machines without OpenCL. pyopencl is imported here only, and only when an
+OpenCL device is asked for.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from slamfusion.compute.backend import Backend, NumpyBackend
-from slamfusion.compute.self_test import self_test
+from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
     from slamfusion.compute.device import DeviceInfo
 
-__all__ = ["Backend", "NumpyBackend", "list_devices", "open_backend", "self_test"]
+__all__ = [
+    "Backend",
+    "ComputeDevice",
+    "NumpyBackend",
+    "NumpyDevice",
+    "list_devices",
+    "open_backend",
+    "open_device",
+]
 
 
-def open_backend(device: str = "auto", *, small_kernels: bool = False) -> Backend:
-    """Return the backend for ``device``.
+def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
+    """Return the compute device that ``wanted`` names.
 
     Args:
-        device: ``auto``, ``numpy``, an index of ``slamfusion devices``, or part of a name.
+        wanted: ``auto``, ``numpy``, an index of ``slamfusion devices``, or part of a name.
         small_kernels: the work is many kernels of well below a millisecond, one after the other.
             Their thread holds Python's lock meanwhile, so it is not for a process that has more.
 
     Raises:
         DeviceError: pyopencl or the device is missing, or its kernels do not build.
     """
-    if device == "numpy":
-        return NumpyBackend()
+    if wanted == "numpy":
+        return NumpyDevice()
     try:
-        from slamfusion.compute.opencl import OpenCLBackend  # noqa: PLC0415 - optional at run time
+        from slamfusion.compute.opencl import OpenCLDevice  # noqa: PLC0415 - optional at run time
     except ImportError as error:
         message = f"pyopencl cannot be imported ({error}); install it or use `--device numpy`"
         raise DeviceError(message) from error
-    return OpenCLBackend(device, small_kernels=small_kernels)
+    return OpenCLDevice(wanted, small_kernels=small_kernels)
 
 
 def list_devices() -> list[DeviceInfo]:
@@ -46,3 +56,9 @@ def list_devices() -> list[DeviceInfo]:
     except ImportError:
         return []
     return device.list_devices()
+
+
+# Names of before; they go with the next commits.
+Backend: TypeAlias = ComputeDevice
+NumpyBackend: TypeAlias = NumpyDevice
+open_backend = open_device

@@ -8,7 +8,7 @@ from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.pocl import is_plain, name_processor, offer_plain
+from slamfusion.compute.pocl import is_single_thread, name_processor, offer_single_thread
 from slamfusion.compute.records import DeviceJson
 from slamfusion.errors import DeviceError
 
@@ -53,7 +53,7 @@ class DeviceInfo:
 def find_devices() -> list[Any]:
     """Return every OpenCL device, plain ones last; an empty list without any platform."""
     name_processor()
-    offer_plain()
+    offer_single_thread()
     try:
         platforms = cl.get_platforms()
     except cl.Error:
@@ -64,7 +64,7 @@ def find_devices() -> list[Any]:
             devices.extend(platform.get_devices())
         except cl.Error:
             continue
-    return sorted(devices, key=is_plain)
+    return sorted(devices, key=is_single_thread)
 
 
 def is_simulator(device: Any) -> bool:
@@ -76,7 +76,7 @@ def _note(device: Any) -> str:
     """Return when a device is chosen, where that is not plain."""
     if is_simulator(device):
         return "simulator, only when asked for by name"
-    return "one thread; for many small kernels" if is_plain(device) else ""
+    return "one thread; for many small kernels" if is_single_thread(device) else ""
 
 
 def _type_name(device: Any) -> str:
@@ -134,7 +134,7 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
             raise DeviceError(message) from error
         return context.devices[0], "PYOPENCL_CTX"
     real = [device for device in devices if not is_simulator(device) and device.available]
-    real.sort(key=lambda device: is_plain(device) != small_kernels)
+    real.sort(key=lambda device: is_single_thread(device) != small_kernels)
     for kind, words in (
         (cl.device_type.GPU, "the first GPU"),
         (cl.device_type.CPU, "the first CPU device, no GPU found"),

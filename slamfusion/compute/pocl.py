@@ -25,7 +25,7 @@ from pathlib import Path
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-__all__ = ["is_plain", "name_processor", "offer_plain", "processor_name"]
+__all__ = ["is_single_thread", "name_processor", "offer_single_thread", "processor_name"]
 
 LOG = logging.getLogger(__name__)
 # LLVM's names with the feature flags (as /proc/cpuinfo spells them) that each needs, best first.
@@ -54,7 +54,7 @@ def processor_name(flags: set[str]) -> str:
     return ANY_PROCESSOR
 
 
-def offer_plain() -> None:
+def offer_single_thread() -> None:
     """Let the wheel's PoCL show both of its devices; call it before listing devices.
 
     What ``POCL_DEVICES`` says stays, and so does the meaning of ``PYOPENCL_CTX``.
@@ -63,7 +63,7 @@ def offer_plain() -> None:
         os.environ.setdefault("POCL_DEVICES", "pthread basic")
 
 
-def is_plain(device: cl.Device) -> bool:
+def is_single_thread(device: cl.Device) -> bool:
     """Return whether a device runs its kernels in the thread that asks."""
     return bool(device.name.startswith("basic"))
 

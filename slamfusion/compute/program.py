@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from pathlib import Path
 from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
+from slamfusion.compute.compute_device import FAMILIES
+from slamfusion.compute.layout import kernel_options
 from slamfusion.errors import DeviceError
 
-__all__ = ["FAMILIES", "KernelProgram", "kernel_folder"]
+__all__ = ["KernelProgram", "kernel_folder"]
 
-FAMILIES = (
-    *("walls", "warp", "match", "bound", "vote", "raycast"),
-    *("scan_match", "tiny_map", "hit_map", "smear_map"),
-)
+LOG = logging.getLogger(__name__)
 
 
 def kernel_folder() -> Path:
@@ -36,9 +36,15 @@ class KernelProgram:
     """All kernel families, built for one device; a kernel object is fetched once and kept."""
 
     def __init__(self, context: Any, device: Any, options: tuple[str, ...] = ()) -> None:
-        """Build every family; a compiler's complaint becomes one DeviceError."""
+        """Build every family; a compiler's complaint becomes one DeviceError.
+
+        Args:
+            context, device: pyopencl's own.
+            options: of the compiler, beside the constants of ``layout``.
+        """
         folder = kernel_folder()
-        self.options = ("-w", "-I", str(folder), *options)
+        self.options = ("-w", "-I", str(folder), *kernel_options(), *options)
+        LOG.debug("kernels are built with %s", " ".join(self.options))
         self._kernels: dict[str, Any] = {}
         for family in FAMILIES:
             source = (folder / f"{family}.cl").read_text(encoding="utf-8")

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import Backend
-from slamfusion.compute.backend import SHIFT_LANES
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import SHIFT_LANES
 from slamfusion.compute.reference import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import (
@@ -203,7 +204,7 @@ class _ShiftSurface:
         self.width = cols[1] - cols[0]
         self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
 
-    def forward(self, yaws: F64, own: F64, backend: Backend) -> object:
+    def forward(self, yaws: F64, own: F64, backend: Backend) -> DeviceArray[np.int32]:
         """Moving walls on the reference's field: scores (K, shifts)."""
         reach = self.reach
         plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
@@ -217,7 +218,7 @@ class _ShiftSurface:
 
     def backward(
         self, yaws: F64, points: npt.NDArray[np.int32], centre: F64, backend: Backend
-    ) -> object:
+    ) -> DeviceArray[np.int32]:
         """Reference walls on the moving field, turned; read with shifts running backwards."""
         plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
         dx = 0.5 - self.cols[0] - self.width

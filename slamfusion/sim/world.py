@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import ObstacleConfig, PersonConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
@@ -14,7 +15,7 @@ from slamfusion.grid import OCCUPIED, OccupancyGrid
 
 __all__ = ["GLASS", "OPEN", "WALL", "Person", "World", "tilt_of", "zone_place"]
 
-OPEN, WALL, GLASS = 0, 1, 2
+
 Point = tuple[float, float]
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from slamfusion.compute import device as device_module
 from slamfusion.compute import list_devices, open_backend, program
+from slamfusion.compute.compute_device import FAMILIES
 from slamfusion.compute.device import NO_DEVICE, choose_device
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import POCL, SIMULATOR, WHEELS_EXIST
@@ -212,7 +213,7 @@ def test_missing_kernels_are_named(package: Path):
 @needs_wheels
 def test_source_that_does_not_build_is_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "common.h").touch()
-    for family in program.FAMILIES:
+    for family in FAMILIES:
         (tmp_path / f"{family}.cl").write_text("__kernel void broken( {", encoding="utf-8")
     monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
     with pytest.raises(DeviceError, match="does not build on") as caught:

@@ -1,8 +1,8 @@
-/* Score rigid motions: all shifts at once, given poses one by one, and the normal equations that
- * refine a pose below a cell.
+/* Score rigid motions: all shifts at once, given poses one by one, blocks of motions from above, and
+ * the normal equations that refine a pose below a cell.
  *
- * Twins: reference.correlate, reference.tile_peaks, reference.pose_counts (exact),
- * reference.refine_terms (float32, within 1e-3 of the sums).
+ * Twin: slamfusion/compute/search/numpy.py, by the same names; exact, but for refine_terms (float32,
+ * within 1e-3 of the sums).
  */
 #include "common.h"
 
@@ -10,13 +10,14 @@
  * Field values are 0..15, so sixteen of them add in one byte lane without a carry.
  * fields: uchar planes, field_stride bytes from one k to the next (0: one plane for all);
  * offsets (count or 1, points) int: row * field_width + col of each point, offset_stride ints apart;
- * scores (count, shift_height, shift_width) int, shift_width a multiple of 32.
- * Global: (shift_width / 32, (shift_height + 1) / 2, count). */
+ * scores (count, shift_height, shift_width) int, shift_width a multiple of SHIFT_LANES.
+ * Global: (shift_width / SHIFT_LANES, ceil(shift_height / SHIFT_ROWS), count). */
 __kernel void correlate(__global const uchar *fields, const int field_stride, const int field_width,
                         __global const int *offsets, const int offset_stride, const int points,
                         const int shift_height, const int shift_width, const int count,
                         __global int *scores) {
-  const int j = get_global_id(0) * 32, i = get_global_id(1) * 2, k = get_global_id(2);
+  const int j = get_global_id(0) * SHIFT_LANES, i = get_global_id(1) * SHIFT_ROWS;
+  const int k = get_global_id(2);
   if (j >= shift_width || i >= shift_height || k >= count) return;
   const int second = i + 1 < shift_height ? field_width : 0;
   __global const uchar *field = fields + (size_t)k * field_stride + (size_t)i * field_width + j;
@@ -108,11 +109,11 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * reference frame, applied after the pose, about the centre (cx, cy).
  *
  * Residual: the distance d at the mapped point, bilinear over cell centres, from a field in 1/256
- * cell. Weight: Geman-McClure,
- * 1 / (1 + (d / scale)^2)^2. Forward: points of the moving grid on the reference's field; the gradient is
- * used as it is, the arm is the mapped point. Backward: points of the reference on the moving field;
+ * cell. Weight: Geman-McClure, 1 / (1 + (d / scale)^2)^2.
+ * Forward: points of the moving grid on the reference's field; the gradient is used as it is, the arm
+ * is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
- * partial[p, chunk] = 10 floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
+ * partial[p, chunk] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
  * points (count, 2) float cells; poses (n, 4) float cos, sin, tx, ty in cells, points to field;
  * distance (height, width) ushort, 1/256 cell. Global: (chunks, n). */
 __kernel void refine_terms(__global const float *points, const int count,
@@ -124,8 +125,8 @@ __kernel void refine_terms(__global const float *points, const int count,
   if (c >= chunks || p >= n) return;
   const float cosine = poses[4 * p], sine = poses[4 * p + 1];
   const float tx = poses[4 * p + 2], ty = poses[4 * p + 3];
-  float sum[10];
-  for (int i = 0; i < 10; i++) sum[i] = 0.0f;
+  float sum[REFINE_TERMS];
+  for (int i = 0; i < REFINE_TERMS; i++) sum[i] = 0.0f;
   for (int i = c * chunk; i < min((c + 1) * chunk, count); i++) {
     const float px = points[2 * i], py = points[2 * i + 1];
     const float qx = cosine * px - sine * py + tx, qy = sine * px + cosine * py + ty;
@@ -134,8 +135,9 @@ __kernel void refine_terms(__global const float *points, const int count,
     if (col + 1 >= width || row + 1 >= height) continue;
     const float u = qx - 0.5f - col, v = qy - 0.5f - row;
     __global const ushort *at = distance + (size_t)row * width + col;
-    const float d00 = at[0] * (1.0f / 256), d01 = at[1] * (1.0f / 256);
-    const float d10 = at[width] * (1.0f / 256), d11 = at[width + 1] * (1.0f / 256);
+    const float d00 = at[0] * (1.0f / DISTANCE_ONE), d01 = at[1] * (1.0f / DISTANCE_ONE);
+    const float d10 = at[width] * (1.0f / DISTANCE_ONE);
+    const float d11 = at[width + 1] * (1.0f / DISTANCE_ONE);
     const float d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11);
     float gx = (1 - v) * (d01 - d00) + v * (d11 - d10);
     float gy = (1 - u) * (d10 - d00) + u * (d11 - d01);
@@ -161,5 +163,100 @@ __kernel void refine_terms(__global const float *points, const int count,
     sum[8] += weight * gt * d;
     sum[9] += weight;
   }
-  for (int i = 0; i < 10; i++) partial[(p * chunks + c) * 10 + i] = sum[i];
+  for (int i = 0; i < REFINE_TERMS; i++) partial[(p * chunks + c) * REFINE_TERMS + i] = sum[i];
+}
+
+/* Joint counts of two trinary grids: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk`
+ * cells; the host adds the chunks. a, b (cells) char; partial (chunks, 9) int. Global: (chunks). */
+__kernel void confusion(__global const char *a, __global const char *b, const int cells,
+                        const int chunk, __global int *partial) {
+  const int start = get_global_id(0) * chunk;
+  if (start >= cells) return;
+  int counts[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+  for (int i = start; i < min(start + chunk, cells); i++) counts[3 * a[i] + b[i] + 4]++;
+  for (int i = 0; i < 9; i++) partial[get_global_id(0) * 9 + i] = counts[i];
+}
+
+/* [F16] alignment error: partial[p, chunk] = sum of squared differences of the reference's cells and
+ * the moving cells under pose p, over every stride-th row and column; off the moving grid counts as
+ * unknown. a (height, width) char; b (b_height, b_width) char; poses (n, 4) long Q30, reference
+ * lattice to moving lattice; partial (n, chunks) int, chunk strided rows a chunk.
+ * Global: (chunks, n). */
+__kernel void squared_error(__global const char *a, const int height, const int width,
+                            __global const char *b, const int b_height, const int b_width,
+                            __global const long *poses, const int n, const int stride,
+                            const int chunk, const int chunks, __global int *partial) {
+  const int c = get_global_id(0), p = get_global_id(1);
+  if (c >= chunks || p >= n) return;
+  const long4 pose = vload4(p, poses);
+  int sum = 0;
+  for (int k = c * chunk; k < (c + 1) * chunk; k++) {
+    const int row = k * stride;
+    if (row >= height) break;
+    for (int col = 0; col < width; col += stride) {
+      const int2 cell = fixed_cell(pose, 2 * col + 1, 2 * row + 1);
+      const bool inside = cell.x >= 0 && cell.y >= 0 && cell.x < b_width && cell.y < b_height;
+      const int other = inside ? b[(size_t)cell.y * b_width + cell.x] : UNKNOWN;
+      const int difference = a[(size_t)row * width + col] - other;
+      sum += difference * difference;
+    }
+  }
+  partial[p * chunks + c] = sum;
+}
+
+/* Rearrange a field so that reads `step` cells apart lie side by side, reaching beyond its edges.
+ * Plane (a, b) of step x step planes holds the cells (row0 + a + step i, col0 + b + step j).
+ * field (height, width) uchar, fill outside; out (step, step, rows, cols) uchar.
+ * Global: (rows, step * step). */
+__kernel void polyphase(__global const uchar *field, const int height, const int width,
+                        const int row0, const int col0, const int step, const int rows,
+                        const int cols, const uchar fill, __global uchar *out) {
+  const int i = get_global_id(0), phase = get_global_id(1);
+  if (i >= rows || phase >= step * step) return;
+  const int row = row0 + phase / step + step * i, first = col0 + phase % step;
+  __global uchar *line = out + ((size_t)phase * rows + i) * cols;
+  /* Columns [from, to) lie on the field; a row off the field has none. */
+  int from = first >= 0 ? 0 : (-first + step - 1) / step;
+  int to = width > first ? (width - first + step - 1) / step : 0;
+  from = from < cols ? from : cols;
+  to = to < cols ? to : cols;
+  if (row < 0 || row >= height || to < from) from = to = cols;
+  for (int j = 0; j < from; j++) line[j] = fill;
+  __global const uchar *source = field + (row < 0 || row >= height ? 0 : (size_t)row * width);
+  for (int j = from; j < to; j++) line[j] = source[first + j * step];
+  for (int j = to; j < cols; j++) line[j] = fill;
+}
+
+/* Points between two looks at whether a block can still be of use. */
+#define POINTS_BETWEEN 16
+
+/* Upper bounds of a lattice score over blocks of motions (branch and bound); the argument for the
+ * bound stands in slamfusion/fusion/proof.py.
+ * bounds[b] = sum over points of the pooled field of the point's class at start + shift; -1 where
+ * that is not above `least`, which is seen before all points are read.
+ * blocks (count, 3) int: yaw group, row and column of the block's first shift;
+ * starts (groups, 2, points) int: rows, then columns of the points' windows for shift 0;
+ * classes (points) uchar: which pooled field a point reads; fields (classes, height, width) uchar,
+ * fill outside; bounds (count) int. Global: (count). */
+__kernel void bound_blocks(__global const int *blocks, const int count,
+                           __global const int *starts, __global const uchar *classes,
+                           const int points, __global const uchar *fields, const int height,
+                           const int width, const uchar fill, const int least,
+                           __global int *bounds) {
+  const int b = get_global_id(0);
+  if (b >= count) return;
+  const int row0 = blocks[3 * b + 1], col0 = blocks[3 * b + 2];
+  __global const int *rows = starts + (size_t)blocks[3 * b] * 2 * points, *cols = rows + points;
+  const size_t plane = (size_t)height * width;
+  int sum = 0;
+  for (int n = 0; n < points && sum + FIELD_ONE * (points - n) > least;) {
+    const int end = LOWER(n + POINTS_BETWEEN, points);
+    for (; n < end; n++) {
+      const int row = rows[n] + row0, col = cols[n] + col0;
+      const int inside = ((uint)row < (uint)height) & ((uint)col < (uint)width);
+      const int value = fields[classes[n] * plane + (inside ? row * width + col : 0)];
+      sum += inside ? value : fill;
+    }
+  }
+  bounds[b] = sum > least ? sum : -1;
 }

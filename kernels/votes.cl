@@ -1,26 +1,25 @@
 /* Let aligned grids vote cell by cell.
  *
  * Method: majority of unknown, free and occupied per cell; any tie for first place is occupied
- * ([F16]: two of three decide, three different values give 1). Twins: reference.vote_majority,
- * reference.vote_weighted, reference.vote_log_odds. All integer, so kernel and twin agree exactly.
+ * ([F16]: two of three decide, three different values give 1). Twin:
+ * slamfusion/compute/votes/numpy.py, by the same names. All integer, so kernel and twin agree exactly.
  *
- * Inputs are 1 to 32 grids of `cells` cells, each in its own buffer, so that none is copied to be
- * stacked; arguments beyond `count` are never read. Every work item takes `chunk` cells in a row (a
- * multiple of 32). Outputs: fused (cells) char -1 / 0 / 1; agreement (cells) char, share of the
+ * Inputs are 1 to MOST_INPUTS grids of `cells` cells, each in its own buffer, so that none is copied
+ * to be stacked; arguments beyond `count` are never read. Every work item takes `chunk` cells in a row (a
+ * multiple of BLOCK_CELLS). Outputs: fused (cells) char -1 / 0 / 1; agreement (cells) char, share of the
  * votes for the winner in percent, rounded half up, -1 without votes; dissent (planes, pitch)
  * uchar, bit n % 8 of plane n / 8 set where input n voted otherwise than the winner, the pitch being
- * `cells` rounded up to 32; phantom (chunks) int, cells of the chunk that are occupied in the fused
- * grid and in no input.
+ * `cells` rounded up to BLOCK_CELLS; phantom (chunks) int, cells of the chunk that are occupied in the
+ * fused grid and in no input.
  * Global: (chunks).
  */
 #include "common.h"
 
-#define MOST_INPUTS 32
 /* PoCL leaves min and max as calls. */
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define GRID __global const uchar *
-#define DISSENT_PITCH(cells) (((size_t)(cells) + 31) / 32 * 32)
+#define DISSENT_PITCH(cells) (((size_t)(cells) + BLOCK_CELLS - 1) / BLOCK_CELLS * BLOCK_CELLS)
 #define GRIDS                                                                                     \
   GRID g0, GRID g1, GRID g2, GRID g3, GRID g4, GRID g5, GRID g6, GRID g7, GRID g8, GRID g9,       \
       GRID g10, GRID g11, GRID g12, GRID g13, GRID g14, GRID g15, GRID g16, GRID g17, GRID g18,   \
@@ -33,8 +32,7 @@
 /* -- the majority, 32 cells at once --------------------------------------------------------------
  * A block is four words of eight cells, one byte lane a cell. Counts stay below 64, so lanes add,
  * subtract and compare without a carry. A flag is 0 or 1 in each lane, a mask 0 or 255. */
-#define BLOCK 32
-#define EACH(value) ((ulong4)((ulong)(value) * 0x0101010101010101UL))
+#define EACH(value) ((ulong4)((ulong)(value) * EACH_LANE))
 #define LOW EACH(0x01)
 #define HIGH EACH(0x80)
 
@@ -52,7 +50,7 @@ INLINE ulong4 occupied_flag(const ulong4 cell) { return (cell & LOW) ^ unknown_f
  * make one vector access of it, while PoCL leaves vload4 and vstore4 as calls, at twice the time. */
 INLINE ulong4 load_block(GRID from, const int cells) {
   ulong word[4] = {0, 0, 0, 0};
-  if (cells >= BLOCK) {
+  if (cells >= BLOCK_CELLS) {
     __global const ulong *words = (__global const ulong *)from;
     return (ulong4)(words[0], words[1], words[2], words[3]);
   }
@@ -62,7 +60,7 @@ INLINE ulong4 load_block(GRID from, const int cells) {
 
 INLINE void store_block(const ulong4 block, __global uchar *to, const int cells) {
   const ulong word[4] = {block.x, block.y, block.z, block.w};
-  if (cells >= BLOCK) {
+  if (cells >= BLOCK_CELLS) {
     __global ulong *words = (__global ulong *)to;
     words[0] = block.x;
     words[1] = block.y;
@@ -77,7 +75,7 @@ INLINE void store_block(const ulong4 block, __global uchar *to, const int cells)
 INLINE int count_lanes(const ulong4 flag) {
   const ulong word[4] = {flag.x, flag.y, flag.z, flag.w};
   int sum = 0;
-  for (int i = 0; i < BLOCK; i++) sum += ((const uchar *)word)[i];
+  for (int i = 0; i < BLOCK_CELLS; i++) sum += ((const uchar *)word)[i];
   return sum;
 }
 
@@ -153,10 +151,10 @@ __kernel void vote_majority(GRIDS, const int count, const int cells, const int u
   int phantoms = 0, at = start;
   /* The usual case, three inputs and unknown a value, with constants: the block unrolls. */
   if (count == 3 && unknown_votes)
-    for (; at + BLOCK <= stop; at += BLOCK)
-      phantoms += vote_block(grids, 3, at, BLOCK, pitch, 0, shares, share_count, fused, agreement,
-                             dissent);
-  for (; at < stop; at += BLOCK)
+    for (; at + BLOCK_CELLS <= stop; at += BLOCK_CELLS)
+      phantoms += vote_block(
+          grids, 3, at, BLOCK_CELLS, pitch, 0, shares, share_count, fused, agreement, dissent);
+  for (; at < stop; at += BLOCK_CELLS)
     phantoms += vote_block(grids, count, at, stop - at, pitch, abstains, shares, share_count, fused,
                            agreement, dissent);
   phantom[get_global_id(0)] = phantoms;

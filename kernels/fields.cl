@@ -1,8 +1,9 @@
 /* From trinary cells to what alignment looks at: surface walls, coarse grids, distance and score
- * fields.
+ * fields, grids resampled under rigid motions.
  *
- * Twins: reference.solid_walls, reference.surface_walls, reference.shrink, reference.distance_squared (both
- * passes), reference.look_up, reference.score_field. All integer, so kernel and twin agree exactly.
+ * Twin: slamfusion/compute/fields/numpy.py, by the same names; distance_columns and distance_rows
+ * are distance_squared, max_pair is a step of max_window. All integer, so kernel and twin agree
+ * exactly.
  * Work sizes: any local size; every kernel guards its global size.
  */
 #include "common.h"
@@ -64,16 +65,16 @@ __kernel void shrink(__global const uchar *walls, __global const char *cells, co
       free_cells += cells[r * width + c] == FREE;
     }
   out_wall[row * out_width + col] = wall;
-  out_free[row * out_width + col] = (uchar)((free_cells * 255) / (step * step));
+  out_free[row * out_width + col] = (uchar)((free_cells * FIELD_ONE) / (step * step));
 }
 
 /* First pass of the exact Euclidean distance (Meijster, Roerdink and Hesselink 2000): distance along
  * the column to the nearest wall, capped at DISTANCE_MAX.
- * walls (height, width) uchar, width a multiple of 16; out (height, width) ushort.
- * Global: (width / 16). */
+ * walls (height, width) uchar, width a multiple of DISTANCE_LANES; out (height, width) ushort.
+ * Global: (width / DISTANCE_LANES). */
 __kernel void distance_columns(__global const uchar *walls, const int height, const int width,
                                __global ushort *out) {
-  const int col = get_global_id(0) * 16;
+  const int col = get_global_id(0) * DISTANCE_LANES;
   if (col >= width) return;
   ushort16 last = DISTANCE_MAX;
   for (int row = 0; row < height; row++) {
@@ -99,11 +100,11 @@ INLINE bool any_above(const ushort16 lanes, const ushort value) {
 
 /* Second pass: squared distance, the minimum over the row of column distance squared plus offset
  * squared, capped at reach squared; reach at most DISTANCE_MAX.
- * columns, out (height, width) ushort, width a multiple of 16.
- * Global: (width / 16, height). */
+ * columns, out (height, width) ushort, width a multiple of DISTANCE_LANES.
+ * Global: (width / DISTANCE_LANES, height). */
 __kernel void distance_rows(__global const ushort *columns, const int height, const int width,
                             const int reach, __global ushort *out) {
-  const int col = get_global_id(0) * 16, row = get_global_id(1);
+  const int col = get_global_id(0) * DISTANCE_LANES, row = get_global_id(1);
   if (col >= width || row >= height) return;
   __global const ushort *line = columns + row * width;
   ushort16 best = as_ushort16(LOAD32(line + col));
@@ -112,12 +113,12 @@ __kernel void distance_rows(__global const ushort *columns, const int height, co
     /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
     if ((k & 7) == 1 && !any_above(best, (ushort)(k * k))) break;
     ushort16 left, right;
-    if (col - k >= 0 && col + k + 16 <= width) {
+    if (col - k >= 0 && col + k + DISTANCE_LANES <= width) {
       left = as_ushort16(LOAD32(line + col - k));
       right = as_ushort16(LOAD32(line + col + k));
     } else {
-      ushort l[16], r[16];
-      for (int i = 0; i < 16; i++) {
+      ushort l[DISTANCE_LANES], r[DISTANCE_LANES];
+      for (int i = 0; i < DISTANCE_LANES; i++) {
         l[i] = col + i - k >= 0 ? line[col + i - k] : (ushort)DISTANCE_MAX;
         r[i] = col + i + k < width ? line[col + i + k] : (ushort)DISTANCE_MAX;
       }
@@ -143,8 +144,8 @@ __kernel void look_up(__global const ushort *in, __global const ushort *table, c
 }
 
 /* What a wall point of the other map is worth in each cell:
- * base + hit[d2] - free * miss[d2] / 255, rounded down, within 0..255.
- * distance2 (cells) ushort; free_share (cells) uchar 0..255; hit, miss (DISTANCE2_MAX + 1) ushort;
+ * base + hit[d2] - free * miss[d2] / FIELD_ONE, rounded down, within 0..FIELD_ONE.
+ * distance2 (cells) ushort; free_share (cells) uchar 0..255; hit, miss one ushort for every d2;
  * out (cells) uchar. Global: (ceil(cells / RUN)). */
 __kernel void score_field(__global const ushort *distance2, __global const uchar *free_share,
                           __global const ushort *hit, __global const ushort *miss, const int base,
@@ -153,23 +154,24 @@ __kernel void score_field(__global const ushort *distance2, __global const uchar
   const int stop = first + RUN < cells ? first + RUN : cells;
   for (int index = first; index < stop; index++) {
     const int d2 = distance2[index];
-    const int value = base + hit[d2] - (free_share[index] * miss[d2]) / 255;
-    out[index] = (uchar)(value < 0 ? 0 : value > 255 ? 255 : value);
+    const int value = base + hit[d2] - (free_share[index] * miss[d2]) / FIELD_ONE;
+    out[index] = (uchar)(value < 0 ? 0 : value > FIELD_ONE ? FIELD_ONE : value);
   }
 }
 
 /* One doubling of a window maximum: the larger of each cell and the cell `shift` farther along the
  * row or the column; cells outside count as fill. A window of w starting at each cell takes about
  * log2(w) calls an axis.
- * field, out (height, width) uchar, not the same buffer. Global: (ceil(width / 32), height). */
+ * field, out (height, width) uchar, not the same buffer.
+ * Global: (ceil(width / WINDOW_LANES), height). */
 __kernel void max_pair(__global const uchar *field, const int height, const int width,
                        const int shift, const int along_rows, const uchar fill,
                        __global uchar *out) {
-  const int col = get_global_id(0) * 32, row = get_global_id(1);
+  const int col = get_global_id(0) * WINDOW_LANES, row = get_global_id(1);
   if (col >= width || row >= height) return;
   const size_t index = (size_t)row * width + col;
   const int step = along_rows ? shift : shift * width;
-  const int reach = col + 32 + (along_rows ? shift : 0);
+  const int reach = col + WINDOW_LANES + (along_rows ? shift : 0);
   if (reach <= width && (along_rows || row + shift < height)) {
     const ulong4 own = LOAD32(field + index), other = LOAD32(field + index + step);
     const uchar16 a = as_uchar16(own.lo), b = as_uchar16(other.lo);
@@ -178,10 +180,35 @@ __kernel void max_pair(__global const uchar *field, const int height, const int 
     STORE32((ulong4)(low, high), out + index);
     return;
   }
-  for (int i = 0; i < 32 && col + i < width; i++) {
+  for (int i = 0; i < WINDOW_LANES && col + i < width; i++) {
     const bool inside = along_rows ? col + i + shift < width : row + shift < height;
     const uchar other = inside ? field[index + i + step] : fill;
     const uchar own = field[index + i];
     out[index + i] = own > other ? own : other;
+  }
+}
+
+/* Nearest-cell resampling: out[k, row, col] = in at the fixed pose k of the centre of the output
+ * cell, fill outside. poses (count, 4) long Q30, output lattice to input lattice.
+ * in (height, width) char; out (count, out_height, out_width) char.
+ * A work item does RUN cells of a row: along it the position grows by a constant, two additions a
+ * cell instead of four products. Global: (ceil(out_width / RUN), out_height, count). */
+__kernel void warp(__global const char *in, const int height, const int width,
+                   __global const long *poses, const int count, const int out_height,
+                   const int out_width, const char fill, __global char *out) {
+  const int first = get_global_id(0) * RUN, row = get_global_id(1), k = get_global_id(2);
+  if (first >= out_width || row >= out_height || k >= count) return;
+  const long4 pose = vload4(k, poses);
+  const long x2 = 2 * first + 1, y2 = 2 * row + 1;
+  long x = pose.x * x2 - pose.y * y2 + pose.z, y = pose.y * x2 + pose.x * y2 + pose.w;
+  const long dx = 2 * pose.x, dy = 2 * pose.y;
+  __global char *line = out + ((size_t)k * out_height + row) * out_width;
+  const int stop = first + RUN < out_width ? first + RUN : out_width;
+  for (int col = first; col < stop; col++) {
+    const long c = x >> FIXED_TO_CELL_SHIFT, r = y >> FIXED_TO_CELL_SHIFT;
+    const bool inside = c >= 0 && r >= 0 && c < width && r < height;
+    line[col] = inside ? in[r * width + c] : fill;
+    x += dx;
+    y += dy;
   }
 }

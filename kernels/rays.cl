@@ -1,28 +1,25 @@
 /* Cast rays through a grid: cell by cell along each ray, none left out, none stepped over.
  *
  * Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, Eurographics 1987.
- * Unlike there the distance to the next edge is computed anew at each step and not added up, so
+ * Unlike there the distance to the next edge is computed at each step and not added up, so
  * that it does not drift and equals the twin's bit for bit.
- * Twin: reference.cast_rays; exact.
+ * Twin: slamfusion/compute/rays/numpy.py; exact.
  */
 #include "common.h"
-
-#define OPEN 0
-#define WALL 1
-#define GLASS 2
 
 /* hits[n] = distance to the first thing on ray n, its class, the cosine between the ray and the
  * normal of the cell edge it was met at, and the distance to the first wall, any glass passed.
  * Distances are in cells, INFINITY where nothing is within reach; off the grid is open.
  * cells (height, width) uchar: OPEN, WALL or GLASS;
- * rays (count, 6) float: x, y in cells, cos, sin, 1 / cos, 1 / sin (INFINITY for a cosine of 0);
- * hits (count, 4) float. Global: (count). */
+ * rays (count, RAY_FLOATS) float: x, y in cells, cos, sin, 1 / cos, 1 / sin (INFINITY for a cosine
+ * of 0);
+ * hits (count, RAY_HIT_FLOATS) float. Global: (count). */
 __kernel void cast_rays(__global const uchar *cells, const int height, const int width,
                         __global const float *rays, const int count, const float reach,
                         __global float *hits) {
   const int n = get_global_id(0);
   if (n >= count) return;
-  __global const float *ray = rays + 6 * n;
+  __global const float *ray = rays + RAY_FLOATS * n;
   const float x = ray[0], y = ray[1], cosine = ray[2], sine = ray[3];
   const float per_x = ray[4], per_y = ray[5];
   const int step_x = (cosine > 0.0f) - (cosine < 0.0f), step_y = (sine > 0.0f) - (sine < 0.0f);
@@ -65,7 +62,7 @@ __kernel void cast_rays(__global const uchar *cells, const int height, const int
       edge_y = step_y ? ((float)(row + ahead_y) - y) * per_y : INFINITY;
     }
   }
-  __global float *hit = hits + 4 * n;
+  __global float *hit = hits + RAY_HIT_FLOATS * n;
   hit[0] = first;
   hit[1] = (float)met;
   hit[2] = first_face;

@@ -10,26 +10,18 @@
  * A word of `counts`: hits (16 bits), visits (16); the visits include the hits. A word of `sums`:
  * over the hits, the sum of their offset in the cell in x (16 bits) and in y (16); an offset is 0 to
  * 15, in 1/16 cell, and stands for the middle of its sixteenth.
- * Twin: hit_map_reference; exact. Positions are float32 without contraction for that reason.
+ * Twin: slamfusion/compute/hit_counts/numpy.py, by the same names; exact. Positions are float32
+ * without contraction for that reason.
  */
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.h"
 #include "tiles.h"
 #include "walk.h"
 
-#define HIT 0x10000u
-#define VISITS 0xffffu
-/* Bits of a count that is full: 0x8000 visits, or 2048 hits. A scan has fewer beams than that, so
- * that no half of a word of `counts` or `sums` flows over. */
-#define FULL (2048u << 16 | 0x8000u)
-/* Offsets in the cell: from 1/1024 cell; half of one, and one, in 1/256 cell. */
-#define OFFSET_SHIFT 6
-#define HALF_OFFSET 8
-#define OFFSET_ONE 16
-#define SHARE_ONE 65536ul
-#define TABLE_LAST 255
-#define TILE_SIDE (1 << TILE_SHIFT)
-#define MOST_REACH 3
+#define HIT (1u << HITS_SHIFT)
+/* Bits of a count that is full. A scan has fewer beams than FULL_HITS, so that no half of a word of
+ * `counts` or `sums` flows over. */
+#define FULL ((uint)FULL_HITS << HITS_SHIFT | FULL_VISITS)
 #define BLOCK (4 * MOST_REACH + 1)
 
 /* What every kernel is told of a scan; work item = map * beams + beam.
@@ -45,8 +37,8 @@
 
 /* A position in cells as 1/1024 cells inside the window; what is no number becomes 0. */
 INLINE int fixed_place(const float cells, const int pages) {
-  const int limit = pages << (TILE_SHIFT + 10);
-  const float place = cells * 1024.0f;
+  const int limit = pages << (TILE_SHIFT + BEAM_SHIFT);
+  const float place = cells * (float)BEAM_ONE;
   const float above = place > 0.0f ? place : 0.0f;
   return above < (float)limit ? (int)above : limit - 1;
 }
@@ -71,7 +63,9 @@ INLINE int2 placed(const float4 pose, const float2 point, const int width, const
 
 /* Column and row of step i of a walk. */
 INLINE int2 walked_cell(const walk w, const int i) {
-  return (int2)((int)((w.x + i * w.step_x) >> 20), (int)((w.y + i * w.step_y) >> 20));
+  const int col = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
+  const int row = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
+  return (int2)(col, row);
 }
 
 /* Find the places in the pools of up to AHEAD cells of a walk, from step `first` on; return how many
@@ -130,39 +124,6 @@ __kernel void touch_pages(SCAN, const int reach, __global uchar *touched) {
   }
 }
 
-/* Copy tiles inside a pool; no target is a source.
- *
- * pool    TILE_CELLS values per tile, in words of 32 bytes
- * words   of a tile
- * pairs   int2 each: source and target; source 0, the empty tile, clears the target
- * Global: (words, count).
- */
-__kernel void copy_tiles(
-    __global ulong4 *pool, const int words, __global const int2 *pairs, const int count) {
-  const int word = get_global_id(0), n = get_global_id(1);
-  if (word < words && n < count) {
-    const int2 pair = pairs[n];
-    pool[(size_t)pair.y * words + word] = pool[(size_t)pair.x * words + word];
-  }
-}
-
-/* Fetch tiles of a pool.
- *
- * pool     TILE_CELLS values per tile, in words of 8 bytes
- * words    of a tile
- * numbers  int, count of them
- * tiles    count tiles
- * Global: (words, count).
- */
-__kernel void take_tiles(
-    __global const ulong *pool, const int words, __global const int *numbers, const int count,
-    __global ulong *tiles) {
-  const int word = get_global_id(0), n = get_global_id(1);
-  if (word < words && n < count) {
-    tiles[(size_t)n * words + word] = pool[(size_t)numbers[n] * words + word];
-  }
-}
-
 /* Count a scan: all cells from the end to the laser are visited, the end is hit if something was.
  *
  * is_hit  uchar per beam
@@ -184,11 +145,11 @@ __kernel void count_beams(
   __global const int *own = pages + map * width * height;
   uint seen = 0, more = (uint)sign;
   if (is_hit[beam]) {
-    const int at = tile_cell(own, width, height, end.x >> 10, end.y >> 10);
+    const int at = tile_cell(own, width, height, end.x >> BEAM_SHIFT, end.y >> BEAM_SHIFT);
     if (at >= TILE_CELLS) {
-      const uint x = (uint)(end.x & 1023) >> OFFSET_SHIFT;
-      const uint y = (uint)(end.y & 1023) >> OFFSET_SHIFT;
-      atomic_add(sums + at, (uint)sign * (x << 16 | y));
+      const uint x = (uint)(end.x & BEAM_MASK) >> OFFSET_SHIFT;
+      const uint y = (uint)(end.y & BEAM_MASK) >> OFFSET_SHIFT;
+      atomic_add(sums + at, (uint)sign * (x << SUM_SHIFT | y));
     }
     more = (uint)sign * (HIT + 1);
   }
@@ -250,10 +211,10 @@ INLINE void settle_cell(
     mine[k] = 0;
     for (int side = 0; side < 2; side++) {
       const int tile = tiles[row >> TILE_SHIFT][side];
-      const uint bits = (uint)(square >> (side * TILE_SIDE));
+      const uint bits = (uint)(square >> (side * TILE));
       if (tile != 0 && bits != 0) {
-        const uint before = atomic_or(claimed + tile * TILE_SIDE + (row & TILE_MASK), bits);
-        mine[k] |= (ulong)(bits & ~before) << (side * TILE_SIDE);
+        const uint before = atomic_or(claimed + tile * TILE + (row & TILE_MASK), bits);
+        mine[k] |= (ulong)(bits & ~before) << (side * TILE);
       }
     }
     cols |= mine[k];
@@ -274,12 +235,12 @@ INLINE void settle_cell(
     }
     for (int col = left; col <= left + 4 * reach; col++) {
       const int at = block_cell(tiles, col, row);
-      const uint count = counts[at], hits = count >> 16, visits = count & VISITS;
+      const uint count = counts[at], hits = count >> HITS_SHIFT, visits = count & VISITS_MASK;
       if (hits >= least_hits && (ulong)hits * SHARE_ONE > (ulong)occupied * visits &&
           (cols >> col & 1)) {
-        const uint sum = sums[at];
-        wall_x[walls] = (col << 8) + HALF_OFFSET + (int)((sum >> 16) * OFFSET_ONE / hits);
-        wall_y[walls] = (row << 8) + HALF_OFFSET + (int)((sum & 0xffffu) * OFFSET_ONE / hits);
+        const uint sum_x = sums[at] >> SUM_SHIFT, sum_y = sums[at] & SUM_MASK;
+        wall_x[walls] = (col << CELL_SHIFT) + OFFSET_HALF + (int)(sum_x * OFFSET_ONE / hits);
+        wall_y[walls] = (row << CELL_SHIFT) + OFFSET_HALF + (int)(sum_y * OFFSET_ONE / hits);
         walls++;
       }
     }
@@ -294,10 +255,11 @@ INLINE void settle_cell(
       /* No branches: this loop turns into vectors. */
       int least = INT_MAX;
       for (int n = 0; n < walls; n++) {
-        const int across = (wall_x[n] >> 8) - col, along = (wall_y[n] >> 8) - row;
+        const int across = (wall_x[n] >> CELL_SHIFT) - col, along = (wall_y[n] >> CELL_SHIFT) - row;
         const int is_far =
             (across > reach) | (across < -reach) | (along > reach) | (along < -reach);
-        const int dx = wall_x[n] - (col << 8) - 128, dy = wall_y[n] - (row << 8) - 128;
+        const int dx = wall_x[n] - (col << CELL_SHIFT) - CELL_HALF;
+        const int dy = wall_y[n] - (row << CELL_SHIFT) - CELL_HALF;
         const int distance2 = is_far ? INT_MAX : dx * dx + dy * dy;
         least = distance2 < least ? distance2 : least;
       }
@@ -312,8 +274,8 @@ INLINE void settle_cell(
  *
  * field       uchar pool: the best that the table gives an occupied cell within `reach` cells
  * claimed     uint, a word per row of a tile, 0 before: cells whose field somebody renews
- * table       uchar, 256, never rising: of the squared distance, in 1/256 cell, from the cell's
- *             centre to the mean hit of the occupied cell, shifted right by `shift`; the last for
+ * table       uchar, TABLE_LAST + 1, never rising: of the squared distance, in 1/256 cell, from the
+ *             cell's centre to the mean hit of the occupied cell, shifted right by `shift`; the last for
  *             all beyond
  * reach       cells, 0 to MOST_REACH
  * occupied    a cell is occupied with more hits than this share of its visits, in 1/65536,

@@ -1,0 +1,224 @@
+/* Map updates of SLAMs whose cells keep a mean of what scans told them.
+ *
+ * A scan is one observation of a cell, however many of its beams cross it: first every beam marks its
+ * cells, the strongest word about a cell wins (atomic maximum, so the order does not matter), then
+ * whoever comes first integrates that word into the cell and clears it. So the result does not depend
+ * on the device's schedule, and between two scans every word of the `observed` pool is 0.
+ *
+ * tinySLAM [H16] (mark_scan, integrate_scan): Steux and El Hamzaoui, ICARCV 2010 (a beam leaves a
+ * valley around its hit), with the cell models of Huletski, Kartashov and Krinkin, 2016.
+ * The graph's submaps (mark_likelihood, update_likelihood): each cell averages how near the scans'
+ * hits came to it (a wall likelihood as in Olson, ICRA 2009). A scan tells a cell how near its nearest
+ * hit lies, or that a beam passed and nothing was near. So walls that were seen often are as sharp as
+ * the scans agree, and do not grow.
+ *
+ * Words of the `observed` pools and the state of a cell: slamfusion/compute/layout.py.
+ * Twin: slamfusion/compute/cell_means/numpy.py, by the same names; exact.
+ */
+#include "common.h"
+#include "tiles.h"
+#include "walk.h"
+
+/* The cell models of `joined`; any other number is the mean. */
+#define MODEL_BASE 0
+
+/* -- tinySLAM ----------------------------------------------------------------------------------- */
+
+/* A beam: x, y of its hit and of the laser in 1/1024 cell, length likewise, value of a hit. */
+INLINE walk beam_walk(__global const int *beam) {
+  return walk_of(beam[0], beam[1], beam[2], beam[3]);
+}
+
+/* Length of a step of the beam's walk in 1/2^20 cell. */
+INLINE long beam_step(__global const int *beam, const walk w) {
+  return (long)beam[4] * (1 << WALK_SHIFT) / w.longest;
+}
+
+/* Mark the cells of each beam.
+ *
+ * observed   uint pool
+ * pages      int, width x height
+ * beams      VALLEY_BEAM_INTS ints per beam, see above; the last is the value at the ridge of the
+ *            valley, 0 to VALUE_ONE
+ * half_blur  half width of the valley, 1/1024 cell
+ * behind     least value that is written behind the hit
+ * free       value of a cell that the beam passed, 0 to VALUE_ONE
+ * wanted     int: [0] whether a page was missing, [1 + page] which
+ */
+__kernel void mark_scan(
+    __global uint *observed, __global const int *pages, const int width, const int height,
+    __global const int *beams, const int count, const int half_blur,
+    const int behind, const int free, __global int *wanted) {
+  const int item = get_global_id(0);
+  if (item >= count) {
+    return;
+  }
+  __global const int *beam = beams + VALLEY_BEAM_INTS * item;
+  const int rise = beam[5] > free ? beam[5] - free : 0;
+  const walk w = beam_walk(beam);
+  const long step = beam_step(beam, w);
+  const long reach = step > 0 ? ((long)half_blur << WALK_TO_BEAM_SHIFT) / step : 0;
+  for (long i = -reach; i <= w.steps; i++) {
+    const long away = ((i < 0 ? -i : i) * step) >> WALK_TO_BEAM_SHIFT;
+    int value = free;
+    if (away < half_blur) {
+      value = free + (int)(rise * (half_blur - away) / half_blur);
+    }
+    if (i < 0 && value < behind) {
+      continue;
+    }
+    if (i == 0) {
+      value = beam[5];
+    }
+    const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
+    const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
+    const uint word = (uint)((i == 0) << HIT_SHIFT | value << VALUE_SHIFT | (i >= 0));
+    mark_cell(observed, pages, width, wanted, x, y, word);
+  }
+}
+
+/* Join an observation (0 to VALUE_ONE) to a cell's state. */
+INLINE uint joined(const uint state, const int value, const int quality, const int model) {
+  const int mean = (int)(state >> MEAN_SHIFT), seen = (int)(state & MOST_OBSERVATIONS);
+  const int told = value << VALUE_TO_MEAN_SHIFT;
+  int next;
+  if (model == MODEL_BASE) {
+    next = mean + (int)(((long)(told - mean) * quality) >> QUALITY_SHIFT);
+  } else {
+    const int pulled =
+        MEAN_HALF + (int)(((long)(told - MEAN_HALF) * quality) >> QUALITY_SHIFT);
+    next = mean + (pulled - mean) / (seen + 1);
+  }
+  const int more = seen < MOST_OBSERVATIONS ? seen + 1 : seen;
+  return (uint)next << MEAN_SHIFT | (uint)more;
+}
+
+/* Integrate what the scan marked into the cells.
+ *
+ * valley     uint pool of states: what the matcher sees, with the blur
+ * map        uint pool of states: what is published; cells behind a hit learn nothing here
+ * field      uchar pool: the score field of scan_match.cl, 0 where the valley is no wall
+ * map_free   value of a free cell in `map`, 0 to VALUE_ONE
+ * quality    in 1/2^QUALITY_SHIFT: 0 teaches nothing, 1 everything
+ * model      0 base, 1 mean
+ * wall_floor mean up to which the score field is 0, 1/2^MEAN_BITS
+ * wall_gain  what a mean above it adds to the field
+ */
+__kernel void integrate_scan(
+    __global uint *observed, __global uint *valley, __global uint *map, __global uchar *field,
+    __global const int *pages, const int width, const int height, __global const int *beams,
+    const int count, const int half_blur, const int map_free, const int quality, const int model,
+    const int wall_floor, const int wall_gain) {
+  const int item = get_global_id(0);
+  if (item >= count) {
+    return;
+  }
+  __global const int *beam = beams + VALLEY_BEAM_INTS * item;
+  const walk w = beam_walk(beam);
+  const long step = beam_step(beam, w);
+  const long reach = step > 0 ? ((long)half_blur << WALK_TO_BEAM_SHIFT) / step : 0;
+  for (long i = -reach; i <= w.steps; i++) {
+    const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
+    const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
+    const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
+    const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
+    const uint word = take_word(observed + at);
+    if (word == 0u) {
+      continue;
+    }
+    const int value = (int)(word >> VALUE_SHIFT & VALUE_ONE);
+    const uint next = joined(valley[at], value, quality, model);
+    const int wall = ((int)(next >> MEAN_SHIFT) - wall_floor) * wall_gain >> MEAN_BITS;
+    valley[at] = next;
+    field[at] = (uchar)(wall < 0 ? 0 : wall > FIELD_ONE ? FIELD_ONE : wall);
+    if (word & 1u) {
+      map[at] = joined(map[at], word >> HIT_SHIFT ? value : map_free, quality, model);
+    }
+  }
+}
+
+/* -- the likelihood field of a submap ----------------------------------------------------------- */
+
+/* Mark the cells of each beam.
+ *
+ * observed  uint pool
+ * pages     int, width x height; every cell within `reach` of a beam lies in the window
+ * beams     BEAM_INTS ints per beam: x, y of its hit and of the laser, 1/1024 cell
+ * table     uchar, TABLE_LAST + 1: value by the squared distance from a cell's centre to the hit, in
+ *           (1/1024 cell)^2, shifted right by `shift`; the last for all beyond
+ * reach     cells around the hit's own that learn of it
+ * wanted    int: [0] whether a page was missing, [1 + page] which
+ */
+__kernel void mark_likelihood(
+    __global uint *observed, __global const int *pages, const int width, const int height,
+    __global const int *beams, const int count, __global const uchar *table, const int shift,
+    const int reach, __global int *wanted) {
+  const int item = get_global_id(0);
+  if (item >= count) {
+    return;
+  }
+  __global const int *beam = beams + BEAM_INTS * item;
+  const walk w = walk_of(beam[0], beam[1], beam[2], beam[3]);
+  for (long i = 1; i <= w.steps; i++) {
+    const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
+    const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
+    mark_cell(observed, pages, width, wanted, x, y, 1u);
+  }
+  const int col = beam[0] >> BEAM_SHIFT, row = beam[1] >> BEAM_SHIFT;
+  for (int y = row - reach; y <= row + reach; y++) {
+    for (int x = col - reach; x <= col + reach; x++) {
+      const long dx = beam[0] - (x << BEAM_SHIFT) - BEAM_HALF;
+      const long dy = beam[1] - (y << BEAM_SHIFT) - BEAM_HALF;
+      const long step = (dx * dx + dy * dy) >> shift;
+      const uint value = table[step < TABLE_LAST ? step : TABLE_LAST];
+      mark_cell(observed, pages, width, wanted, x, y, value << LIKELIHOOD_SHIFT | 1u);
+    }
+  }
+}
+
+INLINE void update_cell(
+    __global uint *observed, __global uint *states, __global uchar *field,
+    __global const int *pages, const int width, const int x, const int y, const int most) {
+  const int tile = pages[(y >> TILE_SHIFT) * width + (x >> TILE_SHIFT)];
+  const int at = tile * TILE_CELLS + ((y & TILE_MASK) << TILE_SHIFT) + (x & TILE_MASK);
+  const uint word = take_word(observed + at);
+  if (word == 0u) {
+    return;
+  }
+  const uint state = states[at];
+  const int mean = (int)(state >> MEAN_SHIFT), seen = (int)(state & MOST_OBSERVATIONS);
+  const int more = seen < most ? seen + 1 : most;
+  const int told = (int)(word >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE;
+  const int next = mean + (told - mean) / more;
+  states[at] = (uint)next << MEAN_SHIFT | (uint)more;
+  field[at] = (uchar)(next / LIKELIHOOD_ONE);
+}
+
+/* Update the likelihood field by what the scan marked.
+ *
+ * states  uint pool: mean likelihood and observations
+ * field   uchar pool: the score field of scan_match.cl, the mean itself
+ * most    observations that a cell remembers, 1 to MOST_OBSERVATIONS: its mean forgets what is older
+ */
+__kernel void update_likelihood(
+    __global uint *observed, __global uint *states, __global uchar *field,
+    __global const int *pages, const int width, const int height, __global const int *beams,
+    const int count, const int reach, const int most) {
+  const int item = get_global_id(0);
+  if (item >= count) {
+    return;
+  }
+  __global const int *beam = beams + BEAM_INTS * item;
+  const walk w = walk_of(beam[0], beam[1], beam[2], beam[3]);
+  for (long i = 1; i <= w.steps; i++) {
+    const int x = (int)((w.x + i * w.step_x) >> WALK_SHIFT);
+    const int y = (int)((w.y + i * w.step_y) >> WALK_SHIFT);
+    update_cell(observed, states, field, pages, width, x, y, most);
+  }
+  const int col = beam[0] >> BEAM_SHIFT, row = beam[1] >> BEAM_SHIFT;
+  for (int y = row - reach; y <= row + reach; y++) {
+    for (int x = col - reach; x <= col + reach; x++) {
+      update_cell(observed, states, field, pages, width, x, y, most);
+    }
+  }
+}

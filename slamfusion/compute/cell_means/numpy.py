@@ -1,0 +1,236 @@
+"""The NumPy twins of the updates of cell means: each function defines the kernel of its name.
+
+All whole numbers: equal to the kernels' exactly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.cell_means import BeamRule, SmearRule
+from slamfusion.compute.layout import (
+    BEAM_HALF,
+    BEAM_SHIFT,
+    FIELD_ONE,
+    HIT_SHIFT,
+    LIKELIHOOD_ONE,
+    LIKELIHOOD_SHIFT,
+    MEAN_BITS,
+    MEAN_HALF,
+    MEAN_SHIFT,
+    MOST_OBSERVATIONS,
+    QUALITY_SHIFT,
+    TABLE_LAST,
+    TILE,
+    VALUE_ONE,
+    VALUE_SHIFT,
+    VALUE_TO_MEAN_SHIFT,
+    WALK_SHIFT,
+    WALK_TO_BEAM_SHIFT,
+)
+
+__all__ = [
+    "smear_fold",
+    "smear_mark",
+    "tiny_fold",
+    "tiny_mark",
+]
+
+U8 = npt.NDArray[np.uint8]
+U32 = npt.NDArray[np.uint32]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+
+
+class _Walks(NamedTuple):
+    """Every step of every beam, flat: its beam, its number (0 at the hit) and its cell."""
+
+    beam: I64
+    i: I64
+    col: I64
+    row: I64
+    step: I64
+
+
+def _walks(beams: I32, half_blur: int) -> _Walks:
+    """Walk each beam from behind its hit to the laser, one cell of the longer axis a step."""
+    hit_x, hit_y, laser_x, laser_y, length, _ = beams.astype(np.int64).T
+    dx, dy = laser_x - hit_x, laser_y - hit_y
+    longest = np.maximum(np.abs(dx), np.abs(dy))
+    m = np.maximum(longest, 1)
+    step_x = np.abs(dx) * (1 << WALK_SHIFT) // m * np.where(dx < 0, -1, 1)
+    step_y = np.abs(dy) * (1 << WALK_SHIFT) // m * np.where(dy < 0, -1, 1)
+    step = length * (1 << WALK_SHIFT) // m
+    reach = np.where(step > 0, (half_blur << WALK_TO_BEAM_SHIFT) // np.maximum(step, 1), 0)
+    counts = reach + (longest >> BEAM_SHIFT) + 1
+    beam = np.repeat(np.arange(len(beams)), counts)
+    i = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts) - reach[beam]
+    col = ((hit_x[beam] << WALK_TO_BEAM_SHIFT) + i * step_x[beam]) >> WALK_SHIFT
+    row = ((hit_y[beam] << WALK_TO_BEAM_SHIFT) + i * step_y[beam]) >> WALK_SHIFT
+    return _Walks(beam, i, col, row, step[beam])
+
+
+def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32) -> bool:
+    """Write into ``observed``, in place, what the beams of a scan say of their cells.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays: a hit over the
+            greatest value over in front over behind.
+        pages: (PH, PW) int32.
+        beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in 1/1024
+            cell, the value at the ridge of the valley, 0 to 4095. All inside the window.
+        rule: see ``BeamRule``.
+        wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
+            tile yet; those cells are left out.
+
+    Returns:
+        Whether a page was missing: provide tiles and mark again, which changes nothing twice.
+    """
+    w = _walks(beams, rule.half_blur)
+    away = (np.abs(w.i) * w.step) >> WALK_TO_BEAM_SHIFT
+    half = max(1, rule.half_blur)
+    value = np.full(len(w.i), rule.free, dtype=np.int64)
+    near = away < rule.half_blur
+    rise = np.maximum(beams[w.beam, 5].astype(np.int64) - rule.free, 0)
+    value[near] += (rise * (rule.half_blur - away) // half)[near]
+    keep = (w.i >= 0) | (value >= rule.behind)
+    value[w.i == 0] = beams[w.beam[w.i == 0], 5]
+    word = (w.i == 0).astype(np.int64) << HIT_SHIFT | value << VALUE_SHIFT | (w.i >= 0)
+    tiles = pages[w.row // TILE, w.col // TILE]
+    missing = keep & (tiles == 0)
+    wanted[1 + (w.row // TILE * pages.shape[1] + w.col // TILE)[missing]] = 1
+    wanted[0] |= int(missing.any())
+    put = keep & (tiles != 0)
+    at = (tiles[put], w.row[put] % TILE, w.col[put] % TILE)
+    np.maximum.at(observed, at, word[put].astype(np.uint32))
+    return bool(wanted[0])
+
+
+def _joined(state: I64, value: I64, rule: BeamRule) -> I64:
+    """Join observations (0 to 4095) to the states of cells, by the cell model."""
+    mean, seen = state >> MEAN_SHIFT, state & MOST_OBSERVATIONS
+    told = value << VALUE_TO_MEAN_SHIFT
+    if rule.is_mean:
+        change = MEAN_HALF + (((told - MEAN_HALF) * rule.quality) >> QUALITY_SHIFT) - mean
+        following = mean + np.sign(change) * (np.abs(change) // (seen + 1))
+    else:
+        following = mean + (((told - mean) * rule.quality) >> QUALITY_SHIFT)
+    return np.asarray(following << MEAN_SHIFT | np.minimum(seen + 1, MOST_OBSERVATIONS))
+
+
+def tiny_fold(
+    observed: U32,
+    valley: U32,
+    published: U32,
+    field: U8,
+    pages: I32,
+    beams: I32,
+    rule: BeamRule,
+) -> None:
+    """Fold, in place, what a scan marked into the cells; each cell learns once a scan.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, as ``tiny_mark`` left it; becomes 0.
+        valley: (T, TILE, TILE) uint32 states with the blur, for the matcher.
+        published: the same without the blur and without what lies behind hits.
+        field: (T, TILE, TILE) uint8: how much of a wall the valley is, 0 to 255.
+        pages: (PH, PW) int32.
+        beams: as for ``tiny_mark``.
+        rule: as for ``tiny_mark``.
+    """
+    w = _walks(beams, rule.half_blur)
+    places = np.stack((pages[w.row // TILE, w.col // TILE], w.row % TILE, w.col % TILE), axis=-1)
+    places = np.unique(places, axis=0)
+    words = observed[tuple(places.T)].astype(np.int64)
+    places, words = (item[words > 0] for item in (places, words))
+    at = tuple(places.T)
+    observed[at] = 0
+    value = words >> VALUE_SHIFT & VALUE_ONE
+    state = _joined(valley[at].astype(np.int64), value, rule)
+    valley[at] = state.astype(np.uint32)
+    walls = ((state >> MEAN_SHIFT) - rule.wall_floor) * rule.wall_gain >> MEAN_BITS
+    field[at] = np.clip(walls, 0, FIELD_ONE).astype(np.uint8)
+    front = (words & 1) == 1
+    at = tuple(places[front].T)
+    told = np.where(words[front] >> HIT_SHIFT, value[front], rule.map_free)
+    published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)
+
+
+def _smears(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
+    """Return beam, column and row of every cell that beams speak of, and whether it is passed."""
+    flat = np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32)))
+    w = _walks(flat, 0)
+    way = w.i >= 1
+    around = np.arange(-reach, reach + 1)
+    rows, cols = (axis.ravel() for axis in np.meshgrid(around, around, indexing="ij"))
+    col = (beams[:, :1].astype(np.int64) >> BEAM_SHIFT) + cols
+    row = (beams[:, 1:2].astype(np.int64) >> BEAM_SHIFT) + rows
+    beam = np.repeat(np.arange(len(beams)), len(rows))
+    passed = np.concatenate((np.ones(int(way.sum()), np.int64), np.zeros(col.size, np.int64)))
+    return (
+        np.concatenate((w.beam[way], beam)),
+        np.concatenate((w.col[way], col.ravel())),
+        np.concatenate((w.row[way], row.ravel())),
+        passed,
+    )
+
+
+def smear_mark(observed: U32, pages: I32, beams: I32, rule: SmearRule, wanted: I32) -> bool:
+    """Write into ``observed``, in place, how near the hits of a scan come to the cells.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, 0 before; the strongest word stays.
+        pages: (PH, PW) int32.
+        beams: (B, 4) int32: x, y of the hit and of the laser in 1/1024 cell; all that they come
+            near to inside the window.
+        rule: see ``SmearRule``.
+        wanted: as for ``tiny_mark``.
+
+    Returns:
+        Whether a page was missing: provide tiles and mark again, which changes nothing twice.
+    """
+    beam, col, row, passed = _smears(beams, rule.reach)
+    hit_x, hit_y = beams[beam, 0].astype(np.int64), beams[beam, 1].astype(np.int64)
+    dx, dy = hit_x - (col << BEAM_SHIFT) - BEAM_HALF, hit_y - (row << BEAM_SHIFT) - BEAM_HALF
+    step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
+    value = np.where(passed == 1, 0, rule.table[step].astype(np.int64))
+    tiles = pages[row // TILE, col // TILE]
+    missing = tiles == 0
+    wanted[1 + (row // TILE * pages.shape[1] + col // TILE)[missing]] = 1
+    wanted[0] |= int(missing.any())
+    put = ~missing
+    at = (tiles[put], row[put] % TILE, col[put] % TILE)
+    np.maximum.at(observed, at, (value[put] << LIKELIHOOD_SHIFT | 1).astype(np.uint32))
+    return bool(wanted[0])
+
+
+def smear_fold(
+    observed: U32, states: U32, field: U8, pages: I32, beams: I32, rule: SmearRule
+) -> None:
+    """Fold, in place, what a scan marked into the cells' means; each cell learns once a scan.
+
+    Args:
+        observed: (T, TILE, TILE) uint32, as ``smear_mark`` left it; becomes 0.
+        states: (T, TILE, TILE) uint32: mean in 1/2^20 of 255 above 12 bits of observations.
+        field: (T, TILE, TILE) uint8: the mean.
+        pages: (PH, PW) int32.
+        beams: as for ``smear_mark``.
+        rule: as for ``smear_mark``.
+    """
+    _, col, row, _ = _smears(beams, rule.reach)
+    places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
+    places = np.unique(places, axis=0)
+    words = observed[tuple(places.T)].astype(np.int64)
+    places, words = (item[words > 0] for item in (places, words))
+    at = tuple(places.T)
+    observed[at] = 0
+    state = states[at].astype(np.int64)
+    mean = state >> MEAN_SHIFT
+    more = np.minimum((state & MOST_OBSERVATIONS) + 1, rule.most)
+    change = (words >> LIKELIHOOD_SHIFT) * LIKELIHOOD_ONE - mean
+    following = mean + np.sign(change) * (np.abs(change) // more)
+    states[at] = (following << MEAN_SHIFT | more).astype(np.uint32)
+    field[at] = (following // LIKELIHOOD_ONE).astype(np.uint8)

@@ -1,0 +1,262 @@
+"""The NumPy twins of the search kernels: each function defines the kernel of its name.
+
+Whole numbers equal the kernels' exactly; ``refine_terms`` is float32 on the device and float64
+here, and agrees to a stated tolerance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.layout import COUNT_TERMS, DISTANCE_ONE, REFINE_TERMS, UNKNOWN
+
+__all__ = [
+    "bound_blocks",
+    "confusion",
+    "correlate",
+    "polyphase",
+    "pose_counts",
+    "refine_terms",
+    "squared_error",
+    "tile_peaks",
+]
+
+U8 = npt.NDArray[np.uint8]
+U16 = npt.NDArray[np.uint16]
+I8 = npt.NDArray[np.int8]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+
+def confusion(a: I8, b: I8) -> I64:
+    """Return (3, 3) int64 joint counts of two trinary grids of one shape; index is value + 1."""
+    index = 3 * (a.astype(np.int64) + 1) + (b + 1)
+    return np.bincount(index.ravel(), minlength=9).reshape(3, 3).astype(np.int64)
+
+
+def squared_error(a: I8, b: I8, poses: I64, stride: int) -> I64:
+    """Return the [F16] squared error of the moving grid under each pose.
+
+    Args:
+        a: (H, W) int8 reference in {-1, 0, 1}. b: (h, w) int8 moving; off it counts as unknown.
+        poses: (P, 4) int64 fixed poses, reference lattice to moving lattice.
+        stride: only every stride-th row and column of the reference counts.
+
+    Returns:
+        (P,) int64.
+    """
+    y2, x2 = np.meshgrid(
+        2 * np.arange(0, a.shape[0], stride, dtype=np.int64) + 1,
+        2 * np.arange(0, a.shape[1], stride, dtype=np.int64) + 1,
+        indexing="ij",
+    )
+    own = a[::stride, ::stride].astype(np.int64)
+    out = np.zeros(len(poses), dtype=np.int64)
+    for p, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < b.shape[0]) & (col < b.shape[1])
+        other = np.full(own.shape, UNKNOWN, dtype=np.int64)
+        other[inside] = b[row[inside], col[inside]]
+        out[p] = np.sum((own - other) ** 2)
+    return out
+
+
+def correlate(fields: U8, offsets: I32, shift_shape: tuple[int, int]) -> I32:
+    """Return the sum over points of the field at point plus shift, for every whole-cell shift.
+
+    Args:
+        fields: (K or 1, FH, FW) uint8, values 0..15.
+        offsets: (K or 1, N) int32, ``row * FW + col`` of each point; every shift stays inside.
+        shift_shape: (SH, SW).
+
+    Returns:
+        (K, SH, SW) int32.
+    """
+    count = max(len(fields), len(offsets))
+    height, width = shift_shape
+    scores = np.zeros((count, height, width), dtype=np.int32)
+    field_width = fields.shape[2]
+    for k in range(count):
+        field = fields[k if len(fields) > 1 else 0]
+        for offset in offsets[k if len(offsets) > 1 else 0]:
+            row, col = divmod(int(offset), field_width)
+            scores[k] += field[row : row + height, col : col + width]
+    return scores
+
+
+def polyphase(
+    field: U8, corner: tuple[int, int], step: int, shape: tuple[int, int], fill: int
+) -> U8:
+    """Return the field rearranged so that cells ``step`` apart lie side by side.
+
+    Args:
+        field: (H, W) uint8.
+        corner: row and column of the field where plane (0, 0) starts; may lie outside.
+        step: cells between neighbours of a plane.
+        shape: rows and columns of each plane.
+        fill: value outside the field.
+
+    Returns:
+        (step, step, rows, cols) uint8; [a, b, i, j] is cell (corner + (a + step i, b + step j)).
+    """
+    rows = corner[0] + np.arange(step * shape[0])
+    cols = corner[1] + np.arange(step * shape[1])
+    inside = (
+        ((rows >= 0) & (rows < field.shape[0]))[:, None] & (cols >= 0) & (cols < field.shape[1])
+    )
+    clipped = field[rows.clip(0, field.shape[0] - 1)][:, cols.clip(0, field.shape[1] - 1)]
+    dense = np.where(inside, clipped, np.uint8(fill))
+    planes = dense.reshape(shape[0], step, shape[1], step).transpose(1, 3, 0, 2)
+    return np.ascontiguousarray(planes)
+
+
+def bound_blocks(
+    blocks: I32, starts: I32, classes: U8, fields: U8, fill: int, *, least: int = -1
+) -> I32:
+    """Return the sum over points of their pooled field at the block's first shift.
+
+    Args:
+        blocks: (B, 3) int32: yaw group, row and column of the first shift.
+        starts: (G, 2, N) int32: rows, then columns of the points' windows for shift 0.
+        classes: (N,) uint8: the pooled field that a point reads.
+        fields: (C, H, W) uint8; outside counts as ``fill``.
+        fill: value outside.
+        least: a sum at or below it is of no use.
+
+    Returns:
+        (B,) int32; -1 where the sum is of no use.
+    """
+    _, height, width = fields.shape
+    out = np.zeros(len(blocks), dtype=np.int32)
+    for b, (group, row0, col0) in enumerate(blocks):
+        row, col = starts[group, 0] + row0, starts[group, 1] + col0
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        values = fields[classes[inside], row[inside], col[inside]]
+        out[b] = values.sum(dtype=np.int32) + fill * np.count_nonzero(~inside)
+    return np.where(out > least, out, np.int32(-1))
+
+
+def tile_peaks(forward: I32, backward: I32, width: int, tile: int) -> tuple[I32, I32]:
+    """Return the best of each tile of shifts of ``forward`` plus reversed ``backward``.
+
+    Args:
+        forward: (K, SH, SW) int32; only the first ``width`` columns count.
+        backward: same shape, read at (SH - 1 - i, width - 1 - j).
+        width: shifts along a row.
+        tile: shifts per tile side.
+
+    Returns:
+        values: (K, TY, TX) int32, and places: same shape, ``i * width + j``; first of equals wins.
+    """
+    total = forward[:, :, :width] + backward[:, ::-1, width - 1 :: -1]
+    count, height, _ = total.shape
+    tiles_y, tiles_x = -(-height // tile), -(-width // tile)
+    values = np.empty((count, tiles_y, tiles_x), dtype=np.int32)
+    places = np.empty_like(values)
+    for ty in range(tiles_y):
+        for tx in range(tiles_x):
+            part = total[:, ty * tile : (ty + 1) * tile, tx * tile : (tx + 1) * tile]
+            flat = part.reshape(count, -1)
+            best = flat.argmax(axis=1)
+            row, col = np.divmod(best, part.shape[2])
+            values[:, ty, tx] = flat[np.arange(count), best]
+            places[:, ty, tx] = (ty * tile + row) * width + tx * tile + col
+    return values, places
+
+
+def pose_counts(
+    points: I32,
+    poses: I64,
+    field: U8,
+    distance2: U16,
+    free_cell: U8,
+    *,
+    base: int,
+    near2: int,
+    far2: int,
+) -> I64:
+    """Return what the points meet under each pose.
+
+    Args:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        poses: (P, 4) int64 fixed poses, points to field.
+        field: (H, W) uint8 score field; points off it score ``base``.
+        distance2: (H, W) uint16. free_cell: (H, W) uint8, 1 where free.
+        base: score of a point off the field.
+        near2: a point within this squared distance of a wall is a hit.
+        far2: a point in free space beyond this squared distance is a clash.
+
+    Returns:
+        (P, 4) int64: score, hits, clashes, points on the field.
+    """
+    height, width = field.shape
+    out = np.zeros((len(poses), COUNT_TERMS), dtype=np.int64)
+    x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
+    for p, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        row, col = row[inside], col[inside]
+        d2 = distance2[row, col]
+        out[p, 0] = field[row, col].sum(dtype=np.int64) + base * (len(points) - len(row))
+        out[p, 1] = np.count_nonzero(d2 <= near2)
+        out[p, 2] = np.count_nonzero((free_cell[row, col] != 0) & (d2 > far2))
+        out[p, 3] = len(row)
+    return out
+
+
+def refine_terms(
+    points: F32,
+    poses: F32,
+    distance: U16,
+    *,
+    scale: float,
+    centre: tuple[float, float],
+    backward: bool,
+) -> F64:
+    """Return the normal equations of a robust point-to-wall fit, one row per pose.
+
+    The unknown is a small motion (dx, dy, dyaw) of the reference frame about ``centre``, applied
+    after the pose. The residual is the bilinear distance to the nearest wall, its weight Geman and
+    McClure's 1 / (1 + (d / scale)^2)^2.
+
+    Args:
+        points: (N, 2) float32, cells.
+        poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
+        distance: (H, W) uint16, to the nearest wall in 1/256 cell.
+        scale: cells.
+        centre: x and y in cells of the reference.
+        backward: points belong to the reference and the field to the moving grid.
+
+    Returns:
+        (P, 10) float64: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
+    """
+    height, width = distance.shape
+    cells = distance / float(DISTANCE_ONE)
+    out = np.zeros((len(poses), REFINE_TERMS))
+    for p, (cosine, sine, tx, ty) in enumerate(poses.astype(np.float64)):
+        px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+        qx, qy = cosine * px - sine * py + tx, sine * px + cosine * py + ty
+        col = np.floor(qx - 0.5).astype(np.int64)
+        row = np.floor(qy - 0.5).astype(np.int64)
+        inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
+        px, py, qx, qy = px[inside], py[inside], qx[inside], qy[inside]
+        col, row = col[inside], row[inside]
+        u, v = qx - 0.5 - col, qy - 0.5 - row
+        d00, d01 = cells[row, col], cells[row, col + 1]
+        d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]
+        d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11)
+        gx = (1 - v) * (d01 - d00) + v * (d11 - d10)
+        gy = (1 - u) * (d10 - d00) + u * (d11 - d01)
+        weight = (1.0 + (d * d) / (scale * scale)) ** -2.0
+        ax, ay = qx - centre[0], qy - centre[1]
+        if backward:
+            gx, gy = -(cosine * gx + sine * gy), -(cosine * gy - sine * gx)
+            ax, ay = px - centre[0], py - centre[1]
+        gt = gy * ax - gx * ay
+        terms = (gx * gx, gx * gy, gx * gt, gy * gy, gy * gt, gt * gt, gx * d, gy * d, gt * d)
+        out[p] = [*(float(np.sum(weight * term)) for term in terms), float(np.sum(weight))]
+    return out

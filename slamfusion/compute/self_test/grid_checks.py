@@ -1,0 +1,223 @@
+"""A check for each operation of the families that look at grids; each returns what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from slamfusion.compute.compute_device import ComputeDevice
+from slamfusion.compute.fields import numpy as fields
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_MAX, DISTANCE_TABLE
+from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
+from slamfusion.compute.votes import Votes
+
+__all__ = ["GRID_CHECKS"]
+
+# Worth of a cell that says nothing, and the value outside a field.
+BASE = 64
+FLAT_FILL = 7
+
+
+def _solid_walls(device: ComputeDevice, sample: Sample) -> Arrays:
+    return fetch(device, [device.solid_walls(device.upload(sample.cells))])
+
+
+def _surface_walls(device: ComputeDevice, sample: Sample) -> Arrays:
+    cells, solid = device.upload(sample.cells), device.upload(sample.solid)
+    return fetch(device, [device.surface_walls(cells, solid)])
+
+
+def _shrink(device: ComputeDevice, sample: Sample) -> Arrays:
+    walls, cells = device.upload(sample.walls), device.upload(sample.cells)
+    return [a for step in (1, 7) for a in fetch(device, device.shrink(walls, cells, step))]
+
+
+def _distance_squared(device: ComputeDevice, sample: Sample) -> Arrays:
+    walls = device.upload(sample.walls)
+    reaches = (DISTANCE_MAX, 24, 1)
+    return fetch(device, [device.distance_squared(walls, reach) for reach in reaches])
+
+
+def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
+    d2 = np.arange(DISTANCE2_MAX + 1)
+    hit = np.rint(191 * np.exp(-d2 / 18.0)).astype(np.uint16)
+    miss = np.minimum(d2, BASE).astype(np.uint16)
+    share = device.upload(sample.field)
+    field = device.score_field(device.upload(sample.distance2), share, hit, miss, BASE)
+    return fetch(device, [field])
+
+
+def _look_up(device: ComputeDevice, sample: Sample) -> Arrays:
+    distance2 = device.upload(sample.distance2)
+    return [device.download(device.look_up(distance2, DISTANCE_TABLE))]
+
+
+def _max_window(device: ComputeDevice, sample: Sample) -> Arrays:
+    field = device.upload(sample.field)
+    return fetch(
+        device,
+        [
+            device.max_window(field, window, along_rows=along_rows, fill=BASE)
+            for window in (1, 2, 5, 40)
+            for along_rows in (True, False)
+        ],
+    )
+
+
+def _warp(device: ComputeDevice, sample: Sample) -> Arrays:
+    poses = fixed_poses(sample.motions)
+    return fetch(device, [device.warp(device.upload(sample.cells), poses, (19, 23), -1)])
+
+
+def _confusion(device: ComputeDevice, sample: Sample) -> Arrays:
+    a, b = (device.upload(grid) for grid in sample.grids(2))
+    return [device.confusion(a, b)]
+
+
+def _squared_error(device: ComputeDevice, sample: Sample) -> Arrays:
+    whole, other = sample.grids(2)
+    a, b = device.upload(whole), device.upload(other[: -(-len(other) // 2)])
+    poses = fixed_poses(sample.motions)
+    return [device.squared_error(a, b, poses, stride) for stride in (1, 3)]
+
+
+def _correlate(device: ComputeDevice, sample: Sample) -> Arrays:
+    height, width = 9, 64
+    planes = sample.rng.integers(0, 16, (3, sample.shape[0] + height, sample.shape[1] + width))
+    fields = planes.astype(np.uint8)
+    rows, cols = sample.rng.integers(0, sample.shape, (3, 37, 2)).transpose(2, 0, 1)
+    offsets = (rows * fields.shape[2] + cols).astype(np.int32)
+    shifts = (height, width)
+    pairs = ((fields, offsets), (fields[:1], offsets), (fields, offsets[:1]))
+    return fetch(device, [device.correlate(device.upload(f), o, shifts) for f, o in pairs])
+
+
+def _polyphase(device: ComputeDevice, sample: Sample) -> Arrays:
+    field = device.upload(sample.field)
+    height, width = sample.shape
+    corners = ((0, 0), (-3, 2), (height + 5, -width - 40))
+    return fetch(
+        device, [device.polyphase(field, corner, 4, (7, 11), FLAT_FILL) for corner in corners]
+    )
+
+
+def _bound_blocks(device: ComputeDevice, sample: Sample) -> Arrays:
+    height, width = sample.shape
+    fields = sample.rng.integers(0, 256, (2, height, width)).astype(np.uint8)
+    starts = sample.rng.integers(-5, max(sample.shape) + 5, (2, 2, 29)).astype(np.int32)
+    classes = sample.rng.integers(0, 2, 29).astype(np.uint8)
+    shifts = sample.rng.integers(-5, 5, (13, 2)) + round(sample.away)
+    groups = sample.rng.integers(0, 2, (13, 1))
+    blocks = np.concatenate((groups, shifts), axis=1).astype(np.int32)
+    places, planes = device.upload(starts), device.upload(fields)
+    bounds = device.bound_blocks(blocks, places, classes, planes, FLAT_FILL)
+    least = int(np.median(bounds))
+    return [
+        bounds,
+        device.bound_blocks(blocks, places, classes, planes, FLAT_FILL, least=least),
+    ]
+
+
+def _tile_peaks(device: ComputeDevice, sample: Sample) -> Arrays:
+    shape = (2, 2, sample.shape[0], sample.shape[1] + 3)
+    both = sample.rng.integers(0, 9, shape).astype(np.int32)
+    forward, backward = device.upload(both[0]), device.upload(both[1])
+    return list(device.tile_peaks(forward, backward, sample.shape[1], 8))
+
+
+def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
+    fields = (
+        device.upload(sample.field),
+        device.upload(sample.distance2),
+        device.upload(sample.free),
+    )
+    poses = fixed_poses(sample.motions)
+    return [
+        device.pose_counts(sample.points(count), poses, *fields, base=BASE, near2=9, far2=16)
+        for count in (1, 150)
+    ]
+
+
+def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
+    x, y, yaw = sample.motions.T
+    poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
+    size = (sample.shape[1], sample.shape[0])
+    points = device.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
+    distance = device.upload(fields.look_up(sample.distance2, DISTANCE_TABLE))
+    centre = (size[0] / 2.0, size[1] / 2.0)
+    return [
+        device.refine_terms(points, poses, distance, scale=6.0, centre=centre, backward=backward)
+        for backward in (False, True)
+    ]
+
+
+def _flat(votes: Iterable[Votes]) -> Arrays:
+    """Return the parts of votes as arrays."""
+    return [np.asarray(part) for vote in votes for part in vote]
+
+
+def _vote_majority(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _flat(
+        device.vote_majority(sample.grids(count), unknown_votes=unknown_votes)
+        for count in (1, 2, 3, 4, 9, 17)
+        for unknown_votes in (True, False)
+    )
+
+
+def _vote_weighted(device: ComputeDevice, sample: Sample) -> Arrays:
+    weights = sample.rng.integers(1, 5, 9).astype(np.int32)
+    return _flat(
+        device.vote_weighted(sample.grids(count), weights[:count], unknown_votes=unknown_votes)
+        for count in (1, 3, 9)
+        for unknown_votes in (True, False)
+    )
+
+
+def _vote_log_odds(device: ComputeDevice, sample: Sample) -> Arrays:
+    percent = np.arange(101).clip(2, 98)
+    odds = np.rint(256 * np.log(percent / (100 - percent))).astype(np.int32)
+    return _flat(
+        device.vote_log_odds(sample.percents(count), odds, occupied_percent=65, free_percent=25)
+        for count in (1, 3, 9)
+    )
+
+
+def _cast_rays(device: ComputeDevice, sample: Sample) -> Arrays:
+    classes = sample.rng.choice(3, sample.shape, p=(0.9, 0.07, 0.03)).astype(np.uint8)
+    size = np.array(sample.shape[::-1])
+    places = sample.rng.uniform(-0.2, 1.2, (97, 2)) * size + sample.away
+    places[:9] = np.floor(places[:9])  # on the edges of cells
+    angles = sample.rng.uniform(-np.pi, np.pi, 97)
+    angles[:17] = np.arange(-8, 9) * (np.pi / 4.0)  # along the cells and through their corners
+    rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
+    cells = device.upload(classes)
+    return [
+        np.nan_to_num(device.cast_rays(cells, rays[:count], reach), posinf=-1.0)
+        for count, reach in ((97, 300.0), (97, 2.5), (1, 40.0))
+    ]
+
+
+GRID_CHECKS: dict[str, Check] = {
+    "solid_walls": _solid_walls,
+    "surface_walls": _surface_walls,
+    "shrink": _shrink,
+    "distance_squared": _distance_squared,
+    "look_up": _look_up,
+    "score_field": _score_field,
+    "max_window": _max_window,
+    "warp": _warp,
+    "confusion": _confusion,
+    "squared_error": _squared_error,
+    "correlate": _correlate,
+    "polyphase": _polyphase,
+    "bound_blocks": _bound_blocks,
+    "tile_peaks": _tile_peaks,
+    "pose_counts": _pose_counts,
+    "refine_terms": _refine_terms,
+    "vote_majority": _vote_majority,
+    "vote_weighted": _vote_weighted,
+    "vote_log_odds": _vote_log_odds,
+    "cast_rays": _cast_rays,
+}

@@ -1,0 +1,320 @@
+"""A check for each operation of the families that keep tiled maps; each returns what it gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.cell_means import BeamRule, SmearRule
+from slamfusion.compute.compute_device import ComputeDevice
+from slamfusion.compute.hit_counts import BeamScan, FieldRule
+from slamfusion.compute.layout import BEAM_ONE, CLIMBERS, FULL_HITS, FULL_VISITS, TILE, UNSEEN
+from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
+
+__all__ = ["MAP_CHECKS"]
+
+
+def _extend(device: ComputeDevice, sample: Sample) -> Arrays:
+    pool = device.upload(sample.rng.integers(0, 9, (3, 5, 7)).astype(np.uint32))
+    grown = [device.extend(pool, count, UNSEEN) for count in (3, 4, 11)]
+    return [*fetch(device, grown), device.download(pool)]
+
+
+def _window(sample: Sample) -> tuple[npt.NDArray[np.int32], int]:
+    """Return the page table of a window that holds the sample's shape, and how many tiles it has.
+
+    One page in three has no tile, nor has the border.
+    """
+    inner = tuple(-(-size // TILE) for size in sample.shape)
+    used = sample.rng.random(inner) < 2.0 / 3.0
+    numbers = np.where(used, np.cumsum(used).reshape(inner), 0)
+    return np.pad(numbers, 1).astype(np.int32), int(used.sum()) + 1
+
+
+def _tiled_field(sample: Sample) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32]]:
+    """Return a random score field over the sample's window, and the window's pages."""
+    pages, tiles = _window(sample)
+    pool = sample.rng.integers(0, 256, (tiles, TILE, TILE))
+    pool[0] = 0
+    return pool.astype(np.uint8), pages
+
+
+def _climb(device: ComputeDevice, sample: Sample) -> Arrays:
+    pool, pages = _tiled_field(sample)
+    field, table = device.upload(pool), device.upload(pages)
+    size = np.array([*pages.shape[::-1], 0.1]) * TILE
+    rng = sample.rng
+    points = rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
+    centres = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
+    losses = np.column_stack((centres, [[0.01, 0.02, 0.1, 0.0], [0.02, 0.01, 0.2, 0.05]]))
+    results = []
+    for groups, rounds, every in ((1, 1, 1), (7, 3, 2)):
+        starts = centres[0] + rng.normal(0.0, 1.0, (groups, 3))
+        steps = rng.normal(0.0, 1.0, (rounds, groups, CLIMBERS, 3))
+        turned = [np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (starts[:, 2], steps[..., 2])]
+        tables = [
+            np.concatenate(pair, axis=-1) for pair in zip((starts, steps), turned, strict=True)
+        ]
+        climbed = [table.astype(np.float32) for table in (losses, *tables)]
+        hits = device.upload(points[::every])
+        results.append(device.climb(field, table, hits, *climbed, scale=1.0 / 9000.0))
+    return results
+
+
+def _two_maps(sample: Sample) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int32]]:
+    """Return a random score field, and the pages of two maps that share some of its tiles."""
+    pool, pages = _tiled_field(sample)
+    return pool, np.stack((pages, np.where(sample.rng.random(pages.shape) < 0.2, 0, pages)))
+
+
+def _climb_maps(device: ComputeDevice, sample: Sample) -> Arrays:
+    pool, pages = _two_maps(sample)
+    field, tables = device.upload(pool), device.upload(pages)
+    rng = sample.rng
+    points = rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
+    size = np.array([*pages.shape[:0:-1], 0.1]) * TILE
+    starts = rng.random((2, 3)) * size + [sample.away, 0.0, 0.0]
+    losses = np.column_stack((starts + 0.3, np.full((2, 3), 0.01), (0.0, 0.1)))
+    starts = np.column_stack((starts, np.cos(starts[:, 2]), np.sin(starts[:, 2])))
+    steps = 0.5 ** np.arange(4)
+    sizes = np.column_stack((steps, 0.1 * steps, np.cos(0.1 * steps), np.sin(0.1 * steps)))
+    climbed = [table.astype(np.float32) for table in (losses, starts, sizes)]
+    return [
+        device.climb_maps(
+            field,
+            tables,
+            device.upload(points[::every]),
+            *climbed,
+            tries=tries,
+            scale=1.0 / 9000.0,
+        )
+        for tries, every in ((1, 1), (9, 2), (60, 1))
+    ]
+
+
+def _score_maps(device: ComputeDevice, sample: Sample) -> Arrays:
+    pool, pages = _two_maps(sample)
+    field, tables = device.upload(pool), device.upload(pages)
+    size = np.array(pages.shape[:0:-1]) * TILE
+    points = sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
+    yaw = sample.rng.uniform(-np.pi, np.pi, (2, 27))
+    places = sample.rng.uniform(-0.2, 1.2, (2, 27, 2)) * size + sample.away
+    poses = np.dstack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
+    table = sample.rng.integers(-5000, 5000, 256).astype(np.int32)
+    hits = [device.upload(points[::every]) for every in (1, 3)]
+    return [device.score_maps(field, tables, own, poses, table) for own in hits]
+
+
+def _score_poses(device: ComputeDevice, sample: Sample) -> Arrays:
+    pool, pages = _tiled_field(sample)
+    field, table = device.upload(pool), device.upload(pages)
+    size = np.array(pages.shape[::-1]) * TILE
+    points = sample.rng.normal(0.0, 20.0, (83, 2)).astype(np.float32)
+    yaw = sample.rng.uniform(-np.pi, np.pi, 37)
+    places = sample.rng.uniform(-0.2, 1.2, (37, 2)) * size + sample.away
+    poses = np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32)
+    return [
+        device.score_poses(field, table, device.upload(points[::every]), poses[:count], reach=reach)
+        for count, every, reach in ((37, 1, 0), (37, 3, 2), (1, 100, 0))
+    ]
+
+
+def _beams(sample: Sample) -> npt.NDArray[np.int32]:
+    """Return 57 beams from one laser inside the window of the sample; one has no length."""
+    low = TILE * BEAM_ONE
+    size = np.array(sample.shape[::-1]) * BEAM_ONE
+    hits = low + (sample.rng.random((57, 2)) * size).astype(np.int32)
+    laser = hits[0]
+    length = np.hypot(*(hits - laser).T)
+    peaks = sample.rng.integers(0, 4096, 57)
+    return np.column_stack((hits, np.broadcast_to(laser, hits.shape), length, peaks)).astype(
+        np.int32
+    )
+
+
+def _tiny_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
+    """Mark and fold a few scans, with both cell models, with blur and without."""
+    results: Arrays = []
+    for is_mean, half_blur in ((True, 3000), (False, 3000), (True, 0)):
+        pages, tiles = _window(sample)
+        shape = (tiles, TILE, TILE)
+        unseen = np.full(shape, UNSEEN, dtype=np.uint32)
+        observed = device.upload(np.zeros(shape, dtype=np.uint32))
+        valley, published = device.upload(unseen), device.upload(unseen)
+        field = device.upload(np.zeros(shape, dtype=np.uint8))
+        table = device.upload(pages)
+        wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
+        for seed, quality in ((1, 1024), (2, 300), (3, 700)):
+            rule = BeamRule(
+                half_blur, 2048, 819, 41, quality, is_mean, wall_floor=367002, wall_gain=425
+            )
+            beams = device.upload(_beams(replace(sample, seed=sample.seed + seed)))
+            missing = device.tiny_mark(observed, table, beams, rule, wanted)
+            if fold:
+                device.tiny_fold(observed, valley, published, field, table, beams, rule)
+            else:
+                results.append(np.array([missing]))
+        results += fetch(device, [observed, wanted, valley, published, field])
+    return results
+
+
+def _smear_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
+    """Mark and fold a few scans, near and far around their hits."""
+    results: Arrays = []
+    table = np.linspace(255.0, 0.0, 256).astype(np.uint8)
+    for reach, most in ((2, 4095), (0, 2)):
+        pages, tiles = _window(sample)
+        shape = (tiles, TILE, TILE)
+        observed = device.upload(np.zeros(shape, dtype=np.uint32))
+        states = device.upload(np.zeros(shape, dtype=np.uint32))
+        field = device.upload(np.full(shape, 20, dtype=np.uint8))
+        page_table = device.upload(pages)
+        wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
+        rule = SmearRule(table, 15, reach, most)
+        for seed in range(4):
+            beams = _beams(replace(sample, seed=sample.seed + seed))[:, :4]
+            handle = device.upload(np.ascontiguousarray(beams))
+            missing = device.smear_mark(observed, page_table, handle, rule, wanted)
+            if fold:
+                device.smear_fold(observed, states, field, page_table, handle, rule)
+            else:
+                results.append(np.array([missing]))
+        results += fetch(device, [observed, wanted, states, field])
+    return results
+
+
+def _smear_mark(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _smear_map(device, sample, fold=False)
+
+
+def _smear_fold(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _smear_map(device, sample, fold=True)
+
+
+def _tiny_mark(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _tiny_map(device, sample, fold=False)
+
+
+def _tiny_fold(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _tiny_map(device, sample, fold=True)
+
+
+def _hit_pools(sample: Sample, tiles: int) -> list[npt.NDArray[Any]]:
+    """Return counts, sums and field of tiles; most cells have no hits, and tile 0 nothing."""
+    shape, rng = (tiles, TILE, TILE), sample.rng
+    visits = rng.integers(0, 200, shape)
+    hits = np.where(rng.random(shape) < 0.1, rng.integers(0, visits + 1), 0)
+    sum_x, sum_y = (rng.integers(0, 15 * hits + 1) for _ in range(2))
+    pools = [(high << 16 | low).astype(np.uint32) for high, low in ((hits, visits), (sum_x, sum_y))]
+    pools.append(rng.integers(0, 256, shape).astype(np.uint8))
+    for pool in pools:
+        pool[0] = 0
+    return pools
+
+
+def _hit_maps(sample: Sample) -> tuple[npt.NDArray[np.int32], list[npt.NDArray[Any]]]:
+    """Return the pages of two maps over the sample's window, no tile shared, and their pools."""
+    pages, tiles = _window(sample)
+    other = np.where(pages[::-1] > 0, pages[::-1] + tiles, 0)
+    return np.stack((pages, other)), _hit_pools(sample, 2 * tiles)
+
+
+def _beam_scan(sample: Sample, pages: npt.NDArray[np.int32]) -> BeamScan:
+    """Return a scan of 23 beams inside the window; one has no length, two leave the window."""
+    rng, count, maps = sample.rng, 23, len(pages)
+    size = np.array(pages.shape[:0:-1]) * TILE
+    yaw = rng.uniform(-np.pi, np.pi, maps)
+    places = rng.uniform(0.3, 0.7, (maps, 2)) * size + sample.away
+    ends = rng.uniform(-0.5, 0.5, (count, 2)) * np.minimum(size, 90)
+    laser = np.array([0.7, -0.3])
+    ends[0] = laser
+    ends[1:3] = [[9e9, -np.inf], [-9e9, np.nan]]
+    return BeamScan(
+        ends.astype(np.float32),
+        (rng.random(count) < 0.7).astype(np.uint8),
+        laser.astype(np.float32),
+        np.column_stack((places, np.cos(yaw), np.sin(yaw))).astype(np.float32),
+    )
+
+
+def _touch_pages(device: ComputeDevice, sample: Sample) -> Arrays:
+    pages, _ = _hit_maps(sample)
+    table, scan = device.upload(pages), _beam_scan(sample, pages)
+    short = scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0])
+    return [
+        *(device.touch_pages(table, scan, reach) for reach in (0, 3, 16)),
+        device.touch_pages(table, short, 3),
+    ]
+
+
+def _copy_tiles(device: ComputeDevice, sample: Sample) -> Arrays:
+    tiles = 1 + sum(sample.shape) // 2
+    pools = tuple(device.upload(pool) for pool in _hit_pools(sample, tiles))
+    targets = 1 + sample.rng.permutation(tiles - 1)
+    half = len(targets) // 2
+    pairs = np.column_stack((np.append(0, targets[half:])[:half], targets[:half])).astype(np.int32)
+    device.copy_tiles(pools, pairs)
+    device.copy_tiles(pools, pairs[:0])
+    return fetch(device, pools)
+
+
+def _take_tiles(device: ComputeDevice, sample: Sample) -> Arrays:
+    tiles = 1 + sum(sample.shape) // 2
+    numbers = sample.rng.integers(0, tiles, tiles + 5).astype(np.int32)
+    pools = [device.upload(pool) for pool in _hit_pools(sample, tiles)]
+    return [device.take_tiles(pool, some) for pool in pools for some in (numbers, numbers[:0])]
+
+
+def _count_beams(device: ComputeDevice, sample: Sample) -> Arrays:
+    pages, (counts, sums, _) = _hit_maps(sample)
+    visits, hits = FULL_VISITS, FULL_HITS
+    table, scan = device.upload(pages), _beam_scan(sample, pages)
+    none = scan._replace(ends=scan.ends[:0], is_hit=scan.is_hit[:0])
+    results = []
+    # As it is, and in one map a beam or two away from too many visits, or hits.
+    for more in (0, visits - 2, hits - 2 << 16):
+        nearly = counts.copy()
+        nearly[1 : len(counts) // 2 : 3] |= np.uint32(more)
+        own = device.upload(nearly), device.upload(sums)
+        full = [device.count_beams(*own, table, part) for part in (scan, none)]
+        results += [np.array(full), *fetch(device, own)]
+    return results
+
+
+def _settle_field(device: ComputeDevice, sample: Sample) -> Arrays:
+    pages, pools = _hit_maps(sample)
+    table, scan = device.upload(pages), _beam_scan(sample, pages)
+    counts, sums = (device.upload(pool) for pool in pools[:2])
+    falling = np.arange(255, -1, -1).astype(np.uint8)
+    results = []
+    for reach, shift, occupied, least_hits in (
+        (1, 10, 20000, 1),
+        (3, 13, 0, 2),
+        (0, 9, 1 << 16, 1),
+    ):
+        rule = FieldRule(falling, shift, reach, occupied, least_hits)
+        field = device.upload(pools[2])
+        device.settle_field(counts, sums, field, table, scan, rule)
+        results.append(field)
+    return fetch(device, results)
+
+
+MAP_CHECKS: dict[str, Check] = {
+    "extend": _extend,
+    "score_poses": _score_poses,
+    "climb": _climb,
+    "climb_maps": _climb_maps,
+    "score_maps": _score_maps,
+    "tiny_mark": _tiny_mark,
+    "tiny_fold": _tiny_fold,
+    "smear_mark": _smear_mark,
+    "smear_fold": _smear_fold,
+    "touch_pages": _touch_pages,
+    "copy_tiles": _copy_tiles,
+    "take_tiles": _take_tiles,
+    "count_beams": _count_beams,
+    "settle_field": _settle_field,
+}
