@@ -22,6 +22,7 @@ __all__ = ["INSTALL", "command"]
 # One line for each maker of devices; names of Ubuntu and Debian packages unless said otherwise.
 INSTALL = {
     "any CPU": "pip install pocl-binary-distribution (x86-64), or apt install pocl-opencl-icd",
+    "x86-64 CPU": "pip install 'slamfusion[intel]', if PoCL from pip does not know the processor",
     "NVIDIA GPU": "apt install nvidia-opencl-icd (Debian), libnvidia-compute-NNN (Ubuntu)",
     "Intel GPU": "apt install intel-opencl-icd",
     "AMD GPU": "apt install rocm-opencl, or mesa-opencl-icd with RUSTICL_ENABLE=radeonsi",
@@ -33,13 +34,17 @@ INSTALL = {
 @common_options
 def command(config: RunConfig, as_json: bool) -> int:
     """Check this installation: versions, devices, and a one-second test of the kernels."""
-    from slamfusion.compute import list_devices  # noqa: PLC0415
+    from slamfusion.compute import list_devices, pocl_state  # noqa: PLC0415
 
     found = versions()
-    devices = list_devices()
+    devices, pocl = list_devices(), pocl_state()
     problems = []
     if not any(device.usable for device in devices):
-        problems.append("no usable OpenCL device; install one of the drivers listed")
+        problems.append(
+            pocl.detail
+            if pocl is not None and pocl.state == "refused"
+            else "no usable OpenCL device; install one of the drivers listed"
+        )
     if has_two_rclpy():
         problems.append(
             "two rclpy: a sourced ROS (ROS_DISTRO) and ros-jazzy-rclpy from pip; "
@@ -54,6 +59,7 @@ def command(config: RunConfig, as_json: bool) -> int:
             "problems": problems,
             "versions": found,
             "devices": [item.to_json() for item in devices],
+            "pocl": None if pocl is None else {"state": pocl.state, "detail": pocl.detail},
             "device": device,
             "self_test": [
                 {"name": name, "passed": passed, "detail": detail} for name, passed, detail in tests
@@ -65,6 +71,8 @@ def command(config: RunConfig, as_json: bool) -> int:
         rows = [[name, version or "absent"] for name, version in found.items()]
         print_table(("package ", "version "), rows)
         print_devices()
+        if pocl is not None:
+            print(f"PoCL: {pocl.detail}")
         tested = [[name, "yes" if passed else "NO", detail] for name, passed, detail in tests]
         print_table(("self test ", "passed ", "detail "), tested, title=f"on {device}")
         print_table(("for ", "install "), [list(item) for item in INSTALL.items()])

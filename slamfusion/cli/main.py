@@ -58,6 +58,8 @@ EXIT_FAILURE = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
+# Says, once, that the memory of a library was changed, or that it had to be and was not.
+TOLD_LOGGER = "slamfusion.compute.pocl"
 
 
 class _InOrder(click.Group):
@@ -83,6 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if hasattr(stream, "reconfigure"):  # file names need not be text
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("slamfusion").addHandler(logging.NullHandler())
+    logging.getLogger(TOLD_LOGGER).addHandler(logging.StreamHandler())
     settings = Settings()
     code = _run(list(sys.argv[1:] if arguments is None else arguments), settings)
     with contextlib.suppress(OSError):

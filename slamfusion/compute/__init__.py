@@ -16,6 +16,7 @@ from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
     from slamfusion.compute.device import DeviceInfo
+    from slamfusion.compute.pocl import PoclState
 
 __all__ = [
     "Backend",
@@ -25,6 +26,7 @@ __all__ = [
     "list_devices",
     "open_backend",
     "open_device",
+    "pocl_state",
 ]
 
 
@@ -56,6 +58,15 @@ def list_devices() -> list[DeviceInfo]:
     except ImportError:
         return []
     return device.list_devices()
+
+
+def pocl_state() -> PoclState | None:
+    """Say whether the wheel's PoCL knows this processor; None where pyopencl is missing."""
+    try:
+        from slamfusion.compute import device  # noqa: PLC0415 - optional at run time
+    except ImportError:
+        return None
+    return device.pocl_state()
 
 
 # Names of before; they go with the next commits.

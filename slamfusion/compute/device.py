@@ -8,11 +8,18 @@ from typing import Any
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-from slamfusion.compute.pocl import is_single_thread, name_processor, offer_single_thread
+from slamfusion.compute.intel import intel_shown, is_intel_extra
+from slamfusion.compute.pocl import (
+    PoclState,
+    is_refused,
+    is_single_thread,
+    name_processor,
+    offer_single_thread,
+)
 from slamfusion.compute.records import DeviceJson
 from slamfusion.errors import DeviceError
 
-__all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices"]
+__all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices", "pocl_state"]
 
 SIMULATOR = "oclgrind"
 NO_DEVICE = (
@@ -51,11 +58,15 @@ class DeviceInfo:
 
 
 def find_devices() -> list[Any]:
-    """Return every OpenCL device, plain ones last; an empty list without any platform."""
+    """Return every OpenCL device; an empty list without any platform.
+
+    PoCL's single-thread device and the extra's Intel device are last, so that neither is the first.
+    """
     name_processor()
     offer_single_thread()
     try:
-        platforms = cl.get_platforms()
+        with intel_shown():
+            platforms = cl.get_platforms()
     except cl.Error:
         return []
     devices = []
@@ -64,7 +75,17 @@ def find_devices() -> list[Any]:
             devices.extend(platform.get_devices())
         except cl.Error:
             continue
-    return sorted(devices, key=is_single_thread)
+    return sorted(devices, key=_is_behind)
+
+
+def pocl_state() -> PoclState:
+    """Return what became of the wheel's PoCL, which may not know this processor."""
+    return name_processor()
+
+
+def _is_behind(device: Any) -> int:
+    """Return in which order devices are shown and, where nothing else decides, chosen."""
+    return 2 if is_intel_extra(device) else int(is_single_thread(device))
 
 
 def is_simulator(device: Any) -> bool:
@@ -73,9 +94,13 @@ def is_simulator(device: Any) -> bool:
 
 
 def _note(device: Any) -> str:
-    """Return when a device is chosen, where that is not plain."""
+    """Return when a device is chosen, where that does not follow from its type."""
     if is_simulator(device):
         return "simulator, only when asked for by name"
+    if is_refused(device):
+        return "never: does not know this processor, see `slamfusion doctor`"
+    if is_intel_extra(device):
+        return "when asked for by name, or where PoCL cannot build"
     return "one thread; for many small kernels" if is_single_thread(device) else ""
 
 
@@ -99,7 +124,8 @@ def list_devices() -> list[DeviceInfo]:
                 version=device.version.strip(),
                 compute_units=int(device.max_compute_units),
                 memory_mb=int(device.global_mem_size // 2**20),
-                usable=bool(device.available and device.compiler_available),
+                usable=bool(device.available and device.compiler_available)
+                and not is_refused(device),
                 note=_note(device),
             )
         )
@@ -110,7 +136,8 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
     """Return a device and why it was chosen.
 
     Order: the option, then ``PYOPENCL_CTX``, then the first GPU, then the first CPU; the simulator
-    only when asked for by name. Of PoCL's two devices the plain one where kernels are small.
+    only when asked for by name. Of PoCL's two devices the single-thread one where kernels are
+    small; the extra's Intel device after both; none of a PoCL that does not know the processor.
 
     Args:
         wanted: ``auto``, an index of ``slamfusion devices``, or part of a device's or platform's
@@ -133,8 +160,12 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
             message = f"PYOPENCL_CTX={wish!r} names no device ({error}); mend it or unset it"
             raise DeviceError(message) from error
         return context.devices[0], "PYOPENCL_CTX"
-    real = [device for device in devices if not is_simulator(device) and device.available]
-    real.sort(key=lambda device: is_single_thread(device) != small_kernels)
+    real = [
+        device
+        for device in devices
+        if not is_simulator(device) and device.available and not is_refused(device)
+    ]
+    real.sort(key=lambda device: _is_second(device, small_kernels=small_kernels))
     for kind, words in (
         (cl.device_type.GPU, "the first GPU"),
         (cl.device_type.CPU, "the first CPU device, no GPU found"),
@@ -144,18 +175,36 @@ def choose_device(wanted: str = "auto", *, small_kernels: bool = False) -> tuple
                 return device, words
     if real:
         return real[0], "the only device"
-    raise DeviceError(NO_DEVICE)
+    raise DeviceError(_why_none(devices))
+
+
+def _is_second(device: Any, *, small_kernels: bool) -> int:
+    """Return which of the devices of one type goes first."""
+    if is_intel_extra(device):
+        return 2
+    return int(is_single_thread(device) != small_kernels)
+
+
+def _why_none(devices: list[Any]) -> str:
+    """Return what to do where no device can be chosen."""
+    return name_processor().detail if any(is_refused(device) for device in devices) else NO_DEVICE
 
 
 def _named(devices: list[Any], wanted: str) -> Any:
     """Return the device of that index or name."""
     if wanted.isdecimal():
-        if int(wanted) < len(devices):
-            return devices[int(wanted)]
+        fitting = devices[int(wanted) : int(wanted) + 1]
     else:
-        for device in devices:
-            if wanted.lower() in f"{device.platform.name} {device.name}".lower():
-                return device
+        fitting = [
+            device
+            for device in devices
+            if wanted.lower() in f"{device.platform.name} {device.name}".lower()
+        ]
+    if fitting:
+        device = next((item for item in fitting if not is_refused(item)), None)
+        if device is None:
+            raise DeviceError(_why_none(fitting))
+        return device
     names = "; ".join(f"{i}: {device.name.strip()}" for i, device in enumerate(devices))
     message = f"no OpenCL device fits {wanted!r}; there are: {names}; or use `--device numpy`"
     raise DeviceError(message)

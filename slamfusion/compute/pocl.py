@@ -8,6 +8,10 @@ that names the processor is replaced, in this process's memory and before PoCL i
 its devices, by one that returns the best name which both sides know. Nothing is written to disk,
 and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
 
+It is done only to a library that was looked at: its SHA-256 stands in ``CHECKED``, and the function
+begins as it did then. It is said once, and ``SLAMFUSION_PATCH_POCL=0`` switches it off. Where it is
+needed and not done, the wheel's devices cannot be used, and ``PoclState`` says what to install.
+
 PoCL has two devices for one processor. ``pthread``, the one it shows, hands each kernel to threads
 of its own; ``basic`` runs it in the thread that asks, which takes a tenth of a millisecond less.
 """
@@ -15,19 +19,35 @@ of its own; ``basic`` runs it in the thread that asks, which takes a tenth of a 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import logging
 import mmap
+import multiprocessing
 import os
 import platform
 import sys
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any, Literal
 
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
-__all__ = ["is_single_thread", "name_processor", "offer_single_thread", "processor_name"]
+__all__ = [
+    "CHECKED",
+    "SWITCH",
+    "CheckedLibrary",
+    "PoclState",
+    "is_refused",
+    "is_single_thread",
+    "name_processor",
+    "offer_single_thread",
+    "processor_name",
+]
 
 LOG = logging.getLogger(__name__)
+# The environment variable that switches the replacement off, when it is 0.
+SWITCH = "SLAMFUSION_PATCH_POCL"
 # LLVM's names with the feature flags (as /proc/cpuinfo spells them) that each needs, best first.
 PROCESSORS = (
     ("skylake-avx512", "avx512f avx512dq avx512cd avx512bw avx512vl avx2 fma bmi2 adx clflushopt"),
@@ -40,6 +60,56 @@ READ_WRITE_EXECUTE = mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC
 READ_EXECUTE = mmap.PROT_READ | mmap.PROT_EXEC
 # mov rdi, text; mov rax, strdup; jmp rax: the caller frees what it gets.
 RETURN_COPY = (b"\x48\xbf", b"\x48\xb8", b"\xff\xe0")
+INSTEAD = (
+    "install another device: `apt install pocl-opencl-icd`, or `pip install 'slamfusion[intel]'`; "
+    "`--device numpy` works without"
+)
+
+
+@dataclass(frozen=True)
+class CheckedLibrary:
+    """A library whose function was looked at.
+
+    Attributes:
+        wheel: version of ``pocl-binary-distribution`` that has it.
+        sha256: of the file, in hexadecimal digits.
+        function: the first bytes of ``pocl_get_llvm_cpu_name``, at least as many as are replaced:
+            push rbp; push rbx; sub rsp, 8; call llvm::sys::getHostCPUName; test rdx, rdx; je ...;
+            then copies the name to memory of its own, which it returns.
+    """
+
+    wheel: str
+    sha256: str
+    function: bytes
+
+
+CHECKED = (
+    CheckedLibrary(
+        wheel="3.0",
+        sha256="d214aece60df73c75d8a678d33e4a51f4e5b594772dc74891b5451f909db6025",
+        function=bytes.fromhex("55534883ec08e8058ab0034885d274304889c54889d3488d7a01e841b1ecff48"),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class PoclState:
+    """What became of the wheel's PoCL in this process.
+
+    Attributes:
+        state: ``absent``; ``known``, it knows the processor and is as it came; ``patched``;
+            ``refused``, it does not know the processor and was left as it is.
+        detail: one line for people, with what to do where something is to be done.
+        library: the file; None where absent.
+    """
+
+    state: Literal["absent", "known", "patched", "refused"]
+    detail: str
+    library: Path | None = None
+
+
+class _RefusedError(Exception):
+    """The library must not be, or cannot be, changed; the message completes a sentence."""
 
 
 def processor_name(flags: set[str]) -> str:
@@ -59,36 +129,133 @@ def offer_single_thread() -> None:
 
     What ``POCL_DEVICES`` says stays, and so does the meaning of ``PYOPENCL_CTX``.
     """
-    if _libraries() and not os.environ.get("PYOPENCL_CTX"):
+    if _library() and not os.environ.get("PYOPENCL_CTX"):
         os.environ.setdefault("POCL_DEVICES", "pthread basic")
 
 
-def is_single_thread(device: cl.Device) -> bool:
+def is_single_thread(device: Any) -> bool:
     """Return whether a device runs its kernels in the thread that asks."""
     return bool(device.name.startswith("basic"))
 
 
-def _libraries() -> list[Path]:
-    """Return the wheel's PoCL."""
-    return sorted(Path(cl.__file__).parent.glob(".libs/libpocl*.so*"))
+def is_refused(device: Any) -> bool:
+    """Return whether a device is one of the wheel's PoCL, and that cannot build for it."""
+    state = name_processor()
+    if state.state != "refused" or state.library is None:
+        return False
+    found = _library_of(device.platform)
+    return found is not None and found.resolve() == state.library.resolve()
 
 
 @cache
-def name_processor() -> str | None:
-    """Tell the wheel's PoCL which processor this is, once; call it before listing devices.
+def name_processor() -> PoclState:
+    """Tell the wheel's PoCL which processor this is, once; call it before listing devices."""
+    path = _library()
+    if path is None:
+        return PoclState("absent", "PoCL's wheel is not installed")
+    try:
+        function = ctypes.CDLL(str(path)).pocl_get_llvm_cpu_name
+        function.restype = ctypes.c_char_p
+        own = function()
+    except (OSError, AttributeError) as error:  # another build of PoCL: leave it as it is
+        return PoclState("known", f"{path.name} was left as it is ({error})", path)
+    if own != UNKNOWN:
+        return PoclState("known", f"{path.name} knows this processor ({own.decode()})", path)
+    try:
+        name = _replace(path, function)
+    except _RefusedError as reason:
+        detail = (
+            f"{path.name} of the wheel does not know this processor, so that no kernel builds on "
+            f"it, and was left as it is: {reason}; {INSTEAD}"
+        )
+        state = PoclState("refused", detail, path)
+    else:
+        detail = (
+            f"{path.name} of the wheel does not know this processor; the function that names it "
+            f"was replaced in memory, so that it builds for {name}; {SWITCH}=0 leaves it as it is"
+        )
+        state = PoclState("patched", detail, path)
+    # Processes that a command starts for its work do not repeat it.
+    if multiprocessing.parent_process() is None:
+        LOG.warning("%s", state.detail)
+    return state
 
-    Returns:
-        The name given, or None where PoCL needed none.
-    """
+
+def _library() -> Path | None:
+    """Return the wheel's PoCL; None on other platforms than the wheel's."""
     if sys.platform != "linux" or platform.machine() != "x86_64":
         return None
+    return min(Path(cl.__file__).parent.glob(".libs/libpocl*.so*"), default=None)
+
+
+def _replace(path: Path, function: Any) -> str:
+    """Replace the function that names the processor.
+
+    Returns:
+        The name that it returns from now on.
+
+    Raises:
+        _RefusedError: why it was not done; the library is then as it was.
+    """
+    if os.environ.get(SWITCH) == "0":
+        message = f"{SWITCH}=0 says so"
+        raise _RefusedError(message)
     try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            digest = hashlib.sha256(data).hexdigest()
         flags = _processor_flags(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
-        named = [path for path in _libraries() if _name_in(path, processor_name(flags))]
-    except (OSError, AttributeError) as error:  # another build of PoCL: leave it as it is
-        LOG.warning("PoCL's processor name cannot be set: %s", error)
-        return None
-    return processor_name(flags) if named else None
+    except OSError as error:
+        raise _RefusedError(str(error)) from error
+    checked = next((item for item in CHECKED if item.sha256 == digest), None)
+    if checked is None:
+        wheels = ", ".join(item.wheel for item in CHECKED)
+        message = f"it is not the library that was checked (pocl-binary-distribution {wheels})"
+        raise _RefusedError(message)
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    if address is None or ctypes.string_at(address, len(checked.function)) != checked.function:
+        message = "its function does not begin as it did when it was checked"
+        raise _RefusedError(message)
+    name = processor_name(flags)
+    _overwrite(address, _returning(name), checked.function)
+    return name
+
+
+def _returning(name: str) -> bytes:
+    """Return the code of a function that returns a copy of a name."""
+    process = ctypes.CDLL(None)
+    process.strdup.restype = ctypes.c_void_p
+    text: int | None = process.strdup(name.encode())  # lives as long as the process
+    copy = ctypes.cast(process.strdup, ctypes.c_void_p).value
+    if text is None or copy is None:
+        message = "the C library has no strdup"
+        raise _RefusedError(message)
+    to_text, to_copy, jump = RETURN_COPY
+    return to_text + text.to_bytes(8, "little") + to_copy + copy.to_bytes(8, "little") + jump
+
+
+def _overwrite(address: int, code: bytes, before: bytes) -> None:
+    """Write code over the first bytes of a function, which are ``before`` and at least as many.
+
+    Raises:
+        _RefusedError: the pages cannot be opened, or not be closed again; then ``before`` is back.
+    """
+    if len(code) > len(before):
+        message = "what was checked of its function is shorter than what would be replaced"
+        raise _RefusedError(message)
+    page = mmap.PAGESIZE
+    start = address // page * page
+    length = -(-(address + len(code)) // page) * page - start
+    protect = ctypes.CDLL(None, use_errno=True).mprotect
+    protect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+    if protect(start, length, READ_WRITE_EXECUTE) != 0:
+        message = f"mprotect does not open its code ({os.strerror(ctypes.get_errno())})"
+        raise _RefusedError(message)
+    ctypes.memmove(address, code, len(code))
+    if protect(start, length, READ_EXECUTE) != 0:
+        words = os.strerror(ctypes.get_errno())
+        ctypes.memmove(address, before, len(code))
+        message = f"mprotect does not close its code again ({words})"
+        raise _RefusedError(message)
 
 
 def _processor_flags(cpuinfo: str) -> set[str]:
@@ -99,29 +266,25 @@ def _processor_flags(cpuinfo: str) -> set[str]:
     return set()
 
 
-def _name_in(path: Path, name: str) -> bool:
-    """Give one PoCL library the name; False when it knows the processor by itself."""
-    function = ctypes.CDLL(str(path)).pocl_get_llvm_cpu_name
-    function.restype = ctypes.c_char_p
-    if function() != UNKNOWN:
-        return False
-    process = ctypes.CDLL(None, use_errno=True)
-    process.strdup.restype = ctypes.c_void_p
-    text = process.strdup(name.encode())  # lives as long as the process
-    copy = ctypes.cast(process.strdup, ctypes.c_void_p).value
-    address = ctypes.cast(function, ctypes.c_void_p).value
-    if text is None or copy is None or address is None:
-        return False
-    to_text, to_copy, jump = RETURN_COPY
-    code = to_text + text.to_bytes(8, "little") + to_copy + copy.to_bytes(8, "little") + jump
-    page = mmap.PAGESIZE
-    start = address // page * page
-    length = -(-(address + len(code)) // page) * page - start
-    protect = process.mprotect
-    protect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
-    if protect(start, length, READ_WRITE_EXECUTE) != 0:
-        raise OSError(ctypes.get_errno(), "mprotect refused to open PoCL's code", str(path))
-    ctypes.memmove(address, code, len(code))
-    protect(start, length, READ_EXECUTE)
-    LOG.info("%s does not know this processor; it builds for %s", path.name, name)
-    return True
+class _Symbol(ctypes.Structure):
+    """What ``dladdr`` says of an address."""
+
+    _fields_ = (
+        ("file", ctypes.c_char_p),
+        ("base", ctypes.c_void_p),
+        ("name", ctypes.c_char_p),
+        ("address", ctypes.c_void_p),
+    )
+
+
+def _library_of(vendor: Any) -> Path | None:
+    """Return the file that a platform's functions are in.
+
+    OpenCL's loader finds them by a table, which the platform begins with a pointer to.
+    """
+    table = ctypes.c_void_p.from_address(vendor.int_ptr).value
+    first = ctypes.c_void_p.from_address(table).value if table else None
+    symbol = _Symbol()
+    if not first or not ctypes.CDLL(None).dladdr(ctypes.c_void_p(first), ctypes.byref(symbol)):
+        return None
+    return Path(os.fsdecode(symbol.file)) if symbol.file else None

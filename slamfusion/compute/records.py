@@ -5,9 +5,9 @@ The text below a key is its meaning and unit; the published JSON Schema carries 
 
 from __future__ import annotations
 
-from typing import TypedDict
+from typing import Literal, TypedDict
 
-__all__ = ["DeviceJson"]
+__all__ = ["DeviceJson", "PoclJson"]
 
 
 class DeviceJson(TypedDict):
@@ -31,3 +31,12 @@ class DeviceJson(TypedDict):
     """Whether it can run the kernels."""
     note: str
     """Why it cannot, or when it is chosen; may be empty."""
+
+
+class PoclJson(TypedDict):
+    """What became of the PoCL that came with the package."""
+
+    state: Literal["absent", "known", "patched", "refused"]
+    """Not installed; knows the processor; was made to know it; was left and is not used."""
+    detail: str
+    """One line for people, with what to do where something is to be done."""

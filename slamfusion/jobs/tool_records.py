@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypedDict
 
-from slamfusion.compute.records import DeviceJson
+from slamfusion.compute.records import DeviceJson, PoclJson
 from slamfusion.jobs.records import CircumstancesJson, SettingsJson
 
 __all__ = [
@@ -202,6 +202,8 @@ class DoctorDocument(TypedDict):
     """Versions of Python, of this package and of those it stands on; null: not installed."""
     devices: Sequence[DeviceJson]
     """The OpenCL devices; may be empty."""
+    pocl: PoclJson | None
+    """What became of the PoCL that came with the package; null where no OpenCL was looked at."""
     device: str | None
     """The one that was tested, in words; null where it cannot be opened."""
     self_test: Sequence[SelfTestJson]

@@ -1,0 +1,116 @@
+"""Intel's CPU device of the extra ``intel`` is shown beside the others and computes the same."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slamfusion.compute import intel
+from tests.kernels.conftest import WHEELS_EXIST
+
+VENDORS = "OCL_ICD_VENDORS"
+needs_intel = pytest.mark.skipif(
+    intel.intel_library() is None,
+    reason="Intel's OpenCL is not installed: pip install '.[intel]' (225 MB)",
+)
+
+
+@pytest.fixture
+def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file where the extra would have its library; no variable says what to show."""
+    path = tmp_path / "libintelocl.so"
+    path.touch()
+    monkeypatch.setattr(intel, "intel_library", lambda: path)
+    monkeypatch.delenv(VENDORS, raising=False)
+    return path
+
+
+def test_the_loader_sees_what_it_saw_and_intel(
+    library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    usual = tmp_path / "vendors"
+    usual.mkdir()
+    (usual / "maker.icd").write_text("libmaker.so.1\n", encoding="utf-8")
+    monkeypatch.setenv("OPENCL_VENDOR_PATH", str(usual))
+    with intel.intel_shown():
+        folder = Path(os.environ[VENDORS])
+        shown = {entry.read_text(encoding="utf-8").strip() for entry in folder.glob("*.icd")}
+    assert shown == {"libmaker.so.1", str(library)}
+    assert VENDORS not in os.environ
+    assert not folder.exists()
+
+
+@pytest.mark.usefixtures("library")
+def test_who_says_what_to_show_is_left_alone(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(VENDORS, "/mine")
+    with intel.intel_shown():
+        assert os.environ[VENDORS] == "/mine"
+    assert os.environ[VENDORS] == "/mine"
+
+
+def test_nothing_changes_without_the_extra(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(intel, "intel_library", lambda: None)
+    monkeypatch.delenv(VENDORS, raising=False)
+    with intel.intel_shown():
+        assert VENDORS not in os.environ
+
+
+def run(code: str) -> list[str]:
+    """Run code in a fresh interpreter, without a variable that helps; return its lines."""
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in {"LD_LIBRARY_PATH", VENDORS, "PYOPENCL_CTX"}
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@needs_intel
+def test_intel_is_shown_last_and_equals_the_twins():
+    code = (
+        "import os\n"
+        "from slamfusion.compute import list_devices, open_device\n"
+        "from slamfusion.compute.self_test import self_test\n"
+        "print([one.platform for one in list_devices() if one.usable])\n"
+        "device = open_device('intel')\n"
+        "print(device.name)\n"
+        "print([name for name, passed, _ in self_test(device) if not passed])\n"
+        f"print({VENDORS!r} in os.environ)\n"
+    )
+    platforms, name, failed, is_left = run(code)
+    assert platforms.endswith("'Intel(R) OpenCL']")
+    assert "Intel(R) OpenCL" in name
+    assert (failed, is_left) == ("[]", "False")
+    if WHEELS_EXIST:  # both of PoCL's devices, none of them twice
+        assert platforms.count("Portable Computing Language") == 2
+
+
+@needs_intel
+@pytest.mark.skipif(not WHEELS_EXIST, reason="no PoCL wheel here")
+def test_intel_steps_in_where_pocl_is_refused():
+    choose = (
+        "from slamfusion.compute.device import choose_device\n"
+        "print(choose_device()[0].platform.name)\n"
+    )
+    unknown = (
+        "import ctypes, os, slamfusion.compute.pocl as pocl\n"
+        "os.environ['SLAMFUSION_PATCH_POCL'] = '0'\n"
+        "function = ctypes.CDLL(str(pocl._library())).pocl_get_llvm_cpu_name\n"
+        "function.restype = ctypes.c_char_p\n"
+        "pocl.UNKNOWN = function()\n"
+    )
+    assert run(choose) == ["Portable Computing Language"]
+    assert run(unknown + choose) == ["Intel(R) OpenCL"]
