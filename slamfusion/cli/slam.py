@@ -41,13 +41,13 @@ from slamfusion.errors import MapFileError, SlamFusionError
 if TYPE_CHECKING:
     from slamfusion.compute import Backend
     from slamfusion.io import AtomicFiles
-    from slamfusion.slam.base import SlamBackend
-    from slamfusion.slam.runner import ProducerRun
+    from slamfusion.slam.common.mapper import SlamBackend
+    from slamfusion.slam.common.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
 __all__ = ["NAMES", "RESUMABLE", "command"]
 
-# Every producer of ``slamfusion.slam.runner``, whose import would slow down every other command.
+# Every producer of ``slamfusion.slam.registry``, whose import would slow down every other command.
 NAMES = ("tinyslam", "gmapping", "graph")
 # Of these, the ones that can save their state and go on from it.
 RESUMABLE = ("gmapping", "graph")
@@ -216,7 +216,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     """Run, measure, write, print."""
     from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
     from slamfusion.io import read_trajectory  # noqa: PLC0415
-    from slamfusion.slam.runner import open_producer_backend  # noqa: PLC0415
+    from slamfusion.slam.registry import open_producer_backend  # noqa: PLC0415
 
     relations = None if request.relations is None else read_relations(request.relations)
     odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
@@ -271,7 +271,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
 
 def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> SlamBackend:
     """Return the producer, fresh or in a saved state."""
-    from slamfusion.slam.runner import make_producer, resume_producer  # noqa: PLC0415
+    from slamfusion.slam.registry import make_producer, resume_producer  # noqa: PLC0415
 
     if state is None:
         return make_producer(name, config, backend)
@@ -281,7 +281,7 @@ def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend
 def _produce(producer: SlamBackend, request: _Request, config: RunConfig) -> ProducerRun:
     """Run the producer over the log, with a bar that follows the file."""
     from slamfusion.io import open_log  # noqa: PLC0415
-    from slamfusion.slam.runner import run_producer  # noqa: PLC0415
+    from slamfusion.slam.common.runner import run_producer  # noqa: PLC0415
 
     log = open_log(request.log, config.log, request.scan_odometry)
     with progress_bar() as bar:
@@ -322,7 +322,7 @@ def _save(
 
 def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
     """Stage the state of a producer with the other files."""
-    from slamfusion.slam.runner import Resumable  # noqa: PLC0415
+    from slamfusion.slam.common.runner import Resumable  # noqa: PLC0415
 
     if not isinstance(producer, Resumable):
         message = f"{producer.name} cannot save its state"

@@ -20,7 +20,7 @@ from slamfusion.experiments.table import (
     p_text,
     repeat,
 )
-from slamfusion.slam.base import SlamBackend
+from slamfusion.slam.common.mapper import SlamBackend
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.tinyslam import TinySlam
 

@@ -22,8 +22,8 @@ from slamfusion.evaluation import (
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.io.lines import strip_gz
 from slamfusion.sim import named_course, simulate
-from slamfusion.slam.base import SlamBackend
-from slamfusion.slam.runner import run_producer
+from slamfusion.slam.common.mapper import SlamBackend
+from slamfusion.slam.common.runner import run_producer
 from slamfusion.trajectory import Trajectory
 
 __all__ = [

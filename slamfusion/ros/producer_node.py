@@ -39,9 +39,9 @@ from slamfusion.ros.frames import (
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.worker import Worker
 from slamfusion.scan import LaserScan as Scan
-from slamfusion.slam.base import DrawsAside, SlamBackend, Step
-from slamfusion.slam.node_map import MapJob, NodeMap
-from slamfusion.slam.runner import make_producer
+from slamfusion.slam.common.mapper import SlamBackend, Step
+from slamfusion.slam.graph.node_map import DrawsAside, MapJob, NodeMap
+from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ProducerNode", "make_node"]
@@ -135,7 +135,7 @@ class ProducerNode(NodeBase):
     Time that jumps back by more than ``reset_back_s`` begins a new map; far forward it is named.
 
     Args:
-        kind: a producer of ``slamfusion.slam.runner``; also the node's name unless remapped.
+        kind: a producer of ``slamfusion.slam.common.runner``; also the node's name unless remapped.
         context: rclpy's; default: the one of ``rclpy.init``.
         arguments: ROS arguments of this node alone.
 

@@ -24,13 +24,8 @@ from typing import Any
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
-from slamfusion.slam.runner import (
-    PRODUCERS,
-    ProducerRun,
-    make_producer,
-    open_producer_backend,
-    run_producer,
-)
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.registry import PRODUCERS, make_producer, open_producer_backend
 
 __all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 

@@ -1,0 +1,153 @@
+"""How surely a match tells where the robot is, from the response around it [O09].
+
+The response is the mean wall value under a scan's hits. Where it falls off steeply around its
+peak the place is certain; along a corridor it stays level, and nothing is known that way.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.slam.common.matcher import ScanOnTiles
+
+__all__ = [
+    "LEAST_SIGMA",
+    "MOST_SIGMA",
+    "information_of",
+    "response_bend",
+    "response_information",
+    "settled_by",
+]
+
+F64 = npt.NDArray[np.float64]
+
+# Steps along which the surface is measured, and what its curvature is worth: a response that is
+# lower by 1 / RESPONSE_GAIN makes a pose e^-0.5 as likely. The spread of repeated noisy matches
+# asks for it.
+SURFACE_M, SURFACE_RAD = 0.05, 0.01
+RESPONSE_GAIN = 240.0
+# No match tells more, or less, than these standard deviations, metres.
+LEAST_SIGMA, MOST_SIGMA = 0.005, 0.5
+# A direction in which a match tells less than this deviation is open: it is left to odometry. In
+# rooms even the weakest direction is told better by half of it; in a bare corridor far worse.
+OPEN_SIGMA = 0.06
+# A radian weighs as metres at this distance where eigenvalues are limited.
+_ARM_M = 5.0
+_UNITS = np.outer([1.0, 1.0, 1.0 / _ARM_M], [1.0, 1.0, 1.0 / _ARM_M])
+
+
+def response_information(scan: ScanOnTiles, pose: F64) -> F64:
+    """Return (3, 3) the information of a match along the axes of the map it was matched on.
+
+    Args:
+        scan: over the map.
+        pose: (3,) the match, metres and radians.
+    """
+    return information_of(response_bend(scan, pose))
+
+
+def information_of(bend: F64) -> F64:
+    """Return (3, 3) the information of a match around which the response bends so, (3, 3)."""
+    values, vectors = np.linalg.eigh(RESPONSE_GAIN * bend * _UNITS)
+    kept = np.clip(values, MOST_SIGMA**-2.0, LEAST_SIGMA**-2.0)
+    is_place = np.hypot(vectors[0], vectors[1]) > np.abs(vectors[2])
+    kept[is_place & (values < OPEN_SIGMA**-2.0)] = MOST_SIGMA**-2.0
+    return np.asarray((vectors * kept) @ vectors.T / _UNITS)
+
+
+def settled_by(bend: F64, pose: F64, guess: F64) -> F64:
+    """Return a match moved to a guess along the direction in which it tells nothing, if any.
+
+    Where walls run along, new readings lie thinner than old ones, which draws a match back;
+    odometry knows better.
+
+    Args:
+        bend: (3, 3) of the response at the match.
+        pose: (3,) the match; it is this array that comes back where every direction is told.
+        guess: (3,) where odometry has the robot.
+    """
+    values, vectors = np.linalg.eigh(RESPONSE_GAIN * bend[:2, :2])
+    if values[0] >= OPEN_SIGMA**-2.0:
+        return pose
+    settled, along = pose.copy(), vectors[:, 0]
+    settled[:2] += along * (along @ (guess[:2] - pose[:2]))
+    return settled
+
+
+def response_bend(scan: ScanOnTiles, pose: F64) -> F64:
+    """Return (3, 3) how fast the response falls: its second derivatives, negative.
+
+    Measured along x and y and then once more along their own axes: a wall's response is no
+    parabola, and across it differences along other axes see a bend where there is none.
+
+    Args:
+        scan: over the map.
+        pose: (3,) the match, metres and radians.
+    """
+    flat = _bend_along(scan, pose, np.eye(3), _FLAT)
+    turn = 0.5 * math.atan2(2.0 * flat[0, 1], flat[0, 0] - flat[1, 1])
+    cos, sin = math.cos(turn), math.sin(turn)
+    axes = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return _bend_along(scan, pose, axes, _FULL)
+
+
+def _bend_along(scan: ScanOnTiles, pose: F64, axes: F64, stencil: _Stencil) -> F64:
+    """Return the same by differences along the columns of ``axes``, (3, 3).
+
+    Args:
+        scan, pose: see ``response_bend``.
+        axes: (3, 3).
+        stencil: ``_FULL``, or ``_FLAT``: then only derivatives by x and y are right.
+    """
+    scores = scan.scores(pose + stencil.steps @ axes.T)
+    local = -(stencil.weights @ scores).reshape(3, 3)
+    return np.asarray(axes @ local @ axes.T)
+
+
+class _Stencil(NamedTuple):
+    """Where a surface is read, and what makes its second derivatives of that.
+
+    Attributes:
+        steps: (K, 3) metres and radians.
+        weights: (9, K) of the values read, per metre and radian squared.
+    """
+
+    steps: F64
+    weights: F64
+
+    def without_turns(self) -> _Stencil:
+        """Return the places where the yaw stays: enough for x and y alone."""
+        stays = self.steps[:, 2] == 0.0
+        return _Stencil(self.steps[stays], self.weights[:, stays])
+
+
+def _stencil() -> _Stencil:
+    """Return the one of all second derivatives."""
+    places = [np.zeros(3)]
+    weights = [np.zeros((3, 3))]
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            place, weight = np.zeros(3), np.zeros((3, 3))
+            place[axis], weight[axis, axis] = sign, 1.0
+            places.append(place)
+            weights.append(weight)
+        weights[0][axis, axis] = -2.0
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        for a in (1.0, -1.0):
+            for b in (1.0, -1.0):
+                place, weight = np.zeros(3), np.zeros((3, 3))
+                place[one], place[other] = a, b
+                weight[one, other] = weight[other, one] = 0.25 * a * b
+                places.append(place)
+                weights.append(weight)
+    sizes = np.array([SURFACE_M, SURFACE_M, SURFACE_RAD])
+    seconds = np.array(weights) / np.outer(sizes, sizes)
+    return _Stencil(np.array(places) * sizes, seconds.reshape(-1, 9).T.copy())
+
+
+_FULL = _stencil()
+_FLAT = _FULL.without_turns()

@@ -1,0 +1,7 @@
+"""Graph SLAM: scans on submaps, loop closures, and a pose graph that makes them agree."""
+
+from __future__ import annotations
+
+from slamfusion.slam.graph.slam import GraphHealth, GraphSlam
+
+__all__ = ["GraphHealth", "GraphSlam"]
