@@ -41,7 +41,7 @@ from slamfusion.errors import MapFileError, SlamFusionError
 if TYPE_CHECKING:
     from slamfusion.compute import Backend
     from slamfusion.io import AtomicFiles
-    from slamfusion.slam.common.mapper import SlamBackend
+    from slamfusion.slam.common.mapper import Mapper
     from slamfusion.slam.common.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
@@ -269,7 +269,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     return 0
 
 
-def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> SlamBackend:
+def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> Mapper:
     """Return the producer, fresh or in a saved state."""
     from slamfusion.slam.registry import make_producer, resume_producer  # noqa: PLC0415
 
@@ -278,7 +278,7 @@ def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend
     return resume_producer(name, state, config, backend)
 
 
-def _produce(producer: SlamBackend, request: _Request, config: RunConfig) -> ProducerRun:
+def _produce(producer: Mapper, request: _Request, config: RunConfig) -> ProducerRun:
     """Run the producer over the log, with a bar that follows the file."""
     from slamfusion.io import open_log  # noqa: PLC0415
     from slamfusion.slam.common.runner import run_producer  # noqa: PLC0415
@@ -308,9 +308,7 @@ def _asked(run: ProducerRun, request: _Request) -> list[str]:
     return sentences
 
 
-def _save(
-    run: ProducerRun, producer: SlamBackend, document: dict[str, Any], request: _Request
-) -> None:
+def _save(run: ProducerRun, producer: Mapper, document: dict[str, Any], request: _Request) -> None:
     """Write map, path, record and state; all of them or none."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415
 
@@ -320,7 +318,7 @@ def _save(
             _add_state(files, request.state, producer)
 
 
-def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
+def _add_state(files: AtomicFiles, target: Path, producer: Mapper) -> None:
     """Stage the state of a producer with the other files."""
     from slamfusion.slam.common.runner import Resumable  # noqa: PLC0415
 

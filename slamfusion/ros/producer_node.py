@@ -39,7 +39,7 @@ from slamfusion.ros.frames import (
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.worker import Worker
 from slamfusion.scan import LaserScan as Scan
-from slamfusion.slam.common.mapper import SlamBackend, Step
+from slamfusion.slam.common.mapper import Mapper, Step
 from slamfusion.slam.graph.node_map import DrawsAside, MapJob, NodeMap
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
@@ -613,7 +613,7 @@ class ProducerNode(NodeBase):
         self._messages.close()
 
 
-def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | None) -> SlamBackend:
+def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | None) -> Mapper:
     """Return a fresh producer, after another one has had its kernels compiled and run."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     # A square room of 6 m.

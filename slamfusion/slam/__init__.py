@@ -7,6 +7,6 @@ name and ``side_by_side`` runs several on one log.
 
 from __future__ import annotations
 
-from slamfusion.slam.common.mapper import Health, SlamBackend, Step
+from slamfusion.slam.common.mapper import Health, Mapper, Step
 
-__all__ = ["Health", "SlamBackend", "Step"]
+__all__ = ["Health", "Mapper", "Step"]

@@ -10,7 +10,7 @@ from slamfusion.compute import open_backend
 from slamfusion.compute.backend import Backend
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.slam.common.mapper import SlamBackend
+from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import Resumable
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.graph import GraphSlam
@@ -36,7 +36,7 @@ class Producer:
         small_kernels: what its backend is to be good at, see ``open_backend``.
     """
 
-    make: Callable[[RunConfig, Backend], SlamBackend]
+    make: Callable[[RunConfig, Backend], Mapper]
     resume: Callable[[Path, RunConfig, Backend], Resumable] | None = None
     small_kernels: bool = False
 
@@ -77,7 +77,7 @@ def open_producer_backend(name: str, config: RunConfig) -> Backend:
     return open_backend(config.device.device, small_kernels=_producer(name).small_kernels)
 
 
-def make_producer(name: str, config: RunConfig, backend: Backend) -> SlamBackend:
+def make_producer(name: str, config: RunConfig, backend: Backend) -> Mapper:
     """Return a producer of ``PRODUCERS`` with its settings and an empty map.
 
     Raises:

@@ -21,7 +21,7 @@ BEAMS = 720
 
 
 class DeadReckoning:
-    """A ``SlamBackend`` that marks hits where odometry says they are."""
+    """A ``Mapper`` that marks hits where odometry says they are."""
 
     name = "dead-reckoning"
 

@@ -1,4 +1,4 @@
-"""``SlamBackend``: what a producer of maps offers, and the record of how well it is doing."""
+"""``Mapper``: what every SLAM here offers, and the record of how well it is doing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["ClosesLoops", "Closure", "Health", "Series", "SlamBackend", "Step"]
+__all__ = ["ClosesLoops", "Closure", "Health", "Mapper", "Series", "Step"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Step:
 
 @dataclass
 class Health:
-    """How well a producer is doing.
+    """How well a mapper is doing.
 
     Attributes:
         scans: fed so far.
@@ -44,7 +44,7 @@ class Health:
         match_score: of the last matched scan, 0 to 1.
         mean_match_score: over every matched scan.
         low_scores: matched scans whose score was below half of the mean so far: the
-            first sign of a robot that gets lost.
+            first sign that tracking is getting lost.
         n_eff: effective number of particles; None where there are none.
         skips: scans that were not used, by reason; the number is the scan's, from 1.
     """
@@ -110,7 +110,7 @@ class Closure:
     weight: float
 
 
-class SlamBackend(Protocol):
+class Mapper(Protocol):
     """One SLAM: feed it scans in the order of time, ask it for its pose and map at any moment.
 
     The map frame starts at the first odometry pose (at the identity without odometry), so maps of
@@ -156,8 +156,8 @@ class SlamBackend(Protocol):
 
 
 @runtime_checkable
-class ClosesLoops(SlamBackend, Protocol):
-    """A producer that recognises places where the robot has been before."""
+class ClosesLoops(Mapper, Protocol):
+    """A mapper that recognises places where the robot has been before."""
 
     def closures(self) -> list[Closure]:
         """Return the closures so far, as they are judged now."""

@@ -1,9 +1,10 @@
 """A bounded Monte-Carlo search for the pose under which a scan fits the map best.
 
-The first look draws poses widely around each guess of where the robot went (what its odometry says;
-that it goes on as it went) and scores them on wide basins, in one launch. From the best of them
-climbers go on by rounds of ever narrower random steps, all in one more launch. The objective is the
-mean wall value under the hits less a small loss for leaving the nearest guess.
+The first look draws poses widely around each hypothesis of where the robot went (what its odometry
+says; that it goes on as it went) and scores them on wide basins, in one launch. From the best of
+them hill climbing goes on by rounds of ever narrower random steps, all in one more launch. What is
+maximised is the mean wall value under the hits less a small loss for leaving the nearest
+hypothesis.
 
 Source: [H16] (Monte-Carlo matcher with a bounded number of tries).
 """
@@ -22,19 +23,29 @@ from slamfusion.compute.slam_reference import CLIMBERS
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import wrap_angles
 
-__all__ = ["FieldMap", "Guess", "Match", "ScanOnTiles", "Spread", "pose_table", "search_pose"]
+__all__ = [
+    "FieldMap",
+    "Match",
+    "PoseHypothesis",
+    "ScanOnTiles",
+    "Spread",
+    "pose_table",
+    "search_pose",
+]
 
 F64 = npt.NDArray[np.float64]
 
-# The first look takes the best of five cells, this far apart along each axis.
+# Distance, metres, between the five cells of which the first look takes the best: basins as wide as
+# the draws lie apart.
 WIDE_REACH_M = 0.15
-# A scan whose hits fall into fewer cells than this tells less than the guesses' weights assume.
+# Different cells that a scan's hits fall into, below which it tells less than the weights of the
+# hypotheses assume.
 TELLING_CELLS = 100.0
 # Beyond any column: makes one number of a cell.
 _ROW_STRIDE = 1 << 32
-# Draws narrow to this share of the spread after the first look, and again each round.
-FIRST_NARROWING = 0.4
-NARROWING = 0.5
+# Share of the spread that hill climbing begins with, and share that is left of a step after each
+# round: by the last one steps are far below a cell.
+FIRST_NARROWING, NARROWING = 0.4, 0.5
 
 
 @dataclass(frozen=True)
@@ -59,7 +70,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Guess:
+class PoseHypothesis:
     """Where the robot may have gone.
 
     Attributes:
@@ -80,16 +91,17 @@ class Match:
     Attributes:
         pose: (3,) x, y in metres and yaw in radians, map frame.
         score: mean wall value under the hits there, 0 to 1.
-        objective: the score less the loss for leaving the nearest guess.
-        moved: how far the pose lies from the first guess, in spreads, along the worst axis.
-        bend: (3, 3) of the response there, see ``response_bend``; None: not measured.
+        objective: the score less the loss for leaving the nearest hypothesis.
+        moved: how far the pose lies from the first hypothesis, in spreads, along the worst axis.
+        hessian: (3, 3) negative Hessian of the response there, see ``response_hessian``; None: not
+            measured.
     """
 
     pose: F64
     score: float
     objective: float
     moved: float
-    bend: F64 | None = None
+    hessian: F64 | None = None
 
 
 class FieldMap(NamedTuple):
@@ -160,28 +172,30 @@ class ScanOnTiles:
         )
         return float(sums[0, 0] / self._points.shape[0])
 
-    def climb(self, starts: F64, steps: F64, guesses: Sequence[Guess], weights: F64) -> F64:
-        """Climb from poses by rounds of random steps.
+    def hill_climb(
+        self, starts: F64, steps: F64, hypotheses: Sequence[PoseHypothesis], weights: F64
+    ) -> F64:
+        """Run hill climbing from poses, by rounds of random steps.
 
         Args:
             starts: (G, 3) poses.
             steps: (R, G, CLIMBERS, 3) in metres and radians.
-            guesses: where leaving costs something.
-            weights: (3,) loss one spread beside a guess, along x, y and yaw.
+            hypotheses: where leaving costs something.
+            weights: (3,) loss one spread beside a hypothesis, along x, y and yaw.
 
         Returns:
             (G, 4): the pose where each ended and its score less its loss.
         """
-        cell, yaw0 = self._cell, guesses[0].pose[2]
+        cell, yaw0 = self._cell, hypotheses[0].pose[2]
 
         def rows(poses: F64) -> F64:
             """In cells of the window, headings near 0: float32 is to carry them."""
             yaw = wrap_angles(poses[:, 2] - yaw0)
             return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
 
-        centres = rows(np.array([guess.pose for guess in guesses]))
-        sigmas = np.array([guess.spread.sigmas() for guess in guesses]) / (cell, cell, 1.0)
-        own = [guess.loss for guess in guesses]
+        centres = rows(np.array([one.pose for one in hypotheses]))
+        sigmas = np.array([one.spread.sigmas() for one in hypotheses]) / (cell, cell, 1.0)
+        own = [one.loss for one in hypotheses]
         losses = np.column_stack((centres, weights / sigmas**2, own)).astype(np.float32)
         first = np.column_stack((rows(starts), np.cos(starts[:, 2]), np.sin(starts[:, 2])))
         table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
@@ -225,40 +239,43 @@ def _scale(points: Handle) -> float:
 
 
 def search_pose(
-    scan: ScanOnTiles, guesses: Sequence[Guess], config: MatcherConfig, rng: np.random.Generator
+    scan: ScanOnTiles,
+    hypotheses: Sequence[PoseHypothesis],
+    config: MatcherConfig,
+    rng: np.random.Generator,
 ) -> Match:
-    """Search around some guesses.
+    """Search around some hypotheses.
 
     Args:
         scan: what is matched against what.
-        guesses: at least one; the first look draws as many poses around each.
-        config: numbers of draws and the weights of a guess.
+        hypotheses: at least one; the first look draws as many poses around each.
+        config: numbers of draws and the weights of a hypothesis.
         rng: where the draws come from.
     """
-    centres = np.array([guess.pose for guess in guesses])
-    sigmas = np.array([guess.spread.sigmas() for guess in guesses])
+    centres = np.array([one.pose for one in hypotheses])
+    sigmas = np.array([one.spread.sigmas() for one in hypotheses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
-    # The score is a mean: of few cells it is worth less against the guesses.
+    # The score is a mean: of few cells it is worth less against the hypotheses.
     weights *= max(1.0, TELLING_CELLS / scan.cells)
 
     def loss(poses: F64) -> F64:
         away = poses[:, None, :] - centres
         away[..., 2] = wrap_angles(away[..., 2])
-        own = [guess.loss for guess in guesses]
+        own = [one.loss for one in hypotheses]
         return np.asarray(((away / sigmas) ** 2 @ weights + own).min(axis=1))
 
-    # The first look, and the guesses themselves.
-    each = -(-config.first_poses // len(guesses))
-    draws = rng.standard_normal((len(guesses), each, 3))
+    # The first look, and the hypotheses themselves.
+    each = -(-config.first_poses // len(hypotheses))
+    draws = rng.standard_normal((len(hypotheses), each, 3))
     poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
     order = np.argsort(loss(poses) - scan.wide_scores(poses), kind="stable")
     starts = np.concatenate((poses[order[: config.climbers]], centres))
-    # Climb; each round's first step is none, so that nothing found is lost.
+    # Hill climbing; each round's first step is none, so that nothing found is lost.
     widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(config.rounds)[:, None]
     steps = rng.standard_normal((config.rounds, len(starts), CLIMBERS, 3))
     steps *= widths[:, None, None, :]
     steps[:, :, 0] = 0.0
-    found = scan.climb(starts, steps, guesses, weights)
+    found = scan.hill_climb(starts, steps, hypotheses, weights)
     best = found[int(found[:, 3].argmax())]
     pose, objective = best[:3], float(best[3])
     away = pose - centres[0]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from slamfusion.errors import SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan, ScanLog, Skips
-from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Series, SlamBackend, Step
+from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series, Step
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -32,7 +32,7 @@ __all__ = [
 
 
 @runtime_checkable
-class Resumable(SlamBackend, Protocol):
+class Resumable(Mapper, Protocol):
     """A producer whose whole state can be saved, to go on later as if it had never stopped.
 
     Attributes:
@@ -225,7 +225,7 @@ class ProducerRun:
 
 
 def run_producer(
-    backend: SlamBackend,
+    backend: Mapper,
     scans: Iterable[LogScan],
     *,
     log: ScanLog | None = None,
@@ -359,7 +359,7 @@ def _is_low(step: Step, health: Health) -> bool:
     return score is not None and mean is not None and score < LOW_SHARE * mean
 
 
-def _nothing_used(backend: SlamBackend, record: LogRecord | None, fed: int) -> str:
+def _nothing_used(backend: Mapper, record: LogRecord | None, fed: int) -> str:
     """Say why there is no map."""
     where = "" if record is None else f"{record.path}: "
     reasons = list(skipped_scans(backend.health)) if fed else []

@@ -131,7 +131,7 @@ def tracker_record(tracker: Tracker) -> dict[str, Any]:
     return {
         "rng": tracker.rng.bit_generator.state,
         "poses": [pose_record(p) for p in (tracker.pose, tracker.odometry, tracker.step)],
-        "numbers": [tracker.step_s, tracker.stamp_s, tracker.usual_score],
+        "numbers": [tracker.step_s, tracker.stamp_s, tracker.running_mean_score],
     }
 
 
@@ -140,7 +140,7 @@ def restore_tracker(tracker: Tracker, record: dict[str, Any]) -> None:
     tracker.rng.bit_generator.state = record["rng"]
     tracker.pose, tracker.odometry, step = (recorded_pose(values) for values in record["poses"])
     tracker.step = step or IDENTITY
-    tracker.step_s, tracker.stamp_s, tracker.usual_score = record["numbers"]
+    tracker.step_s, tracker.stamp_s, tracker.running_mean_score = record["numbers"]
 
 
 def pose_record(pose: Pose2 | None) -> list[float] | None:

@@ -1,8 +1,8 @@
 """``Tracker``: where the robot may be at the next scan, and where it fits the map best.
 
-Used by every producer that matches each scan against a map of its own. Two guesses are searched:
-what odometry says, and that the robot goes on as it went; so odometry that stalls, slips or jumps
-for a moment does not decide.
+Used by every mapper that matches each scan against a map of its own. Two pose hypotheses are
+searched: what odometry says, and that the robot goes on as it went; so odometry that stalls, slips
+or jumps for a moment does not decide.
 """
 
 from __future__ import annotations
@@ -18,24 +18,35 @@ from slamfusion.config import MatcherConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.matcher import FieldMap, Guess, Match, ScanOnTiles, Spread, search_pose
-from slamfusion.slam.common.response import response_bend, settled_by
+from slamfusion.slam.common.matcher import (
+    FieldMap,
+    Match,
+    PoseHypothesis,
+    ScanOnTiles,
+    Spread,
+    search_pose,
+)
+from slamfusion.slam.common.pose_rows import row_of
+from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
 
 __all__ = ["Tracker"]
 
-# Below this share of the usual score the search is done again, wider and with more draws.
+# Share of the running mean score below which a match is low: while tracking holds that is rare.
 LOW_SHARE = 0.5
-SECOND_LOOK_SPREAD = 3.0
-SECOND_LOOK_POSES = 4
-# The wider search must find this much more, since it finds more by chance too.
-SECOND_LOOK_GAIN = 0.1
-# The usual score is a mean with this memory, in scans.
+# The second search after a low match: its spread and its draws, in those of the first one; wide
+# enough for a wheel that has slipped.
+SECOND_SEARCH_SPREAD, SECOND_SEARCH_POSES = 3.0, 4
+# Score, 0 to 1, that the second search must find beyond the first one's: more draws find more by
+# chance too.
+SECOND_SEARCH_GAIN = 0.1
+# Memory of the running mean score, scans: some seconds, so that it follows the place.
 SCORE_MEMORY = 50
-# A robot that does more between two scans has not driven: its odometry was set anew.
+# Step of the odometry between two scans, metres, from which on it was reset: none drives so far.
 JUMP_M = 5.0
-# A step is drawn out to at most this many times its length where scans are missing.
+# A step is extrapolated over missing scans to at most this many times its length: a robot that went
+# on for longer may have turned.
 MOST_ONWARD = 3.0
-# Without odometry the first look is this much wider.
+# Spread of the first look without odometry, in that with it: acceleration is not known.
 NO_ODOMETRY_SPREAD = 2.0
 
 
@@ -48,75 +59,82 @@ class Tracker:
         backend: where the maps live.
         rng: of the search's draws.
         health: the producer's record; match scores and disbelieved odometry are written there.
-        looks_twice: search again, wider, where little fits; False leaves that to the producer.
-        minds_open: where walls run along and a match tells nothing that way, odometry decides.
-        holds: without odometry the robot is expected to stand rather than to go on as it went.
+        searches_again: search again, wider, where little fits; False leaves that to the producer.
+        resolves_degeneracy: odometry decides along a match's degenerate direction, as along a
+            corridor.
+        expects_standstill: without odometry the robot is expected to stand rather than to go on as
+            it went.
         pose: of the robot at the last scan; None before the first.
         odometry: at the last scan.
         step: what the robot did before the last scan, in its own frame.
         step_s: how long that took.
         stamp_s: time of the last scan.
-        has_jumped: whether odometry has just been set anew.
-        usual_score: what a match is worth lately; None before the first.
+        has_jumped: whether odometry has just been reset.
+        running_mean_score: of the last matches, 0 to 1; None before the first.
     """
 
     config: MatcherConfig
     backend: Backend
     rng: np.random.Generator
     health: Health
-    holds: bool = False
-    looks_twice: bool = True
-    minds_open: bool = False
+    expects_standstill: bool = False
+    searches_again: bool = True
+    resolves_degeneracy: bool = False
     pose: Pose2 | None = None
     odometry: Pose2 | None = None
     step: Pose2 = IDENTITY
     step_s: float = 0.0
     stamp_s: float = 0.0
     has_jumped: bool = False
-    usual_score: float | None = None
+    running_mean_score: float | None = None
 
-    def guesses(self, stamp_s: float, odometry: Pose2 | None) -> list[Guess]:
+    def hypotheses(self, stamp_s: float, odometry: Pose2 | None) -> list[PoseHypothesis]:
         """Return where the robot may be: by its odometry, and if it goes on as it went."""
         self.has_jumped = False
         if self.pose is None:
-            return [Guess(_vector(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
+            return [PoseHypothesis(row_of(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
         onward = self._onward(stamp_s - self.stamp_s)
         if odometry is None or self.odometry is None:
-            return [self._guess(IDENTITY if self.holds else onward, NO_ODOMETRY_SPREAD, 0.0)]
+            step = IDENTITY if self.expects_standstill else onward
+            return [self._hypothesis(step, NO_ODOMETRY_SPREAD, 0.0)]
         step = self.odometry.inverse().compose(odometry)
         if math.hypot(step.x, step.y) > JUMP_M:
             reason = f"odometry jumped by more than {JUMP_M:g} m: not believed"
             self.health.skips.add(reason, self.health.scans)
             self.has_jumped = True
-            return [self._guess(onward, NO_ODOMETRY_SPREAD, 0.0)]
+            return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]
         # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
-        return [self._guess(step, 1.0, 0.0), self._guess(onward, 1.0, self.config.drift_loss)]
+        return [
+            self._hypothesis(step, 1.0, 0.0),
+            self._hypothesis(onward, 1.0, self.config.drift_loss),
+        ]
 
     def match(
-        self, walls: FieldMap, points: npt.NDArray[np.float64], guesses: list[Guess]
+        self, walls: FieldMap, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
     ) -> Match:
-        """Search around the guesses; where little fits once more, wider, if it is to.
+        """Search around the hypotheses; where little fits once more, wider, if it is to.
 
         Args:
             walls: the map.
             points: (P, 2) hits in the robot's frame, metres; at least one.
-            guesses: at least one.
+            hypotheses: at least one.
         """
         config = self.config
         scan = ScanOnTiles(self.backend, walls, points, config.beams)
-        match = search_pose(scan, guesses, config, self.rng)
-        is_low = self.usual_score is not None and match.score < LOW_SHARE * self.usual_score
-        if is_low and self.looks_twice:
-            more = replace(config, first_poses=SECOND_LOOK_POSES * config.first_poses)
-            around = [replace(g, spread=g.spread.wider(SECOND_LOOK_SPREAD)) for g in guesses]
+        match = search_pose(scan, hypotheses, config, self.rng)
+        mean = self.running_mean_score
+        is_low = mean is not None and match.score < LOW_SHARE * mean
+        if is_low and self.searches_again:
+            more = replace(config, first_poses=SECOND_SEARCH_POSES * config.first_poses)
+            around = [replace(g, spread=g.spread.wider(SECOND_SEARCH_SPREAD)) for g in hypotheses]
             again = search_pose(scan, around, more, self.rng)
-            if again.score > match.score + SECOND_LOOK_GAIN:
+            if again.score > match.score + SECOND_SEARCH_GAIN:
                 match = again
-        if self.minds_open and len(guesses) > 1:
-            bend = response_bend(scan, match.pose)
-            pose = settled_by(bend, match.pose, guesses[0].pose)
-            is_settled = pose is not match.pose  # the bend is that of another place then
-            match = replace(match, pose=pose, bend=None if is_settled else bend)
+        if self.resolves_degeneracy and len(hypotheses) > 1:
+            hessian = response_hessian(scan, match.pose)
+            pose = keep_degenerate_prior(hessian, match.pose, hypotheses[0].pose)
+            is_moved = pose is not match.pose  # the Hessian is that of another place then
+            match = replace(match, pose=pose, hessian=None if is_moved else hessian)
         self._remember(match.score)
         return match
 
@@ -135,9 +153,9 @@ class Tracker:
         step = self.step
         return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
 
-    def _guess(self, step: Pose2, wider: float, loss: float) -> Guess:
+    def _hypothesis(self, step: Pose2, wider: float, loss: float) -> PoseHypothesis:
         start = self.pose or IDENTITY
-        return Guess(_vector(start.compose(step)), self._spread(step, wider), loss)
+        return PoseHypothesis(row_of(start.compose(step)), self._spread(step, wider), loss)
 
     def _spread(self, step: Pose2, wider: float) -> Spread:
         config = self.config
@@ -156,9 +174,7 @@ class Tracker:
         health.match_score = score
         matched = max(1, health.scans_used)  # the first scan was mapped without a match
         health.mean_match_score = score if mean is None else mean + (score - mean) / matched
-        usual = self.usual_score
-        self.usual_score = score if usual is None else usual + (score - usual) / SCORE_MEMORY
-
-
-def _vector(pose: Pose2) -> npt.NDArray[np.float64]:
-    return np.array([pose.x, pose.y, pose.yaw_rad])
+        recent = self.running_mean_score
+        self.running_mean_score = (
+            score if recent is None else recent + (score - recent) / SCORE_MEMORY
+        )

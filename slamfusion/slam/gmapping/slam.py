@@ -35,7 +35,7 @@ from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.mapper import Health, Series, Step
-from slamfusion.slam.common.matcher import FieldMap, Guess, pose_table
+from slamfusion.slam.common.matcher import FieldMap, PoseHypothesis, pose_table
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
 from slamfusion.slam.common.state import (
     health_record,
@@ -123,7 +123,7 @@ class FilterHealth(Health):
 
 
 class Gmapping:
-    """The filter behind the ``SlamBackend`` protocol.
+    """The filter behind the ``Mapper`` protocol.
 
     Attributes:
         name: ``gmapping``.
@@ -154,7 +154,7 @@ class Gmapping:
             backend,
             self._rng,
             self.health,
-            holds=config.expectation == "pose",
+            expects_standstill=config.expectation == "pose",
         )
         count = self._config.particles
         self._maps = SharedTileMaps(
@@ -191,19 +191,19 @@ class Gmapping:
         """Follow the robot to a scan, and filter where it has gone far enough."""
         self.health.scans += 1
         known = None if self._config.odometry == "none" else odometry
-        guesses = self._tracker.guesses(scan.stamp_s, known)
+        hypotheses = self._tracker.hypotheses(scan.stamp_s, known)
         if self._tracker.pose is None:
             cell = self._config.delta
-            self._anchor = np.floor(guesses[0].pose[:2] / cell) * cell
+            self._anchor = np.floor(hypotheses[0].pose[:2] / cell) * cell
         if not self._is_mapped:
-            self._poses[:] = guesses[0].pose
+            self._poses[:] = hypotheses[0].pose
         ends, is_hit = self._beams(scan)
         if not is_hit.any():
-            step = self._skip("no reading within the usable range", guesses[0])
+            step = self._skip("no reading within the usable range", hypotheses[0])
         elif not self._is_mapped:
             step = self._begin(scan, ends, is_hit)
         else:
-            step = self._follow(scan, ends, is_hit, guesses)
+            step = self._follow(scan, ends, is_hit, hypotheses)
         self._tracker.advance(step.pose_map_base, known, scan.stamp_s)
         if self._is_mapped and self._moved == IDENTITY:  # the filter has chosen another best
             self._tracker.pose = _pose(self._poses[self._best])
@@ -231,7 +231,7 @@ class Gmapping:
         return (Series("effective particles", "", stamps_s, values, limit),)
 
     def grid(self) -> OccupancyGrid:
-        """Return the best particle's map; see ``SlamBackend.grid``."""
+        """Return the best particle's map; see ``Mapper.grid``."""
         if not self._is_mapped:
             message = f"{self.name}: no scan could be used, so there is no map"
             raise SlamFusionError(message)
@@ -272,9 +272,9 @@ class Gmapping:
         ends += np.array([scan.mount.x, scan.mount.y])
         return ends, hit[chosen].astype(np.uint8)
 
-    def _skip(self, reason: str, guess: Guess) -> Step:
+    def _skip(self, reason: str, hypothesis: PoseHypothesis) -> Step:
         self.health.skips.add(reason, self.health.scans)
-        pose = _pose(guess.pose)
+        pose = _pose(hypothesis.pose)
         if self._is_mapped:
             self._moved = _pose(self._poses[self._best]).inverse().compose(pose)
         else:
@@ -294,17 +294,21 @@ class Gmapping:
         return Step(pose, used=True, match_score=None)
 
     def _follow(
-        self, scan: LaserScan, ends: F64, is_hit: npt.NDArray[np.uint8], guesses: list[Guess]
+        self,
+        scan: LaserScan,
+        ends: F64,
+        is_hit: npt.NDArray[np.uint8],
+        hypotheses: list[PoseHypothesis],
     ) -> Step:
         """Match a scan on the best map; filter when the robot has gone far enough."""
         points = ends[is_hit == 1]
         start = _pose(self._poses[self._best])
         score: float | None = None
-        pose = _pose(guesses[0].pose)
+        pose = _pose(hypotheses[0].pose)
         # Without odometry nothing but the match moves the robot.
         is_matched = self._config.match_every_scan or self._tracker.odometry is None
         if is_matched:
-            match = self._tracker.match(self._walls(), points, guesses)
+            match = self._tracker.match(self._walls(), points, hypotheses)
             score = match.score
             if score * len(points) > self._config.minimumScore:
                 pose = _pose(match.pose)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from slamfusion.compute.backend import Backend
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.slam.common.matcher import Guess, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.common.response import response_information
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap
@@ -130,7 +130,7 @@ class ClosureSearch:
         least = max(config.loop_match_minimum_response, USUAL_SHARE * usual)
         turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
         if drift_m <= LOCAL_DRIFT_M:
-            guess = Guess(expected, Spread(max(drift_m / 2.0, 0.15), turn / 2.0))
+            guess = PoseHypothesis(expected, Spread(max(drift_m / 2.0, 0.15), turn / 2.0))
             found = self._fine(submap, points, guess, least, MOST_UNSEEN)
             if isinstance(found, Found) and _is_news(expected, found.pose):
                 window = _Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
@@ -208,7 +208,7 @@ class ClosureSearch:
         self,
         submap: Submap,
         points: F64,
-        guess: Guess,
+        hypothesis: PoseHypothesis,
         least: float,
         most_unseen: float,
         *,
@@ -218,7 +218,7 @@ class ClosureSearch:
         config = self._config
         scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
         matcher = self._after_window if by_window else config.matcher
-        match = search_pose(scan, [guess], matcher, self._rng)
+        match = search_pose(scan, [hypothesis], matcher, self._rng)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
         if unseen > most_unseen:
             return "little in common"
@@ -321,9 +321,9 @@ def _is_news(expected: F64, found: F64) -> bool:
     return bool(np.hypot(away[0], away[1]) > NEWS_M or abs(wrap_angle(float(away[2]))) > NEWS_RAD)
 
 
-def _around(coarse: F64) -> Guess:
+def _around(coarse: F64) -> PoseHypothesis:
     """Return where the fine search looks around what a window has found."""
-    return Guess(coarse, Spread(0.1, 0.02))
+    return PoseHypothesis(coarse, Spread(0.1, 0.02))
 
 
 def _is_small(pose: Pose2, moved: Pose2) -> bool:

@@ -21,7 +21,7 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
-from slamfusion.slam.common.mapper import SlamBackend
+from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
 
 __all__ = ["DrawsAside", "MapJob", "Node", "NodeMap"]
@@ -73,7 +73,7 @@ class MapJob:
 
 
 @runtime_checkable
-class DrawsAside(SlamBackend, Protocol):
+class DrawsAside(Mapper, Protocol):
     """A producer whose map a ``NodeMap`` draws in another thread, while scans go on."""
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:

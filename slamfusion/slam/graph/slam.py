@@ -221,7 +221,7 @@ class _Boxes(NamedTuple):
 
 
 class GraphSlam:
-    """The graph SLAM behind the ``SlamBackend`` protocol.
+    """The graph SLAM behind the ``Mapper`` protocol.
 
     Attributes:
         name: ``graph``.
@@ -246,7 +246,12 @@ class GraphSlam:
         self._seed = seed
         self._rng = np.random.default_rng(seed)
         self._tracker = Tracker(
-            config.matcher, backend, self._rng, self.health, looks_twice=False, minds_open=True
+            config.matcher,
+            backend,
+            self._rng,
+            self.health,
+            searches_again=False,
+            resolves_degeneracy=True,
         )
         self._nodes: list[Node] = []
         self._node_bytes = 0
@@ -299,16 +304,16 @@ class GraphSlam:
         self.health.scans += 1
         self._count_pause(scan.stamp_s)
         known = None if self._config.odometry == "none" else odometry
-        guesses = self._tracker.guesses(scan.stamp_s, known)
+        hypotheses = self._tracker.hypotheses(scan.stamp_s, known)
         if self._tracker.pose is None:
-            self._start = _pose(guesses[0].pose)
+            self._start = _pose(hypotheses[0].pose)
         points = scan.points(scan.is_hit(self._config.usable_range_m))
         if len(points) == 0:
-            step = self._skip("no reading within the usable range", guesses[0], scan, known)
+            step = self._skip("no reading within the usable range", hypotheses[0], scan, known)
         elif not self._nodes:
             step = self._begin(scan, points, known)
         else:
-            step = self._follow(scan, points, known, guesses)
+            step = self._follow(scan, points, known, hypotheses)
         self.last_stamp_s = scan.stamp_s
         pose = step.pose_map_base
         self._online.append((pose.x, pose.y, pose.yaw_rad))
@@ -356,7 +361,7 @@ class GraphSlam:
         return (Series("response", "", stamps, values),)
 
     def grid(self) -> OccupancyGrid:
-        """Return the map of all nodes at their poses of today; see ``SlamBackend.grid``."""
+        """Return the map of all nodes at their poses of today; see ``Mapper.grid``."""
         return self._map.draw(self.map_job(is_settled=True))
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
@@ -383,7 +388,7 @@ class GraphSlam:
     # -- one scan ------------------------------------------------------------------------------
 
     def _skip(
-        self, reason: str, guess: matcher.Guess, scan: LaserScan, known: Pose2 | None
+        self, reason: str, guess: matcher.PoseHypothesis, scan: LaserScan, known: Pose2 | None
     ) -> Step:
         self.health.skips.add(reason, self.health.scans)
         local = _pose(guess.pose)
@@ -396,7 +401,7 @@ class GraphSlam:
 
     def _begin(self, scan: LaserScan, points: F64, known: Pose2 | None) -> Step:
         """Make the first node."""
-        pose = _pose(self._tracker.guesses(scan.stamp_s, known)[0].pose)
+        pose = _pose(self._tracker.hypotheses(scan.stamp_s, known)[0].pose)
         self._tracker.pose = None  # from now on relative to the first node
         self._add_node(scan, points, known, pose)
         self._append_submap(0, part=0)
@@ -410,17 +415,17 @@ class GraphSlam:
         scan: LaserScan,
         points: F64,
         known: Pose2 | None,
-        guesses: list[matcher.Guess],
+        hypotheses: list[matcher.PoseHypothesis],
     ) -> Step:
         """Match a scan on the growing submap; make it a node where it is due."""
-        submap, usual = self._submaps[self._active], self._tracker.usual_score
-        match = self._tracker.match(submap.walls(), points, guesses)
+        submap, usual = self._submaps[self._active], self._tracker.running_mean_score
+        match = self._tracker.match(submap.walls(), points, hypotheses)
         fit = self._fit(submap, points, match, usual)
-        at, bend, is_sure = match.pose, match.bend, True
+        at, bend, is_sure = match.pose, match.hessian, True
         if fit < BAD_SHARE and usual is not None:
             bend = None
             at, is_sure = self._search.around(
-                submap, points, guesses[0].pose, usual, by_odometry=len(guesses) > 1
+                submap, points, hypotheses[0].pose, usual, by_odometry=len(hypotheses) > 1
             )
         local = _pose(at)
         self._tracker.advance(local, known, scan.stamp_s)
@@ -631,7 +636,7 @@ class GraphSlam:
     def _close_loops(self, number: int, points: F64) -> None:
         """Search older submaps for a node."""
         pose = _pose(self._poses[number])
-        usual = self._tracker.usual_score or 0.0
+        usual = self._tracker.running_mean_score or 0.0
         for look in (*self._lost_looks(pose), *self._looks(number, pose)):
             submap = self._submaps[look.index]
             self._last_tried[look.index] = number

@@ -27,7 +27,7 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Health, Series, Step
-from slamfusion.slam.common.matcher import FieldMap, Guess, Match
+from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
 from slamfusion.slam.common.tile_map import TileMap
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.tinyslam.cell_models import area_behind
@@ -56,7 +56,7 @@ FREE_SHARE = 0.5
 
 
 class TinySlam:
-    """tinySLAM behind the ``SlamBackend`` protocol.
+    """tinySLAM behind the ``Mapper`` protocol.
 
     Attributes:
         name: ``tinyslam``.
@@ -95,19 +95,19 @@ class TinySlam:
     # -- the protocol --------------------------------------------------------------------------
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
-        """Match a scan and write it into the map; see ``SlamBackend.feed``."""
+        """Match a scan and write it into the map; see ``Mapper.feed``."""
         self.health.scans += 1
-        guesses = self._tracker.guesses(scan.stamp_s, odometry)
-        x, y, yaw = (float(value) for value in guesses[0].pose)
+        hypotheses = self._tracker.hypotheses(scan.stamp_s, odometry)
+        x, y, yaw = (float(value) for value in hypotheses[0].pose)
         predicted = Pose2(x, y, yaw)
         if self._tracker.pose is None:  # the lattice of cells is that of the map frame
             cell = self._config.resolution
-            self._anchor = np.floor(guesses[0].pose[:2] / cell) * cell
+            self._anchor = np.floor(hypotheses[0].pose[:2] / cell) * cell
         points = scan.points(scan.is_hit(self._config.usable_range_m))
         if len(points) == 0:
             step = self._skip("no reading within the usable range", predicted)
         else:
-            step = self._use(scan, points, guesses)
+            step = self._use(scan, points, hypotheses)
         self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)
         self._stamps.append(scan.stamp_s)
         self._poses.append((step.pose_map_base.x, step.pose_map_base.y, step.pose_map_base.yaw_rad))
@@ -126,7 +126,7 @@ class TinySlam:
         return ()
 
     def grid(self) -> OccupancyGrid:
-        """Return the published map; see ``SlamBackend.grid``."""
+        """Return the published map; see ``Mapper.grid``."""
         if not self._mapped:
             message = f"{self.name}: no scan could be used, so there is no map"
             raise SlamFusionError(message)
@@ -148,10 +148,12 @@ class TinySlam:
         self.health.skips.add(reason, self.health.scans)
         return Step(predicted, used=False, match_score=None, reason=reason)
 
-    def _use(self, scan: LaserScan, points: npt.NDArray[np.float64], guesses: list[Guess]) -> Step:
+    def _use(
+        self, scan: LaserScan, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
+    ) -> Step:
         """Match the hits of a scan, then map them."""
-        match = self._tracker.match(self._walls(), points, guesses) if self._mapped else None
-        found = guesses[0].pose if match is None else match.pose
+        match = self._tracker.match(self._walls(), points, hypotheses) if self._mapped else None
+        found = hypotheses[0].pose if match is None else match.pose
         x, y, yaw = (float(value) for value in found)
         pose = Pose2(x, y, wrap_angle(yaw))
         self._write(scan, points, pose, self._quality(match))

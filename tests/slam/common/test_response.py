@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from slamfusion.compute import Backend, open_backend
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
-from slamfusion.slam.common.matcher import Guess, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.common.response import (
+    DEGENERATE_SIGMA_M,
     LEAST_SIGMA,
     MOST_SIGMA,
-    OPEN_SIGMA,
-    response_bend,
+    keep_degenerate_prior,
+    response_hessian,
     response_information,
-    settled_by,
 )
 from slamfusion.slam.graph.constraints import turned
 from slamfusion.slam.graph.submap import Submap
@@ -132,7 +132,7 @@ def test_turned_information_is_that_of_the_turned_frame(flat: Place):
 def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     """Return (3,) the deviations of 100 matches of noisy scans, and what the response says.
 
-    From guesses around the truth, and with no weight on them: what the scans alone tell.
+    From hypotheses around the truth, and with no weight on them: what the scans alone tell.
     """
     config = replace(GraphConfig().matcher, prior_weight_xy=0.0, prior_weight_yaw=0.0)
     pose = true_poses(120)[index]
@@ -141,8 +141,8 @@ def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     for seed in range(100):
         points = place.points(pose, 1000 + seed, 0.015)
         scan = ScanOnTiles(place.slam._backend, place.submap.walls(), points, config.beams)
-        guess = Guess(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
-        pose_found = search_pose(scan, [guess], config, rng).pose
+        expected = PoseHypothesis(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
+        pose_found = search_pose(scan, [expected], config, rng).pose
         found.append(pose_found)
         information = place.information(Pose2(*(float(v) for v in pose_found)), points)
         told.append(np.sqrt(np.diag(np.linalg.inv(information))))
@@ -182,9 +182,9 @@ def scan_of(backend: Backend, frame: Pose2, written: F64, points: F64) -> ScanOn
     return ScanOnTiles(backend, submap.walls(), points, 100_000)
 
 
-def settle(scan: ScanOnTiles, match: F64, guess: F64) -> F64:
+def keep_prior(scan: ScanOnTiles, match: F64, expected: F64) -> F64:
     """Return a match as odometry settles it."""
-    return settled_by(response_bend(scan, match), match, guess)
+    return keep_degenerate_prior(response_hessian(scan, match), match, expected)
 
 
 def vector(pose: Pose2) -> F64:
@@ -201,12 +201,12 @@ def test_along_bare_walls_odometry_has_its_way(
     frame = Pose2(0.4, -0.3, yaw_rad)
     scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
     match = vector(frame)
-    guess = vector(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
+    expected = vector(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
     before = match.copy()
-    settled = settle(scan, match, guess)
+    kept = keep_prior(scan, match, expected)
     wanted = vector(frame.compose(Pose2(ahead_m, 0.0, 0.0)))
-    np.testing.assert_allclose(settled[:2], wanted[:2], atol=1e-3)
-    assert settled[2] == match[2]
+    np.testing.assert_allclose(kept[:2], wanted[:2], atol=1e-3)
+    assert kept[2] == match[2]
     assert match.tobytes() == before.tobytes()
 
 
@@ -214,9 +214,9 @@ def test_along_bare_walls_odometry_has_its_way(
 def test_along_walls_a_little_oblique_to_the_cells_too(backend: Backend, yaw_rad: float):
     frame = Pose2(0.4, -0.3, yaw_rad)
     scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
-    guess = frame.compose(Pose2(1.0, 0.2, 0.1))
-    settled = Pose2(*(float(v) for v in settle(scan, vector(frame), vector(guess))))
-    moved = frame.inverse().compose(settled)
+    expected = frame.compose(Pose2(1.0, 0.2, 0.1))
+    kept = Pose2(*(float(v) for v in keep_prior(scan, vector(frame), vector(expected))))
+    moved = frame.inverse().compose(kept)
     assert moved.x == pytest.approx(1.0, abs=0.02)
     assert moved.y == pytest.approx(0.0, abs=0.02)
     assert moved.yaw_rad == pytest.approx(0.0, abs=1e-12)
@@ -230,8 +230,8 @@ def test_in_a_drawn_corridor_odometry_decides_along_it(corridor: Place):
         points = corridor.points(pose, 100 + index, 0.015)
         scan = ScanOnTiles(corridor.slam._backend, corridor.submap.walls(), points, 180)
         match = vector(pose)
-        settled = settle(scan, match, match + np.array([0.2, 0.2, 0.1]))
-        moved.append(settled - match)
+        kept = keep_prior(scan, match, match + np.array([0.2, 0.2, 0.1]))
+        moved.append(kept - match)
     along, across, turn = np.array(moved).T
     assert np.median(along) > 0.19
     assert np.abs(across).max() < 0.05
@@ -245,8 +245,8 @@ def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
         points = flat.points(pose, seed, 0.015)
         scan = ScanOnTiles(flat.slam._backend, flat.submap.walls(), points, 180)
         match = vector(pose)
-        settled = settle(scan, match, match + np.array([1.0, -2.0, 0.5]))
-        assert settled.tobytes() == vector(pose).tobytes()
+        kept = keep_prior(scan, match, match + np.array([1.0, -2.0, 0.5]))
+        assert kept.tobytes() == vector(pose).tobytes()
 
 
 def test_one_wall_across_closes_a_corridor(backend: Backend):
@@ -254,10 +254,10 @@ def test_one_wall_across_closes_a_corridor(backend: Backend):
     end = np.column_stack((np.full(200, 2.5), np.arange(-1.0, 1.0, 0.01)))
     points = np.concatenate((two_walls(2.5), end))
     scan = scan_of(backend, Pose2(), points, points)
-    match, guess = np.zeros(3), np.array([-0.3, 0.1, 0.0])
-    assert settle(scan, match, guess).tobytes() == match.tobytes()
+    match, expected = np.zeros(3), np.array([-0.3, 0.1, 0.0])
+    assert keep_prior(scan, match, expected).tobytes() == match.tobytes()
     information = response_information(scan, match)
-    assert information[0, 0] > OPEN_SIGMA**-2.0
+    assert information[0, 0] > DEGENERATE_SIGMA_M**-2.0
 
 
 @given(
@@ -267,17 +267,17 @@ def test_one_wall_across_closes_a_corridor(backend: Backend):
     ahead=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
 )
 @settings(max_examples=80, deadline=None)
-def test_a_match_is_moved_along_one_line_and_never_beyond_the_guess(
+def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
     flat: Place, x: float, y: float, yaw_rad: float, ahead: tuple[float, float]
 ):
     """At any place, also outside and within walls, where a response bends any way."""
     points = scan_at(true_poses(120)[60], 0.0).points()
     scan = ScanOnTiles(flat.slam._backend, flat.submap.walls(), points, 180)
     match = np.array([x, y, yaw_rad])
-    guess = match + np.array([*ahead, 0.3])
-    settled = settle(scan, match, guess)
-    assert settled[2] == match[2]
-    moved, left = (settled - match)[:2], (guess - settled)[:2]
+    expected = match + np.array([*ahead, 0.3])
+    kept = keep_prior(scan, match, expected)
+    assert kept[2] == match[2]
+    moved, left = (kept - match)[:2], (expected - kept)[:2]
     assert abs(moved @ left) < 1e-9  # what is left lies across
     assert np.hypot(*moved) <= np.hypot(*ahead) + 1e-9
 
@@ -305,4 +305,4 @@ def test_a_sharp_response_tells_no_more_than_the_most(backend: Backend):
         response_information(scan, np.zeros(3)) / np.outer([1.0, 1.0, 5.0], [1.0, 1.0, 5.0])
     )
     assert values.max() == pytest.approx(LEAST_SIGMA**-2.0)
-    assert values.min() > OPEN_SIGMA**-2.0
+    assert values.min() > DEGENERATE_SIGMA_M**-2.0
