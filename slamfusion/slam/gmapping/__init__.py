@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from slamfusion.slam.gmapping.slam import FilterHealth, Gmapping
+from slamfusion.slam.gmapping.health import FilterHealth
+from slamfusion.slam.gmapping.slam import Gmapping
 
 __all__ = ["FilterHealth", "Gmapping"]

@@ -1,106 +1,144 @@
-"""Where a lost robot may be: several guesses, each tested as it drives on, until one is left.
+"""``Relocalization``: the search for a kidnapped robot in the map of before.
 
-Rooms look alike. A place where a scan fits is a guess; so is every other place where one fits. Each
-guess says where the next scans must fit too. One that is right goes on fitting; one that is not
-fails where the look-alikes differ. The robot is found when a guess has been borne out on a way and
-no other is left, and every old submap has been looked at.
+It is searched near where odometry has it; after that in vain, where hypotheses have it, and all
+over. It is relocalized when a hypothesis has been borne out over a distance and no other is left,
+and every old submap has been searched.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from slamfusion.geometry import Pose2
+from slamfusion.slam.graph.hypotheses import RelocalizationHypotheses, RelocalizationHypothesis
+from slamfusion.slam.graph.local_map import LocalMap
+from slamfusion.slam.graph.loop_candidates import DRIFT_SHARE, LoopCandidate
+from slamfusion.slam.graph.map_graph import MapGraph
+from slamfusion.slam.graph.pending_closures import PendingClosure
+from slamfusion.slam.graph.state import RelocalizationState
 
-from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.slam.graph.closure_search import AGREEMENT_M, AGREEMENT_RAD, Waiting
+__all__ = ["KIDNAPPED_DRIFT_M", "Relocalization"]
 
-__all__ = ["Guess", "Relocation"]
-
-# A guess is believed after so many nodes that fit, over such a way in metres.
-HITS, WAY_M = 14, 4.0
-# It is given up after so many misses in a row. One that has fewer hits, or less than a share of the
-# best one's, is no rival: where it has the robot now there is nothing to test it on.
-MISSES = 3
-RIVAL_HITS, RIVAL_SHARE = 2, 0.4
-# Guesses that are tested at a node, and that are kept.
-TESTED = 2
-MOST_GUESSES = 12
-
-
-@dataclass(eq=False)
-class Guess:
-    """Where the robot's part may lie.
-
-    Attributes:
-        correction: what would move the part there, in the map frame.
-        hits: closures that say so.
-        misses: tests in a row that it has failed.
-        tested: node at which it was tested last.
-    """
-
-    correction: Pose2
-    hits: list[Waiting] = field(default_factory=list)
-    misses: int = 0
-    tested: int = -1
-
-    def is_borne_out(self) -> bool:
-        """Return whether enough scans have fitted on a long enough way."""
-        nodes = {hit.edge.end for hit in self.hits}
-        travelled = [hit.travelled_m for hit in self.hits]
-        return len(nodes) >= HITS and max(travelled) - min(travelled) >= WAY_M
+# Distance from where odometry has it, metres, within which a kidnapped robot is searched first.
+KIDNAPPED_DRIFT_M = 1.2
+# Searches there in vain after which it may be anywhere, nodes.
+LOCAL_SEARCHES = 12
+# Distance from the robot's places in an old submap, metres, up to which a hypothesis that puts the
+# robot there is tested on it.
+INSIDE_M = 0.5
+# Error of a hypothesis, metres: of its last hit, and of the drift since.
+HYPOTHESIS_DRIFT_M = 0.6
+# Submaps that are searched all over at a node; and once each has been, nodes until the next round.
+SEARCHED_AT_NODE, ROUND_NODES = 3, 4
 
 
-class Relocation:
-    """The guesses about one lost robot.
+class Relocalization:
+    """The search for a kidnapped robot in the map components that it is not in.
 
     Attributes:
-        guesses: that are not given up.
+        hypotheses: where it may be.
     """
 
     def __init__(self) -> None:
-        self.guesses: list[Guess] = []
+        self.hypotheses = RelocalizationHypotheses()
+        # How often submaps of other components were searched all over.
+        self._searched: dict[int, int] = {}
+        # Searches where odometry has it, and the distance travelled when it was kidnapped.
+        self._failed_searches = 0
+        self._kidnapped_m = 0.0
 
-    def to_test(self) -> list[Guess]:
-        """Return the guesses whose turn it is."""
-        return sorted(self.guesses, key=lambda guess: guess.tested)[:TESTED]
+    def begin(self, travelled_m: float) -> None:
+        """Begin for a robot that was kidnapped after a distance travelled, metres."""
+        self.forget()
+        self._failed_searches = 0
+        self._kidnapped_m = travelled_m
 
-    def add(self, hit: Waiting, pose: Pose2) -> Guess:
-        """Take a closure as a hit of the guess that says the same, or of a new one.
+    def forget(self) -> None:
+        """Forget what was searched, and every hypothesis: the robot is somewhere else now."""
+        self._searched = {}
+        self.hypotheses = RelocalizationHypotheses()
+
+    def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
+        """Return the submaps that a kidnapped robot is searched in at a node.
 
         Args:
-            hit: the closure.
-            pose: of its node in the map frame, before any correction.
+            graph: with the node as its last.
+            local_map: the submaps.
+            pose: of the robot if it were where odometry alone has it, in the map frame.
         """
-        place = hit.correction.compose(pose)
-        for guess in self.guesses:
-            if _is_near(guess.correction.compose(pose), place):
-                break
-        else:
-            guess = Guess(hit.correction)
-            self.guesses.append(guess)
-        guess.hits.append(hit)
-        guess.correction, guess.misses = hit.correction, 0
-        if len(self.guesses) > MOST_GUESSES:
-            self.guesses.remove(min(self.guesses, key=lambda one: len(one.hits)))
-        return guess
+        if local_map.component_count < 2:
+            return []
+        others = local_map.in_other_components()
+        away_m = local_map.distances_m(pose, graph.poses)
+        # First near where odometry has it.
+        drift_m = KIDNAPPED_DRIFT_M + DRIFT_SHARE * (graph.travelled_m - self._kidnapped_m)
+        nearest = others[int(away_m[others].argmin())]
+        candidates = [LoopCandidate(nearest, pose, drift_m, "odometry")]
+        self._failed_searches += 1
+        if self._failed_searches <= LOCAL_SEARCHES:
+            return candidates
+        # Then where hypotheses have it.
+        for hypothesis in self.hypotheses.to_test():
+            hypothesis.tested = len(graph.nodes)
+            expected = hypothesis.correction.compose(pose)
+            outside_m = local_map.distances_m(expected, graph.poses)[others]
+            place = int(outside_m.argmin())
+            if outside_m[place] < INSIDE_M:
+                candidates.append(
+                    LoopCandidate(
+                        others[place], expected, HYPOTHESIS_DRIFT_M, "anywhere", hypothesis
+                    )
+                )
+        # Then anywhere: submaps that have not been searched yet first, and of these the near ones.
+        rounds = sorted(
+            (self._searched.get(index, 0), float(away_m[index]), index)
+            for index in _covering(others)
+        )
+        for times, _, index in rounds[:SEARCHED_AT_NODE]:
+            if times == 0 or len(graph.nodes) % ROUND_NODES == 0:
+                self._searched[index] = times + 1
+                candidates.append(LoopCandidate(index, None, 0.0, "anywhere"))
+        return candidates
 
-    def miss(self, guess: Guess) -> None:
-        """Count that a scan did not fit where a guess says that it must."""
-        guess.misses += 1
-        if guess.misses >= MISSES and guess in self.guesses:
-            self.guesses.remove(guess)
+    def confirmed(
+        self, closure: PendingClosure, pose: Pose2, local_map: LocalMap
+    ) -> list[PendingClosure]:
+        """Return the closures found anywhere that may be believed now; often none.
 
-    def winner(self) -> Guess | None:
-        """Return the guess that is borne out and has no rival left."""
-        if not self.guesses:
-            return None
-        best = max(self.guesses, key=lambda guess: len(guess.hits))
-        enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
-        has_rival = any(len(guess.hits) >= enough for guess in self.guesses if guess is not best)
-        return best if best.is_borne_out() and not has_rival else None
+        Args:
+            closure: a new one, found ``anywhere``.
+            pose: of its node in the map frame, before any correction.
+            local_map: the submaps.
+        """
+        self.hypotheses.add(closure, pose)
+        winner = self.hypotheses.winner()
+        to_search = _covering(local_map.in_other_components())
+        if winner is None or any(index not in self._searched for index in to_search):
+            return []
+        return winner.hits
+
+    def to_state(self) -> RelocalizationState:
+        """Return everything, for saving."""
+        return RelocalizationState(
+            hypotheses=tuple(one.to_state() for one in self.hypotheses.kept),
+            searched=tuple(self._searched.items()),
+            failed_searches=self._failed_searches,
+            kidnapped_m=self._kidnapped_m,
+        )
+
+    def restore(self, state: RelocalizationState) -> None:
+        """Take over what ``to_state`` returned."""
+        self.hypotheses.kept = [
+            RelocalizationHypothesis.from_state(one) for one in state.hypotheses
+        ]
+        self._searched = dict(state.searched)
+        self._failed_searches = state.failed_searches
+        self._kidnapped_m = state.kidnapped_m
 
 
-def _is_near(one: Pose2, other: Pose2) -> bool:
-    """Return whether two poses are one place."""
-    away = math.hypot(one.x - other.x, one.y - other.y)
-    return away < AGREEMENT_M and abs(wrap_angle(one.yaw_rad - other.yaw_rad)) < AGREEMENT_RAD
+def _covering(submaps: list[int]) -> list[int]:
+    """Return those of some submaps that together hold every scan: all overlap by half."""
+    known = set(submaps)
+    return [
+        index
+        for place, index in enumerate(submaps)
+        if place % 2 == 0 or not {index - 1, index + 1} <= known
+    ]

@@ -21,18 +21,22 @@ from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.tile_map import TileMap
 
-__all__ = ["UNSEEN_WALL", "Pyramid", "Submap", "make_smear_rule"]
+__all__ = ["UNSEEN_WALL", "Pyramid", "Submap", "likelihood_rule", "seen_score"]
 
 F64 = npt.NDArray[np.float64]
 
-# Field of a cell that no scan has seen: a little, so that new space does not repel scans.
+# Likelihood, of 255, of a cell that no scan has seen: a little, so that new space does not repel
+# scans.
 UNSEEN_WALL = 20
-# A hit is smeared out to so many of its standard deviations.
-SMEARED = 2.0
-TABLE_STEPS = 256
-# Observations that a cell remembers.
-MEMORY = 64
+# Standard deviations around a hit up to which its likelihood is written: 5 % are left beyond.
+REACH_SIGMAS = 2.0
+# Cells around a hit up to which its likelihood is written at most: the kernels' time grows with the
+# square.
 MOST_REACH = 6
+# Entries of the likelihood's table by squared distance.
+TABLE_STEPS = 256
+# Observations that a cell remembers: some seconds of scans, so that what has moved is forgotten.
+MEMORY = 64
 
 
 class Pyramid:
@@ -77,14 +81,14 @@ class Submap:
         high: (2,) the other corner.
     """
 
-    def __init__(self, backend: Backend, anchor: int, resolution: float, smear_m: float) -> None:
+    def __init__(self, backend: Backend, anchor: int, resolution: float, sigma_m: float) -> None:
         """Start empty.
 
         Args:
             backend: where it lives.
             anchor: see above.
             resolution: metres per cell.
-            smear_m: deviation of the likelihood around a hit, metres, above 0.
+            sigma_m: standard deviation of the likelihood around a hit, metres, above 0.
         """
         self.anchor = anchor
         self.scans = 0
@@ -92,7 +96,7 @@ class Submap:
         self.high = np.zeros(2)
         self._backend = backend
         self._cell = resolution
-        self._rule = make_smear_rule(smear_m / resolution)
+        self._rule = likelihood_rule(sigma_m / resolution)
         self._tiles = TileMap(
             backend,
             {
@@ -118,7 +122,7 @@ class Submap:
         return FieldMap(tiles.pools["field"], tiles.page_table, tiles.origin, self._cell)
 
     def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
-        """Write the hits of a scan.
+        """Update the likelihood field by the hits of a scan.
 
         Args:
             points: (P, 2) metres, in the robot's frame; at least one.
@@ -182,9 +186,19 @@ class Submap:
         return pyramid
 
 
-def make_smear_rule(deviation_cells: float) -> SmearRule:
+def seen_score(score: float, unseen_share: float) -> float:
+    """Return the mean score, 0 to 1, of the hits that fall where a submap has seen something.
+
+    Args:
+        score: mean over all hits.
+        unseen_share: share of the hits that fall elsewhere, below 1.
+    """
+    return (score - unseen_share * UNSEEN_WALL / 255.0) / (1.0 - unseen_share)
+
+
+def likelihood_rule(deviation_cells: float) -> SmearRule:
     """Return how hits spread by a Gaussian likelihood of a deviation in cells."""
-    reach = min(MOST_REACH, max(1, math.ceil(SMEARED * deviation_cells)))
+    reach = min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation_cells)))
     farthest = 2.0 * ((reach + 0.5) * BEAM_ONE) ** 2
     shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
     squared = np.arange(TABLE_STEPS) * 2.0**shift / BEAM_ONE**2

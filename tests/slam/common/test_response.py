@@ -140,9 +140,9 @@ def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     found, told = [], []
     for seed in range(100):
         points = place.points(pose, 1000 + seed, 0.015)
-        scan = ScanOnTiles(place.slam._backend, place.submap.walls(), points, config.beams)
-        expected = PoseHypothesis(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
-        pose_found = search_pose(scan, [expected], config, rng).pose
+        scan = ScanOnTiles(place.backend, place.submap.walls(), points, config.beams)
+        hypothesis = PoseHypothesis(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
+        pose_found = search_pose(scan, [hypothesis], config, rng).pose
         found.append(pose_found)
         information = place.information(Pose2(*(float(v) for v in pose_found)), points)
         told.append(np.sqrt(np.diag(np.linalg.inv(information))))
@@ -228,7 +228,7 @@ def test_in_a_drawn_corridor_odometry_decides_along_it(corridor: Place):
     for index in range(20):
         pose = Pose2(12.0 + 0.1 * index, 1.5, 0.0)
         points = corridor.points(pose, 100 + index, 0.015)
-        scan = ScanOnTiles(corridor.slam._backend, corridor.submap.walls(), points, 180)
+        scan = ScanOnTiles(corridor.backend, corridor.submap.walls(), points, 180)
         match = vector(pose)
         kept = keep_prior(scan, match, match + np.array([0.2, 0.2, 0.1]))
         moved.append(kept - match)
@@ -243,7 +243,7 @@ def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
     pose = true_poses(120)[index]
     for seed in range(5):
         points = flat.points(pose, seed, 0.015)
-        scan = ScanOnTiles(flat.slam._backend, flat.submap.walls(), points, 180)
+        scan = ScanOnTiles(flat.backend, flat.submap.walls(), points, 180)
         match = vector(pose)
         kept = keep_prior(scan, match, match + np.array([1.0, -2.0, 0.5]))
         assert kept.tobytes() == vector(pose).tobytes()
@@ -272,7 +272,7 @@ def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
 ):
     """At any place, also outside and within walls, where a response bends any way."""
     points = scan_at(true_poses(120)[60], 0.0).points()
-    scan = ScanOnTiles(flat.slam._backend, flat.submap.walls(), points, 180)
+    scan = ScanOnTiles(flat.backend, flat.submap.walls(), points, 180)
     match = np.array([x, y, yaw_rad])
     expected = match + np.array([*ahead, 0.3])
     kept = keep_prior(scan, match, expected)

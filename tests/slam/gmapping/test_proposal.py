@@ -15,13 +15,15 @@ from scipy.stats import binom, chi2, multivariate_normal
 from slamfusion.compute import Backend, open_backend
 from slamfusion.config import GmappingConfig
 from slamfusion.geometry import Pose2
+from slamfusion.slam.gmapping.beams import beams_of
+from slamfusion.slam.gmapping.particles import normalised_weights
 from slamfusion.slam.gmapping.proposal import (
     effective_particles,
     local_grid,
     propose,
     resample_systematic,
 )
-from slamfusion.slam.gmapping.slam import Gmapping, _normalised
+from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import scan_at, true_poses
 
 F64 = npt.NDArray[np.float64]
@@ -244,8 +246,15 @@ def mapped(backend: Backend, count: int, **samples: float) -> Gmapping:
     )
     slam = Gmapping(config, backend)
     slam.feed(scan_at(POSE, 0.0), POSE)
-    slam._moved = AHEAD
     return slam
+
+
+def move(slam: Gmapping, points: F64, expected: F64, drawn: F64) -> int:
+    """Sample the particles' poses after the step ahead; return how many matches are rejected."""
+    sigmas = slam._motion.sigmas(AHEAD)
+    sampled = slam._sampler.sample(points, expected, drawn, sigmas, slam._rng)
+    slam._particles.move(sampled.poses, sampled.log_evidence)
+    return sampled.rejected
 
 
 def log_likelihoods(slam: Gmapping, index: int, points: F64, poses: F64) -> F64:
@@ -254,13 +263,13 @@ def log_likelihoods(slam: Gmapping, index: int, points: F64, poses: F64) -> F64:
     The field f between cells is bilinear; a hit there is sqrt(-sigma ln f) from a wall, no more
     than sqrt(0.5) m, and its log-likelihood is minus that squared over lsigma.
     """
-    field, first = slam._maps.cells("field", index)
+    field, first = slam._maps.tiles.cells("field", index)
     field = np.pad(field.astype(np.float64), 1, mode="constant") / 255.0
     cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
     x = poses[:, :1] + cos * points[:, 0] - sin * points[:, 1]
     y = poses[:, 1:2] + sin * points[:, 0] + cos * points[:, 1]
-    col = np.clip((x - slam._anchor[0]) / CELL - first[0] + 0.5, 0.0, field.shape[1] - 1.001)
-    row = np.clip((y - slam._anchor[1]) / CELL - first[1] + 0.5, 0.0, field.shape[0] - 1.001)
+    col = np.clip((x - slam._maps.anchor[0]) / CELL - first[0] + 0.5, 0.0, field.shape[1] - 1.001)
+    row = np.clip((y - slam._maps.anchor[1]) / CELL - first[1] + 0.5, 0.0, field.shape[0] - 1.001)
     c, r = col.astype(int), row.astype(int)
     right, up = col - c, row - r
     low = field[r, c] * (1.0 - right) + field[r, c + 1] * right
@@ -305,18 +314,18 @@ def test_weights_are_the_integral_of_likelihood_and_prior_on_each_particle_s_map
     )
     own = np.array([POSE.x, POSE.y, POSE.yaw_rad])
     around = [(0.05, 0.0, 0.0), (-0.06, 0.1, 0.05), (0.0, -0.2, -0.2), (1.0, 0.5, 1.0)]
-    slam._poses = own + np.array(around)
+    slam._particles.poses = own + np.array(around)
     for shift in (0.02, 0.05):
         seen = scan_at(POSE.compose(Pose2(shift, shift, shift)), 0.1)
-        slam._write(seen, *slam._beams(seen), np.arange(4))
+        slam._maps.write(beams_of(seen, slam._config), slam._particles.poses, np.arange(4))
     points = scan_at(POSE, 0.0).points()[::3]
     away = [(0.0, 0.0, 0.0), (0.03, -0.02, 0.01), (-0.02, 0.03, -0.02), (0.05, 0.05, 0.0)]
     expected = own + np.array(away)
-    slam._move(points, expected, expected + np.array([0.01, 0.01, 0.005]))
+    move(slam, points, expected, expected + np.array([0.01, 0.01, 0.005]))
     wanted = [dense_integral(slam, i, points, expected[i])[0] for i in range(4)]
     assert np.ptp(wanted) > 0.5
-    np.testing.assert_allclose(slam._log_weights, wanted, rtol=0.0, atol=0.05)
-    np.testing.assert_array_equal(slam._path_weights, slam._log_weights)
+    np.testing.assert_allclose(slam._particles.log_weights, wanted, rtol=0.0, atol=0.05)
+    np.testing.assert_array_equal(slam._particles.path_weights, slam._particles.log_weights)
 
 
 def test_poses_are_drawn_from_likelihood_times_prior(backend: Backend):
@@ -333,12 +342,12 @@ def test_poses_are_drawn_from_likelihood_times_prior(backend: Backend):
     points = scan_at(POSE, 0.0).points()[::6]
     expected = np.array([POSE.x + 0.05, POSE.y - 0.03, POSE.yaw_rad + 0.02])
     everyone = np.tile(expected, (count, 1))
-    slam._move(points, everyone, everyone)
+    move(slam, points, everyone, everyone)
     _, mean, deviations = dense_integral(slam, 0, points, expected)
     assert (deviations < 0.9 * SIGMAS).all()  # the scan tells something
-    off = np.abs(slam._poses.mean(axis=0) - mean)
+    off = np.abs(slam._particles.poses.mean(axis=0) - mean)
     assert (off < 4.0 * deviations / math.sqrt(count) + 0.002).all()
-    np.testing.assert_allclose(slam._poses.std(axis=0), deviations, rtol=0.15)
+    np.testing.assert_allclose(slam._particles.poses.std(axis=0), deviations, rtol=0.15)
 
 
 def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(backend: Backend):
@@ -346,8 +355,8 @@ def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(ba
     points = scan_at(POSE, 0.0).points()[::6]
     expected = np.tile([POSE.x, POSE.y, POSE.yaw_rad], (3, 1))
     drawn = expected + np.array([(0.0, 0.0, 0.0), (0.07, -0.05, 0.03), (-0.1, 0.1, -0.08)])
-    slam._move(points, expected, drawn)
-    np.testing.assert_allclose(slam._poses, drawn, rtol=0.0, atol=1e-12)
+    assert move(slam, points, expected, drawn) == 3
+    np.testing.assert_allclose(slam._particles.poses, drawn, rtol=0.0, atol=1e-12)
     chosen = slam._config
     volume = chosen.llsamplestep**2 * chosen.lasamplestep
     wanted = [
@@ -359,8 +368,7 @@ def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(ba
         for i in range(3)
     ]
     assert np.ptp(wanted) > 5.0
-    np.testing.assert_allclose(slam._log_weights, wanted, rtol=0.0, atol=0.1)
-    assert slam.health.rejected == 3
+    np.testing.assert_allclose(slam._particles.log_weights, wanted, rtol=0.0, atol=0.1)
 
 
 # -- weights and resampling ------------------------------------------------------------------------
@@ -385,11 +393,11 @@ def test_effective_particles_at_their_limits(count: int):
 
 def test_weights_are_evened_out_by_gain_and_number():
     logs = np.array([-1e6, -1e6 - 12.0, -1e6 - 24.0, -3e6])
-    weights = _normalised(logs, 3.0)
+    weights = normalised_weights(logs, 3.0)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(np.log(weights[1:3] / weights[0]), [-1.0, -2.0])
     assert weights[3] == 0.0
-    np.testing.assert_allclose(_normalised(np.full(5, -1e9), 3.0), 0.2)
+    np.testing.assert_allclose(normalised_weights(np.full(5, -1e9), 3.0), 0.2)
 
 
 def random_weights(seed: int, count: int) -> F64:

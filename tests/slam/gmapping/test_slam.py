@@ -22,7 +22,8 @@ from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
-from slamfusion.slam.gmapping import slam as gmapping
+from slamfusion.slam.gmapping import particle_maps
+from slamfusion.slam.gmapping.beams import beams_of
 from slamfusion.slam.gmapping.slam import STATE_FORMAT, Gmapping
 from tests.slam.drives import (
     CELL_M,
@@ -98,6 +99,11 @@ def run(backend: Backend, scans: list[LogScan], seed: int = 0, **settings: Any) 
     return feed(Gmapping(config(**settings), backend, seed), scans)
 
 
+def write(slam: Gmapping, scan: LaserScan, alive: npt.NDArray[np.int64]) -> None:
+    """Write a scan into the maps of some particles at their poses."""
+    slam._maps.write(beams_of(scan, slam._config), slam._particles.poses, alive)
+
+
 def errors(slam: Gmapping, truth: list[Pose2]) -> tuple[float, float]:
     """Return the greatest errors of place (m) and heading (rad)."""
     away = [
@@ -136,7 +142,7 @@ def standing(count: int, step_s: float = 0.1) -> list[LogScan]:
 
 def all_counts(slam: Gmapping) -> list[tuple[bytes, list[int]]]:
     """Return every particle's hits and visits, and where they lie."""
-    found = [slam._maps.cells("counts", index) for index in range(len(slam._poses))]
+    found = [slam._maps.tiles.cells("counts", index) for index in range(len(slam._particles.poses))]
     return [(cells.tobytes(), first.tolist()) for cells, first in found]
 
 
@@ -419,9 +425,9 @@ def test_rejected_particles_are_drawn_from_the_motion_model(backend: Backend):
     scans, _ = drive(30)
     slam = run(backend, scans, minimumScore=1e5, particles=200, linearUpdate=1.0, stt=0.0, srt=0.0)
     assert slam.health.filter_steps == 1
-    spread = slam._poses[:, :2].std(axis=0)
+    spread = slam._particles.poses[:, :2].std(axis=0)
     np.testing.assert_allclose(spread, 0.1 * 1.03, rtol=0.2)  # srr for one step of 1 m
-    assert len(np.unique(slam._poses, axis=0)) == 200
+    assert len(np.unique(slam._particles.poses, axis=0)) == 200
 
 
 # -- when the filter steps -------------------------------------------------------------------------
@@ -501,16 +507,16 @@ class FullCopies(SharedTileMaps):
 def test_shared_tiles_change_no_bit(backend: Backend, monkeypatch: pytest.MonkeyPatch):
     scans, _ = drive(40, turn_bias=0.01)
     shared = run(backend, scans, **OFTEN)
-    monkeypatch.setattr(gmapping, "SharedTileMaps", FullCopies)
+    monkeypatch.setattr(particle_maps, "SharedTileMaps", FullCopies)
     copied = run(backend, scans, **OFTEN)
     assert shared.health.resamplings == copied.health.resamplings > 5
     assert shared.health.tiles_shared > 0
-    assert shared._poses.tobytes() == copied._poses.tobytes()
+    assert shared._particles.poses.tobytes() == copied._particles.poses.tobytes()
     assert all_counts(shared) == all_counts(copied)
     for name in ("sums", "field"):
         for index in range(6):
             np.testing.assert_array_equal(
-                shared._maps.cells(name, index)[0], copied._maps.cells(name, index)[0]
+                shared._maps.tiles.cells(name, index)[0], copied._maps.tiles.cells(name, index)[0]
             )
 
 
@@ -528,12 +534,13 @@ def test_every_particle_s_map_is_what_its_own_path_draws(backend: Backend):
     for index in range(6):
         path = slam._paths.path(index, "")
         alone = Gmapping(config(particles=1), backend)
-        alone._anchor = slam._anchor
+        alone._maps.anchor = slam._maps.anchor
         for item in mapped:
-            alone._poses = path.poses[path.nearest([item.scan.stamp_s])]
-            alone._write(item.scan, *alone._beams(item.scan), np.zeros(1, dtype=np.int64))
+            alone._particles.poses = path.poses[path.nearest([item.scan.stamp_s])]
+            write(alone, item.scan, np.zeros(1, dtype=np.int64))
         (found, at), (wanted, own) = (
-            maps.cells("counts", number) for maps, number in ((slam._maps, index), (alone._maps, 0))
+            maps.cells("counts", number)
+            for maps, number in ((slam._maps.tiles, index), (alone._maps.tiles, 0))
         )
         assert at.tolist() == own.tolist()
         assert found.shape == wanted.shape
@@ -543,8 +550,8 @@ def test_every_particle_s_map_is_what_its_own_path_draws(backend: Backend):
 
 def check_field(slam: Gmapping, index: int) -> None:
     """The score field of a particle's map is what its counts say."""
-    counts, sums, field = (slam._maps.cells(n, index)[0] for n in ("counts", "sums", "field"))
-    np.testing.assert_array_equal(full_field(counts, sums, slam._field_rule), field)
+    counts, sums, field = (slam._maps.tiles.cells(n, index)[0] for n in ("counts", "sums", "field"))
+    np.testing.assert_array_equal(full_field(counts, sums, slam._maps._field_rule), field)
 
 
 def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(backend: Backend):
@@ -557,17 +564,17 @@ def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(backend: Backend
         if slam.health.filter_steps == steps:
             continue
         steps = slam.health.filter_steps
-        assert slam._best == np.argmax(slam._path_weights)
+        assert slam._particles.best == np.argmax(slam._particles.path_weights)
         if slam.health.resamplings == resamplings:
-            assert slam._log_weights.all()
+            assert slam._particles.log_weights.all()
             continue
         resamplings = slam.health.resamplings
-        assert not slam._log_weights.any()
+        assert not slam._particles.log_weights.any()
         parents = slam._paths.to_arrays()["node_parents"][-1]
         for parent in np.unique(parents):
             family = parents == parent
             siblings += int(family.sum()) - 1
-            for values in (slam._path_weights, *slam._poses.T):
+            for values in (slam._particles.path_weights, *slam._particles.poses.T):
                 assert len(np.unique(values[family])) == 1
     assert steps > resamplings > 1
     assert siblings > 1
@@ -577,7 +584,7 @@ def test_the_score_field_follows_from_the_counts_of_each_map(backend: Backend):
     scans, _ = drive(30, turn_bias=0.01)
     slam = run(backend, scans, **OFTEN)
     for index in range(6):
-        assert slam._maps.cells("field", index)[0].max() > 200
+        assert slam._maps.tiles.cells("field", index)[0].max() > 200
         check_field(slam, index)
 
 
@@ -586,9 +593,9 @@ def test_what_it_offers_beside_the_best_path(backend: Backend):
     slam = run(backend, scans, **OFTEN)
     others = slam.other_paths()
     assert [len(path) for path in others] == [60] * 5
-    weights = [slam._path_weights[int(path.name.split()[1])] for path in others]
+    weights = [slam._particles.path_weights[int(path.name.split()[1])] for path in others]
     assert weights == sorted(weights, reverse=True)
-    assert slam._path_weights.max() >= weights[0]
+    assert slam._particles.path_weights.max() >= weights[0]
     for path in others:
         ends = path.poses[-1, :2] - (truth[-1].x, truth[-1].y)
         assert math.hypot(*ends) < 0.3
@@ -599,7 +606,7 @@ def test_what_it_offers_beside_the_best_path(backend: Backend):
     assert series.values[-1] == slam.health.n_eff
     record = slam.health.to_json()["filter"]
     assert record["resamplings"] > 0
-    assert record["tiles_owned"] + record["tiles_shared"] == (slam._maps._users > 0).sum()
+    assert record["tiles_owned"] + record["tiles_shared"] == (slam._maps.tiles._users > 0).sum()
     assert slam.health.path_entropy == slam._paths.entropy()
 
 
@@ -637,7 +644,7 @@ def test_the_twins_find_the_same_way(backend: Backend, *, match_every_scan: bool
 # -- what a beam draws -----------------------------------------------------------------------------
 
 
-def beams_of(*ranges: float, range_max_m: float = 8.0) -> LaserScan:
+def reading(*ranges: float, range_max_m: float = 8.0) -> LaserScan:
     """A scan of up to three beams: ahead, to the left and back."""
     return LaserScan(0.0, np.array(ranges), 0.0, 0.5 * math.pi, 0.02, range_max_m)
 
@@ -659,7 +666,7 @@ def drawn(backend: Backend, scan: LaserScan, **settings: Any) -> Gmapping:
 
 
 def test_a_hit_is_a_wall_and_its_beam_is_free(backend: Backend):
-    slam = drawn(backend, beams_of(2.0, 3.0, 7.0))
+    slam = drawn(backend, reading(2.0, 3.0, 7.0))
     for beam, metres in enumerate((2.0, 3.0, 7.0)):
         assert along(slam, beam, metres) == 100
         assert along(slam, beam, metres + 0.1) == -1
@@ -668,7 +675,7 @@ def test_a_hit_is_a_wall_and_its_beam_is_free(backend: Backend):
 
 
 def test_beyond_max_urange_a_beam_clears_and_draws_no_wall(backend: Backend):
-    slam = drawn(backend, beams_of(2.0, 6.0), maxUrange=4.0)
+    slam = drawn(backend, reading(2.0, 6.0), maxUrange=4.0)
     assert along(slam, 0, 2.0) == 100
     assert along(slam, 1, 3.9) == 0
     assert along(slam, 1, 4.2) == -1
@@ -677,7 +684,7 @@ def test_beyond_max_urange_a_beam_clears_and_draws_no_wall(backend: Backend):
 
 
 def test_beyond_max_range_a_beam_is_left_out(backend: Backend):
-    slam = drawn(backend, beams_of(2.0, 6.0, 4.5), maxUrange=4.0, maxRange=5.0)
+    slam = drawn(backend, reading(2.0, 6.0, 4.5), maxUrange=4.0, maxRange=5.0)
     assert along(slam, 0, 2.0) == 100
     assert along(slam, 1, 2.0) == -1  # reads 6 m: not believed at all
     assert along(slam, 2, 3.9) == 0  # reads 4.5 m: free as far as is used
@@ -686,7 +693,7 @@ def test_beyond_max_range_a_beam_is_left_out(backend: Backend):
 
 @pytest.mark.parametrize("far", [np.inf, 8.0, 9.0])
 def test_no_return_is_free_only_where_max_range_lies_beyond_the_laser(backend: Backend, far: float):
-    scan = beams_of(2.0, far)
+    scan = reading(2.0, far)
     assert along(drawn(backend, scan), 1, 1.0) == -1
     clears = drawn(backend, scan, maxRange=8.1, maxUrange=4.0)
     assert along(clears, 1, 3.9) == 0
@@ -696,19 +703,19 @@ def test_no_return_is_free_only_where_max_range_lies_beyond_the_laser(backend: B
 
 @pytest.mark.parametrize("failed", [np.nan, 0.0, 0.01, -1.0])
 def test_a_failed_reading_clears_nothing(backend: Backend, failed: float):
-    slam = drawn(backend, beams_of(2.0, failed), maxRange=20.0, maxUrange=4.0)
+    slam = drawn(backend, reading(2.0, failed), maxRange=20.0, maxUrange=4.0)
     assert along(slam, 1, 1.0) == -1
 
 
 def test_max_range_holds_for_hits_too(backend: Backend):
-    slam = drawn(backend, beams_of(2.0, 6.0), maxRange=5.0)
+    slam = drawn(backend, reading(2.0, 6.0), maxRange=5.0)
     assert along(slam, 0, 2.0) == 100
     assert along(slam, 1, 2.0) == -1
 
 
 def test_max_urange_beyond_the_laser_adds_nothing(backend: Backend):
     """By default the last 2 % of the laser's reach are not trusted; what is asked for is used."""
-    scan = beams_of(2.0, 7.95)
+    scan = reading(2.0, 7.95)
     assert along(drawn(backend, scan), 1, 7.95) == -1
     assert along(drawn(backend, scan), 1, 7.7) == 0
     for metres in (8.0, 50.0):
@@ -717,7 +724,7 @@ def test_max_urange_beyond_the_laser_adds_nothing(backend: Backend):
 
 def test_only_walls_that_may_be_used_are_matched(backend: Backend):
     """Nothing within ``maxUrange``: the scan tells nothing."""
-    slam = drawn(backend, beams_of(6.0, 7.0), maxUrange=4.0)
+    slam = drawn(backend, reading(6.0, 7.0), maxUrange=4.0)
     assert slam.health.skips.counts == {BLIND: 1}
     with pytest.raises(SlamFusionError, match="no map"):
         slam.grid()
@@ -741,25 +748,25 @@ def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float)
 
 def test_the_threshold_decides_the_map(backend: Backend):
     """A cell hit by one of three scans."""
-    scans = [beams_of(2.0, 3.0), beams_of(2.0, 4.0), beams_of(2.0, 5.0)]
+    scans = [reading(2.0, 3.0), reading(2.0, 4.0), reading(2.0, 5.0)]
     for occ_thresh, is_wall in ((0.3, True), (0.4, False)):
         slam = drawn(backend, scans[0], occ_thresh=occ_thresh)
         for scan in scans[1:]:
-            slam._write(scan, *slam._beams(scan), np.zeros(1, dtype=np.int64))
+            write(slam, scan, np.zeros(1, dtype=np.int64))
         assert along(slam, 0, 2.0) == 100
         assert (along(slam, 1, 3.0) >= 65) == is_wall
         assert (along(slam, 1, 3.0) <= 25) != is_wall
 
 
 def counts_of(slam: Gmapping) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    counts = slam._maps.cells("counts", 0)[0].astype(np.int64)
+    counts = slam._maps.tiles.cells("counts", 0)[0].astype(np.int64)
     return counts >> 16, counts & 0xFFFF
 
 
 def test_busy_cells_are_halved_and_nothing_else_changes(backend: Backend):
     """Counts near their end: shares and mean hits stay, and what was seen once is still seen."""
     slam = drawn(backend, scan_at(true_poses(1)[0], 0.0), particles=1)
-    pools, rng = slam._maps.pools, np.random.default_rng(0)
+    pools, rng = slam._maps.tiles.pools, np.random.default_rng(0)
     shape = backend.download(pools["counts"]).shape
     visits = rng.choice([0, 1, 2, 3, 100, 1500, 20_000, FULL_VISITS - 1 + MOST_BEAMS], shape)
     most = np.minimum(visits, FULL_HITS - 1 + MOST_BEAMS)
@@ -767,8 +774,8 @@ def test_busy_cells_are_halved_and_nothing_else_changes(backend: Backend):
     east, north = (hits * rng.integers(0, 16, shape) for _ in range(2))
     pools["counts"] = backend.upload((hits << 16 | visits).astype(np.uint32))
     pools["sums"] = backend.upload((east << 16 | north).astype(np.uint32))
-    halve_counts(slam._backend, slam._maps.pools)
-    pools = slam._maps.pools
+    halve_counts(backend, slam._maps.tiles.pools)
+    pools = slam._maps.tiles.pools
     counts, sums = (backend.download(pools[name]).astype(np.int64) for name in ("counts", "sums"))
     fewer_hits, fewer_visits = counts >> 16, counts & 0xFFFF
     assert fewer_visits.max() < FULL_VISITS
@@ -793,11 +800,11 @@ def test_a_scan_over_full_cells_halves_them_and_goes_on(backend: Backend):
     hits, visits = counts_of(slam)
     times = (FULL_VISITS - 1) // visits.max()
     for name in ("counts", "sums"):
-        values = backend.download(slam._maps.pools[name])
-        slam._maps.pools[name] = backend.upload(values * np.uint32(times))
+        values = backend.download(slam._maps.tiles.pools[name])
+        slam._maps.tiles.pools[name] = backend.upload(values * np.uint32(times))
     before = slam.grid()
     for number in range(3):
-        slam._write(scan, *slam._beams(scan), np.arange(2))
+        write(slam, scan, np.arange(2))
         fewer_hits, fewer_visits = counts_of(slam)
         is_halved = visits * (times + 1) >= FULL_VISITS // 2
         is_halved |= hits * (times + 1) >= FULL_HITS // 2
@@ -825,12 +832,12 @@ def test_counts_that_overflow_again_and_again_keep_the_map(backend: Backend):
     centres = first.cell_centres(rows, cols)
     behind = centres[:, 0] > 3.5
     wanted = first.cells[rows, cols][behind]
-    slam._poses[:] = (pose.x, pose.y, 0.0)
+    slam._particles.poses[:] = (pose.x, pose.y, 0.0)
     halvings = 0
     for index in range(60):
         scan = LaserScan(1.0 + index, ranges, -0.2, 0.4 / 1999, 0.02, 8.0)
         most = counts_of(slam)[1].max()
-        slam._write(scan, *slam._beams(scan), np.zeros(1, dtype=np.int64))
+        write(slam, scan, np.zeros(1, dtype=np.int64))
         halvings += bool(counts_of(slam)[1].max() < most)
         assert (counts_of(slam)[0] <= counts_of(slam)[1]).all()
         assert counts_of(slam)[1].max() < FULL_VISITS
@@ -872,7 +879,12 @@ def test_a_state_holds_all_that_decides(backend: Backend, tmp_path: Path, count:
     slam = run(backend, drive(40, turn_bias=0.01)[0][:count], 5, **OFTEN)
     slam.save_state(tmp_path / "state")
     again = Gmapping.load_state(tmp_path / "state", config(**OFTEN), backend, 5)
-    for one, other in ((slam, again), (slam._tracker, again._tracker)):
+    for one, other in (
+        (slam, again),
+        (slam._tracker, again._tracker),
+        (slam._particles, again._particles),
+        (slam._maps, again._maps),
+    ):
         for name, value in vars(one).items():
             if isinstance(value, (float, int, str, Pose2, list, np.ndarray)):
                 np.testing.assert_array_equal(getattr(other, name), value, err_msg=name)
@@ -996,7 +1008,9 @@ def test_a_zip_of_another_kind_is_refused_in_one_line(
     assert refused(path, backend).endswith("state that `--save-state` has written")
 
 
-@pytest.mark.parametrize("name", ["poses", "pages", "pool_counts", "node_poses"])
+@pytest.mark.parametrize(
+    "name", ["particles.poses", "maps.tiles.pages", "maps.tiles.pool_counts", "paths.node_poses"]
+)
 def test_a_state_that_lacks_a_part_is_refused(
     backend: Backend, state: Path, tmp_path: Path, name: str
 ):

@@ -18,11 +18,11 @@ from slamfusion.slam.common.matcher import ScanOnTiles
 from slamfusion.slam.graph.submap import (
     MEMORY,
     MOST_REACH,
-    SMEARED,
+    REACH_SIGMAS,
     UNSEEN_WALL,
     Pyramid,
     Submap,
-    make_smear_rule,
+    likelihood_rule,
 )
 from tests.slam.drives import CELL_M, scan_at, true_poses
 
@@ -102,7 +102,7 @@ def test_field_is_the_mean_of_what_scans_told(backend: Backend, smear_m: float):
     for points, pose in scans:
         submap.insert(points, LASER, pose)
     found, first = field_of(submap)
-    rule = make_smear_rule(smear_m / CELL_M)
+    rule = likelihood_rule(smear_m / CELL_M)
     told = [words_of_scan(*(p, LASER, at), found.shape, first, rule) for p, at in scans]
     wanted = mean_of_scans(told, MEMORY)
     seen = ~np.isnan(wanted)
@@ -119,7 +119,7 @@ def test_a_mounted_laser_clears_from_where_it_stands(backend: Backend):
     points, pose = scans_of_the_flat(0.02)[1]
     submap.insert(points, laser, pose)
     found, first = field_of(submap)
-    rule = make_smear_rule(SMEAR_M / CELL_M)
+    rule = likelihood_rule(SMEAR_M / CELL_M)
     wanted = words_of_scan(points, laser, pose, found.shape, first, rule)
     seen = ~np.isnan(wanted)
     right = np.where(seen, np.abs(found - np.nan_to_num(wanted)) < 2.0, found == UNSEEN_WALL)
@@ -217,8 +217,8 @@ def test_twins_write_the_same_field(backend: Backend):
 @given(deviation=st.floats(0.1, 40.0))
 @settings(max_examples=100, deadline=None)
 def test_rule_is_the_gaussian_of_the_deviation(deviation: float):
-    rule = make_smear_rule(deviation)
-    assert rule.reach == min(MOST_REACH, max(1, math.ceil(SMEARED * deviation)))
+    rule = likelihood_rule(deviation)
+    assert rule.reach == min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation)))
     assert rule.most == MEMORY
     assert rule.table.shape == (256,)
     assert rule.table[0] == 255
