@@ -14,7 +14,7 @@ from slamfusion.grid import UNKNOWN
 
 __all__ = ["halve_counts", "percent_of_counts"]
 
-# Numbers of a large map take memory only by so many rows.
+# Rows of a map that are turned into percent together: floating point takes memory for these alone.
 ROWS_AT_ONCE = 256
 # The limits of the map servers, in percent.
 FREE_PERCENT, OCCUPIED_PERCENT = 25.0, 65.0

@@ -46,15 +46,17 @@ class Resumable(Mapper, Protocol):
 
 
 BYTES_PER_MB = 1e6
+# Percentiles of the time for a scan by their names in JSON.
 TIME_PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
 # What a producer calls the path that it told as it went.
 FIRST_REPORTED = "as first reported"
-# A robot on its way has a bad match now and then (a door, a crowd); a lost one has many.
-MANY_LOW_SHARE = 0.05
-MANY_LOW_IN_A_ROW = 8
-# The same limit as that of ``Health.low_scores``.
+# Share of the scans with a low match, and number of these in a row, from which on the robot may be
+# lost: a door or a crowd makes one now and then.
+MANY_LOW_SHARE, MANY_LOW_IN_A_ROW = 0.05, 8
+# Share of the mean score below which a match is low: that of ``Health.low_scores``.
 LOW_SHARE = 0.5
-# A log may hold blind moments; one that is blind for longer is hardly mapped.
+# Share of the scans that could not be used from which on the map is doubted: a log may hold blind
+# moments, but one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2
 
 
@@ -241,8 +243,8 @@ def run_producer(
         scans: in the order of time; one is enough.
         log: where they come from: its counts join the record.
         progress: told the number of scans that are done.
-        deadline_s: stop before the next scan when so many seconds have passed; default: never.
-        limit: stop after so many scans, at least 1; default: none.
+        deadline_s: seconds after which it stops before the next scan; default: never.
+        limit: scans after which it stops, at least 1; default: none.
 
     Raises:
         SlamFusionError: no scan could be used; the counted reasons are named. Or a resumed

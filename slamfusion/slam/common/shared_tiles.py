@@ -19,9 +19,10 @@ from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN, grown_window, j
 
 __all__ = ["SharedTileMaps"]
 
-# A pool grows by this share, so that the number of copies stays logarithmic.
+# Factor by which a full pool grows: the number of copies stays logarithmic.
 GROWTH = 1.25
-# Large pools grow by less, so that little is held in reserve.
+# Tiles from which on a pool is large, and the factor by which it grows then: little is held in
+# reserve.
 LARGE_TILES, LARGE_GROWTH = 10_000, 1.1
 
 
@@ -180,7 +181,7 @@ class SharedTileMaps:
         self._send()
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
-        """Return so many free tiles, the first ones; the pools grow where they must."""
+        """Return the numbers of ``count`` free tiles; the pools grow where they must."""
         free = np.flatnonzero(self._users[1:] == 0)[:count] + 1
         missing = count - len(free)
         if missing > 0:

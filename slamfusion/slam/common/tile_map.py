@@ -18,13 +18,16 @@ from slamfusion.errors import MemoryBudgetError
 
 __all__ = ["TileMap", "grown_window", "joined_tiles"]
 
+# Tiles of a new pool: a room's, so that a small map never grows.
 FIRST_TILES = 64
-# Growing by this keeps the number of copies logarithmic without holding much for nothing.
+# Factor by which a full pool grows: the number of copies stays logarithmic, and little is held for
+# nothing.
 GROWTH = 1.5
-# Empty pages that the window keeps between its content and its border.
+# Empty pages that the window keeps between its content and its border, so that it seldom moves.
 MARGIN = 2
+# Pages that a window may have: 64 MB of page table, far beyond any building.
 MOST_PAGES = 1 << 24
-# Beams count in 1/1024 cell in 32 bits: pages on a side that they can cross.
+# Pages on a side that beams can cross, which count in 1/1024 cell in 32 bits.
 MOST_SIDE = 1 << 15
 
 

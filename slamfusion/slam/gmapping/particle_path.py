@@ -16,7 +16,7 @@ __all__ = ["ParticlePaths"]
 
 F64 = npt.NDArray[np.float64]
 
-# A cloud is never narrower than this (metres, metres, radians): its entropy stays finite.
+# Least standard deviations of a cloud, metres, metres, radians: its entropy stays finite.
 LEAST_SIGMAS = (1e-3, 1e-3, 1e-3)
 
 

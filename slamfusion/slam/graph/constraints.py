@@ -1,8 +1,8 @@
 """What a graph SLAM knows of its nodes, and the poses that fit all of it best.
 
 A constraint tells the pose of one node in the frame of another. Constraints from one scan to the
-next are believed; closures may be false, and the robust solution leaves those out that do not go
-with the rest (graduated non-convexity, see ``slamfusion.pose_graph.robust``).
+next are believed; closures may be false, and the robust solution leaves outliers, which do not go
+with the rest, out of the inlier set (graduated non-convexity, ``slamfusion.pose_graph.robust``).
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def solve_constraints(
     Args:
         poses: (N, 3) where the nodes are believed to be: where the search starts.
         constraints: together they join all nodes; at least one.
-        weights: of the first of them by the last solution: what it has found false is not tried
-            again from the start.
-        tolerated: so many more closures may be found false without asking again of all of them.
+        weights: of the first of them by the last solution: its outliers are not tried again from
+            the start.
+        tolerated: closures that may be new outliers before all of them are re-evaluated.
     """
     motions = np.array([one.motion for one in constraints])
     information = np.array([one.information for one in constraints])

@@ -2,7 +2,7 @@
 
 Every cell counts the beams that met something in it and all that came by. Counts are whole numbers
 and positions are rounded to a lattice that does not depend on the map's size, so a scan can be
-taken back and counted elsewhere: the map is the same, to the bit, as one drawn anew.
+taken back and counted elsewhere: the map is the same, to the bit, as one drawn from nothing.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ __all__ = ["DrawsAside", "MapJob", "Node", "NodeMap"]
 
 F64 = npt.NDArray[np.float64]
 
-# A pose is rounded to these parts of a cell, and of a radian: what moves less is not drawn again.
+# Parts of a cell, and of a radian, that a pose is rounded to: what moves less is not drawn again.
 PLACE_PARTS, YAW_PARTS = 8.0, 2048.0
-# Points are rounded to these parts of a cell, as the kernel sees them. Up to so many cells from the
-# window's corner float32 carries that.
+# Parts of a cell that points are rounded to, as the kernel sees them.
 POINT_PARTS = 1024.0
+# Distance from the window's corner, cells, up to which float32 carries these parts.
 EXACT_CELLS = 1 << 14
 
 
@@ -43,7 +43,7 @@ class Node:
     Attributes:
         ends: (B, 2) float32 hits in the robot's frame, metres.
         laser: (2,) float32, the laser in the robot's frame, metres.
-        travelled_m: way of the robot up to here.
+        travelled_m: distance that the robot has travelled up to here.
         odometry: pose by odometry; None where there is none.
     """
 

@@ -15,11 +15,12 @@ __all__ = ["fill_walls"]
 
 F64 = npt.NDArray[np.float64]
 
-# Hits farther apart are not joined, metres: there may be a door.
+# Distance between hits, metres, from which on they are not joined: there may be a door.
 MOST_GAP_M = 1.5
-# The hits on both sides lie on the line up to this, metres, and a share of the gap.
+# Distance of the hits on both sides from the line through a gap, metres and a share of the gap, up
+# to which they are on one wall: the noise of a laser.
 STRAIGHT_M, STRAIGHT_SHARE = 0.03, 0.05
-# Beams are neighbours up to this many times the usual angle between two.
+# Angle between two beams, in the median one, up to which they are neighbours: none is missing.
 NEIGHBOUR_STEPS = 1.5
 
 

@@ -25,11 +25,13 @@ I32 = npt.NDArray[np.int32]
 
 # Blocks that are opened together: the device is asked few times.
 BATCH = 256
-# Walls are smeared about as far, so that a hit half a step off still counts.
+# Distance, cells, by which a yaw step moves the farthest hit: the likelihood around a wall reaches
+# about as far, so that a hit half a step off still counts.
 YAW_CELLS = 2.0
-# Poses this near to each other are one place.
+# Differences, metres and radians, up to which two poses are one place: the peak of one response.
 BESIDE_M, BESIDE_RAD = 0.5, 0.35
-# No hit is farther than this in the choice of the yaw step.
+# Distance of the farthest hit, cells, that the yaw step is chosen for at least: hits at the robot's
+# feet would leave a single step.
 LEAST_REACH_CELLS = 20.0
 
 

@@ -18,6 +18,7 @@ __all__ = ["CELL_MODELS", "UNKNOWN_VALUE", "CellModel", "area_behind", "base_cel
 F64 = npt.NDArray[np.float64]
 CellModel = Callable[[npt.ArrayLike, npt.ArrayLike], F64]
 
+# Value, 0 to 1, of a cell that nothing is known of: as likely a wall as free.
 UNKNOWN_VALUE = 0.5
 
 

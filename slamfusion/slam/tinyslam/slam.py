@@ -36,22 +36,29 @@ from slamfusion.trajectory import Trajectory
 __all__ = ["TinySlam"]
 
 NAME = "tinyslam"
-# [H16], Table II: what a cell is told by a beam that ends in it and by one that passes it.
-OCCUPIED_VALUE = 0.95
-FREE_VALUE = 0.01
+# Value, 0 to 1, that a cell is told by a beam that ends in it and by one that passes it: [H16],
+# Table II.
+OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01
+# Share of the way to what it is told that a cell goes, by cell model, where ``quality`` is open:
+# the mean weighs by number, the base cell would follow the last beam alone.
 DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
-# Occupied share of a hit's cell on average, by estimator.
+# Occupied share of a hit's cell on average, by estimator: a hit lies anywhere in its cell.
 HIT_SHARE = {"constant": 1.0, "area": 0.5}
-# The matcher sees a wall from this share of the way on, from a passed cell's value to a wall's.
+# Share of the way from a passed cell's value to a wall's from which on the matcher sees a wall:
+# cells that a few beams grazed are none.
 FLOOR_SHARE = 0.2
+# Difference between the two, at least, for the matcher: where ``matcher_free_value`` is high.
 LEAST_CONTRAST = 0.2
 # Wall value, of 255, of a cell that no scan has seen: were it 0, a scan that looks into new space
 # would rather fit where the robot has been.
 UNSEEN_WALL = 20
-# A match that has moved the pose by more spreads than this is doubted.
+# Distance of a match from its first hypothesis, in spreads, from which on the map believes less of
+# the scan: match or odometry is wrong more often there.
 FAR_MOVED = 2.0
-# Published percent at no wall, at the free limit, at the occupied one, and at a sure wall.
+# Published percent at no wall, at the free limit, at the occupied one (those of the map servers),
+# and at a sure wall.
 PERCENTS = (0.0, 25.0, 65.0, 100.0)
+# Share of ``occupied_share`` that lies at the free limit: cells in between are published as such.
 FREE_SHARE = 0.5
 
 
