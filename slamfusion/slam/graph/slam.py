@@ -97,7 +97,7 @@ class GraphSlam:
         if len(points) == 0:
             step = self._skip("no reading within the usable range", hypotheses[0], seen)
         elif not self._graph.nodes:
-            step = self._begin(seen)
+            step = self._begin(seen, hypotheses[0])
         else:
             step = self._follow(seen, hypotheses)
 
@@ -163,12 +163,10 @@ class GraphSlam:
         self._path.add(seen.scan.stamp_s, NO_NODE, moved)
         return Step(local, used=False, match_score=None, reason=reason)
 
-    def _begin(self, seen: Observation) -> Step:
+    def _begin(self, seen: Observation, hypothesis: PoseHypothesis) -> Step:
         """Make the first node."""
-        hypotheses = self._localizer.hypotheses(seen.scan.stamp_s, seen.odometry)
-        pose = pose_of(hypotheses[0].pose)
         self._localizer.start(seen)
-        self._graph.add_node(seen.node(0.0), pose)
+        self._graph.add_node(seen.node(0.0), pose_of(hypothesis.pose))
         self._local_map.begin(0, self._graph.nodes[0], component=0)
         self.health.scans_used += 1
         return self._report(seen, IDENTITY, None)

@@ -199,6 +199,16 @@ def test_blind_scans_at_the_start_and_in_the_middle(backend: Backend):
     np.testing.assert_array_equal(path.stamps_s, [item.scan.stamp_s for item in log])
 
 
+def test_an_odometry_jump_at_the_first_scan_that_sees_is_counted_once(backend: Backend):
+    """A blind scan came before it, and the jump is between both."""
+    slam = GraphSlam(GraphConfig(), backend)
+    slam.feed(bare_scan(np.full(7, np.inf), -0.1), Pose2(90.0, 0.0, 0.0))
+    pose = true_poses(1)[0]
+    slam.feed(scan_at(pose, 0.0), pose)
+    assert slam.health.nodes == 1
+    assert slam.health.skips.counts == {BLIND: 1, ONE_JUMP[0]["reason"]: 1}
+
+
 def test_readings_beyond_the_usable_range_are_none(backend: Backend):
     scans, _ = drive(10)
     far = bare_scan(np.full(181, 4.0), 0.45)
