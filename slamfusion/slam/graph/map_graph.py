@@ -189,9 +189,9 @@ class MapGraph:
         tolerated = min(NEW_OUTLIERS - self._new_outliers, share)
         solved = solve_constraints(self.poses, self.constraints, self._weights, tolerated)
         self.poses, self._weights = solved.poses, solved.weights
-        outliers = int(solved.is_doubted.sum())
+        outliers = int(solved.is_outlier.sum())
         more = max(0, outliers - self._outliers)
-        self._new_outliers = 0 if solved.is_asked_anew else self._new_outliers + more
+        self._new_outliers = 0 if solved.is_reevaluated else self._new_outliers + more
         self._outliers = outliers
         self._unsolved, self._is_urgent = 0, False
         self._solved_at = len(self.nodes) - 1

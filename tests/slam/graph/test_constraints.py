@@ -82,7 +82,7 @@ def test_a_ring_without_noise_is_exact_in_any_frame(
     solved = solve_constraints(start, [*steps, closure(truth, 0, 15), closure(truth, 2, 14)])
     assert off(solved.poses, truth) < 1e-5
     assert solved.chi2 < 1e-4
-    assert not solved.is_doubted.any()
+    assert not solved.is_outlier.any()
     np.testing.assert_allclose(solved.poses[0], start[0], atol=1e-9)  # the first is held
 
 
@@ -140,7 +140,7 @@ def test_a_closure_that_is_open_one_way_leaves_that_to_the_steps(frame_rad: floa
     motion = seen_from(truth, 0, 3) + np.array([0.3, 0.0, 0.0])
     tie = Constraint(0, 3, motion, information, is_closure=True)
     solved = solve_constraints(drift, [*steps, tie])
-    assert not solved.is_doubted.any()
+    assert not solved.is_outlier.any()
     found = seen_from(solved.poses, 0, 3)
     true = seen_from(truth, 0, 3)
     assert abs(found[0] - true[0]) < 0.03
@@ -193,7 +193,7 @@ def test_a_closure_that_alone_joins_two_parts_is_believed():
     joint = Constraint(1, 2, np.array([0.0, 2.0, 0.5]), known(CLOSURE_SIGMAS), is_closure=True)
     solved = solve_constraints(poses, [*steps, joint])
     np.testing.assert_allclose(solved.poses[2], [1.0, 2.0, 0.5], atol=1e-6)
-    assert not solved.is_doubted.any()
+    assert not solved.is_outlier.any()
 
 
 @pytest.mark.parametrize("is_right", [False, True])
@@ -222,9 +222,9 @@ def test_what_was_found_false_once_is_found_false_again():
     first = solve_constraints(truth, constraints)
     later = [*constraints, closure(truth, 2, 13)]
     again = solve_constraints(first.poses, later, first.weights)
-    anew = solve_constraints(first.poses, later)
-    assert again.weights[15] == anew.weights[15] == 0.0
-    assert off(again.poses, anew.poses) < 1e-6
+    again = solve_constraints(first.poses, later)
+    assert again.weights[15] == again.weights[15] == 0.0
+    assert off(again.poses, again.poses) < 1e-6
     assert off(again.poses, truth) < 1e-6
 
 
@@ -239,13 +239,13 @@ def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count
     true = [closure(truth, *ends) for ends in ((2, 13), (4, 11), (1, 14), (0, 15))][:count]
     later = [*steps, false, *true]
     stands = solve_constraints(first.poses, later, first.weights, tolerated=count)
-    assert not stands.is_asked_anew
+    assert not stands.is_reevaluated
     assert stands.weights[15] == 1.0
     np.testing.assert_array_equal(stands.weights[16:], 0.0)
-    anew = solve_constraints(first.poses, later, first.weights, tolerated=count - 1)
-    assert anew.is_asked_anew
-    assert anew.weights[15] == 0.0
-    assert off(anew.poses, truth) < 1e-6
+    again = solve_constraints(first.poses, later, first.weights, tolerated=count - 1)
+    assert again.is_reevaluated
+    assert again.weights[15] == 0.0
+    assert off(again.poses, truth) < 1e-6
 
 
 # -- the frame of an information -------------------------------------------------------------------
