@@ -227,7 +227,7 @@ class ProducerRun:
 
 
 def run_producer(
-    backend: Mapper,
+    mapper: Mapper,
     scans: Iterable[LogScan],
     *,
     log: ScanLog | None = None,
@@ -238,7 +238,7 @@ def run_producer(
     """Feed scans to a producer and return its map, its path and its record.
 
     Args:
-        backend: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
+        mapper: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
             is not fed again.
         scans: in the order of time; one is enough.
         log: where they come from: its counts join the record.
@@ -251,7 +251,7 @@ def run_producer(
             producer had been fed every scan before.
         LogError: the log is damaged beyond a line.
     """
-    source = _Source(scans, backend.last_stamp_s if isinstance(backend, Resumable) else None)
+    source = _Source(scans, mapper.last_stamp_s if isinstance(mapper, Resumable) else None)
     feed_s: list[float] = []
     scores: list[float] = []
     memory = row = longest_row = 0
@@ -265,39 +265,39 @@ def run_producer(
         if stopped_by is not None:
             break
         before_s = time.perf_counter()
-        step = backend.feed(item.scan, item.odometry)
+        step = mapper.feed(item.scan, item.odometry)
         feed_s.append(time.perf_counter() - before_s)
         scores.append(math.nan if step.match_score is None else step.match_score)
-        row = row + 1 if _is_low(step, backend.health) else 0
+        row = row + 1 if _is_low(step, mapper.health) else 0
         longest_row = max(longest_row, row)
-        memory = max(memory, backend.memory_bytes())
+        memory = max(memory, mapper.memory_bytes())
         source.keep_odometry(item)
         if progress is not None:
             progress(len(feed_s))
     record = None if log is None else LogRecord.of(log)
     if source.known_scans and not feed_s:
-        raise SlamFusionError(source.all_known(backend.name, record))
-    if not feed_s or not backend.health.scans_used:
-        raise SlamFusionError(_nothing_used(backend, record, len(feed_s)))
-    grid, trajectory = backend.grid(), backend.trajectory()
+        raise SlamFusionError(source.all_known(mapper.name, record))
+    if not feed_s or not mapper.health.scans_used:
+        raise SlamFusionError(_nothing_used(mapper, record, len(feed_s)))
+    grid, trajectory = mapper.grid(), mapper.trajectory()
     time_s = time.perf_counter() - begun_s
     return ProducerRun(
-        name=backend.name,
+        name=mapper.name,
         trajectory=trajectory,
         odometry=source.odometry(),
         grid=grid,
-        health=copy.deepcopy(backend.health),  # the producer may go on
+        health=copy.deepcopy(mapper.health),  # the producer may go on
         log=record,
         time_s=time_s,
         feed_s=np.array(feed_s),
         low_in_a_row=longest_row,
-        peak_memory_bytes=max(memory, backend.memory_bytes()),
+        peak_memory_bytes=max(memory, mapper.memory_bytes()),
         process_peak_memory_bytes=_process_peak_bytes(),
         stopped_by=stopped_by,
         known_scans=source.known_scans,
-        series=backend.series(),
-        other_paths=backend.other_paths(),
-        closures=tuple(backend.closures()) if isinstance(backend, ClosesLoops) else (),
+        series=mapper.series(),
+        other_paths=mapper.other_paths(),
+        closures=tuple(mapper.closures()) if isinstance(mapper, ClosesLoops) else (),
         match_scores=np.array(scores),
     )
 
@@ -361,15 +361,15 @@ def _is_low(step: Step, health: Health) -> bool:
     return score is not None and mean is not None and score < LOW_SHARE * mean
 
 
-def _nothing_used(backend: Mapper, record: LogRecord | None, fed: int) -> str:
+def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
     """Say why there is no map."""
     where = "" if record is None else f"{record.path}: "
-    reasons = list(skipped_scans(backend.health)) if fed else []
+    reasons = list(skipped_scans(mapper.health)) if fed else []
     if record is not None:
         reasons += [f"{sentence} in the log" for sentence in record.skips.sentences()]
     why = f": {'; '.join(reasons)}" if reasons else ""
     return (
-        f"{where}{backend.name} could use none of {fed} scans{why}; "
+        f"{where}{mapper.name} could use none of {fed} scans{why}; "
         "give a log whose scans see walls within the usable range"
     )
 

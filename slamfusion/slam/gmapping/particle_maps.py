@@ -96,8 +96,8 @@ class ParticleMaps:
         box = grid.known_box()
         return grid if box is None else grid.crop(box)
 
-    def write(self, beams: Beams, poses: F64, alive: I64) -> None:
-        """Write a scan into the maps of some particles.
+    def integrate(self, beams: Beams, poses: F64, alive: I64) -> None:
+        """Integrate a scan into the maps of some particles.
 
         Args:
             beams: of the scan.

@@ -130,7 +130,7 @@ class Gmapping:
         """Write the first scan into every map."""
         poses = self._particles.poses
         # All particles are alike still: they share one map.
-        self._maps.write(beams, poses, np.zeros(1, dtype=np.int64))
+        self._maps.integrate(beams, poses, np.zeros(1, dtype=np.int64))
         self._maps.tiles.take_over(np.zeros(len(poses), dtype=np.int64))
         self._is_mapped = True
         self._paths.add_node(poses, None)
@@ -184,7 +184,7 @@ class Gmapping:
 
         # Map the scan, for those particles that go on.
         alive = np.arange(len(particles)) if parents is None else np.unique(parents)
-        self._maps.write(beams, particles.poses, alive)
+        self._maps.integrate(beams, particles.poses, alive)
         scores = sampled.scores
         if parents is not None:
             # Those that descend from one particle would map the scan alike: they share its map.

@@ -102,7 +102,7 @@ class TinySlam:
     # -- the protocol --------------------------------------------------------------------------
 
     def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
-        """Match a scan and write it into the map; see ``Mapper.feed``."""
+        """Match a scan and integrate it into the map; see ``Mapper.feed``."""
         self.health.scans += 1
         hypotheses = self._tracker.hypotheses(scan.stamp_s, odometry)
         x, y, yaw = (float(value) for value in hypotheses[0].pose)
@@ -163,7 +163,7 @@ class TinySlam:
         found = hypotheses[0].pose if match is None else match.pose
         x, y, yaw = (float(value) for value in found)
         pose = Pose2(x, y, wrap_angle(yaw))
-        self._write(scan, points, pose, self._quality(match))
+        self._integrate(scan, points, pose, self._quality(match))
         self.health.scans_used += 1
         return Step(pose, used=True, match_score=None if match is None else match.score)
 
@@ -182,14 +182,14 @@ class TinySlam:
 
     # -- the map -------------------------------------------------------------------------------
 
-    def _write(
+    def _integrate(
         self,
         scan: LaserScan,
         points: npt.NDArray[np.float64],
         pose: Pose2,
         quality: float,
     ) -> None:
-        """Write a scan into the map at a pose."""
+        """Integrate a scan into the map at a pose."""
         config, tiles = self._config, self._map
         self._mapped += 1
         cell = config.resolution

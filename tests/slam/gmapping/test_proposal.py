@@ -317,7 +317,7 @@ def test_weights_are_the_integral_of_likelihood_and_prior_on_each_particle_s_map
     slam._particles.poses = own + np.array(around)
     for shift in (0.02, 0.05):
         seen = scan_at(POSE.compose(Pose2(shift, shift, shift)), 0.1)
-        slam._maps.write(beams_of(seen, slam._config), slam._particles.poses, np.arange(4))
+        slam._maps.integrate(beams_of(seen, slam._config), slam._particles.poses, np.arange(4))
     points = scan_at(POSE, 0.0).points()[::3]
     away = [(0.0, 0.0, 0.0), (0.03, -0.02, 0.01), (-0.02, 0.03, -0.02), (0.05, 0.05, 0.0)]
     expected = own + np.array(away)

@@ -101,7 +101,7 @@ def run(backend: Backend, scans: list[LogScan], seed: int = 0, **settings: Any) 
 
 def write(slam: Gmapping, scan: LaserScan, alive: npt.NDArray[np.int64]) -> None:
     """Write a scan into the maps of some particles at their poses."""
-    slam._maps.write(beams_of(scan, slam._config), slam._particles.poses, alive)
+    slam._maps.integrate(beams_of(scan, slam._config), slam._particles.poses, alive)
 
 
 def errors(slam: Gmapping, truth: list[Pose2]) -> tuple[float, float]:
