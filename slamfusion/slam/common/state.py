@@ -13,7 +13,7 @@ from slamfusion.config import to_mapping
 from slamfusion.errors import SlamFusionError
 from slamfusion.io import write_atomic
 from slamfusion.slam.common.mapper import Health
-from slamfusion.slam.common.records import pack, unpack
+from slamfusion.slam.common.packing import pack, unpack
 
 __all__ = ["read_state", "restore_health", "write_state"]
 
@@ -31,7 +31,7 @@ def write_state(path: Path, *, name: str, version: int, config: Any, seed: int, 
         version: of what it writes.
         config: its settings; whoever goes on must have the same.
         seed: likewise.
-        state: a dataclass, see ``slamfusion.slam.common.records``.
+        state: a dataclass, see ``slamfusion.slam.common.packing``.
     """
     values, arrays = pack(state)
     whole = {

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2
-from slamfusion.slam.common.records import pack, unpack
+from slamfusion.slam.common.packing import pack, unpack
 
 
 @dataclass(frozen=True, eq=False)
