@@ -115,7 +115,7 @@ def _write(file: GraphFile, found: Optimized, out: Path | None, tum_path: Path |
 
 def _doubted(file: GraphFile, found: Optimized) -> list[tuple[int, int]]:
     """Return the ids of from and to of the edges taken to be false."""
-    ends = file.ids[file.graph.edges[found.is_doubted]]
+    ends = file.ids[file.graph.edges[found.is_outlier]]
     return [(int(start), int(end)) for start, end in ends]
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slamfusion.evaluation import Relations
     from slamfusion.io import AtomicFiles
     from slamfusion.jobs.records import ProducerJson
-    from slamfusion.slam.runner import ProducerRun
+    from slamfusion.slam.common.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -111,7 +111,7 @@ class ProducerResult:
 
 def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     """Return what was left out, what is odd, and what the log says, each with its place."""
-    from slamfusion.slam.runner import skipped_scans  # noqa: PLC0415
+    from slamfusion.slam.common.runner import skipped_scans  # noqa: PLC0415
 
     remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
     if run.log is not None:

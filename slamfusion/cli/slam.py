@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from slamfusion.compute import Backend
     from slamfusion.io import AtomicFiles
     from slamfusion.jobs.records import SlamDocument
-    from slamfusion.slam.base import SlamBackend
-    from slamfusion.slam.runner import ProducerRun
+    from slamfusion.slam.common.mapper import Mapper
+    from slamfusion.slam.common.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
 __all__ = ["NAMES", "RESUMABLE", "command"]
 
-# Every producer of ``slamfusion.slam.runner``, whose import would slow down every other command.
+# Every producer of ``slamfusion.slam.registry``, whose import would slow down every other command.
 NAMES = ("tinyslam", "gmapping", "graph")
 # Of these, the ones that can save their state and go on from it.
 RESUMABLE = ("gmapping", "graph")
@@ -219,7 +219,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     """Run, measure, write, print."""
     from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
     from slamfusion.io import read_trajectory  # noqa: PLC0415
-    from slamfusion.slam.runner import open_producer_backend  # noqa: PLC0415
+    from slamfusion.slam.registry import open_producer_backend  # noqa: PLC0415
 
     relations = None if request.relations is None else read_relations(request.relations)
     odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
@@ -274,19 +274,19 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     return 0
 
 
-def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> SlamBackend:
+def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> Mapper:
     """Return the producer, fresh or in a saved state."""
-    from slamfusion.slam.runner import make_producer, resume_producer  # noqa: PLC0415
+    from slamfusion.slam.registry import make_producer, resume_producer  # noqa: PLC0415
 
     if state is None:
         return make_producer(name, config, backend)
     return resume_producer(name, state, config, backend)
 
 
-def _produce(producer: SlamBackend, request: _Request, config: RunConfig) -> ProducerRun:
+def _produce(producer: Mapper, request: _Request, config: RunConfig) -> ProducerRun:
     """Run the producer over the log, with a bar that follows the file."""
     from slamfusion.io import open_log  # noqa: PLC0415
-    from slamfusion.slam.runner import run_producer  # noqa: PLC0415
+    from slamfusion.slam.common.runner import run_producer  # noqa: PLC0415
 
     log = open_log(request.log, config.log, request.scan_odometry)
     with progress_bar() as bar:
@@ -315,7 +315,7 @@ def _asked(run: ProducerRun, request: _Request) -> list[str]:
 
 def _save(
     result: ProducerResult,
-    producer: SlamBackend,
+    producer: Mapper,
     document: Mapping[str, Any],
     request: _Request,
     config: RunConfig,
@@ -339,9 +339,9 @@ def _save(
             _report(files, result, request, request.report, config, truth)
 
 
-def _add_state(files: AtomicFiles, target: Path, producer: SlamBackend) -> None:
+def _add_state(files: AtomicFiles, target: Path, producer: Mapper) -> None:
     """Stage the state of a producer with the other files."""
-    from slamfusion.slam.runner import Resumable  # noqa: PLC0415
+    from slamfusion.slam.common.runner import Resumable  # noqa: PLC0415
 
     if not isinstance(producer, Resumable):
         message = f"{producer.name} cannot save its state"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slamfusion.experiments.records import CellModelJson
-from slamfusion.slam.cell_models import CELL_MODELS
+from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
 
 __all__ = ["CellModelRow", "table_two"]
 

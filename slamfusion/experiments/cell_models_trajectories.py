@@ -20,7 +20,7 @@ from slamfusion.experiments.table import (
     p_text,
     repeat,
 )
-from slamfusion.slam.base import SlamBackend
+from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.tinyslam import TinySlam
 
@@ -33,22 +33,22 @@ SIGNIFICANT = 0.05
 GMAPPING_CELL_M = 0.2
 
 
-def _tinyslam(cell_model: str) -> Callable[[RunConfig, Backend, int], SlamBackend]:
+def _tinyslam(cell_model: str) -> Callable[[RunConfig, Backend, int], Mapper]:
     """Return what makes a tinySLAM of a cell model; the quality is that model's default."""
 
-    def make(config: RunConfig, backend: Backend, seed: int) -> SlamBackend:
+    def make(config: RunConfig, backend: Backend, seed: int) -> Mapper:
         return TinySlam(replace(config.tinyslam, cell_model=cell_model), backend, seed)
 
     return make
 
 
-def _gmapping(config: RunConfig, backend: Backend, seed: int) -> SlamBackend:
+def _gmapping(config: RunConfig, backend: Backend, seed: int) -> Mapper:
     """Return gmapping on the cells of [H16]."""
     return Gmapping(replace(config.gmapping, delta=GMAPPING_CELL_M), backend, seed)
 
 
 # Every column of the table: how a fresh producer is made from configuration, device and seed.
-METHODS: dict[str, Callable[[RunConfig, Backend, int], SlamBackend]] = {
+METHODS: dict[str, Callable[[RunConfig, Backend, int], Mapper]] = {
     "tinyslam base": _tinyslam("base"),
     "tinyslam mean": _tinyslam("mean"),
     "gmapping": _gmapping,

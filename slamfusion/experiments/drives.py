@@ -22,8 +22,8 @@ from slamfusion.evaluation import (
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.io.lines import strip_gz
 from slamfusion.sim import named_course, simulate
-from slamfusion.slam.base import SlamBackend
-from slamfusion.slam.runner import run_producer
+from slamfusion.slam.common.mapper import Mapper
+from slamfusion.slam.common.runner import run_producer
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -155,7 +155,7 @@ def simulated_office(
     return Drive(name, recording.scans, reference=recording.truth)
 
 
-def run_errors(drive: Drive, producer: SlamBackend, config: TrajectoryConfig) -> dict[str, float]:
+def run_errors(drive: Drive, producer: Mapper, config: TrajectoryConfig) -> dict[str, float]:
     """Run a fresh producer on a drive and return its errors and the mean time for a scan.
 
     Raises:

@@ -34,7 +34,7 @@ from slamfusion.experiments.records import (
 from slamfusion.experiments.table import markdown_table
 from slamfusion.experiments.trials import FUSIONS, TrialRecord, alone
 from slamfusion.io import AtomicFiles
-from slamfusion.slam.runner import PRODUCERS
+from slamfusion.slam.registry import PRODUCERS
 
 __all__ = ["Against", "ErrorTable", "MethodPair", "Sheet", "Tables", "write_error_table"]
 

@@ -25,8 +25,9 @@ from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealL
 from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
-from slamfusion.slam.node_map import MapJob, Node, NodeMap
-from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.graph.node_map import MapJob, Node, NodeMap
+from slamfusion.slam.registry import PRODUCERS, make_producer
 from slamfusion.trajectory import Trajectory
 
 __all__ = [

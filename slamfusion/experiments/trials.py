@@ -42,7 +42,8 @@ from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
-from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.registry import PRODUCERS, make_producer
 from slamfusion.slam.side_by_side import threads_limited, usable_cores
 from slamfusion.trajectory import Trajectory
 

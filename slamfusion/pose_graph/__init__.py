@@ -1,20 +1,18 @@
 """Pose graphs in the plane: least squares over relative measurements, false closures left out.
 
-``PoseGraph`` is the value, ``optimize`` finds its poses, ``IncrementalGraph`` keeps a growing one
-optimised, and ``read_g2o`` / ``write_g2o`` take them in and out of files. Sparse normal equations
-are built for all edges at once in NumPy and factorised by SciPy's SuperLU.
+``PoseGraph`` is the value, ``optimize`` finds its poses, and ``read_g2o`` / ``write_g2o`` take them
+in and out of files. Sparse normal equations are built for all edges at once in NumPy and factorised
+by SciPy's SuperLU.
 """
 
 from __future__ import annotations
 
 from slamfusion.pose_graph.g2o import GraphFile, read_g2o, write_g2o
 from slamfusion.pose_graph.graph import PoseGraph, loop_closing
-from slamfusion.pose_graph.incremental import IncrementalGraph
 from slamfusion.pose_graph.optimize import Optimized, Robust, Start, chi2_of, optimize
 
 __all__ = [
     "GraphFile",
-    "IncrementalGraph",
     "Optimized",
     "PoseGraph",
     "Robust",

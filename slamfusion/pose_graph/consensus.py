@@ -56,20 +56,22 @@ class Consensus:
     scale: float
 
 
-def find_consensus(measured: Measurements, is_doubted: npt.NDArray[np.bool_]) -> Consensus:
-    """Find the doubted edges that bear each other out.
+def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]) -> Consensus:
+    """Find the possible outliers that bear each other out.
 
     Args:
-        measured: M edges; those between consecutive poses that are not doubted are the odometry.
-        is_doubted: (M,) bool; C of them are.
+        measured: M edges; those between consecutive poses that cannot be outliers are the odometry.
+        may_be_outlier: (M,) bool; C of them are.
 
     Returns:
-        What was found, of the doubted edges in order.
+        What was found, of the possible outliers in order.
     """
     edges, motions = measured.edges, measured.motions
     covariances = inverted(measured.information)
-    odometry = _Odometry.of(edges, motions, covariances, ~is_doubted)
-    closures = _Closures.of(edges[is_doubted], motions[is_doubted], covariances[is_doubted])
+    odometry = _Odometry.of(edges, motions, covariances, ~may_be_outlier)
+    closures = _Closures.of(
+        edges[may_be_outlier], motions[may_be_outlier], covariances[may_be_outlier]
+    )
     places = cKDTree(np.stack((closures.first, closures.last), axis=1))
     reach = NEAR_POSES
     while True:

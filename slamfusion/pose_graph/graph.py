@@ -38,7 +38,7 @@ class PoseGraph:
         motions: (M, 3) float64, measured pose of ``to`` in the frame of ``from``.
         information: (M, 3, 3) float64, inverse covariance of the motion, in the frame of the
             measured pose (as g2o has it); symmetric, positive definite.
-        is_closure: (M,) bool; only these may be doubted by a robust optimisation.
+        is_closure: (M,) bool; only these may be outliers of a robust optimisation.
 
     Raises:
         GraphError: shapes that do not fit, values that are not finite, an edge to a pose that is

@@ -22,11 +22,11 @@ from slamfusion.pose_graph.graph import (
 from slamfusion.pose_graph.initialize import rotations_first
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.robust import (
+    InlierSet,
     Problem,
-    Verdict,
-    by_consensus,
-    by_graduation,
-    by_scaling,
+    consensus,
+    dcs,
+    gnc,
 )
 
 __all__ = ["Optimized", "Robust", "Start", "chi2_of", "optimize"]
@@ -35,10 +35,10 @@ Array = npt.NDArray[np.float64]
 Robust = Literal["none", "consensus", "gnc", "dcs"]
 Start = Literal["best", "given", "odometry", "chordal"]
 
-_ROBUST: dict[str, Callable[[Problem, Array | None], Verdict]] = {
-    "consensus": by_consensus,
-    "gnc": by_graduation,
-    "dcs": by_scaling,
+_ROBUST: dict[str, Callable[[Problem, Array | None], InlierSet]] = {
+    "consensus": consensus,
+    "gnc": gnc,
+    "dcs": dcs,
 }
 
 
@@ -49,13 +49,13 @@ class Optimized:
     Attributes:
         poses: (N, 3) float64, x, y, yaw in [-pi, pi).
         weights: (M,) float64 in [0, 1], by which each edge's information counts; 1 for every edge
-            that may not be doubted, below 0.5 for those taken to be false.
+            that cannot be an outlier, below 0.5 for outliers.
         chi2: sum of the squared errors in their deviations, weighted.
         chi2_all: the same with every weight 1.
         chi2_start: the same of the graph's own poses.
         iterations: steps solved for.
         is_converged: the last descent ended because another step would change next to nothing.
-        is_asked_anew: all closures were weighed; False where an earlier verdict stands.
+        is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
         time_s: all of it.
     """
 
@@ -66,12 +66,12 @@ class Optimized:
     chi2_start: float
     iterations: int
     is_converged: bool
-    is_asked_anew: bool
+    is_reevaluated: bool
     time_s: float
 
     @property
-    def is_doubted(self) -> npt.NDArray[np.bool_]:
-        """Of each edge whether it is taken to be false, (M,)."""
+    def is_outlier(self) -> npt.NDArray[np.bool_]:
+        """Of each edge whether it is outside the inlier set: taken to be false, (M,)."""
         return np.asarray(self.weights < 0.5)
 
 
@@ -97,8 +97,8 @@ def optimize(
             those after the chordal relaxation of the rotations, or (``best``) the given or the
             chordal ones, whichever fit better; a robust search then looks for its own.
         weights: (K,) of the first K edges, as an earlier optimisation of them left them; with
-            ``consensus`` and ``gnc`` from given poses that verdict stands as long as all closures
-            fit that it did not leave out.
+            ``consensus`` and ``gnc`` from given poses their inlier set stands as long as all
+            closures fit that were no outliers there.
         tolerated: with ``gnc`` it stands as well where at most so many of these do not fit, which
             are then left out too.
         max_iterations: of each descent.
@@ -117,34 +117,34 @@ def optimize(
         measured=measured,
         poses=graph.poses,
         fixed=held,
-        is_doubted=_doubted(graph),
-        is_left_out=None if weights is None else _left_out(graph, np.asarray(weights, np.float64)),
+        may_be_outlier=_outlier_candidates(graph),
+        was_outlier=None if weights is None else _earlier_outliers(graph, np.asarray(weights)),
         tolerated=tolerated,
         max_iterations=max_iterations,
         tolerance=tolerance,
     )
     try:
         if len(set(held)) == len(graph):
-            verdict = Verdict(graph.poses, np.ones(len(measured)), 0, is_converged=True)
+            found = InlierSet(graph.poses, np.ones(len(measured)), 0, is_converged=True)
         elif robust == "none":
-            verdict = _believe_all(problem, graph, start)
+            found = _believe_all(problem, graph, start)
         else:
-            verdict = _ROBUST[robust](problem, _start(problem, graph, start))
+            found = _ROBUST[robust](problem, _start(problem, graph, start))
     except RuntimeError as error:
         message = f"the graph's equations cannot be solved ({error}); look for edges of no weight"
         raise GraphError(message) from None
-    squares = measured.squared_errors(verdict.poses)
-    poses = verdict.poses.copy()
+    squares = measured.squared_errors(found.poses)
+    poses = found.poses.copy()
     poses[:, 2] = wrap_angles(poses[:, 2])
     return Optimized(
         poses=poses,
-        weights=verdict.weights,
-        chi2=float(np.dot(verdict.weights, squares)),
+        weights=found.weights,
+        chi2=float(np.dot(found.weights, squares)),
         chi2_all=float(squares.sum()),
         chi2_start=float(measured.squared_errors(graph.poses).sum()),
-        iterations=verdict.iterations,
-        is_converged=verdict.is_converged,
-        is_asked_anew=verdict.is_asked_anew,
+        iterations=found.iterations,
+        is_converged=found.is_converged,
+        is_reevaluated=found.is_reevaluated,
         time_s=time.perf_counter() - began,
     )
 
@@ -170,21 +170,21 @@ def _check(graph: PoseGraph, held: tuple[int, ...]) -> None:
         raise GraphError(disconnected(parts))
 
 
-def _doubted(graph: PoseGraph) -> npt.NDArray[np.bool_]:
+def _outlier_candidates(graph: PoseGraph) -> npt.NDArray[np.bool_]:
     """Return which edges may be left out: closures that close a loop."""
-    doubted = graph.is_closure.copy()
-    doubted[joining(graph.edges, graph.is_closure, len(graph))] = False
-    return doubted
+    candidates = graph.is_closure.copy()
+    candidates[joining(graph.edges, graph.is_closure, len(graph))] = False
+    return candidates
 
 
-def _left_out(graph: PoseGraph, weights: Array) -> npt.NDArray[np.bool_]:
+def _earlier_outliers(graph: PoseGraph, weights: Array) -> npt.NDArray[np.bool_]:
     """Return which edges earlier weights, (K,), leave out, (M,)."""
-    left_out = np.zeros(len(graph.edges), np.bool_)
-    if len(weights) > len(left_out):
-        message = f"{len(weights)} earlier weights do not fit {len(left_out)} edges"
+    outliers = np.zeros(len(graph.edges), np.bool_)
+    if len(weights) > len(outliers):
+        message = f"{len(weights)} earlier weights do not fit {len(outliers)} edges"
         raise GraphError(message)
-    left_out[: len(weights)] = weights < 0.5
-    return left_out
+    outliers[: len(weights)] = weights < 0.5
+    return outliers
 
 
 def _start(problem: Problem, graph: PoseGraph, start: Start) -> Array | None:
@@ -198,7 +198,7 @@ def _start(problem: Problem, graph: PoseGraph, start: Start) -> Array | None:
     return None
 
 
-def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> Verdict:
+def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> InlierSet:
     """Fit all edges."""
     everything = np.ones(len(problem.measured), np.bool_)
     poses = _start(problem, graph, start)
@@ -209,6 +209,6 @@ def _believe_all(problem: Problem, graph: PoseGraph, start: Start) -> Verdict:
             key=lambda at: float(problem.measured.squared_errors(at).sum()),
         )
     descent = problem.descend(equations, poses)
-    return Verdict(
+    return InlierSet(
         descent.poses, everything.astype(np.float64), descent.iterations, descent.is_converged
     )

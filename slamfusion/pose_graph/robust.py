@@ -1,6 +1,7 @@
 """Optimise a graph some of whose closures may be false.
 
-What decides is the truncated sum of squares: an edge that may be doubted counts at most ``limit``.
+What decides is the truncated sum of squares: an edge that may be an outlier counts at most
+``limit``.
 It has many minima, and which one is found depends on where the search starts. Three searches:
 
 - ``consensus``: start from the closures that bear each other out (``consensus.py``), then let in,
@@ -11,8 +12,8 @@ It has many minima, and which one is found depends on where the search starts. T
   then let in what agrees. Whichever is better.
 - ``dcs``: from all closures, each weakened by its own error.
 
-A graph that grows is solved again and again. Closures that the last verdict left out are not asked
-once more: as long as all others fit, or all but a few where that is tolerated, that verdict stands,
+A graph that grows is solved again and again. The outliers of the last solution are not re-evaluated
+as long as all other closures fit, or all but a few where that is tolerated: the inlier set stands,
 and costs no more than a plain descent.
 
 Sources: Yang, Antonante, Tzoumas and Carlone, Graduated Non-Convexity for Robust Spatial
@@ -36,11 +37,11 @@ from slamfusion.pose_graph.uncertainty import Gates, Uncertainty, gates
 
 __all__ = [
     "LIMIT",
+    "InlierSet",
     "Problem",
-    "Verdict",
-    "by_consensus",
-    "by_graduation",
-    "by_scaling",
+    "consensus",
+    "dcs",
+    "gnc",
     "truncated_weights",
 ]
 
@@ -90,10 +91,10 @@ class Problem:
         measured: all M edges.
         poses: (N, 3), of which only those that are held count where a start is looked for.
         fixed: poses that are held.
-        is_doubted: (M,) bool; the others alone join all poses.
-        is_left_out: (M,) bool, doubted edges that an earlier verdict left out; None where there is
+        may_be_outlier: (M,) bool; the others alone join all poses.
+        was_outlier: (M,) bool, outliers of an earlier solution; None where there is
             no earlier one.
-        tolerated: so many more may be left out of the earlier verdict without asking all anew.
+        tolerated: new outliers with which the earlier inlier set stands, without re-evaluation.
         max_iterations: of one descent.
         tolerance: of a descent.
     """
@@ -101,8 +102,8 @@ class Problem:
     measured: Measurements
     poses: Array
     fixed: tuple[int, ...]
-    is_doubted: Mask
-    is_left_out: Mask | None
+    may_be_outlier: Mask
+    was_outlier: Mask | None
     tolerated: int
     max_iterations: int
     tolerance: float
@@ -125,63 +126,63 @@ class Problem:
         )
 
     def truncated_cost(self, squares: Array, limit: float) -> float:
-        """Return the sum of squares, (M,), in which a doubted edge counts at most ``limit``."""
-        return float(np.where(self.is_doubted, np.minimum(squares, limit), squares).sum())
+        """Return the sum of squares, (M,), in which a possible outlier counts at most ``limit``."""
+        return float(np.where(self.may_be_outlier, np.minimum(squares, limit), squares).sum())
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """What a robust search found.
+class InlierSet:
+    """The closures that a robust search keeps, and the poses that fit them.
 
     Attributes:
         poses: (N, 3).
-        weights: (M,) in [0, 1]; 1 for edges that are not doubted.
+        weights: (M,) in [0, 1]; 1 for edges that cannot be outliers.
         iterations: steps solved for.
-        is_converged: the last descent ended by itself.
-        is_asked_anew: not merely an earlier verdict that stands.
+        is_converged: the last descent ended because another step would change next to nothing.
+        is_reevaluated: all closures were weighed; False where an earlier inlier set stands.
     """
 
     poses: Array
     weights: Array
     iterations: int
     is_converged: bool
-    is_asked_anew: bool = True
+    is_reevaluated: bool = True
 
 
-def by_consensus(problem: Problem, start: Array | None = None) -> Verdict:
+def consensus(problem: Problem, start: Array | None = None) -> InlierSet:
     """Start from closures that bear each other out and grow from there.
 
     Args:
         problem: the graph.
         start: (N, 3) poses to descend from; default: found from the edges.
     """
-    if start is not None and problem.is_left_out is not None:
+    if start is not None and problem.was_outlier is not None:
         earlier = _Search(problem, LIMIT)
         earlier.keep_what_fits(start)
-        if not earlier.open_questions():
-            return earlier.verdict()
-    found = find_consensus(problem.measured, problem.is_doubted)
+        if not earlier.new_outliers():
+            return earlier.inlier_set()
+    found = find_consensus(problem.measured, problem.may_be_outlier)
     limit = float(np.clip(LIMIT_PER_SCALE * found.scale, SMALLEST_LIMIT, LIMIT))
     search = _Search(problem, limit)
     seeds = np.zeros(len(problem.measured), np.bool_)
-    seeds[np.flatnonzero(problem.is_doubted)[_seeds(found)]] = True
+    seeds[np.flatnonzero(problem.may_be_outlier)[_seeds(found)]] = True
     search.propose(seeds, start)
     if search.is_strained(found.scale):
         search.propose(seeds, search.odometry(), at_once=False)
     if search.is_nearly_complete():
         search.try_all(start)
     if not seeds.any():
-        search.propose(problem.is_doubted, search.odometry(), at_once=False)
+        search.propose(problem.may_be_outlier, search.odometry(), at_once=False)
     agreement = float(np.clip(0.5 * LIMIT_PER_SCALE * found.scale, SMALLEST_AGREEMENT, LIMIT))
     alone = np.zeros(len(problem.measured), np.bool_)
-    alone[np.flatnonzero(problem.is_doubted)[found.mates == 0]] = True
+    alone[np.flatnonzero(problem.may_be_outlier)[found.mates == 0]] = True
     search.grow(agreement, alone)
-    if start is None and (problem.is_doubted & ~search.used).any():
+    if start is None and (problem.may_be_outlier & ~search.used).any():
         search.propose(search.used, None)
-    return search.verdict()
+    return search.inlier_set()
 
 
-def by_graduation(problem: Problem, start: Array | None = None) -> Verdict:
+def gnc(problem: Problem, start: Array | None = None) -> InlierSet:
     """Believe what fits given poses and what agrees with that; or harden all closures.
 
     Args:
@@ -195,14 +196,14 @@ def by_graduation(problem: Problem, start: Array | None = None) -> Verdict:
     if start is not None:
         search.keep_what_fits(start)
         search.grow(LIMIT)
-        if search.open_questions() <= problem.tolerated:
-            return replace(search.verdict(), is_asked_anew=False)
-    search.propose(problem.is_doubted, search.odometry(start), at_once=False)
+        if search.new_outliers() <= problem.tolerated:
+            return replace(search.inlier_set(), is_reevaluated=False)
+    search.propose(problem.may_be_outlier, search.odometry(start), at_once=False)
     search.grow(LIMIT)
-    return search.verdict()
+    return search.inlier_set()
 
 
-def by_scaling(problem: Problem, start: Array | None = None) -> Verdict:
+def dcs(problem: Problem, start: Array | None = None) -> InlierSet:
     """Weaken each closure by its own error, from given poses or else from those of all closures."""
     everything = np.ones(len(problem.measured), np.bool_)
     equations = problem.equations(everything)
@@ -211,13 +212,13 @@ def by_scaling(problem: Problem, start: Array | None = None) -> Verdict:
         squares = problem.measured.squared_errors(poses)
         scale = np.minimum(1.0, 2.0 * SCALING_FROM / (SCALING_FROM + squares))
         # An edge that counts nothing at all could leave a pose without any.
-        weights = np.where(problem.is_doubted, np.maximum(scale * scale, 1e-9), 1.0)
+        weights = np.where(problem.may_be_outlier, np.maximum(scale * scale, 1e-9), 1.0)
         equations.linearise(poses, weights)
         step, promised = equations.step()
         poses = poses + step
         if promised <= problem.tolerance * float(np.dot(weights, squares)) + NEGLIGIBLE:
-            return Verdict(poses, weights, iteration, is_converged=True)
-    return Verdict(poses, weights, problem.max_iterations, is_converged=False)
+            return InlierSet(poses, weights, iteration, is_converged=True)
+    return InlierSet(poses, weights, problem.max_iterations, is_converged=False)
 
 
 def truncated_weights(squares: Array, hardness: float, limit: float) -> Array:
@@ -247,12 +248,12 @@ class _Search:
 
     Attributes:
         poses: (N, 3).
-        used: (M,) bool, closures that are believed.
+        used: (M,) bool, the inlier set.
     """
 
     def __init__(self, problem: Problem, limit: float) -> None:
         self._problem, self._limit = problem, limit
-        self._trusted = ~problem.is_doubted
+        self._trusted = ~problem.may_be_outlier
         self.poses = problem.poses
         self.used = np.zeros(len(problem.measured), np.bool_)
         self._squares = np.full(len(problem.measured), np.inf)
@@ -261,10 +262,10 @@ class _Search:
         self._is_converged = self._is_thinned = False
         self._equations: tuple[Mask, NormalEquations] | None = None
 
-    def verdict(self) -> Verdict:
+    def inlier_set(self) -> InlierSet:
         """Return the best that was found."""
         weights = (self._trusted | self.used).astype(np.float64)
-        return Verdict(self.poses, weights, self._iterations, self._is_converged)
+        return InlierSet(self.poses, weights, self._iterations, self._is_converged)
 
     def propose(self, closures: Mask, start: Array | None, *, at_once: bool = True) -> bool:
         """Fit some closures, leave out those that do not go with the rest, keep what is better.
@@ -289,16 +290,16 @@ class _Search:
     def keep_what_fits(self, start: Array) -> None:
         """Fit the closures that fit poses, (N, 3), already."""
         squares = self._problem.measured.squared_errors(start)
-        self.propose(self._problem.is_doubted & (squares <= self._limit), start)
+        self.propose(self._problem.may_be_outlier & (squares <= self._limit), start)
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any():
             self.propose(self.used | fitting, self.poses)
 
-    def open_questions(self) -> int:
-        """Count the closures that are left out and that no earlier verdict had left out."""
-        left_out = self._problem.is_left_out
+    def new_outliers(self) -> int:
+        """Count the outliers that were none in the earlier solution."""
+        outliers = self._problem.was_outlier
         outside = self._outside()
-        return int((outside if left_out is None else outside & ~left_out).sum())
+        return int((outside if outliers is None else outside & ~outliers).sum())
 
     def odometry(self, start: Array | None = None) -> Array:
         """Return the poses without any closure, by way of given ones, (N, 3), or of none."""
@@ -316,14 +317,14 @@ class _Search:
     def is_nearly_complete(self) -> bool:
         """Whether so few closures are left out that all of them may well be true."""
         left_out = self._outside() & (self._squares > self._limit)
-        return bool(0 < left_out.sum() <= FEW_LEFT * self._problem.is_doubted.sum())
+        return bool(0 < left_out.sum() <= FEW_LEFT * self._problem.may_be_outlier.sum())
 
     def try_all(self, start: Array | None) -> None:
         """Believe all closures if they can all be fitted."""
-        descent = self._fit(self._problem.is_doubted, start)
+        descent = self._fit(self._problem.may_be_outlier, start)
         squares = self._problem.measured.squared_errors(descent.poses)
-        if not (squares[self._problem.is_doubted] > self._limit).any():
-            self._keep_better(descent, squares, self._problem.is_doubted)
+        if not (squares[self._problem.may_be_outlier] > self._limit).any():
+            self._keep_better(descent, squares, self._problem.may_be_outlier)
 
     def grow(self, agreement: float, alone: Mask | None = None) -> None:
         """Let in closures that agree with the graph, the best first, until none is left that does.
@@ -336,11 +337,11 @@ class _Search:
         fitting = self._outside() & (self._squares <= self._limit)
         if fitting.any() and not self.propose(self.used | fitting, self.poses):
             return
-        left_out = self._problem.is_left_out
-        known_false = np.zeros_like(self.used) if left_out is None else left_out & self._outside()
-        doubtful = np.flatnonzero(self._outside() & ~known_false)
-        doubtful = doubtful[np.argsort(self._squares[doubtful], kind="stable")]
-        asked = first_asked = doubtful[:GATED_AT_ONCE]
+        outliers = self._problem.was_outlier
+        known_false = np.zeros_like(self.used) if outliers is None else outliers & self._outside()
+        asked_about = np.flatnonzero(self._outside() & ~known_false)
+        asked_about = asked_about[np.argsort(self._squares[asked_about], kind="stable")]
+        asked = first_asked = asked_about[:GATED_AT_ONCE]
         found = self._against_graph(asked)
         for share in AGREEMENT_SHARES:
             while True:
@@ -348,7 +349,7 @@ class _Search:
                 if alone is not None and agrees.any():
                     # Closures that are not asked are as often false as those that are.
                     others = (~self.used[first_asked]).sum() - (found.errors <= agreement).sum()
-                    false = known_false.sum() + others * len(doubtful) / len(first_asked)
+                    false = known_false.sum() + others * len(asked_about) / len(first_asked)
                     agrees &= ~alone[asked] | (false * found.chances <= BY_CHANCE)
                 if not agrees.any():
                     break
@@ -361,8 +362,8 @@ class _Search:
                 found = self._against_graph(asked)
 
     def _outside(self) -> Mask:
-        """Return the doubted closures that are not believed, (M,) bool."""
-        return self._problem.is_doubted & ~self.used
+        """Return the closures that are outside the inlier set, (M,) bool."""
+        return self._problem.may_be_outlier & ~self.used
 
     def _against_graph(self, asked: npt.NDArray[np.int64]) -> Gates:
         """Ask edges outside the graph whether they agree with it, given how well it is known."""

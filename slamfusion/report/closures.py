@@ -21,7 +21,7 @@ from slamfusion.report.paths import (
     _map_axes,
     mark_legend,
 )
-from slamfusion.slam.base import Closure
+from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["closure_pictures", "closures_picture"]

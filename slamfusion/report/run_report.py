@@ -44,8 +44,8 @@ from slamfusion.report.page import (
     write_page,
 )
 from slamfusion.report.series import drawable, series_picture
-from slamfusion.slam.base import Series
-from slamfusion.slam.runner import ProducerRun
+from slamfusion.slam.common.mapper import Series
+from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ReportedRun", "RunReport", "write_run_report"]

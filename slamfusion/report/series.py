@@ -18,7 +18,7 @@ from slamfusion.report.canvas import (
     unit_rgb,
     write_note,
 )
-from slamfusion.slam.base import Series
+from slamfusion.slam.common.mapper import Series
 
 __all__ = ["LINE_COLOUR", "drawable", "series_picture"]
 

@@ -29,7 +29,7 @@ from slamfusion.report.trajectory_report import (
     relations_section,
     truth_section,
 )
-from slamfusion.slam.base import Closure, Series
+from slamfusion.slam.common.mapper import Closure, Series
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["write_slam_report"]

@@ -40,9 +40,9 @@ from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_gate import ODOMETRY_ALIVE_S, ArrivedScan, ScanGate
 from slamfusion.ros.worker import Worker
 from slamfusion.scan import LaserScan as Scan
-from slamfusion.slam.base import DrawsAside, SlamBackend, Step
-from slamfusion.slam.node_map import MapJob, NodeMap
-from slamfusion.slam.runner import make_producer
+from slamfusion.slam.common.mapper import Mapper, Step
+from slamfusion.slam.graph.node_map import DrawsAside, MapJob, NodeMap
+from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ProducerNode", "make_node"]
@@ -131,7 +131,7 @@ class ProducerNode(NodeBase):
     is far from the others is left out.
 
     Args:
-        kind: a producer of ``slamfusion.slam.runner``; also the node's name unless remapped.
+        kind: a producer of ``slamfusion.slam.common.runner``; also the node's name unless remapped.
         context: rclpy's; default: the one of ``rclpy.init``.
         arguments: ROS arguments of this node alone.
 
@@ -583,7 +583,7 @@ class ProducerNode(NodeBase):
         self._messages.close()
 
 
-def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | None) -> SlamBackend:
+def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | None) -> Mapper:
     """Return a fresh producer, after another one has had its kernels compiled and run."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     # A square room of 6 m.

@@ -1,7 +1,12 @@
-"""The producers of maps: tinySLAM, and the protocol that every SLAM here keeps."""
+"""The producers of maps, each in a folder of its own, and what they have in common.
+
+``tinyslam``, ``gmapping`` and ``graph`` are one SLAM each; ``common`` holds the ``Mapper`` protocol
+that they keep, the scan matcher, the tiled maps and the run over a log; ``registry`` knows them by
+name and ``side_by_side`` runs several on one log.
+"""
 
 from __future__ import annotations
 
-from slamfusion.slam.base import Health, SlamBackend, Step
+from slamfusion.slam.common.mapper import Health, Mapper, Step
 
-__all__ = ["Health", "SlamBackend", "Step"]
+__all__ = ["Health", "Mapper", "Step"]

@@ -24,22 +24,18 @@ from typing import Any
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
-from slamfusion.slam.runner import (
-    PRODUCERS,
-    ProducerRun,
-    make_producer,
-    open_producer_backend,
-    run_producer,
-)
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.registry import PRODUCERS, make_producer, open_producer_backend
 
 __all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 
-# The longest job first: what a scan takes, roughly, against tinySLAM's.
+# Time for a scan, roughly, in tinySLAM's: the longest job starts first.
 COSTS = {"gmapping": 6.0, "graph": 3.0, "tinyslam": 1.0}
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# Time between two words of a process on how far it is, seconds: a progress bar needs no more.
 TELL_S = 0.2
-# A process that was killed, or that has let go of its pipe, is gone within moments.
+# Patience with a process that was killed, or has let go of its pipe, seconds: moments are enough.
 JOIN_S = 10.0
 
 # Told the producer and the share of the log that it has read, 0 to 1.
@@ -238,7 +234,7 @@ def _check(names: Sequence[str]) -> None:
 
 
 def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
-    """Start a producer's process; its device and its libraries get so many threads."""
+    """Start a producer's process; its device and libraries may start ``threads`` threads each."""
     context = multiprocessing.get_context("spawn")
     answers, theirs = context.Pipe(duplex=False)
     process = context.Process(

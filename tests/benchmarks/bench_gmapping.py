@@ -10,7 +10,7 @@ chooses which. --config takes a YAML file of settings, as the command line does.
 
 from __future__ import annotations
 
-from slamfusion.slam.runner import PRODUCERS
+from slamfusion.slam.registry import PRODUCERS
 from tests.benchmarks.gmapping.bench import PRODUCER
 from tests.benchmarks.gmapping.large import memory
 from tests.benchmarks.gmapping.recorded import no_odometry, particles, recordings

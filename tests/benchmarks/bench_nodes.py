@@ -35,7 +35,7 @@ from slamfusion.io.log import LogScan
 from slamfusion.ros import messages
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
-from slamfusion.slam.runner import make_producer
+from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values

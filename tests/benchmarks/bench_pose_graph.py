@@ -214,7 +214,7 @@ def outcome(
     found = optimize(given, robust=method)
     seconds = time.process_time() - began
     true = len(graph.edges)
-    believed = ~found.is_doubted
+    believed = ~found.is_outlier
     return (
         apart(graph.poses, found.poses),
         int((~believed[:true]).sum()),

@@ -27,7 +27,8 @@ from slamfusion.experiments.drives import ATE, RELATIONS, Drive, DriveFiles, rea
 from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import simulate
-from slamfusion.slam.runner import PRODUCERS, make_producer, run_producer
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.registry import PRODUCERS, make_producer
 from slamfusion.trajectory import Trajectory
 from tests.support.datasets import DATASETS
 

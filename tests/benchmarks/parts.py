@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from slamfusion.config import DeviceConfig, RunConfig, load_config
-from slamfusion.slam.runner import open_producer_backend
+from slamfusion.slam.registry import open_producer_backend
 from tests.benchmarks.gmapping.bench import Bench
 
 # Each part, told what it needs, and how many seeds it takes where none are asked for.

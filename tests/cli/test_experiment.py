@@ -11,7 +11,7 @@ import pytest
 
 from slamfusion.experiments.trials import FUSIONS
 from slamfusion.io import write_carmen, write_tum
-from slamfusion.slam.runner import PRODUCERS
+from slamfusion.slam.registry import PRODUCERS
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.experiments.drives import room
 from tests.support.documents import check_document

@@ -16,7 +16,7 @@ from slamfusion.experiments import REAL_LOGS, RealLogTable, compare_on_logs
 from slamfusion.experiments.real_logs import REFERENCE, RealLogRow, reference_map
 from slamfusion.experiments.trials import FUSIONS
 from slamfusion.grid import OccupancyGrid
-from slamfusion.slam.runner import PRODUCERS
+from slamfusion.slam.registry import PRODUCERS
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room
 from tests.support.datasets import ABSENT, DATASETS

@@ -29,7 +29,7 @@ from slamfusion.experiments.trials import (
     vote_every_way,
 )
 from slamfusion.sim import COURSES, simulate
-from slamfusion.slam.runner import PRODUCERS
+from slamfusion.slam.registry import PRODUCERS
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building, fusion_config
 

@@ -11,7 +11,7 @@ from slamfusion.compute import Backend
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.slam.runner import make_producer
+from slamfusion.slam.registry import make_producer
 from tests.fusion.live_maps import (
     Drive,
     assert_same_lattice,

@@ -20,7 +20,7 @@ from slamfusion.config import RunConfig
 from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.records import load_schema
-from slamfusion.slam.base import Health
+from slamfusion.slam.common.mapper import Health
 from slamfusion.trajectory import Trajectory
 from tests.support import make_schema
 from tests.support.documents import check_document

@@ -241,7 +241,7 @@ def test_a_small_producer_gets_the_plain_device_of_the_wheel(monkeypatch: pytest
     code = (
         "from slamfusion.compute import list_devices\n"
         "from slamfusion.config import RunConfig\n"
-        "from slamfusion.slam.runner import open_producer_backend\n"
+        "from slamfusion.slam.registry import open_producer_backend\n"
         "config = RunConfig()\n"
         "for name in ('tinyslam', 'gmapping', 'graph'):\n"
         "    print(open_producer_backend(name, config).name.split('-')[0])\n"

@@ -44,7 +44,7 @@ def drift(seed: int = 0) -> PoseGraph:
 def test_true_closures_are_believed(robust: Robust) -> None:
     graph = drift()
     plain, found = optimize(graph), optimize(graph, robust=robust)
-    assert not found.is_doubted.any()
+    assert not found.is_outlier.any()
     assert apart(plain.poses, found.poses) < 2e-3
     if robust != "dcs":  # which weakens whatever errs
         assert found.chi2 == pytest.approx(plain.chi2, rel=1e-4)
@@ -59,8 +59,8 @@ def test_a_false_closure_bends_the_plain_graph_and_not_the_robust_one(robust: Ro
     true = len(graph.edges)
     assert apart(clean.poses, plain.poses) > 0.1
     assert apart(clean.poses, found.poses) < 0.01
-    assert found.is_doubted[true:].all()
-    assert not found.is_doubted[:true].any()
+    assert found.is_outlier[true:].all()
+    assert not found.is_outlier[:true].any()
     assert found.chi2 < 1.2 * clean.chi2
     assert found.chi2_all > 10.0 * found.chi2
 
@@ -73,7 +73,7 @@ def test_consensus_bears_as_many_false_closures_as_true_ones(kind: str, seed: in
     false_too = with_false_closures(graph.with_poses(clean.poses), 1.0, seed, kind)
     found = optimize(false_too, robust="consensus")
     assert apart(clean.poses, found.poses) < 0.02
-    assert not found.is_doubted[: len(graph.edges)].any()
+    assert not found.is_outlier[: len(graph.edges)].any()
 
 
 @pytest.mark.parametrize("kind", ["shuffled", "random"])
@@ -86,7 +86,7 @@ def test_gnc_near_the_solution_bears_as_many_false_closures_as_true_ones(
     false_too = with_false_closures(graph.with_poses(clean.poses), 1.0, seed, kind)
     found = optimize(false_too, robust="gnc", start="given")
     assert apart(clean.poses, found.poses) < 0.02
-    assert not found.is_doubted[: len(graph.edges)].any()
+    assert not found.is_outlier[: len(graph.edges)].any()
 
 
 KEEPING: tuple[Robust, ...] = ("consensus", "gnc")
@@ -116,7 +116,7 @@ def test_an_earlier_verdict_is_mended_where_poses_speak_against_it(robust: Robus
     found = optimize(
         graph.with_poses(clean.poses), robust=robust, start="given", weights=nothing_believed
     )
-    assert not found.is_doubted.any()
+    assert not found.is_outlier.any()
     assert found.chi2 == pytest.approx(clean.chi2, rel=1e-4)
 
 
@@ -136,7 +136,7 @@ def test_new_closures_are_judged_after_an_earlier_verdict(robust: Robust) -> Non
     found = optimize(
         whole.with_poses(before.poses), robust=robust, start="given", weights=before.weights
     )
-    assert found.is_doubted.tolist() == (order >= true).tolist()
+    assert found.is_outlier.tolist() == (order >= true).tolist()
     assert apart(clean.poses, found.poses) < 0.01
 
 
@@ -159,7 +159,7 @@ def test_a_true_majority_turns_over_an_earlier_verdict_for_a_false_closure() -> 
     found = optimize(
         false.with_poses(alone.poses), robust="gnc", start="given", weights=alone.weights
     )
-    assert found.is_doubted.nonzero()[0].tolist() == [59]
+    assert found.is_outlier.nonzero()[0].tolist() == [59]
 
 
 def test_more_earlier_weights_than_edges_are_refused() -> None:
@@ -197,13 +197,13 @@ def test_one_closure_alone_is_believed_as_far_as_odometry_allows() -> None:
     poses, edges = ring(60, 10.0)
     graph = drawn(poses, edges, noise=1.0)
     for robust in ("consensus", "gnc"):
-        assert not optimize(graph, robust=robust).is_doubted.any()
+        assert not optimize(graph, robust=robust).is_outlier.any()
     motions = graph.motions.copy()
     motions[-1] += (30.0, 0.0, 0.0)
     false = PoseGraph(graph.poses, graph.edges, motions, graph.information, graph.is_closure)
     for robust in ("consensus", "gnc"):
         found = optimize(false, robust=robust)
-        assert found.is_doubted.nonzero()[0].tolist() == [59]
+        assert found.is_outlier.nonzero()[0].tolist() == [59]
         assert found.chi2 < 1e-9
 
 
@@ -255,12 +255,12 @@ def test_consensus_knows_that_some_of_many_false_closures_agree_by_chance(seed: 
     alone = deviating(graph, [(50, 279)], 0.6)
     true = len(graph.edges)
     believed = optimize(alone, robust="consensus")
-    assert not believed.is_doubted.any()  # nothing speaks against it
+    assert not believed.is_outlier.any()  # nothing speaks against it
     assert apart(graph.poses, believed.poses) > 0.03
     false_too = with_false_closures(alone, 0.5, seed, "random")
     found = optimize(false_too, robust="consensus")
-    assert found.is_doubted[true]
-    assert not found.is_doubted[:true].any()
+    assert found.is_outlier[true]
+    assert not found.is_outlier[:true].any()
     assert apart(graph.poses, found.poses) < 0.01
 
 
@@ -271,7 +271,7 @@ def test_consensus_believes_two_that_bear_each_other_out_among_many_false_ones(s
     true = len(pair.edges)
     false_too = with_false_closures(pair, 0.5, seed, "random")
     found = optimize(false_too, robust="consensus")
-    assert not found.is_doubted[:true].any()
+    assert not found.is_outlier[:true].any()
     assert apart(optimize(pair).poses, found.poses) < 0.01
 
 
@@ -347,5 +347,5 @@ def test_public_graphs_stay_where_they_are(name: str, share: float, kind: str) -
     found = optimize(nowhere, robust="consensus")
     assert apart(clean.poses, found.poses) < 0.01
     if not share:
-        assert not found.is_doubted.any()
+        assert not found.is_outlier.any()
         assert found.chi2 == pytest.approx(clean.chi2, rel=1e-4)

@@ -16,7 +16,7 @@ from slamfusion.report.closures import (
     closure_pictures,
     closures_picture,
 )
-from slamfusion.slam.base import Closure
+from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
 NORMALIZE = NormalizeConfig()

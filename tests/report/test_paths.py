@@ -18,7 +18,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.canvas import Rgb
 from slamfusion.report.page import Cell, Table
-from slamfusion.slam.base import Series
+from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, room
 

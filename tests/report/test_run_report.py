@@ -14,7 +14,7 @@ from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.report.run_report import ReportedRun, RunReport, write_run_report
-from slamfusion.slam.runner import ProducerRun, run_producer
+from slamfusion.slam.common.runner import ProducerRun, run_producer
 from tests.report.drawn import NASTY, REASON, fusion, room
 from tests.report.test_reports import read
 from tests.support.producers import DeadReckoning, room_drive

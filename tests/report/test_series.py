@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.report.series import LINE_COLOUR, drawable, series_picture
-from slamfusion.slam.base import Series
+from slamfusion.slam.common.mapper import Series
 
 
 def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Series:

@@ -17,7 +17,7 @@ from slamfusion.io import LogScan, open_log
 from slamfusion.io.carmen import write_carmen
 from slamfusion.ros import messages
 from slamfusion.ros.frames import TransformStore
-from slamfusion.slam.runner import make_producer
+from slamfusion.slam.registry import make_producer
 from tests.slam.drives import drive
 
 FIRST_S = 100.0

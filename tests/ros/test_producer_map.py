@@ -23,9 +23,8 @@ from slamfusion.config import GraphConfig, RunConfig
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
 from slamfusion.ros import messages, producer_node, qos
-from slamfusion.slam.base import DrawsAside
-from slamfusion.slam.node_map import MapJob, NodeMap
-from slamfusion.slam.runner import PRODUCERS, make_producer
+from slamfusion.slam.graph.node_map import DrawsAside, MapJob, NodeMap
+from slamfusion.slam.registry import PRODUCERS, make_producer
 from tests.ros.drives import as_sent, offline, scans
 from tests.ros.live import Observer
 

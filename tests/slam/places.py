@@ -17,10 +17,10 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
+from slamfusion.slam.common.matcher import ScanOnTiles
+from slamfusion.slam.common.response import response_information
 from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.matcher import ScanOnTiles
-from slamfusion.slam.response import response_information
-from slamfusion.slam.submap import Submap
+from slamfusion.slam.graph.submap import Submap
 from slamfusion.trajectory import Trajectory
 from tests.slam.drives import CELL_M
 
@@ -228,9 +228,9 @@ def draw_corridor() -> U8:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A submap of a drawn place, in the map frame, and a graph that can judge matches on it."""
+    """A submap of a drawn place, in the map frame, and where it lives."""
 
-    slam: GraphSlam
+    backend: Backend
     submap: Submap
     cells: U8
 
@@ -248,14 +248,14 @@ class Place:
     def information(self, pose: Pose2, points: F64) -> F64:
         """Return (3, 3) what a match tells."""
         at = np.array([pose.x, pose.y, pose.yaw_rad])
-        scan = ScanOnTiles(self.slam._backend, self.submap.walls(), points, 180)
+        scan = ScanOnTiles(self.backend, self.submap.walls(), points, 180)
         return response_information(scan, at)
 
 
 def place_of(backend: Backend, cells: U8, poses: list[Pose2]) -> Place:
     """Return a place that was seen from some poses."""
-    slam, submap = GraphSlam(GraphConfig(), backend), Submap(backend, 0, CELL_M, 0.1)
-    place = Place(slam, submap, cells)
+    submap = Submap(backend, 0, CELL_M, 0.1)
+    place = Place(backend, submap, cells)
     for index, pose in enumerate(poses):
         submap.insert(place.points(pose, index, 0.015), NO_LASER, pose)
     return place
@@ -263,11 +263,10 @@ def place_of(backend: Backend, cells: U8, poses: list[Pose2]) -> Place:
 
 def false_closures(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[int, int]]:
     """Return closures that are believed and say something else of two nodes than the truth."""
-    first: dict[int, int] = {}
-    for index, (_, node, _) in enumerate(slam._scans):
-        first.setdefault(node, index)
-    found = []
-    for edge, weight in zip(slam._edges, slam._solution().weights, strict=True):
+    stamps = slam.trajectory().stamps_s.tolist()
+    first = {node: stamps.index(stamp) for node, stamp in slam._path.node_stamps().items()}
+    graph, found = slam._graph, []
+    for edge, weight in zip(graph.constraints, graph.solution().weights, strict=True):
         step = truth[first[edge.start]].inverse().compose(truth[first[edge.end]])
         wrong = edge.motion - (step.x, step.y, step.yaw_rad)
         wrong[2] = wrap_angle(float(wrong[2]))

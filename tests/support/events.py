@@ -22,7 +22,7 @@ Drive = tuple[tuple[LogScan, ...], Trajectory]
 
 
 class ClosureLike(Protocol):
-    """What a graph says of two scans; see ``slamfusion.slam.graph.Closure``."""
+    """What a graph says of two scans; see ``slamfusion.slam.common.mapper.Closure``."""
 
     @property
     def start_s(self) -> float: ...

@@ -14,14 +14,14 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.io.log import LogScan, Skips
 from slamfusion.scan import LaserScan
-from slamfusion.slam.base import Health, Series, Step
+from slamfusion.slam.common.mapper import Health, Series, Step
 from slamfusion.trajectory import Trajectory
 
 BEAMS = 720
 
 
 class DeadReckoning:
-    """A ``SlamBackend`` that marks hits where odometry says they are."""
+    """A ``Mapper`` that marks hits where odometry says they are."""
 
     name = "dead-reckoning"
 

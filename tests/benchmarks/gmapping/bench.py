@@ -23,7 +23,8 @@ from slamfusion.evaluation import (
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, save_map
-from slamfusion.slam.runner import ProducerRun, make_producer, run_producer
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 from tests.support.measures import closure_error
 from tests.support.odometry import without_odometry

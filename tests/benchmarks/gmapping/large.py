@@ -21,7 +21,8 @@ from slamfusion.sim import Course, Recording, simulate
 from slamfusion.sim.canvas import Canvas
 from slamfusion.sim.drive import DRIVES
 from slamfusion.sim.lidar import LIDARS
-from slamfusion.slam.runner import ProducerRun, make_producer, run_producer
+from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.slam.registry import make_producer
 from tests.benchmarks.gmapping.bench import Bench, shown
 
 SIDE_M = 200.0

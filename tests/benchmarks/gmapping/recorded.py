@@ -9,7 +9,7 @@ from rich.table import Table
 
 from slamfusion.evaluation import Summary
 from slamfusion.experiments.drives import RELATIONS, Drive, read_drive
-from slamfusion.slam.runner import ProducerRun
+from slamfusion.slam.common.runner import ProducerRun
 from tests.benchmarks.bench_slam import MEASURED, error, floor
 from tests.benchmarks.gmapping.bench import OVER_SEEDS, Bench, over_seeds, shown, times
 from tests.support.datasets import ABSENT

@@ -12,7 +12,7 @@ from slamfusion.config import ActionConfig, SimulateConfig
 from slamfusion.evaluation import Summary
 from slamfusion.io import LogScan
 from slamfusion.sim import Course, Recording, named_course, simulate, with_overrides
-from slamfusion.slam.runner import ProducerRun
+from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.gmapping.bench import (
     OVER_SEEDS,

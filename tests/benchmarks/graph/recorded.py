@@ -18,8 +18,8 @@ from slamfusion.evaluation import (
 )
 from slamfusion.experiments.drives import RELATIONS, Drive
 from slamfusion.io import open_log, read_trajectory
+from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_slam import error, floor, within_floor
 from tests.benchmarks.gmapping.bench import OVER_SEEDS, Bench, over_seeds, shown

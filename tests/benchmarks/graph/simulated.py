@@ -17,8 +17,8 @@ from slamfusion.evaluation import (
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.sim import Recording, named_course, simulate
+from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.gmapping.bench import WALLS, Bench, Judged, mean_walls, shown
 from tests.benchmarks.gmapping.simulated import (

@@ -1,0 +1,288 @@
+"""A bounded Monte-Carlo search for the pose under which a scan fits the map best.
+
+The first look draws poses widely around each hypothesis of where the robot went (what its odometry
+says; that it goes on as it went) and scores them on wide basins, in one launch. From the best of
+them hill climbing goes on by rounds of ever narrower random steps, all in one more launch. What is
+maximised is the mean wall value under the hits less a small loss for leaving the nearest
+hypothesis.
+
+Source: [H16] (Monte-Carlo matcher with a bounded number of tries).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend, Handle
+from slamfusion.compute.slam_reference import CLIMBERS
+from slamfusion.config import MatcherConfig
+from slamfusion.geometry import wrap_angles
+
+__all__ = [
+    "FieldMap",
+    "Match",
+    "PoseHypothesis",
+    "ScanOnTiles",
+    "Spread",
+    "pose_table",
+    "search_pose",
+]
+
+F64 = npt.NDArray[np.float64]
+
+# Distance, metres, between the five cells of which the first look takes the best: basins as wide as
+# the draws lie apart.
+WIDE_REACH_M = 0.15
+# Different cells that a scan's hits fall into, below which it tells less than the weights of the
+# hypotheses assume.
+TELLING_CELLS = 100.0
+# Beyond any column: makes one number of a cell.
+_ROW_STRIDE = 1 << 32
+# Share of the spread that hill climbing begins with, and share that is left of a step after each
+# round: by the last one steps are far below a cell.
+FIRST_NARROWING, NARROWING = 0.4, 0.5
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviations of the first look.
+
+    Attributes:
+        xy_m: of x and of y.
+        yaw_rad: of the heading.
+    """
+
+    xy_m: float
+    yaw_rad: float
+
+    def sigmas(self) -> F64:
+        """Return (3,) x, y, yaw."""
+        return np.array([self.xy_m, self.xy_m, self.yaw_rad])
+
+    def wider(self, factor: float) -> Spread:
+        """Return the spread times a factor."""
+        return Spread(self.xy_m * factor, self.yaw_rad * factor)
+
+
+@dataclass(frozen=True)
+class PoseHypothesis:
+    """Where the robot may have gone.
+
+    Attributes:
+        pose: (3,) x, y in metres and yaw in radians, map frame.
+        spread: how far to look around it.
+        loss: what believing it costs, in units of the score.
+    """
+
+    pose: F64
+    spread: Spread
+    loss: float = 0.0
+
+
+@dataclass(frozen=True)
+class Match:
+    """The best pose found.
+
+    Attributes:
+        pose: (3,) x, y in metres and yaw in radians, map frame.
+        score: mean wall value under the hits there, 0 to 1.
+        objective: the score less the loss for leaving the nearest hypothesis.
+        moved: how far the pose lies from the first hypothesis, in spreads, along the worst axis.
+        hessian: (3, 3) negative Hessian of the response there, see ``response_hessian``; None: not
+            measured.
+    """
+
+    pose: F64
+    score: float
+    objective: float
+    moved: float
+    hessian: F64 | None = None
+
+
+class FieldMap(NamedTuple):
+    """A tiled score field, and where it lies.
+
+    Attributes:
+        field: (T, TILE, TILE) uint8 wall values, on the device.
+        pages: (PH, PW) int32, on the device.
+        corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
+        resolution: metres per cell.
+    """
+
+    field: Handle
+    pages: Handle
+    corner: F64
+    resolution: float
+
+
+class ScanOnTiles:
+    """One scan's hits over a tiled map: scores of poses, in metres and radians.
+
+    Attributes:
+        cells: different cells that the hits fall into: how much the scan can tell.
+    """
+
+    def __init__(self, backend: Backend, walls: FieldMap, points: F64, most_points: int) -> None:
+        """Bring the hits to the device.
+
+        Args:
+            backend: where the map lives.
+            walls: the map.
+            points: (P, 2) hits in the robot's frame, metres.
+            most_points: if there are more, every second (third, ...) counts.
+        """
+        self._backend = backend
+        self._map = (walls.field, walls.pages)
+        self._cell = resolution = walls.resolution
+        self._corner = walls.corner
+        hits = points / resolution
+        every = -(-len(points) // most_points)
+        looked_at = hits[::every].astype(np.float32)
+        self._points = backend.upload(looked_at)
+        # The first, wide look takes every second of them.
+        self._few_points = backend.upload(looked_at[::2])
+        col, row = np.floor(hits).astype(np.int64).T
+        self.cells = len(np.unique(col * _ROW_STRIDE + row))
+        self._reach = max(1, round(WIDE_REACH_M / resolution))
+
+    def wide_scores(self, poses: F64) -> F64:
+        """Return (N,) scores, 0 to 1, of poses (N, 3) on wide basins, by half of the points."""
+        return self._means(self._few_points, poses, self._reach)
+
+    def scores(self, poses: F64) -> F64:
+        """Return (N,) scores, 0 to 1, of poses (N, 3): mean wall value under the hits."""
+        return self._means(self._points, poses)
+
+    def unseen_share(self, pose: F64, unseen: int) -> float:
+        """Return the share of the hits at a pose (3,) that fall where the field has one value."""
+        table = np.zeros(256, dtype=np.int32)
+        table[unseen] = 1
+        field, pages = self._map
+        sums = self._backend.score_maps(
+            field,
+            pages.reshape((1, *pages.shape)),
+            self._points,
+            pose_table(pose.reshape(1, 1, 3), self._cell, self._corner),
+            table,
+        )
+        return float(sums[0, 0] / self._points.shape[0])
+
+    def hill_climb(
+        self, starts: F64, steps: F64, hypotheses: Sequence[PoseHypothesis], weights: F64
+    ) -> F64:
+        """Run hill climbing from poses, by rounds of random steps.
+
+        Args:
+            starts: (G, 3) poses.
+            steps: (R, G, CLIMBERS, 3) in metres and radians.
+            hypotheses: where leaving costs something.
+            weights: (3,) loss one spread beside a hypothesis, along x, y and yaw.
+
+        Returns:
+            (G, 4): the pose where each ended and its score less its loss.
+        """
+        cell, yaw0 = self._cell, hypotheses[0].pose[2]
+
+        def rows(poses: F64) -> F64:
+            """In cells of the window, headings near 0: float32 is to carry them."""
+            yaw = wrap_angles(poses[:, 2] - yaw0)
+            return np.column_stack((poses[:, :2] / cell - self._corner, yaw))
+
+        centres = rows(np.array([one.pose for one in hypotheses]))
+        sigmas = np.array([one.spread.sigmas() for one in hypotheses]) / (cell, cell, 1.0)
+        own = [one.loss for one in hypotheses]
+        losses = np.column_stack((centres, weights / sigmas**2, own)).astype(np.float32)
+        first = np.column_stack((rows(starts), np.cos(starts[:, 2]), np.sin(starts[:, 2])))
+        table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
+        table[..., :2], table[..., 2] = steps[..., :2] / cell, steps[..., 2]
+        table[..., 3], table[..., 4] = np.cos(steps[..., 2]), np.sin(steps[..., 2])
+        found = self._backend.climb(
+            *self._map,
+            self._points,
+            losses,
+            first.astype(np.float32),
+            table,
+            scale=_scale(self._points),
+        ).astype(np.float64)
+        return np.column_stack(
+            ((found[:, :2] + self._corner) * cell, wrap_angles(found[:, 2] + yaw0), found[:, 5])
+        )
+
+    def _means(self, points: Handle, poses: F64, reach: int = 0) -> F64:
+        table = pose_table(poses, self._cell, self._corner)
+        sums = self._backend.score_poses(*self._map, points, table, reach=reach)
+        return np.asarray(sums * _scale(points))
+
+
+def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
+    """Return poses (..., 3), metres and radians, as kernels take them: (..., 4) float32.
+
+    Args:
+        poses: in the map frame.
+        cell: metres per cell.
+        corner: (2,) x and y of the window's lower-left corner in the map frame, cells.
+    """
+    table = np.empty((*poses.shape[:-1], 4), dtype=np.float32)
+    table[..., :2] = poses[..., :2] / cell - corner
+    table[..., 2], table[..., 3] = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    return table
+
+
+def _scale(points: Handle) -> float:
+    """From a sum over points (P, 2) to a mean of 0 to 1."""
+    return 1.0 / (255.0 * int(points.shape[0]))
+
+
+def search_pose(
+    scan: ScanOnTiles,
+    hypotheses: Sequence[PoseHypothesis],
+    config: MatcherConfig,
+    rng: np.random.Generator,
+) -> Match:
+    """Search around some hypotheses.
+
+    Args:
+        scan: what is matched against what.
+        hypotheses: at least one; the first look draws as many poses around each.
+        config: numbers of draws and the weights of a hypothesis.
+        rng: where the draws come from.
+    """
+    centres = np.array([one.pose for one in hypotheses])
+    sigmas = np.array([one.spread.sigmas() for one in hypotheses])
+    weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
+    # The score is a mean: of few cells it is worth less against the hypotheses.
+    weights *= max(1.0, TELLING_CELLS / scan.cells)
+
+    def loss(poses: F64) -> F64:
+        away = poses[:, None, :] - centres
+        away[..., 2] = wrap_angles(away[..., 2])
+        own = [one.loss for one in hypotheses]
+        return np.asarray(((away / sigmas) ** 2 @ weights + own).min(axis=1))
+
+    # The first look, and the hypotheses themselves.
+    each = -(-config.first_poses // len(hypotheses))
+    draws = rng.standard_normal((len(hypotheses), each, 3))
+    poses = (centres[:, None, :] + draws * sigmas[:, None, :]).reshape(-1, 3)
+    order = np.argsort(loss(poses) - scan.wide_scores(poses), kind="stable")
+    starts = np.concatenate((poses[order[: config.climbers]], centres))
+    # Hill climbing; each round's first step is none, so that nothing found is lost.
+    widths = sigmas.max(axis=0) * FIRST_NARROWING * NARROWING ** np.arange(config.rounds)[:, None]
+    steps = rng.standard_normal((config.rounds, len(starts), CLIMBERS, 3))
+    steps *= widths[:, None, None, :]
+    steps[:, :, 0] = 0.0
+    found = scan.hill_climb(starts, steps, hypotheses, weights)
+    best = found[int(found[:, 3].argmax())]
+    pose, objective = best[:3], float(best[3])
+    away = pose - centres[0]
+    away[2] = wrap_angles(away[2])
+    return Match(
+        pose=pose,
+        score=objective + float(loss(pose[None])[0]),
+        objective=objective,
+        moved=float(np.abs(away / sigmas[0]).max()),
+    )

@@ -1,0 +1,387 @@
+"""Run one producer over the scans of a log, and keep what is worth knowing of the run."""
+
+from __future__ import annotations
+
+import copy
+import math
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import SlamFusionError
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io.log import LogScan, ScanLog, Skips
+from slamfusion.slam.common.mapper import ClosesLoops, Closure, Health, Mapper, Series, Step
+from slamfusion.slam.records import LogJson, ProducerRunJson, TimePerScanJson
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "FIRST_REPORTED",
+    "LogRecord",
+    "ProducerRun",
+    "Resumable",
+    "run_producer",
+    "skipped_scans",
+]
+
+
+@runtime_checkable
+class Resumable(Mapper, Protocol):
+    """A producer whose whole state can be saved, to go on later as if it had never stopped.
+
+    Attributes:
+        last_stamp_s: of the last scan fed, seconds; None before the first.
+    """
+
+    last_stamp_s: float | None
+
+    def save_state(self, path: Path) -> None:
+        """Write everything that the next scan depends on to a file."""
+
+
+BYTES_PER_MB = 1e6
+# Percent of the scans that took at most p50, p95, p99, p999.
+TIME_PERCENTILES = (50.0, 95.0, 99.0, 99.9)
+# What a producer calls the path that it told as it went.
+FIRST_REPORTED = "as first reported"
+# Share of the scans with a low match, and number of these in a row, from which on the robot may be
+# lost: a door or a crowd makes one now and then.
+MANY_LOW_SHARE, MANY_LOW_IN_A_ROW = 0.05, 8
+# Share of the mean score below which a match is low: that of ``Health.low_scores``.
+LOW_SHARE = 0.5
+# Share of the scans that could not be used from which on the map is doubted: a log may hold blind
+# moments, but one that is blind for longer is hardly mapped.
+MANY_SKIPPED_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """What a log said of itself while it was read.
+
+    Attributes:
+        path: where it lies.
+        skips: what was left out, by reason.
+        warnings: what was let through although it is odd, by reason.
+        notes: sentences for the user.
+        has_stamps: whether times are the log's own; else they are made from the scans' index.
+    """
+
+    path: Path
+    skips: Skips
+    warnings: Skips
+    notes: tuple[str, ...]
+    has_stamps: bool
+
+    @classmethod
+    def of(cls, log: ScanLog) -> LogRecord:
+        """Return the record of a log's last iteration."""
+        return cls(log.path, log.skips, log.warnings, tuple(log.notes), log.has_stamps)
+
+    def to_json(self) -> LogJson:
+        """Return the record for a JSON document."""
+        return {
+            "path": str(self.path),
+            "skipped": self.skips.to_json(),
+            "warnings": self.warnings.to_json(),
+            "notes": list(self.notes),
+            "has_stamps": self.has_stamps,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ProducerRun:
+    """What one producer made of a log, and what it took.
+
+    Attributes:
+        name: the producer.
+        trajectory: its pose at each scan, in the frame of the map.
+        odometry: raw odometry of the scans that have some; None where none has.
+        grid: its map.
+        health: its record.
+        log: the log's record; None where the scans are from no log.
+        time_s: from the first scan asked for to the finished map, reading included.
+        feed_s: (N,) float64, seconds that the producer took for each scan, nothing else in it.
+        low_in_a_row: most matches one after the other whose score was below half of the mean.
+        peak_memory_bytes: of map and filter together, host and device.
+        process_peak_memory_bytes: of the whole process so far, as the system counts it.
+        stopped_by: ``deadline`` or ``limit``; None where the scans came to their end.
+        known_scans: of the log, that a resumed producer had been fed before and that were passed
+            over; ``scans`` counts all that it has ever been fed.
+        series: the producer's own quantities over time, to be plotted.
+        other_paths: what else it believes the path to be; best first.
+        closures: of a producer that closes loops.
+        match_scores: (N,) float64, the share of each fed scan's hits that fell on known walls; NaN
+            where it was not matched.
+    """
+
+    name: str
+    trajectory: Trajectory
+    odometry: Trajectory | None
+    grid: OccupancyGrid
+    health: Health
+    log: LogRecord | None
+    time_s: float
+    feed_s: npt.NDArray[np.float64]
+    low_in_a_row: int
+    peak_memory_bytes: int
+    process_peak_memory_bytes: int
+    stopped_by: str | None = None
+    known_scans: int = 0
+    series: tuple[Series, ...] = ()
+    other_paths: tuple[Trajectory, ...] = ()
+    closures: tuple[Closure, ...] = ()
+    match_scores: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the scans came to their end."""
+        return self.stopped_by is None
+
+    @property
+    def scans(self) -> int:
+        """Scans that were ever fed."""
+        return self.health.scans
+
+    @property
+    def scans_used(self) -> int:
+        """Of these, the ones that were matched or mapped."""
+        return self.health.scans_used
+
+    def time_per_scan_ms(self) -> TimePerScanJson:
+        """Return mean, median (p50), percentiles (p95, p99, p99.9) and longest time for a scan.
+
+        The name of the last percentile is ``p999``.
+        """
+        feed_ms = 1e3 * self.feed_s
+        p50, p95, p99, p999 = np.percentile(feed_ms, TIME_PERCENTILES).tolist()
+        return {
+            "mean": float(feed_ms.mean()),
+            "p50": p50,
+            "p95": p95,
+            "p99": p99,
+            "p999": p999,
+            "max": float(feed_ms.max()),
+        }
+
+    def online_path(self) -> Trajectory | None:
+        """Return the poses as they were first reported; None where the producer keeps none."""
+        for path in self.other_paths:
+            if path.name == FIRST_REPORTED:
+                return path
+        return None
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return what speaks against the map, a sentence each; empty where nothing does."""
+        sentences = []
+        health = self.health
+        is_often_low = health.low_scores > MANY_LOW_SHARE * health.scans_used
+        if is_often_low or self.low_in_a_row >= MANY_LOW_IN_A_ROW:
+            share = 100.0 * health.low_scores / health.scans_used
+            sentences.append(
+                f"the robot may be lost: {health.low_scores} of {health.scans_used} scans "
+                f"({share:.1f} %), up to {self.low_in_a_row} in a row, match the map less than "
+                "half as well as usual; look at the map"
+            )
+        skipped = health.skips.total  # a producer may pass over scans that it does not need
+        if skipped > MANY_SKIPPED_SHARE * health.scans:
+            sentences.append(
+                f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
+                f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
+            )
+        sentences += health.doubts()
+        if self.stopped_by == "deadline":
+            sentences.append(
+                f"stopped at the deadline after {health.scans} scans: the rest of the log is "
+                "not in the map"
+            )
+        return tuple(sentences)
+
+    def to_json(self) -> ProducerRunJson:
+        """Return the record for a JSON document; times in s and ms, memory in MB of 10^6 bytes."""
+        stamps_s = self.trajectory.stamps_s
+        return {
+            "name": self.name,
+            "scans": self.scans,
+            "scans_used": self.scans_used,
+            "time_s": self.time_s,
+            "time_per_scan_ms": self.time_per_scan_ms(),
+            "peak_memory_mb": self.peak_memory_bytes / BYTES_PER_MB,
+            "process_peak_memory_mb": self.process_peak_memory_bytes / BYTES_PER_MB,
+            "duration_s": float(stamps_s[-1] - stamps_s[0]),
+            "path_length_m": self.trajectory.path_length_m(),
+            "odometry_path_length_m": None
+            if self.odometry is None
+            else self.odometry.path_length_m(),
+            "map": {
+                "width": self.grid.width,
+                "height": self.grid.height,
+                "resolution": self.grid.resolution,
+            },
+            "health": self.health.to_json(),
+            "low_scores_in_a_row": self.low_in_a_row,
+            "warnings": list(self.doubts()),
+            "complete": self.is_complete,
+            "known_scans": self.known_scans,
+            "log": None if self.log is None else self.log.to_json(),
+        }
+
+
+def run_producer(
+    mapper: Mapper,
+    scans: Iterable[LogScan],
+    *,
+    log: ScanLog | None = None,
+    progress: Callable[[int], None] | None = None,
+    deadline_s: float | None = None,
+    limit: int | None = None,
+) -> ProducerRun:
+    """Feed scans to a producer and return its map, its path and its record.
+
+    Args:
+        mapper: fresh or resumed; it keeps its map afterwards. What a resumed one was fed before
+            is not fed again.
+        scans: in the order of time; one is enough.
+        log: where they come from: its counts join the record.
+        progress: told the number of scans that are done.
+        deadline_s: seconds after which it stops before the next scan; default: never.
+        limit: scans after which it stops, at least 1; default: none.
+
+    Raises:
+        SlamFusionError: no scan could be used; the counted reasons are named. Or a resumed
+            producer had been fed every scan before.
+        LogError: the log is damaged beyond a line.
+    """
+    source = _Source(scans, mapper.last_stamp_s if isinstance(mapper, Resumable) else None)
+    feed_s: list[float] = []
+    scores: list[float] = []
+    memory = row = longest_row = 0
+    stopped_by = None
+    begun_s = time.perf_counter()
+    for item in source:
+        if limit is not None and len(feed_s) >= limit:
+            stopped_by = "limit"
+        elif deadline_s is not None and feed_s and time.perf_counter() - begun_s >= deadline_s:
+            stopped_by = "deadline"
+        if stopped_by is not None:
+            break
+        before_s = time.perf_counter()
+        step = mapper.feed(item.scan, item.odometry)
+        feed_s.append(time.perf_counter() - before_s)
+        scores.append(math.nan if step.match_score is None else step.match_score)
+        row = row + 1 if _is_low(step, mapper.health) else 0
+        longest_row = max(longest_row, row)
+        memory = max(memory, mapper.memory_bytes())
+        source.keep_odometry(item)
+        if progress is not None:
+            progress(len(feed_s))
+    record = None if log is None else LogRecord.of(log)
+    if source.known_scans and not feed_s:
+        raise SlamFusionError(source.all_known(mapper.name, record))
+    if not feed_s or not mapper.health.scans_used:
+        raise SlamFusionError(_nothing_used(mapper, record, len(feed_s)))
+    grid, trajectory = mapper.grid(), mapper.trajectory()
+    time_s = time.perf_counter() - begun_s
+    return ProducerRun(
+        name=mapper.name,
+        trajectory=trajectory,
+        odometry=source.odometry(),
+        grid=grid,
+        health=copy.deepcopy(mapper.health),  # the producer may go on
+        log=record,
+        time_s=time_s,
+        feed_s=np.array(feed_s),
+        low_in_a_row=longest_row,
+        peak_memory_bytes=max(memory, mapper.memory_bytes()),
+        process_peak_memory_bytes=_process_peak_bytes(),
+        stopped_by=stopped_by,
+        known_scans=source.known_scans,
+        series=mapper.series(),
+        other_paths=mapper.other_paths(),
+        closures=tuple(mapper.closures()) if isinstance(mapper, ClosesLoops) else (),
+        match_scores=np.array(scores),
+    )
+
+
+class _Source:
+    """Scans without those that a producer knows; keeps the raw odometry of all that it was fed.
+
+    Attributes:
+        known_scans: passed over so far.
+    """
+
+    def __init__(self, scans: Iterable[LogScan], known_until_s: float | None) -> None:
+        self.known_scans = 0
+        self._scans = scans
+        self._known_until_s = -math.inf if known_until_s is None else known_until_s
+        self._rows: list[tuple[float, float, float, float]] = []
+
+    def __iter__(self) -> Iterator[LogScan]:
+        for item in self._scans:
+            if item.scan.stamp_s > self._known_until_s:
+                yield item
+            else:
+                self.known_scans += 1
+                self.keep_odometry(item)
+
+    def keep_odometry(self, item: LogScan) -> None:
+        """Add a scan's raw odometry, if it has some."""
+        pose = item.odometry
+        if pose is not None:
+            self._rows.append((item.scan.stamp_s, pose.x, pose.y, pose.yaw_rad))
+
+    def odometry(self) -> Trajectory | None:
+        """Return raw odometry as a trajectory; None for none."""
+        if not self._rows:
+            return None
+        table = np.array(self._rows)
+        return Trajectory(table[:, 0], table[:, 1:], "odometry")
+
+    def all_known(self, name: str, record: LogRecord | None) -> str:
+        """Say that there is nothing to do."""
+        where = "" if record is None else f"{record.path}: "
+        return (
+            f"{where}{name} knows every one of the {self.known_scans} scans: its state goes up to "
+            f"{self._known_until_s:.3f} s; give a log that goes on from there"
+        )
+
+
+def skipped_scans(health: Health) -> tuple[str, ...]:
+    """Return a sentence for each reason for which a producer left scans out, with the first."""
+    skips = health.skips
+    return tuple(
+        f"{count} x {reason} (scan {', '.join(map(str, skips.lines[reason]))}"
+        f"{', ...' if count > len(skips.lines[reason]) else ''})"
+        for reason, count in sorted(skips.counts.items())
+    )
+
+
+def _is_low(step: Step, health: Health) -> bool:
+    """Return whether a scan was matched badly, by the record up to it."""
+    score, mean = step.match_score, health.mean_match_score
+    return score is not None and mean is not None and score < LOW_SHARE * mean
+
+
+def _nothing_used(mapper: Mapper, record: LogRecord | None, fed: int) -> str:
+    """Say why there is no map."""
+    where = "" if record is None else f"{record.path}: "
+    reasons = list(skipped_scans(mapper.health)) if fed else []
+    if record is not None:
+        reasons += [f"{sentence} in the log" for sentence in record.skips.sentences()]
+    why = f": {'; '.join(reasons)}" if reasons else ""
+    return (
+        f"{where}{mapper.name} could use none of {fed} scans{why}; "
+        "give a log whose scans see walls within the usable range"
+    )
+
+
+def _process_peak_bytes() -> int:
+    """Return the most memory that this process has held at once."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak

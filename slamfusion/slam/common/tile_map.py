@@ -1,0 +1,212 @@
+"""A map of tiles that grows where the robot goes: page table and allocation, on the host.
+
+Cells are counted from the map's anchor; the window of pages is the part of the plane that has a
+page table, and moves and grows with the map. See ``slamfusion.compute.slam_reference``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend, Handle
+from slamfusion.compute.slam_reference import TILE
+from slamfusion.errors import MemoryBudgetError
+
+__all__ = ["TileMap", "grown_window", "joined_tiles"]
+
+# Tiles of a new pool: a room's, so that a small map never grows.
+FIRST_TILES = 64
+# Factor by which a full pool grows: the number of copies stays logarithmic, and little is held for
+# nothing.
+GROWTH = 1.5
+# Empty pages that the window keeps between its content and its border, so that it seldom moves.
+MARGIN = 2
+# Pages that a window may have: 64 MB of page table, far beyond any building.
+MOST_PAGES = 1 << 24
+# Pages on a side that beams can cross, which count in 1/1024 cell in 32 bits.
+MOST_SIDE = 1 << 15
+
+
+def grown_window(
+    corner: npt.NDArray[np.int64],
+    shape: tuple[int, ...],
+    low: npt.NDArray[np.float64],
+    high: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.int64], tuple[int, int]] | None:
+    """Return the window of pages that holds a box of cells with a margin of empty pages.
+
+    Args:
+        corner: (2,) column and row of the present window's lower-left page.
+        shape: its height and width in pages.
+        low: (2,) x and y of the box, cells from the anchor.
+        high: (2,) its other corner.
+
+    Returns:
+        The corner and shape of a window that holds the present one too; None where that one does.
+
+    Raises:
+        MemoryBudgetError: the page table alone would be absurdly large.
+    """
+    size = np.array(shape[::-1], dtype=np.int64)
+    first = np.floor(low / TILE).astype(np.int64) - MARGIN
+    last = np.floor(high / TILE).astype(np.int64) + MARGIN + 1
+    if (first >= corner).all() and (last <= corner + size).all():
+        return None
+    start = np.minimum(first, corner)
+    end = np.maximum(last, corner + size)
+    grown = (end - start) // 4
+    start = np.where(start < corner, start - grown, start)
+    end = np.where(end > corner + size, end + grown, end)
+    width, height = (int(value) for value in end - start)
+    if width * height > MOST_PAGES or max(width, height) > MOST_SIDE:
+        message = (
+            f"the map would span {width * TILE} x {height * TILE} cells; the pose has jumped "
+            f"or the log's units are wrong; use a coarser cell"
+        )
+        raise MemoryBudgetError(message)
+    return start, (height, width)
+
+
+def joined_tiles(
+    backend: Backend, pool: Handle, pages: npt.NDArray[np.int32], corner: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
+    """Return the tiles of a window as one array, cut to the pages in use.
+
+    Of a pool that many maps share only these tiles are fetched.
+
+    Args:
+        backend: where the pool lives.
+        pool: (T, TILE, TILE) handle.
+        pages: (PH, PW) int32.
+        corner: (2,) column and row of the window's lower-left page, counted from the anchor.
+
+    Returns:
+        (H, W) values, and (2,) column and row of the first cell from the anchor.
+    """
+    rows, cols = np.nonzero(pages)
+    if len(rows) == 0:
+        rows = cols = np.zeros(1, dtype=np.int64)
+    row0, col0 = int(rows.min()), int(cols.min())
+    height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
+    cut = pages[row0 : row0 + height, col0 : col0 + width]
+    numbers, places = np.unique(cut, return_inverse=True)
+    tiles = backend.take_tiles(pool, numbers)
+    values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
+    for row, own in zip(values, places.reshape(cut.shape), strict=True):
+        row[:] = tiles[own].transpose(1, 0, 2)
+    first = (corner + np.array([col0, row0])) * TILE
+    return values.reshape(height * TILE, width * TILE), first
+
+
+class TileMap:
+    """Pools of tiles on the device behind one window of pages.
+
+    Attributes:
+        pools: by name, (T, TILE, TILE) handles.
+        pages: (PH, PW) int32, tile of each page of the window, 0 where there is none.
+        corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
+    """
+
+    def __init__(self, backend: Backend, pools: Mapping[str, tuple[npt.DTypeLike, int]]) -> None:
+        """Make pools with their empty tile.
+
+        Args:
+            backend: where they live.
+            pools: by name, the dtype and the value of an unseen cell.
+        """
+        self._backend = backend
+        self._fills = {name: fill for name, (_, fill) in pools.items()}
+        self._cell_bytes = {name: np.dtype(kind).itemsize for name, (kind, _) in pools.items()}
+        self.pools: dict[str, Handle] = {
+            name: backend.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
+            for name, (kind, fill) in pools.items()
+        }
+        self._capacity = FIRST_TILES
+        self.tiles = 1
+        size = 2 * MARGIN + 1
+        self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
+        self.pages = np.zeros((size, size), dtype=np.int32)
+        self.page_table: Handle = None
+        self.wanted: Handle = None
+        self._send_pages()
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of pools and page table on the device."""
+        cell_bytes = sum(self._cell_bytes[name] for name in self.pools)
+        return self._capacity * TILE * TILE * cell_bytes + 2 * self.pages.nbytes
+
+    @property
+    def origin(self) -> npt.NDArray[np.float64]:
+        """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
+        return np.asarray(self.corner * TILE, dtype=np.float64)
+
+    def cover(self, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> None:
+        """Move and grow the window until it holds a box of cells with a margin of empty pages.
+
+        Args:
+            low: (2,) x and y of the box, cells from the anchor.
+            high: (2,) its other corner.
+
+        Raises:
+            MemoryBudgetError: the page table alone would be absurdly large.
+        """
+        window = grown_window(self.corner, self.pages.shape, low, high)
+        if window is None:
+            return
+        start, (height, width) = window
+        pages = np.zeros((height, width), dtype=np.int32)
+        col, row = (int(value) for value in self.corner - start)
+        pages[row : row + self.pages.shape[0], col : col + self.pages.shape[1]] = self.pages
+        self.pages, self.corner = pages, start
+        self._send_pages()
+
+    def provide_wanted(self) -> None:
+        """Give a tile to every page that ``wanted`` names, and clear it."""
+        missing = np.flatnonzero(self._backend.download(self.wanted)[1:])
+        needed = self.tiles + len(missing)
+        if needed > self._capacity:
+            self._capacity = max(needed, int(self._capacity * GROWTH))
+            for name in self.pools:  # no old pool outlives its turn
+                self.pools[name] = self._backend.extend(
+                    self.pools[name], self._capacity, self._fills[name]
+                )
+        self.pages.flat[missing] = np.arange(self.tiles, needed)
+        self.tiles = needed
+        self._send_pages()
+
+    def cells(self, name: str) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
+        """Return a pool as one array, cut to the pages in use.
+
+        Returns:
+            (H, W) values, and (2,) column and row of its first cell from the anchor.
+        """
+        return joined_tiles(self._backend, self.pools[name], self.pages, self.corner)
+
+    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return everything as arrays, for saving."""
+        pools = {f"pool_{name}": self._backend.download(p) for name, p in self.pools.items()}
+        tiles = np.array(self.tiles)
+        return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
+
+    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Take over what ``to_arrays`` returned, with the pools that it has."""
+        self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
+        self.tiles = int(arrays["tiles"])
+        names = [name for name in self.pools if f"pool_{name}" in arrays]
+        self.pools = {name: self._backend.upload(arrays[f"pool_{name}"]) for name in names}
+        self._capacity = len(arrays[f"pool_{names[0]}"])
+        self._send_pages()
+
+    def keep_only(self, name: str) -> None:
+        """Let go of every pool but one; nothing can be written any more."""
+        self.pools = {name: self.pools[name]}
+        self.wanted = None
+
+    def _send_pages(self) -> None:
+        self.page_table = self._backend.upload(self.pages)
+        self.wanted = self._backend.upload(np.zeros(1 + self.pages.size, dtype=np.int32))

@@ -1,0 +1,213 @@
+"""``Tracker``: where the robot may be at the next scan, and where it fits the map best.
+
+Used by every mapper that matches each scan against a map of its own. Two pose hypotheses are
+searched: what odometry says, and that the robot goes on as it went; so odometry that stalls, slips
+or jumps for a moment does not decide.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import MatcherConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
+from slamfusion.slam.common.mapper import Health
+from slamfusion.slam.common.matcher import (
+    FieldMap,
+    Match,
+    PoseHypothesis,
+    ScanOnTiles,
+    Spread,
+    search_pose,
+)
+from slamfusion.slam.common.pose_rows import row_of
+from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
+
+__all__ = ["Tracker", "TrackerState"]
+
+# Share of the running mean score below which a match is low: while tracking holds that is rare.
+LOW_SHARE = 0.5
+# The second search after a low match: its spread and its draws, in those of the first one; wide
+# enough for a wheel that has slipped.
+SECOND_SEARCH_SPREAD, SECOND_SEARCH_POSES = 3.0, 4
+# Score, 0 to 1, that the second search must find beyond the first one's: more draws find more by
+# chance too.
+SECOND_SEARCH_GAIN = 0.1
+# Memory of the running mean score, scans: some seconds, so that it follows the place.
+SCORE_MEMORY = 50
+# Step of the odometry between two scans, metres, from which on it was reset: none drives so far.
+JUMP_M = 5.0
+# A step is extrapolated over missing scans to at most this many times its length: a robot that went
+# on for longer may have turned.
+MOST_ONWARD = 3.0
+# Spread of the first look without odometry, in that with it: acceleration is not known.
+NO_ODOMETRY_SPREAD = 2.0
+
+
+@dataclass(frozen=True)
+class TrackerState:
+    """Where a tracker is; see ``Tracker``. Its draws are the state of the generator, ``rng``."""
+
+    rng: dict[str, Any]
+    pose: Pose2 | None
+    odometry: Pose2 | None
+    step: Pose2
+    step_s: float
+    stamp_s: float
+    running_mean_score: float | None
+
+
+@dataclass
+class Tracker:
+    """Follows the robot from scan to scan.
+
+    Attributes:
+        config: of the search.
+        backend: where the maps live.
+        rng: of the search's draws.
+        health: the producer's record; match scores and disbelieved odometry are written there.
+        searches_again: search again, wider, where little fits; False leaves that to the producer.
+        resolves_degeneracy: odometry decides along a match's degenerate direction, as along a
+            corridor.
+        expects_standstill: without odometry the robot is expected to stand rather than to go on as
+            it went.
+        pose: of the robot at the last scan; None before the first.
+        odometry: at the last scan.
+        step: what the robot did before the last scan, in its own frame.
+        step_s: how long that took.
+        stamp_s: time of the last scan.
+        has_jumped: whether odometry has just been reset.
+        running_mean_score: of the last matches, 0 to 1; None before the first.
+    """
+
+    config: MatcherConfig
+    backend: Backend
+    rng: np.random.Generator
+    health: Health
+    expects_standstill: bool = False
+    searches_again: bool = True
+    resolves_degeneracy: bool = False
+    pose: Pose2 | None = None
+    odometry: Pose2 | None = None
+    step: Pose2 = IDENTITY
+    step_s: float = 0.0
+    stamp_s: float = 0.0
+    has_jumped: bool = False
+    running_mean_score: float | None = None
+
+    def hypotheses(self, stamp_s: float, odometry: Pose2 | None) -> list[PoseHypothesis]:
+        """Return where the robot may be: by its odometry, and if it goes on as it went."""
+        self.has_jumped = False
+        if self.pose is None:
+            return [PoseHypothesis(row_of(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
+        onward = self._onward(stamp_s - self.stamp_s)
+        if odometry is None or self.odometry is None:
+            step = IDENTITY if self.expects_standstill else onward
+            return [self._hypothesis(step, NO_ODOMETRY_SPREAD, 0.0)]
+        step = self.odometry.inverse().compose(odometry)
+        if math.hypot(step.x, step.y) > JUMP_M:
+            reason = f"odometry jumped by more than {JUMP_M:g} m: not believed"
+            self.health.skips.add(reason, self.health.scans)
+            self.has_jumped = True
+            return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]
+        # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
+        return [
+            self._hypothesis(step, 1.0, 0.0),
+            self._hypothesis(onward, 1.0, self.config.drift_loss),
+        ]
+
+    def match(
+        self, walls: FieldMap, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
+    ) -> Match:
+        """Search around the hypotheses; where little fits once more, wider, if it is to.
+
+        Args:
+            walls: the map.
+            points: (P, 2) hits in the robot's frame, metres; at least one.
+            hypotheses: at least one.
+        """
+        config = self.config
+        scan = ScanOnTiles(self.backend, walls, points, config.beams)
+        match = search_pose(scan, hypotheses, config, self.rng)
+        mean = self.running_mean_score
+        is_low = mean is not None and match.score < LOW_SHARE * mean
+        if is_low and self.searches_again:
+            more = replace(config, first_poses=SECOND_SEARCH_POSES * config.first_poses)
+            around = [replace(g, spread=g.spread.wider(SECOND_SEARCH_SPREAD)) for g in hypotheses]
+            again = search_pose(scan, around, more, self.rng)
+            if again.score > match.score + SECOND_SEARCH_GAIN:
+                match = again
+        if self.resolves_degeneracy and len(hypotheses) > 1:
+            hessian = response_hessian(scan, match.pose)
+            pose = keep_degenerate_prior(hessian, match.pose, hypotheses[0].pose)
+            is_moved = pose is not match.pose  # the Hessian is that of another place then
+            match = replace(match, pose=pose, hessian=None if is_moved else hessian)
+        self._remember(match.score)
+        return match
+
+    def advance(self, pose: Pose2, odometry: Pose2 | None, stamp_s: float) -> None:
+        """Take a pose as where the robot is at a scan."""
+        if self.pose is not None:
+            self.step = self.pose.inverse().compose(pose)
+            self.step_s = stamp_s - self.stamp_s
+        self.pose, self.odometry, self.stamp_s = pose, odometry, stamp_s
+
+    def to_state(self) -> TrackerState:
+        """Return where it is, for saving."""
+        return TrackerState(
+            rng=dict(self.rng.bit_generator.state),
+            pose=self.pose,
+            odometry=self.odometry,
+            step=self.step,
+            step_s=self.step_s,
+            stamp_s=self.stamp_s,
+            running_mean_score=self.running_mean_score,
+        )
+
+    def restore(self, state: TrackerState) -> None:
+        """Take over what ``to_state`` returned; the generator stays the same object."""
+        self.rng.bit_generator.state = state.rng
+        self.pose, self.odometry, self.step = state.pose, state.odometry, state.step
+        self.step_s, self.stamp_s = state.step_s, state.stamp_s
+        self.running_mean_score = state.running_mean_score
+
+    def _onward(self, duration_s: float) -> Pose2:
+        """Return the step of a robot that goes on as it went between the last two scans."""
+        if self.step_s <= 0.0:
+            return IDENTITY
+        times = min(duration_s / self.step_s, MOST_ONWARD)
+        step = self.step
+        return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
+
+    def _hypothesis(self, step: Pose2, wider: float, loss: float) -> PoseHypothesis:
+        start = self.pose or IDENTITY
+        return PoseHypothesis(row_of(start.compose(step)), self._spread(step, wider), loss)
+
+    def _spread(self, step: Pose2, wider: float) -> Spread:
+        config = self.config
+        spread = Spread(
+            config.sigma_m + config.sigma_m_per_m * math.hypot(step.x, step.y),
+            config.sigma_rad + config.sigma_rad_per_rad * abs(step.yaw_rad),
+        )
+        return spread.wider(wider)
+
+    def _remember(self, score: float) -> None:
+        """Keep the record of match scores."""
+        health = self.health
+        mean = health.mean_match_score
+        if mean is not None and score < LOW_SHARE * mean:
+            health.low_scores += 1
+        health.match_score = score
+        matched = max(1, health.scans_used)  # the first scan was mapped without a match
+        health.mean_match_score = score if mean is None else mean + (score - mean) / matched
+        recent = self.running_mean_score
+        self.running_mean_score = (
+            score if recent is None else recent + (score - recent) / SCORE_MEMORY
+        )

@@ -1,0 +1,8 @@
+"""gmapping [G07]: a particle filter over paths, each particle with a map of its own."""
+
+from __future__ import annotations
+
+from slamfusion.slam.gmapping.health import FilterHealth
+from slamfusion.slam.gmapping.slam import Gmapping
+
+__all__ = ["FilterHealth", "Gmapping"]

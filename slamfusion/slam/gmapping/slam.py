@@ -1,0 +1,311 @@
+"""``Gmapping`` [G07]: a particle filter over paths, each particle with a map of its own.
+
+Between two filter steps the robot is followed by matching every scan against the best particle's
+map. When it has gone far enough, every particle draws a pose from the motion model, climbs on its
+own map to where the scan fits, samples likelihood and prior around there, and draws its pose from
+the Gaussian of these samples; their sum is its weight. Particles whose weights have become uneven
+are resampled, and the scan is written into every map.
+
+Sources: Grisetti, Stachniss and Burgard, T-RO 2007 [G07]; the parameters that were published with
+gmapping; Balasuriya et al. 2016 [B16] (no odometry, bicycle model); Stachniss, Grisetti and
+Burgard, RSS 2005 (entropy of the path as the mean of the poses' entropies).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import GmappingConfig, to_mapping
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2, compose_poses, wrap_angle
+from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import Series, Step
+from slamfusion.slam.common.matcher import PoseHypothesis
+from slamfusion.slam.common.pose_rows import pose_of, row_of
+from slamfusion.slam.common.state import read_state, restore_health, write_state
+from slamfusion.slam.common.tracking import Tracker
+from slamfusion.slam.gmapping.beams import Beams, beams_of
+from slamfusion.slam.gmapping.health import FilterHealth
+from slamfusion.slam.gmapping.motion_model import make_motion_model
+from slamfusion.slam.gmapping.particle_maps import ParticleMaps
+from slamfusion.slam.gmapping.particle_path import ParticlePaths
+from slamfusion.slam.gmapping.particles import Particles, better_half
+from slamfusion.slam.gmapping.pose_sampler import PoseSampler
+from slamfusion.slam.gmapping.proposal import resample_systematic
+from slamfusion.slam.gmapping.state import GmappingState
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["Gmapping"]
+
+F64 = npt.NDArray[np.float64]
+NAME = "gmapping"
+STATE_FORMAT = 4
+
+
+class Gmapping:
+    """The filter behind the ``Mapper`` protocol.
+
+    Attributes:
+        name: ``gmapping``.
+        health: the record so far.
+        last_stamp_s: time of the last scan; None before the first.
+    """
+
+    name = NAME
+
+    def __init__(self, config: GmappingConfig, backend: Backend, seed: int = 0) -> None:
+        """Start with empty maps.
+
+        Args:
+            config: see ``GmappingConfig``.
+            backend: where the maps live.
+            seed: of every draw.
+        """
+        self.health: FilterHealth = FilterHealth()
+        self.last_stamp_s: float | None = None
+        self._given = config
+        # No field of it is open, which its type cannot say.
+        self._config = cast("Any", config.chosen())
+        self._seed = seed
+        self._rng = np.random.default_rng(seed)
+        self._tracker = Tracker(
+            config.matcher,
+            backend,
+            self._rng,
+            self.health,
+            expects_standstill=config.expectation == "pose",
+        )
+        count = self._config.particles
+        self._particles = Particles.of(count)
+        self._maps = ParticleMaps(self._config, backend, count)
+        self._motion = make_motion_model(self._config)
+        self._sampler = PoseSampler(self._config, backend, self._maps)
+        self._paths = ParticlePaths(count)
+        # What the robot has done since the last filter step, and when that was.
+        self._moved = IDENTITY
+        self._filtered_s = 0.0
+        self._is_mapped = False
+
+    # -- one scan ------------------------------------------------------------------------------
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        """Follow the robot to a scan, and filter where it has gone far enough."""
+        self.health.scans += 1
+        known = None if self._config.odometry == "none" else odometry
+        hypotheses = self._tracker.hypotheses(scan.stamp_s, known)
+        if self._tracker.pose is None:
+            self._maps.begin_at(hypotheses[0].pose[:2])
+        if not self._is_mapped:
+            self._particles.poses[:] = hypotheses[0].pose
+        beams = beams_of(scan, self._config)
+        if not beams.is_hit.any():
+            step = self._skip("no reading within the usable range", hypotheses[0])
+        elif not self._is_mapped:
+            step = self._begin(scan.stamp_s, beams)
+        else:
+            step = self._follow(scan.stamp_s, beams, hypotheses)
+        self._tracker.advance(step.pose_map_base, known, scan.stamp_s)
+        if self._is_mapped and self._moved == IDENTITY:  # the filter has chosen another best
+            self._tracker.pose = self._particles.best_pose
+        self.last_stamp_s = scan.stamp_s
+        pose = self._tracker.pose or step.pose_map_base
+        self._paths.add_scan(scan.stamp_s, self._moved)
+        return dataclasses.replace(step, pose_map_base=pose)
+
+    def _skip(self, reason: str, hypothesis: PoseHypothesis) -> Step:
+        self.health.skips.add(reason, self.health.scans)
+        pose = pose_of(hypothesis.pose)
+        self._moved = self._particles.best_pose.inverse().compose(pose) if self._is_mapped else pose
+        return Step(pose, used=False, match_score=None, reason=reason)
+
+    def _begin(self, stamp_s: float, beams: Beams) -> Step:
+        """Write the first scan into every map."""
+        poses = self._particles.poses
+        # All particles are alike still: they share one map.
+        self._maps.integrate(beams, poses, np.zeros(1, dtype=np.int64))
+        self._maps.tiles.take_over(np.zeros(len(poses), dtype=np.int64))
+        self._is_mapped = True
+        self._paths.add_node(poses, None)
+        self._moved, self._filtered_s = IDENTITY, stamp_s
+        self.health.scans_used += 1
+        return Step(pose_of(poses[0]), used=True, match_score=None)
+
+    def _follow(self, stamp_s: float, beams: Beams, hypotheses: list[PoseHypothesis]) -> Step:
+        """Match a scan on the best map; filter when the robot has gone far enough."""
+        points = beams.hits
+        start = self._particles.best_pose
+        score: float | None = None
+        pose = pose_of(hypotheses[0].pose)
+        # Without odometry nothing but the match moves the robot.
+        is_matched = self._config.match_every_scan or self._tracker.odometry is None
+        if is_matched:
+            match = self._tracker.match(self._maps.walls(self._particles.best), points, hypotheses)
+            score = match.score
+            if score * len(points) > self._config.minimumScore:
+                pose = pose_of(match.pose)
+        self._moved = start.inverse().compose(pose)
+        is_due = _is_due(self._moved, stamp_s - self._filtered_s, self._config)
+        if is_due:
+            best_score = self._filter(stamp_s, beams)
+            score = best_score if score is None else score
+        is_used = is_due or is_matched
+        self.health.scans_used += is_used
+        reason = "" if is_used else "the robot has not gone far enough since the last one"
+        return Step(pose, is_used, score, reason)
+
+    # -- the filter ----------------------------------------------------------------------------
+
+    def _filter(self, stamp_s: float, beams: Beams) -> float:
+        """Move, weigh, resample and map; return the mean score of a hit for the best particle."""
+        health, particles, points = self.health, self._particles, beams.hits
+
+        # Move every particle by the motion model and by what the scan says on its own map.
+        drawn = self._motion.draw(self._moved, len(particles), self._rng)
+        sampled = self._sampler.sample(
+            points,
+            expected=compose_poses(particles.poses, row_of(self._moved)),
+            drawn=compose_poses(particles.poses, drawn),
+            sigmas=self._motion.sigmas(self._moved),
+            rng=self._rng,
+        )
+        health.rejected += sampled.rejected
+
+        # Weigh it by how well the scan fits there, and resample where weights are uneven.
+        particles.move(sampled.poses, sampled.log_evidence)
+        parents = self._parents(stamp_s)
+
+        # Map the scan, for those particles that go on.
+        alive = np.arange(len(particles)) if parents is None else np.unique(parents)
+        self._maps.integrate(beams, particles.poses, alive)
+        scores = sampled.scores
+        if parents is not None:
+            # Those that descend from one particle would map the scan alike: they share its map.
+            self._maps.tiles.take_over(parents)
+            particles.resample(parents)
+            scores = scores[parents]
+            health.resamplings += 1
+
+        # Choose the best path.
+        particles.choose_best()
+        self._paths.add_node(particles.poses, parents)
+        self._moved, self._filtered_s = IDENTITY, stamp_s
+        health.filter_steps += 1
+        health.best_score = float(scores[particles.best])
+        health.path_entropy = self._paths.entropy()
+        tiles = self._maps.tiles
+        health.tiles_owned, health.tiles_shared = tiles.tiles_owned, tiles.tiles_shared
+        return health.best_score / len(points)
+
+    def _parents(self, stamp_s: float) -> npt.NDArray[np.int64] | None:
+        """Return (N,) which particle each new one descends from; None where all go on."""
+        config, particles = self._config, self._particles
+        shares, n_eff = particles.weigh(stamp_s, config.ogain)
+        self.health.n_eff = n_eff
+        if self._maps.is_over_budget:
+            # Their weights are too even to leave fewer maps by chance: the better half goes on.
+            self.health.resamplings_for_memory += 1
+            return better_half(particles.log_weights)
+        if n_eff < config.resampleThreshold * len(shares):
+            return resample_systematic(shares, float(self._rng.random()))
+        return None
+
+    # -- what it has made ----------------------------------------------------------------------
+
+    def trajectory(self) -> Trajectory:
+        """Return the best particle's path."""
+        return self._paths.path(self._particles.best, self.name)
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """Return the paths of the other particles, best first."""
+        order = np.argsort(-self._particles.path_weights, kind="stable")
+        others = [int(index) for index in order if index != self._particles.best]
+        return tuple(self._paths.path(index, f"particle {index}") for index in others)
+
+    def series(self) -> tuple[Series, ...]:
+        """Return how the effective number of particles went."""
+        return self._particles.series(limit_share=self._config.resampleThreshold)
+
+    def grid(self) -> OccupancyGrid:
+        """Return the best particle's map; see ``Mapper.grid``."""
+        if not self._is_mapped:
+            message = f"{self.name}: no scan could be used, so there is no map"
+            raise SlamFusionError(message)
+        return self._maps.grid(self._particles.best, self.name)
+
+    def memory_bytes(self) -> int:
+        """Return the bytes of all maps, with what their pools hold in reserve, and of the paths."""
+        return self._maps.tiles.memory_bytes + self._paths.memory_bytes
+
+    # -- state ---------------------------------------------------------------------------------
+
+    def save_state(self, path: Path) -> None:
+        """Write everything that decides how the filter goes on; whole or not at all."""
+        state = GmappingState(
+            health=self.health,
+            last_stamp_s=self.last_stamp_s,
+            chosen=to_mapping(self._config),
+            tracker=self._tracker.to_state(),
+            moved=self._moved,
+            filtered_s=self._filtered_s,
+            is_mapped=self._is_mapped,
+            particles=self._particles,
+            maps=self._maps.to_state(),
+            paths=self._paths.to_arrays(),
+        )
+        write_state(
+            path,
+            name=self.name,
+            version=STATE_FORMAT,
+            config=self._given,
+            seed=self._seed,
+            state=state,
+        )
+
+    @classmethod
+    def load_state(
+        cls, path: Path, config: GmappingConfig, backend: Backend, seed: int = 0
+    ) -> Gmapping:
+        """Return the filter that ``save_state`` has written.
+
+        Args:
+            path: the file.
+            config: must be what the state was made with.
+            backend: where the maps are to live.
+            seed: likewise.
+
+        Raises:
+            SlamFusionError: no state of ours, or one made with other settings.
+        """
+        state = read_state(
+            path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed, kind=GmappingState
+        )
+        if state.chosen != to_mapping(config.chosen()):
+            message = f"{path}: was made with other defaults of its profile; start from the log"
+            raise SlamFusionError(message)
+        made = cls(config, backend, seed)
+        restore_health(made.health, state.health)
+        made.last_stamp_s = state.last_stamp_s
+        made._tracker.restore(state.tracker)
+        made._moved, made._filtered_s = state.moved, state.filtered_s
+        made._is_mapped = state.is_mapped
+        made._particles = state.particles
+        made._maps.restore(state.maps)
+        made._paths.restore(state.paths)
+        return made
+
+
+def _is_due(moved: Pose2, waited_s: float, config: Any) -> bool:
+    """Return whether the robot has gone, turned or waited enough for a filter step."""
+    return bool(
+        math.hypot(moved.x, moved.y) >= config.linearUpdate
+        or abs(wrap_angle(moved.yaw_rad)) >= config.angularUpdate
+        or 0.0 <= config.temporalUpdate <= waited_s
+    )

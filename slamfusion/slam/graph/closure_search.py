@@ -1,0 +1,273 @@
+"""Where a scan lies in an old submap, and what speaks against it.
+
+A scan is searched near where it is expected, or over a whole window by branch and bound [H16c], or
+over all of the submap where nothing is expected. What is found must fit about as well as scans do
+on average, must not lie where the submap has seen nothing, must have no degenerate direction, and
+where the window is wide there must be no other place that fits nearly as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import GraphConfig
+from slamfusion.geometry import wrap_angle
+from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.common.response import response_information
+from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
+from slamfusion.slam.graph.window_search import WindowMatch, search_window
+
+__all__ = ["LOW_RESPONSE", "ClosureSearch", "Found"]
+
+F64 = npt.NDArray[np.float64]
+
+# Why a scan is not found, in the published words of the health record.
+LOW_RESPONSE = "low response"
+LITTLE_IN_COMMON = "little in common"
+DEGENERATE = "place left open"
+AMBIGUOUS = "two places fit"
+
+# Drift, metres, up to which the matcher's own search reaches; beyond, the whole window is searched.
+LOCAL_DRIFT_M = 0.8
+# Deviation of the matcher's search around where a scan is expected, metres: at least three cells.
+LEAST_SPREAD_M = 0.15
+# Error of the expected heading: radians, fixed and for a metre of drift.
+TURN_RAD, TURN_RAD_PER_M = 0.05, 0.1
+# Share of a scan's hits that may lie where the older submap has seen nothing: the robot may be at
+# its border. Less where it may be anywhere, since more places fit the fewer hits count.
+MOST_UNSEEN, MOST_UNSEEN_ANYWHERE = 0.6, 0.3
+# Response that a closure needs, in the running mean score: old submaps fit a little worse than the
+# growing one. More where the robot may be anywhere.
+MEAN_SHARE, MEAN_SHARE_ANYWHERE = 0.75, 0.85
+# Share of that response which the window search needs: it finds whole cells, and what the fine
+# search then finds fits better.
+WINDOW_SHARE = 0.8
+# Share of a closure's response from which on another place is a rival and the closure ambiguous.
+RIVAL_SHARE = 0.93
+# A rival is searched this many times as far as the closure, and metres farther.
+RIVAL_TIMES, RIVAL_M = 1.5, 0.5
+# Half-width of the peak that is searched once more for the response to compare rivals with: cells
+# and radians.
+PEAK_CELLS, PEAK_RAD = 2.0, 0.02
+# Difference between expected and found, metres and radians, up to which no rival is searched unless
+# the window is wide: the closure then tells hardly anything new.
+NEWS_M, NEWS_RAD = 0.2, 0.05
+# Distance around the robot's places in a submap, metres, from where its walls can be seen too.
+AROUND_M = 1.0
+# Window in which a robot that tracking may have lost is searched: metres and radians between two
+# scans.
+JUMP_M, JUMP_RAD = 1.5, 0.8
+# Difference between expected and best, metres and radians, up to which a bad match is where it is
+# expected: then the world has changed, not the place.
+EXPECTED_M, EXPECTED_RAD = 0.4, 0.12
+# Deviations of the matcher's search around what a window search has found: metres, two cells, and
+# radians.
+AFTER_WINDOW_M, AFTER_WINDOW_RAD = 0.1, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where a scan lies in a submap.
+
+    Attributes:
+        pose: (3,) of the robot in the submap's frame, metres and radians.
+        information: (3, 3) inverse covariance of it.
+    """
+
+    pose: F64
+    information: F64
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Poses that are searched.
+
+    Attributes:
+        centre: (3,) in the submap's frame, metres and radians.
+        half_m: how far x and y reach from there.
+        half_rad: how far the yaw does.
+    """
+
+    centre: F64
+    half_m: float
+    half_rad: float
+
+
+class ClosureSearch:
+    """Searches scans in old submaps."""
+
+    def __init__(self, config: GraphConfig, backend: Backend, rng: np.random.Generator) -> None:
+        """Take the settings, the place of the maps, and where the search draws from."""
+        self._config = config
+        self._backend = backend
+        self._rng = rng
+        # A window search ends within a cell of the place: half of the climbers find it from there.
+        climbers = max(1, config.matcher.climbers // 2)
+        self._after_window = replace(config.matcher, climbers=climbers)
+
+    def near(
+        self, submap: Submap, points: F64, expected: F64, drift_m: float, mean_score: float
+    ) -> Found | str:
+        """Search where the robot is expected.
+
+        Args:
+            submap: an old one, finished.
+            points: (P, 2) hits in the robot's frame, metres.
+            expected: (3,) pose in the submap's frame.
+            drift_m: how far off that may be.
+            mean_score: running mean score of the tracker, 0 to 1.
+
+        Returns:
+            Where it lies, or why that is not known, in the words of the health record.
+        """
+        config = self._config
+        least = max(config.loop_match_minimum_response, MEAN_SHARE * mean_score)
+        turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
+        if drift_m <= LOCAL_DRIFT_M:
+            spread = Spread(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
+            hypothesis = PoseHypothesis(expected, spread)
+            found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
+            if isinstance(found, Found) and _is_news(expected, found.pose):
+                window = _Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
+                if self._has_rival(submap, points, window, found):
+                    return AMBIGUOUS
+            return found
+        most = config.loop_search_space_dimension / 2.0
+        half_m = min(drift_m, most)
+        wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
+        windows = (_Window(expected, half_m, turn), _Window(expected, wider, turn))
+        return self._only_place(submap, points, windows, least, MOST_UNSEEN)
+
+    def anywhere(self, submap: Submap, points: F64, mean_score: float) -> Found | str:
+        """Search all of a submap, for a kidnapped robot; see ``near``."""
+        least = max(self._config.loop_match_minimum_response, MEAN_SHARE_ANYWHERE * mean_score)
+        middle = np.array([*(0.5 * (submap.low + submap.high)), 0.0])
+        half_m = 0.5 * float((submap.high - submap.low).max()) + AROUND_M
+        everything = _Window(middle, half_m, math.pi)
+        return self._only_place(
+            submap, points, (everything, everything), least, MOST_UNSEEN_ANYWHERE
+        )
+
+    def around(
+        self, submap: Submap, points: F64, expected: F64, mean_score: float, *, by_odometry: bool
+    ) -> tuple[F64, bool]:
+        """Search the growing submap far around a pose for a robot that tracking may have lost.
+
+        Args:
+            submap: the growing one.
+            points: (P, 2) hits in the robot's frame, metres.
+            expected: (3,) pose in the submap's frame.
+            mean_score: running mean score of the tracker, 0 to 1.
+            by_odometry: whether the pose is more than that the robot goes on as it went.
+
+        Returns:
+            A pose (3,), and whether it may be trusted: the scan fits there about as well as on
+            average and nowhere else nearly as well; or it fits badly, but best where it is
+            expected: then the world has changed, not the place.
+        """
+        window = _Window(expected, JUMP_M, JUMP_RAD)
+        best = self._searched(submap, points, window, 0.0)
+        if best is None:
+            return expected, False
+        coarse = best.pose
+        least = MEAN_SHARE_ANYWHERE * mean_score
+        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, by_window=True)
+        if isinstance(found, Found):
+            if self._has_rival(submap, points, window, found):
+                return expected, False
+            return found.pose, True
+        if not by_odometry:
+            return coarse, False
+        away = np.hypot(*(coarse - expected)[:2])
+        turn = abs(wrap_angle(float(coarse[2] - expected[2])))
+        return expected, bool(away <= EXPECTED_M and turn <= EXPECTED_RAD)
+
+    def _only_place(
+        self,
+        submap: Submap,
+        points: F64,
+        windows: tuple[_Window, _Window],
+        least: float,
+        most_unseen: float,
+    ) -> Found | str:
+        """Search the first window, judge what is found, and look for a rival in the second."""
+        best = self._searched(submap, points, windows[0], WINDOW_SHARE * least)
+        if best is None:
+            return LOW_RESPONSE
+        found = self._fine(submap, points, _around(best.pose), least, most_unseen, by_window=True)
+        if isinstance(found, Found) and self._has_rival(submap, points, windows[1], found):
+            return AMBIGUOUS
+        return found
+
+    def _fine(
+        self,
+        submap: Submap,
+        points: F64,
+        hypothesis: PoseHypothesis,
+        least: float,
+        most_unseen: float,
+        *,
+        by_window: bool = False,
+    ) -> Found | str:
+        """Search around a hypothesis, of a window search or not, and judge what is found."""
+        config = self._config
+        scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
+        matcher = self._after_window if by_window else config.matcher
+        match = search_pose(scan, [hypothesis], matcher, self._rng)
+        unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
+        if unseen > most_unseen:
+            return LITTLE_IN_COMMON
+        if seen_score(match.score, unseen) < least:
+            return LOW_RESPONSE
+        information = response_information(scan, match.pose)
+        variance = float(np.linalg.eigvalsh(np.linalg.inv(information)[:2, :2]).max())
+        if variance > config.loop_match_maximum_variance:
+            return DEGENERATE
+        return Found(match.pose, information)
+
+    def _searched(
+        self,
+        submap: Submap,
+        points: F64,
+        window: _Window,
+        least: float,
+        beside: F64 | None = None,
+    ) -> WindowMatch | None:
+        """Return the best of a window, not ``beside`` a pose (3,); None where nothing fits."""
+        every = -(-len(points) // self._config.matcher.beams)
+        return search_window(
+            self._backend,
+            submap.pyramid(),
+            points[::every],
+            window.centre,
+            half_m=window.half_m,
+            half_rad=window.half_rad,
+            resolution=self._config.resolution,
+            least=least,
+            beside=beside,
+        )
+
+    def _has_rival(self, submap: Submap, points: F64, window: _Window, found: Found) -> bool:
+        """Return whether another place of a window fits nearly as well."""
+        peak = _Window(found.pose, PEAK_CELLS * self._config.resolution, PEAK_RAD)
+        own = self._searched(submap, points, peak, 0.0)
+        if own is None:
+            return True
+        least = RIVAL_SHARE * own.score
+        return self._searched(submap, points, window, least, found.pose) is not None
+
+
+def _is_news(expected: F64, found: F64) -> bool:
+    """Return whether a scan lies elsewhere than the graph has it, poses (3,)."""
+    away = found - expected
+    return bool(np.hypot(away[0], away[1]) > NEWS_M or abs(wrap_angle(float(away[2]))) > NEWS_RAD)
+
+
+def _around(coarse: F64) -> PoseHypothesis:
+    """Return where the fine search looks around what a window has found."""
+    return PoseHypothesis(coarse, Spread(AFTER_WINDOW_M, AFTER_WINDOW_RAD))

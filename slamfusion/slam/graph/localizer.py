@@ -1,0 +1,166 @@
+"""``Localizer``: where a scan lies on the local map, and whether the robot is still there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import GraphConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.matcher import PoseHypothesis
+from slamfusion.slam.common.pose_rows import pose_of
+from slamfusion.slam.common.tracking import Tracker
+from slamfusion.slam.graph.closure_search import ClosureSearch
+from slamfusion.slam.graph.health import GraphHealth
+from slamfusion.slam.graph.local_map import LocalMap
+from slamfusion.slam.graph.node_map import Node
+from slamfusion.slam.graph.state import LocalizerState
+from slamfusion.slam.graph.tracking_quality import BAD_SHARE, TrackingQuality, TrackingStatus
+
+__all__ = ["Estimate", "Localizer", "Observation"]
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A scan with what is known of it.
+
+    Attributes:
+        scan: the sweep.
+        points: (P, 2) its hits within the usable range, in the robot's frame, metres.
+        odometry: pose by odometry at its time; None where there is none or it is not to be used.
+    """
+
+    scan: LaserScan
+    points: F64
+    odometry: Pose2 | None
+
+    def node(self, travelled_m: float) -> Node:
+        """Return it as a node, after a distance travelled, metres."""
+        laser = np.array([self.scan.mount.x, self.scan.mount.y], dtype=np.float32)
+        return Node(self.points.astype(np.float32), laser, travelled_m, self.odometry)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Where a scan was found.
+
+    Attributes:
+        local: pose of the robot in the active submap.
+        score: of its match, 0 to 1.
+        hessian: (3, 3) negative Hessian of the response there; None: not measured.
+        status: whether the robot is still tracked.
+    """
+
+    local: Pose2
+    score: float
+    hessian: F64 | None
+    status: TrackingStatus
+
+
+class Localizer:
+    """Follows the robot on the local map; it owns the tracker and the quality of its matches."""
+
+    def __init__(
+        self,
+        config: GraphConfig,
+        backend: Backend,
+        rng: np.random.Generator,
+        local_map: LocalMap,
+        search: ClosureSearch,
+        health: GraphHealth,
+    ) -> None:
+        """Start without a pose.
+
+        Args:
+            config: of the matcher.
+            backend: where the maps live.
+            rng: of the matcher's draws.
+            local_map: that scans are matched on.
+            search: of a robot that the matcher may have lost.
+            health: where match scores are written.
+        """
+        self._local_map = local_map
+        self._search = search
+        self._health = health
+        self._tracker = Tracker(
+            config.matcher, backend, rng, health, searches_again=False, resolves_degeneracy=True
+        )
+        self._quality = TrackingQuality()
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether a scan was seen before."""
+        return self._tracker.pose is not None
+
+    @property
+    def has_jumped(self) -> bool:
+        """Whether odometry has just been reset."""
+        return self._tracker.has_jumped
+
+    @property
+    def mean_score(self) -> float:
+        """Running mean score of the matches, 0 to 1; 0 before the first."""
+        return self._tracker.running_mean_score or 0.0
+
+    def hypotheses(self, stamp_s: float, odometry: Pose2 | None) -> list[PoseHypothesis]:
+        """Return where the robot may be; see ``Tracker.hypotheses``."""
+        return self._tracker.hypotheses(stamp_s, odometry)
+
+    def localize(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Estimate:
+        """Return where a scan lies; one that fits badly is searched far around."""
+        local_map, mean_score = self._local_map, self._tracker.running_mean_score
+        submap = local_map.active_submap
+        match = self._tracker.match(submap.walls(), seen.points, hypotheses)
+        fit = local_map.fit(seen.points, match, mean_score)
+        at, hessian, is_sure = match.pose, match.hessian, True
+        if fit < BAD_SHARE and mean_score is not None:
+            hessian = None
+            at, is_sure = self._search.around(
+                submap,
+                seen.points,
+                hypotheses[0].pose,
+                mean_score,
+                by_odometry=len(hypotheses) > 1,
+            )
+        local = pose_of(at)
+        self._tracker.advance(local, seen.odometry, seen.scan.stamp_s)
+        status = self._quality.judge(
+            self._health.scans, fit, is_sure=is_sure, has_jumped=self._tracker.has_jumped
+        )
+        return Estimate(local, match.score, hessian, status)
+
+    def dead_reckon(self, seen: Observation, hypothesis: PoseHypothesis) -> Pose2:
+        """Take a hypothesis as where the robot is at a scan that tells nothing; return it."""
+        local = pose_of(hypothesis.pose)
+        self._tracker.advance(local, seen.odometry, seen.scan.stamp_s)
+        return local
+
+    def start(self, seen: Observation) -> None:
+        """Follow the robot from the first node on, in its frame."""
+        self._tracker.pose = None
+        self._tracker.advance(IDENTITY, seen.odometry, seen.scan.stamp_s)
+
+    def restart(self) -> None:
+        """Follow the robot in the frame of a submap that has just begun where it is."""
+        self._tracker.pose = IDENTITY
+        self._quality.reset()
+
+    def change_frame(self, local: Pose2) -> None:
+        """Follow the robot in the frame of the active submap, where its pose is ``local``."""
+        self._tracker.pose = local
+
+    def to_state(self) -> LocalizerState:
+        """Return everything, for saving."""
+        return LocalizerState(tracker=self._tracker.to_state(), quality=self._quality)
+
+    def restore(self, state: LocalizerState) -> None:
+        """Take over what ``to_state`` returned."""
+        self._tracker.restore(state.tracker)
+        self._quality = state.quality

@@ -1,0 +1,174 @@
+"""The map of a graph's scans at the poses of today, redrawn only where poses moved.
+
+Every cell counts the beams that met something in it and all that came by. Counts are whole numbers
+and positions are rounded to a lattice that does not depend on the map's size, so a scan can be
+taken back and counted elsewhere: the map is the same, to the bit, as one drawn from nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.compute.hit_map_reference import MOST_BEAMS, BeamScan
+from slamfusion.config import GraphConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
+from slamfusion.slam.common.mapper import Mapper
+from slamfusion.slam.common.shared_tiles import SharedTileMaps
+
+__all__ = ["DrawsAside", "MapJob", "Node", "NodeMap"]
+
+F64 = npt.NDArray[np.float64]
+
+# Parts of a cell, and of a radian, that a pose is rounded to: what moves less is not drawn again.
+PLACE_PARTS, YAW_PARTS = 8.0, 2048.0
+# Parts of a cell that points are rounded to, as the kernel sees them.
+POINT_PARTS = 1024.0
+# Distance from the window's corner, cells, up to which float32 carries these parts.
+EXACT_CELLS = 1 << 14
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A scan that is kept.
+
+    Attributes:
+        ends: (B, 2) float32 hits in the robot's frame, metres.
+        laser: (2,) float32, the laser in the robot's frame, metres.
+        travelled_m: distance that the robot has travelled up to here.
+        odometry: pose by odometry; None where there is none.
+    """
+
+    ends: npt.NDArray[np.float32]
+    laser: npt.NDArray[np.float32]
+    travelled_m: float
+    odometry: Pose2 | None
+
+    def points(self) -> F64:
+        """Return the (B, 2) hits in the robot's frame, metres."""
+        return self.ends.astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class MapJob:
+    """What a map is drawn from: it does not change when the graph goes on.
+
+    Attributes:
+        nodes: at least one.
+        poses: (N, 3) of them in the map frame.
+        name: of the map.
+    """
+
+    nodes: Sequence[Node]
+    poses: F64
+    name: str
+
+
+@runtime_checkable
+class DrawsAside(Mapper, Protocol):
+    """A producer whose map a ``NodeMap`` draws in another thread, while scans go on."""
+
+    def map_job(self, *, is_settled: bool = False) -> MapJob:
+        """Return what the map is drawn from.
+
+        Args:
+            is_settled: drawn from it the map is that of ``grid``; else asking takes no time.
+
+        Raises:
+            SlamFusionError: no scan has been used yet, so there is no map.
+        """
+
+
+class NodeMap:
+    """Draws maps of one graph, one after another."""
+
+    def __init__(self, config: GraphConfig, backend: Backend) -> None:
+        """Start with nothing drawn.
+
+        Args:
+            config: cell size and what makes a wall.
+            backend: where the map lives.
+        """
+        self._config = config
+        self._backend = backend
+        self._maps = self._empty()
+        # Poses in parts of a cell and of a radian, from the cell of the first node.
+        self._drawn: F64 = np.zeros((0, 3))
+        # Whether what was counted can be taken back.
+        self._is_exact = True
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of the map."""
+        return self._maps.memory_bytes
+
+    def draw(self, job: MapJob) -> OccupancyGrid:
+        """Return the map of a graph that has grown, or whose poses have moved, since the last one.
+
+        Args:
+            job: of the same graph as before, with the same nodes first.
+        """
+        cell = self._config.resolution
+        anchor = np.floor(job.poses[0, :2] / cell)
+        wanted = np.rint(
+            (job.poses - (*(anchor * cell), 0.0))
+            * (PLACE_PARTS / cell, PLACE_PARTS / cell, YAW_PARTS)
+        )
+        known = len(self._drawn)
+        moved = np.flatnonzero((wanted[:known] != self._drawn).any(axis=1))
+        if len(moved) and not self._is_exact:
+            self._maps, self._is_exact = self._empty(), True
+            known, moved = 0, moved[:0]
+        for index in moved.tolist():
+            self._count(job.nodes[index], self._drawn[index], take_back=True)
+        for index in (*moved.tolist(), *range(known, len(job.nodes))):
+            self._count(job.nodes[index], wanted[index])
+        self._drawn = wanted
+        counts, first = self._maps.cells("counts", 0)
+        percent = percent_of_counts(
+            counts.astype(np.uint32),
+            self._config.occupancy_threshold,
+            self._config.min_pass_through,
+        )
+        # Cropped in whole cells: the origin is the same whatever the window was.
+        known = percent != UNKNOWN
+        rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+        if len(rows):
+            percent = percent[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+            first = first + np.array((cols[0], rows[0]))
+        origin = Pose2(*(float(v) for v in (first + anchor) * cell))
+        return OccupancyGrid(percent, cell, origin, job.name)
+
+    def _empty(self) -> SharedTileMaps:
+        return SharedTileMaps(self._backend, 1, {"counts": np.uint32, "sums": np.uint32})
+
+    def _count(self, node: Node, rounded: F64, *, take_back: bool = False) -> None:
+        """Count a node's beams at a rounded pose (3,), or take them back."""
+        cell, maps = self._config.resolution, self._maps
+        x, y, yaw = (float(v) for v in rounded / (PLACE_PARTS, PLACE_PARTS, YAW_PARTS))
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        every = -(-len(node.ends) // MOST_BEAMS)
+        places = np.vstack((node.laser[None], node.ends[::every])).astype(np.float64) / cell
+        places = places @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+        places = np.rint(places * POINT_PARTS) / POINT_PARTS
+        maps.cover(places.min(axis=0) - 1.0, places.max(axis=0) + 1.0)
+        inside = (places - maps.origin).astype(np.float32)
+        self._is_exact = self._is_exact and float(inside.max()) < EXACT_CELLS
+        here = np.array([[0.0, 0.0, 1.0, 0.0]], dtype=np.float32)
+        beams = BeamScan(inside[1:], np.ones(len(inside) - 1, dtype=np.uint8), inside[0], here)
+        pages = maps.page_tables
+        maps.make_writable(self._backend.touch_pages(pages, beams, 0).astype(np.bool_))
+        pools = maps.pools
+        if self._backend.count_beams(
+            pools["counts"], pools["sums"], maps.page_tables, beams, take_back=take_back
+        ):
+            halve_counts(self._backend, pools)
+            self._is_exact = False

@@ -1,0 +1,303 @@
+"""``GraphSlam``: the method from a scan to the map, one named step after the other.
+
+Every scan is matched on the local map. A scan after some distance becomes a node; it is written
+into the submaps that grow there and tied to them. Nodes that come back to an older submap are
+searched there; what is found, and is neither degenerate nor contradicted, becomes a closure, and
+the graph is solved again. Poses are kept relative to the local map, so following the robot never
+waits for the graph.
+
+Sources: Olson, ICRA 2009 [O09] (correlative matching, its covariance); Konolige et al., IROS 2010
+[K10] and the parameters of open_karto; Hess et al., ICRA 2016 [H16c] (submaps, branch and bound).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.compute.backend import Backend
+from slamfusion.config import GraphConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import Closure, Series, Step
+from slamfusion.slam.common.matcher import PoseHypothesis
+from slamfusion.slam.common.pose_rows import pose_of
+from slamfusion.slam.common.runner import FIRST_REPORTED
+from slamfusion.slam.common.state import read_state, restore_health, write_state
+from slamfusion.slam.graph.closure_search import ClosureSearch
+from slamfusion.slam.graph.health import GraphHealth
+from slamfusion.slam.graph.local_map import LocalMap
+from slamfusion.slam.graph.localizer import Localizer, Observation
+from slamfusion.slam.graph.loop_closure import LoopClosure
+from slamfusion.slam.graph.map_graph import MapGraph
+from slamfusion.slam.graph.node_map import MapJob, NodeMap
+from slamfusion.slam.graph.path import NO_NODE, DrivenPath
+from slamfusion.slam.graph.state import GraphState
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["GraphSlam"]
+
+NAME = "graph"
+STATE_FORMAT = 4
+
+
+class GraphSlam:
+    """The graph SLAM behind the ``Mapper`` protocol.
+
+    Attributes:
+        name: ``graph``.
+        health: the record so far.
+        last_stamp_s: time of the last scan; None before the first.
+    """
+
+    name = NAME
+
+    def __init__(self, config: GraphConfig, backend: Backend, seed: int = 0) -> None:
+        """Start with an empty graph.
+
+        Args:
+            config: see ``GraphConfig``.
+            backend: where the maps live.
+            seed: of the matcher's draws.
+        """
+        self.health: GraphHealth = GraphHealth()
+        self.last_stamp_s: float | None = None
+        self._config = config
+        self._seed = seed
+        rng = np.random.default_rng(seed)
+        search = ClosureSearch(config, backend, rng)
+        self._local_map = LocalMap(config, backend, self.health)
+        self._localizer = Localizer(config, backend, rng, self._local_map, search, self.health)
+        self._graph = MapGraph(self.health)
+        self._loops = LoopClosure(config, self._graph, self._local_map, search, self.health)
+        self._path = DrivenPath()
+        self._map = NodeMap(config, backend)
+
+    # -- from a scan to the graph --------------------------------------------------------------
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        """Follow the robot to a scan; make it a node where it has gone far enough."""
+        self.health.scans += 1
+        if self.last_stamp_s is not None:
+            self.health.count_pause(scan.stamp_s - self.last_stamp_s)
+
+        # Where may the robot be?
+        known = None if self._config.odometry == "none" else odometry
+        hypotheses = self._localizer.hypotheses(scan.stamp_s, known)
+        if not self._localizer.has_pose:
+            self._path.start = pose_of(hypotheses[0].pose)
+
+        # Where is it, and what does the map learn?
+        points = scan.points(scan.is_hit(self._config.usable_range_m))
+        seen = Observation(scan, points, known)
+        if len(points) == 0:
+            step = self._skip("no reading within the usable range", hypotheses[0], seen)
+        elif not self._graph.nodes:
+            step = self._begin(seen, hypotheses[0])
+        else:
+            step = self._follow(seen, hypotheses)
+
+        self.last_stamp_s = scan.stamp_s
+        self._path.report(step.pose_map_base)
+        return step
+
+    def _follow(self, seen: Observation, hypotheses: list[PoseHypothesis]) -> Step:
+        """Match a scan on the local map; make it a node where it is due."""
+        # Find the scan on the local map. Is the robot still there?
+        found = self._localizer.localize(seen, hypotheses)
+        self.health.scans_used += 1
+        if found.status == "kidnapped":
+            return self._begin_component(seen, found.local)
+        if found.status == "failed":
+            return self._begin_after_failure(seen, found.local)
+
+        # Has it gone far enough for a node?
+        moved = self._local_map.node_pose.inverse().compose(found.local)
+        if found.status == "unsure" or not _is_far(moved, self._config):
+            return self._report(seen, found.local, found.score)
+
+        # Add the node to the graph, and tie it to the submaps and to odometry.
+        travelled_m = self._graph.travelled_m + math.hypot(moved.x, moved.y)
+        anchor = self._local_map.active_submap.anchor
+        pose = self._graph.pose(anchor).compose(found.local)
+        number = self._graph.add_node(seen.node(travelled_m), pose)
+        self._graph.add(
+            self._local_map.constraints(number, seen.points, found.local, found.hessian)
+        )
+        self._graph.add_odometry(number, moved)
+        self._path.add_response(seen.scan.stamp_s, found.score)
+
+        # Write it into the local map; another submap may be the active one then.
+        local = self._local_map.insert(number, self._graph.nodes[number], found.local)
+        self._localizer.change_frame(local)
+
+        # Close loops, and tell where the robot is by all that is known now.
+        if self._config.do_loop_closing:
+            self._loops.close(number, seen.points, self._localizer.mean_score)
+        return self._report(seen, local, found.score)
+
+    def _report(
+        self, seen: Observation, local: Pose2, score: float | None, reason: str = ""
+    ) -> Step:
+        """Tell a pose in the active submap's frame in the map frame."""
+        last = len(self._graph.nodes) - 1
+        moved = self._local_map.node_pose.inverse().compose(local)
+        self._path.add(seen.scan.stamp_s, last, moved)
+        pose = self._graph.pose(last).compose(moved)
+        pose = Pose2(pose.x, pose.y, wrap_angle(pose.yaw_rad))
+        return Step(pose, not reason, score, reason)
+
+    # -- where it begins -----------------------------------------------------------------------
+
+    def _skip(self, reason: str, hypothesis: PoseHypothesis, seen: Observation) -> Step:
+        """Leave a scan out; the robot is where it is expected."""
+        self.health.skips.add(reason, self.health.scans)
+        local = self._localizer.dead_reckon(seen, hypothesis)
+        if self._graph.nodes:
+            return self._report(seen, local, None, reason)
+        moved = self._path.start.inverse().compose(local)
+        self._path.add(seen.scan.stamp_s, NO_NODE, moved)
+        return Step(local, used=False, match_score=None, reason=reason)
+
+    def _begin(self, seen: Observation, hypothesis: PoseHypothesis) -> Step:
+        """Make the first node."""
+        self._localizer.start(seen)
+        self._graph.add_node(seen.node(0.0), pose_of(hypothesis.pose))
+        self._local_map.begin(0, self._graph.nodes[0], component=0)
+        self.health.scans_used += 1
+        return self._report(seen, IDENTITY, None)
+
+    def _begin_component(self, seen: Observation, local: Pose2) -> Step:
+        """Begin a map component for a kidnapped robot; the old ones stay as they are."""
+        self.health.kidnappings += 1
+        reason = "the robot is lost: a new submap begins, placed by odometry alone"
+        self.health.skips.add(reason, self.health.scans)
+        self._loops.kidnapped()
+        return self._begin_again(seen, local, max(self._local_map.components) + 1)
+
+    def _begin_after_failure(self, seen: Observation, local: Pose2) -> Step:
+        """Begin a submap where scans have fitted badly for a while."""
+        self.health.tracking_failures += 1
+        self._loops.tracking_failed()
+        return self._begin_again(seen, local, self._local_map.active_component)
+
+    def _begin_again(self, seen: Observation, local: Pose2, component: int) -> Step:
+        """Begin a submap that odometry alone ties to those before, and closures may move."""
+        before = len(self._graph.nodes) - 1
+        moved = self._local_map.node_pose.inverse().compose(local)
+        odometry = self._graph.nodes[before].odometry
+        if seen.odometry is not None and odometry is not None and not self._localizer.has_jumped:
+            moved = odometry.inverse().compose(seen.odometry)
+        travelled_m = self._graph.travelled_m + math.hypot(moved.x, moved.y)
+        number = self._graph.add_beyond_gap(seen.node(travelled_m), moved)
+        self._local_map.begin(number, self._graph.nodes[number], component)
+        self._localizer.restart()
+        return self._report(seen, IDENTITY, None)
+
+    # -- what it has made ----------------------------------------------------------------------
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose at every scan by all that is known now."""
+        return self._path.trajectory(self._graph.settled_poses(), self.name)
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """Return the path as it was first reported."""
+        return (self._path.as_reported(FIRST_REPORTED),)
+
+    def closures(self) -> list[Closure]:
+        """Return the closures of the graph, as the last solution judged them."""
+        stamps = self._path.node_stamps()
+        return [
+            Closure(stamps[one.start], stamps[one.end], pose_of(one.motion), weight)
+            for one, weight in self._graph.closures()
+        ]
+
+    def series(self) -> tuple[Series, ...]:
+        """Return the response of the nodes' matches."""
+        return self._path.series()
+
+    def grid(self) -> OccupancyGrid:
+        """Return the map of all nodes at their poses of today; see ``Mapper.grid``."""
+        return self._map.draw(self.map_job(is_settled=True))
+
+    def map_job(self, *, is_settled: bool = False) -> MapJob:
+        """Return what a ``NodeMap`` on another backend draws the map from, in another thread.
+
+        Args:
+            is_settled: as for ``grid``, by all closures, which may take a solution; else those
+                since the last solution are not in it, and asking takes no time.
+
+        Raises:
+            SlamFusionError: no scan has been used yet.
+        """
+        if not self._graph.nodes:
+            message = f"{self.name}: no scan could be used, so there is no map"
+            raise SlamFusionError(message)
+        poses = self._graph.settled_poses() if is_settled else self._graph.poses
+        return MapJob(tuple(self._graph.nodes), poses.copy(), self.name)
+
+    def memory_bytes(self) -> int:
+        """Return the bytes of submaps, nodes and edges."""
+        return self._local_map.memory_bytes + self._map.memory_bytes + self._graph.memory_bytes
+
+    # -- state ---------------------------------------------------------------------------------
+
+    def save_state(self, path: Path) -> None:
+        """Write graph, scans and submaps; whole or not at all."""
+        state = GraphState(
+            health=self.health,
+            last_stamp_s=self.last_stamp_s,
+            localizer=self._localizer.to_state(),
+            graph=self._graph.to_state(),
+            local_map=self._local_map.to_state(),
+            loops=self._loops.to_state(),
+            path=self._path.to_state(),
+        )
+        write_state(
+            path,
+            name=self.name,
+            version=STATE_FORMAT,
+            config=self._config,
+            seed=self._seed,
+            state=state,
+        )
+
+    @classmethod
+    def load_state(
+        cls, path: Path, config: GraphConfig, backend: Backend, seed: int = 0
+    ) -> GraphSlam:
+        """Return the graph that ``save_state`` has written.
+
+        Args:
+            path: the file.
+            config: must be what the state was made with.
+            backend: where the submaps are to live.
+            seed: likewise.
+
+        Raises:
+            SlamFusionError: no state of ours, or one made with other settings.
+        """
+        state = read_state(
+            path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed, kind=GraphState
+        )
+        made = cls(config, backend, seed)
+        restore_health(made.health, state.health)
+        made.last_stamp_s = state.last_stamp_s
+        made._localizer.restore(state.localizer)
+        made._graph.restore(state.graph)
+        made._local_map.restore(state.local_map)
+        made._loops.restore(state.loops)
+        made._path.restore(state.path)
+        return made
+
+
+def _is_far(moved: Pose2, config: GraphConfig) -> bool:
+    """Return whether the robot has moved or turned enough since the last node for another."""
+    return (
+        math.hypot(moved.x, moved.y) >= config.minimum_travel_distance
+        or abs(wrap_angle(moved.yaw_rad)) >= config.minimum_travel_heading
+    )

@@ -1,0 +1,206 @@
+"""``Submap``: a small map of scans that follow each other, rigid in itself, for the graph SLAM.
+
+A submap lies in the frame of its first node, its anchor. While it grows, scans are matched against
+its tiles; when it is finished it only answers searches for loop closures.
+
+Sources: Hess et al., ICRA 2016 [H16c] (submaps); Olson, ICRA 2009 [O09] (likelihood of a hit).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend, Handle
+from slamfusion.compute.slam_reference import BEAM_ONE, SmearRule
+from slamfusion.geometry import Pose2
+from slamfusion.slam.common.matcher import FieldMap
+from slamfusion.slam.common.tile_map import TileMap
+
+__all__ = ["UNSEEN_WALL", "Pyramid", "Submap", "likelihood_rule", "seen_score"]
+
+F64 = npt.NDArray[np.float64]
+
+# Likelihood, of 255, of a cell that no scan has seen: a little, so that new space does not repel
+# scans.
+UNSEEN_WALL = 20
+# Standard deviations around a hit up to which its likelihood is written: 5 % are left beyond.
+REACH_SIGMAS = 2.0
+# Cells around a hit up to which its likelihood is written at most: the kernels' time grows with the
+# square.
+MOST_REACH = 6
+# Entries of the likelihood's table by squared distance.
+TABLE_STEPS = 256
+# Observations that a cell remembers: some seconds of scans, so that what has moved is forgotten.
+MEMORY = 64
+
+
+class Pyramid:
+    """A finished submap as dense fields, each cell the greatest of a square that starts there.
+
+    Attributes:
+        windows: sides of the squares in cells, the largest first, 1 last.
+        fields: (1, H, W) uint8 handles, one for each.
+        corner: (2,) x and y of the first cell's lower-left corner in the submap's frame, cells.
+    """
+
+    windows = (16, 8, 4, 2, 1)
+
+    def __init__(self, backend: Backend, values: npt.NDArray[np.uint8], corner: F64) -> None:
+        """Pool the field of a submap; what lies beyond it is no wall.
+
+        Args:
+            backend: where the fields are to live.
+            values: (H, W) uint8.
+            corner: of its first cell.
+        """
+        pad = self.windows[0] - 1
+        padded = np.pad(values, ((pad, 0), (pad, 0)))
+        self.corner = corner - pad
+        shape = (1, *padded.shape)
+        field = backend.upload(padded)
+        self.fields: list[Handle] = []
+        for window in self.windows:
+            pooled = field
+            for along_rows in (True, False):
+                pooled = backend.max_window(pooled, window, along_rows=along_rows, fill=0)
+            self.fields.append(pooled.reshape(shape))
+
+
+class Submap:
+    """A map of a few scans in the frame of its anchor.
+
+    Attributes:
+        anchor: number of the node in whose frame it lies.
+        scans: how many it holds.
+        low: (2,) metres, lower-left corner of the robot's places in it.
+        high: (2,) the other corner.
+    """
+
+    def __init__(self, backend: Backend, anchor: int, resolution: float, sigma_m: float) -> None:
+        """Start empty.
+
+        Args:
+            backend: where it lives.
+            anchor: see above.
+            resolution: metres per cell.
+            sigma_m: standard deviation of the likelihood around a hit, metres, above 0.
+        """
+        self.anchor = anchor
+        self.scans = 0
+        self.low = np.zeros(2)
+        self.high = np.zeros(2)
+        self._backend = backend
+        self._cell = resolution
+        self._rule = likelihood_rule(sigma_m / resolution)
+        self._tiles = TileMap(
+            backend,
+            {
+                "observed": (np.uint32, 0),
+                "states": (np.uint32, 0),
+                "field": (np.uint8, UNSEEN_WALL),
+            },
+        )
+        self._pyramid: Pyramid | None = None
+        self._is_finished = False
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of its tiles and, where it has one, of its pyramid."""
+        pyramid = 0
+        if self._pyramid is not None:
+            pyramid = sum(int(np.prod(field.shape)) for field in self._pyramid.fields)
+        return self._tiles.memory_bytes + pyramid
+
+    def walls(self) -> FieldMap:
+        """Return it as the matcher sees it; poses are in the anchor's frame."""
+        tiles = self._tiles
+        return FieldMap(tiles.pools["field"], tiles.page_table, tiles.origin, self._cell)
+
+    def insert(self, points: F64, laser: F64, pose: Pose2) -> None:
+        """Update the likelihood field by the hits of a scan.
+
+        Args:
+            points: (P, 2) metres, in the robot's frame; at least one.
+            laser: (2,) likewise.
+            pose: of the robot in the anchor's frame.
+        """
+        tiles, rule, cell = self._tiles, self._rule, self._cell
+        hits = pose.transform(points) / cell
+        start = pose.transform(laser) / cell
+        reach = rule.reach + 1.0
+        tiles.cover(
+            np.minimum(hits.min(axis=0), start) - reach, np.maximum(hits.max(axis=0), start) + reach
+        )
+        beams = np.empty((len(hits), 4), dtype=np.int32)
+        beams[:, 0:2] = (hits - tiles.origin) * BEAM_ONE
+        beams[:, 2:4] = (start - tiles.origin) * BEAM_ONE
+        handle = self._backend.upload(beams)
+        pools = tiles.pools
+        marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
+        if self._backend.smear_mark(*marked):
+            tiles.provide_wanted()
+            pools = tiles.pools
+            self._backend.smear_mark(
+                pools["observed"], tiles.page_table, handle, rule, tiles.wanted
+            )
+        self._backend.smear_fold(
+            pools["observed"], pools["states"], pools["field"], tiles.page_table, handle, rule
+        )
+        place = np.array([pose.x, pose.y])
+        self.low = np.minimum(self.low, place)
+        self.high = np.maximum(self.high, place)
+        self.scans += 1
+
+    def finish(self) -> None:
+        """Let go of what only a growing submap needs."""
+        self._tiles.keep_only("field")
+        self._is_finished = True
+
+    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return everything but the pyramid as arrays, for saving."""
+        own = np.array([self.anchor, self.scans, self._is_finished])
+        return {"own": own, "low": self.low, "high": self.high, **self._tiles.to_arrays()}
+
+    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Take over what ``to_arrays`` returned."""
+        self.anchor, self.scans = (int(value) for value in arrays["own"][:2])
+        self._is_finished = bool(arrays["own"][2])
+        self.low, self.high = arrays["low"], arrays["high"]
+        self._tiles.restore(arrays)
+
+    def pyramid(self) -> Pyramid:
+        """Return its dense fields; of a finished one made at the first call."""
+        if self._pyramid is not None:
+            return self._pyramid
+        values, first = self._tiles.cells("field")
+        field = values.astype(np.uint8)
+        field[field == UNSEEN_WALL] = 0
+        pyramid = Pyramid(self._backend, field, first.astype(np.float64))
+        if self._is_finished:
+            self._pyramid = pyramid
+        return pyramid
+
+
+def seen_score(score: float, unseen_share: float) -> float:
+    """Return the mean score, 0 to 1, of the hits that fall where a submap has seen something.
+
+    Args:
+        score: mean over all hits.
+        unseen_share: share of the hits that fall elsewhere, below 1.
+    """
+    return (score - unseen_share * UNSEEN_WALL / 255.0) / (1.0 - unseen_share)
+
+
+def likelihood_rule(deviation_cells: float) -> SmearRule:
+    """Return how hits spread by a Gaussian likelihood of a deviation in cells."""
+    reach = min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation_cells)))
+    farthest = 2.0 * ((reach + 0.5) * BEAM_ONE) ** 2
+    shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
+    squared = np.arange(TABLE_STEPS) * 2.0**shift / BEAM_ONE**2
+    likelihood = np.exp(-0.5 * squared / deviation_cells**2)
+    return SmearRule(np.rint(255.0 * likelihood).astype(np.uint8), shift, reach, MEMORY)

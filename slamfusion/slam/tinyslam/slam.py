@@ -1,0 +1,264 @@
+"""tinySLAM [H16]: one map, a Monte-Carlo matcher, and cells that average what they are told.
+
+Each scan is matched against the whole map, starting from odometry, and then written into it. Two
+maps are kept cell by cell: the valley, with the blur around every hit, in which the matcher finds
+its way, and the published one, where a hit is one cell and what lies behind it stays unknown.
+
+Sources: Steux and El Hamzaoui, tinySLAM, ICARCV 2010; Huletski, Kartashov and Krinkin, [H16].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.backend import Backend
+from slamfusion.compute.slam_reference import (
+    BEAM_ONE,
+    HALF,
+    MOST_OBSERVATIONS,
+    UNSEEN,
+    VALUE_ONE,
+    BeamRule,
+)
+from slamfusion.config import TinySlamConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import Health, Series, Step
+from slamfusion.slam.common.matcher import FieldMap, Match, PoseHypothesis
+from slamfusion.slam.common.tile_map import TileMap
+from slamfusion.slam.common.tracking import Tracker
+from slamfusion.slam.tinyslam.cell_models import area_behind
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["TinySlam"]
+
+NAME = "tinyslam"
+# Value, 0 to 1, that a cell is told by a beam that ends in it and by one that passes it: [H16],
+# Table II.
+OCCUPIED_VALUE, FREE_VALUE = 0.95, 0.01
+# Share of the way to what it is told that a cell goes, by cell model, where ``quality`` is open:
+# the mean weighs by number, the base cell would follow the last beam alone.
+DEFAULT_QUALITY = {"mean": 1.0, "base": 0.3}
+# Occupied share of a hit's cell on average, by estimator: a hit lies anywhere in its cell.
+HIT_SHARE = {"constant": 1.0, "area": 0.5}
+# Share of the way from a passed cell's value to a wall's from which on the matcher sees a wall:
+# cells that a few beams grazed are none.
+FLOOR_SHARE = 0.2
+# Difference between the two, at least, for the matcher: where ``matcher_free_value`` is high.
+LEAST_CONTRAST = 0.2
+# Wall value, of 255, of a cell that no scan has seen: were it 0, a scan that looks into new space
+# would rather fit where the robot has been.
+UNSEEN_WALL = 20
+# Distance of a match from its first hypothesis, in spreads, from which on the map believes less of
+# the scan: match or odometry is wrong more often there.
+FAR_MOVED = 2.0
+# Published percent at no wall, at the free limit, at the occupied one (those of the map servers),
+# and at a sure wall.
+PERCENTS = (0.0, 25.0, 65.0, 100.0)
+# Share of ``occupied_share`` that lies at the free limit: cells in between are published as such.
+FREE_SHARE = 0.5
+
+
+class TinySlam:
+    """tinySLAM behind the ``Mapper`` protocol.
+
+    Attributes:
+        name: ``tinyslam``.
+        health: the record so far.
+    """
+
+    name = NAME
+
+    def __init__(self, config: TinySlamConfig, backend: Backend, seed: int = 0) -> None:
+        """Start with an empty map.
+
+        Args:
+            config: see ``TinySlamConfig``.
+            backend: where the map lives.
+            seed: of the matcher's draws.
+        """
+        self.health = Health()
+        self._config = config
+        self._backend = backend
+        rng = np.random.default_rng(seed)
+        self._tracker = Tracker(config.matcher, backend, rng, self.health)
+        self._map = TileMap(
+            backend,
+            {
+                "observed": (np.uint32, 0),
+                "valley": (np.uint32, UNSEEN),
+                "published": (np.uint32, UNSEEN),
+                "field": (np.uint8, UNSEEN_WALL),
+            },
+        )
+        self._anchor = np.zeros(2)
+        self._stamps: list[float] = []
+        self._poses: list[tuple[float, float, float]] = []
+        self._mapped = 0
+
+    # -- the protocol --------------------------------------------------------------------------
+
+    def feed(self, scan: LaserScan, odometry: Pose2 | None = None) -> Step:
+        """Match a scan and integrate it into the map; see ``Mapper.feed``."""
+        self.health.scans += 1
+        hypotheses = self._tracker.hypotheses(scan.stamp_s, odometry)
+        x, y, yaw = (float(value) for value in hypotheses[0].pose)
+        predicted = Pose2(x, y, yaw)
+        if self._tracker.pose is None:  # the lattice of cells is that of the map frame
+            cell = self._config.resolution
+            self._anchor = np.floor(hypotheses[0].pose[:2] / cell) * cell
+        points = scan.points(scan.is_hit(self._config.usable_range_m))
+        if len(points) == 0:
+            step = self._skip("no reading within the usable range", predicted)
+        else:
+            step = self._use(scan, points, hypotheses)
+        self._tracker.advance(step.pose_map_base, odometry, scan.stamp_s)
+        self._stamps.append(scan.stamp_s)
+        self._poses.append((step.pose_map_base.x, step.pose_map_base.y, step.pose_map_base.yaw_rad))
+        return step
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose at every scan, as it was found."""
+        return Trajectory(np.array(self._stamps), np.array(self._poses).reshape(-1, 3), self.name)
+
+    def other_paths(self) -> tuple[Trajectory, ...]:
+        """Return nothing: there is one belief."""
+        return ()
+
+    def series(self) -> tuple[Series, ...]:
+        """Return nothing."""
+        return ()
+
+    def grid(self) -> OccupancyGrid:
+        """Return the published map; see ``Mapper.grid``."""
+        if not self._mapped:
+            message = f"{self.name}: no scan could be used, so there is no map"
+            raise SlamFusionError(message)
+        states, first = self._map.cells("published")
+        percent = _percent(states.astype(np.uint32), self._config.occupied_share)
+        cell = self._config.resolution
+        corner = self._anchor + first * cell
+        grid = OccupancyGrid(percent, cell, Pose2(float(corner[0]), float(corner[1])), self.name)
+        box = grid.known_box()
+        return grid if box is None else grid.crop(box)
+
+    def memory_bytes(self) -> int:
+        """Return the bytes of the map, with what its pools hold in reserve."""
+        return self._map.memory_bytes
+
+    # -- one scan ------------------------------------------------------------------------------
+
+    def _skip(self, reason: str, predicted: Pose2) -> Step:
+        self.health.skips.add(reason, self.health.scans)
+        return Step(predicted, used=False, match_score=None, reason=reason)
+
+    def _use(
+        self, scan: LaserScan, points: npt.NDArray[np.float64], hypotheses: list[PoseHypothesis]
+    ) -> Step:
+        """Match the hits of a scan, then map them."""
+        match = self._tracker.match(self._walls(), points, hypotheses) if self._mapped else None
+        found = hypotheses[0].pose if match is None else match.pose
+        x, y, yaw = (float(value) for value in found)
+        pose = Pose2(x, y, wrap_angle(yaw))
+        self._integrate(scan, points, pose, self._quality(match))
+        self.health.scans_used += 1
+        return Step(pose, used=True, match_score=None if match is None else match.score)
+
+    def _walls(self) -> FieldMap:
+        """Return the map as the matcher sees it."""
+        cell, tiles = self._config.resolution, self._map
+        corner = self._anchor / cell + tiles.origin
+        return FieldMap(tiles.pools["field"], tiles.page_table, corner, cell)
+
+    def _quality(self, match: Match | None) -> float:
+        """Return how much of the scan the map believes."""
+        quality = self._config.quality or DEFAULT_QUALITY[self._config.cell_model]
+        if match is not None and match.moved > FAR_MOVED:
+            quality *= self._config.quality_moved
+        return quality
+
+    # -- the map -------------------------------------------------------------------------------
+
+    def _integrate(
+        self,
+        scan: LaserScan,
+        points: npt.NDArray[np.float64],
+        pose: Pose2,
+        quality: float,
+    ) -> None:
+        """Integrate a scan into the map at a pose."""
+        config, tiles = self._config, self._map
+        self._mapped += 1
+        cell = config.resolution
+        hits = (pose.transform(points) - self._anchor) / cell
+        laser = (pose.transform((scan.mount.x, scan.mount.y)) - self._anchor) / cell
+        reach = 0.5 * config.hole_width_m / cell + 1.0
+        tiles.cover(
+            np.minimum(hits.min(axis=0), laser) - reach, np.maximum(hits.max(axis=0), laser) + reach
+        )
+        beams = self._beams(hits - tiles.origin, laser - tiles.origin)
+        # What a wall's cells come to hold by and by.
+        share = HIT_SHARE[config.occupancy_estimator]
+        free = config.matcher_free_value
+        peak = max(FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE), free + LEAST_CONTRAST)
+        floor = free + FLOOR_SHARE * (peak - free)
+        rule = BeamRule(
+            half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
+            behind=(VALUE_ONE + 1) // 2,
+            free=round(config.matcher_free_value * VALUE_ONE),
+            map_free=round(FREE_VALUE * VALUE_ONE),
+            quality=round(quality * 1024),
+            is_mean=config.cell_model == "mean",
+            wall_floor=round(floor * (1 << 20)),
+            wall_gain=round(255.0 / (peak - floor)),
+        )
+        pools, handle = tiles.pools, self._backend.upload(beams)
+        marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
+        if self._backend.tiny_mark(*marked):
+            tiles.provide_wanted()
+            pools = tiles.pools
+            self._backend.tiny_mark(pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
+        self._backend.tiny_fold(
+            pools["observed"],
+            pools["valley"],
+            pools["published"],
+            pools["field"],
+            tiles.page_table,
+            handle,
+            rule,
+        )
+
+    def _beams(
+        self, hits: npt.NDArray[np.float64], laser: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.int32]:
+        """Return the beams as the kernels take them; positions in cells of the window."""
+        away = hits - laser
+        told = np.full(len(hits), OCCUPIED_VALUE)
+        if self._config.occupancy_estimator == "area":
+            offset = hits - np.floor(hits) - 0.5
+            angle = np.arctan2(away[:, 1], away[:, 0])
+            told = FREE_VALUE + (OCCUPIED_VALUE - FREE_VALUE) * area_behind(
+                offset[:, 0], offset[:, 1], angle
+            )
+        beams = np.empty((len(hits), 6), dtype=np.int32)
+        beams[:, 0:2] = hits * BEAM_ONE
+        beams[:, 2:4] = laser * BEAM_ONE
+        beams[:, 4] = np.hypot(away[:, 0], away[:, 1]) * BEAM_ONE
+        beams[:, 5] = np.rint(told * VALUE_ONE)
+        return beams
+
+
+def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArray[np.int8]:
+    """Return published states as occupancy in percent.
+
+    The percent rises with the cell's mean so that ``occupied_share`` comes to lie at 65 and half of
+    it at 25, the limits of the map servers: a wall that some beams grazed stays a wall.
+    """
+    mean = (states >> 12).astype(np.float64) / (2 * HALF)
+    limits = (0.0, FREE_SHARE * occupied_share, occupied_share, 1.0)
+    percent = np.rint(np.interp(mean, limits, PERCENTS)).astype(np.int8)
+    percent[states & MOST_OBSERVATIONS == 0] = UNKNOWN
+    return percent

@@ -1,0 +1,308 @@
+"""What a match tells of where the robot is, and what odometry decides where it tells nothing."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, open_backend
+from slamfusion.config import GraphConfig
+from slamfusion.geometry import Pose2
+from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.common.response import (
+    DEGENERATE_SIGMA_M,
+    LEAST_SIGMA,
+    MOST_SIGMA,
+    keep_degenerate_prior,
+    response_hessian,
+    response_information,
+)
+from slamfusion.slam.graph.constraints import turned
+from slamfusion.slam.graph.submap import Submap
+from tests.slam.drives import CELL_M, draw_flat, scan_at, true_poses
+from tests.slam.places import NO_LASER, Place, draw_corridor, place_of
+
+pytestmark = pytest.mark.once
+
+F64 = npt.NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def backend() -> Backend:
+    return open_backend()
+
+
+@pytest.fixture(scope="module")
+def corridor(backend: Backend) -> Place:
+    """The middle of the corridor, far from its features and its end."""
+    return place_of(backend, draw_corridor(), [Pose2(9.0 + 0.3 * i, 1.5) for i in range(30)])
+
+
+@pytest.fixture(scope="module")
+def flat(backend: Backend) -> Place:
+    return place_of(backend, draw_flat(), true_poses(120)[30:90:4])
+
+
+@pytest.mark.parametrize(("yaw_rad", "most"), [(0.0, 4.2), (0.4, 80.0), (math.pi / 2, 4.2)])
+def test_two_even_walls_tell_nothing_along_them(backend: Backend, yaw_rad: float, most: float):
+    """Walls of a hit at every centimetre, 6 m of them seen, turned in the submap's frame.
+
+    Oblique to the cells the score changes by a thousandth from place to place, which is told.
+    """
+    submap = Submap(backend, 0, CELL_M, 0.1)
+    frame, walls = Pose2(0.4, -0.3, yaw_rad), {}
+    for half_m in (3.0, 6.0):
+        along = np.arange(-half_m, half_m, 0.01)
+        both = [np.column_stack((along, np.full_like(along, y))) for y in (-1.0, 1.0)]
+        walls[half_m] = np.concatenate(both)
+    submap.insert(walls[6.0], NO_LASER, frame)
+    at = np.array([frame.x, frame.y, yaw_rad])
+    scan = ScanOnTiles(backend, submap.walls(), walls[3.0], 180)
+    found = turned(response_information(scan, at), -yaw_rad)
+    assert 0.99 * MOST_SIGMA**-2.0 < found[0, 0] < most
+    assert found[1, 1] > 1000.0
+    assert found[2, 2] > 1000.0
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 1.3])
+def test_a_match_in_a_corridor_tells_little_along_it(corridor: Place, yaw_rad: float):
+    """What far and lonely hits say of it is by chance."""
+    along, sigmas = [], []
+    for index in range(20):
+        pose = Pose2(12.0 + 0.1 * index, 1.5, yaw_rad)
+        found = corridor.information(pose, corridor.points(pose, 100 + index, 0.015))
+        assert found[1, 1] > 1000.0
+        along.append(found[0, 0])
+        sigmas.append(np.sqrt(np.diag(np.linalg.inv(found))))
+    assert min(along) < 1.1 * MOST_SIGMA**-2.0
+    assert np.median(along) < 60.0
+    assert np.median(sigmas, axis=0)[0] > 0.15
+    assert np.max(sigmas, axis=0)[1:].max() < 0.05
+
+
+def test_no_match_tells_more_or_less_than_the_limits(flat: Place):
+    """At any place, also outside and within walls: between the least and the most allowed."""
+    arm = np.array([1.0, 1.0, 5.0])
+    rng = np.random.default_rng(0)
+    points = scan_at(true_poses(120)[60], 0.0).points()
+    for x, y, yaw in rng.uniform((-2.0, -2.0, -4.0), (10.0, 8.0, 4.0), (200, 3)):
+        found = flat.information(Pose2(x, y, yaw), points)
+        values = np.linalg.eigvalsh(found / np.outer(arm, arm))
+        assert values.min() > 0.999 * MOST_SIGMA**-2.0
+        assert values.max() < 1.001 * LEAST_SIGMA**-2.0
+
+
+@given(
+    x=st.floats(0.0, 9.0),
+    y=st.floats(0.0, 6.0),
+    yaw_rad=st.floats(-4.0, 4.0),
+    angle_rad=st.floats(-4.0, 4.0),
+    count=st.integers(1, 181),
+)
+@settings(max_examples=60, deadline=None)
+def test_information_is_symmetric_and_positive_definite(
+    flat: Place, x: float, y: float, yaw_rad: float, angle_rad: float, count: int
+):
+    points = scan_at(true_poses(120)[60], 0.0).points()[:count]
+    found = flat.information(Pose2(x, y, yaw_rad), points)
+    for matrix in (found, turned(found, angle_rad)):
+        assert np.isfinite(matrix).all()
+        np.testing.assert_allclose(matrix, matrix.T, rtol=1e-9, atol=1e-9)
+        assert np.linalg.eigvalsh(matrix).min() > 0.0
+
+
+def test_turned_information_is_that_of_the_turned_frame(flat: Place):
+    pose = true_poses(120)[60]
+    found = flat.information(pose, flat.points(pose, 7, 0.0))
+    turn, step = Pose2(0.0, 0.0, 0.7), Pose2(0.03, -0.01, 0.002)
+    moved = turn.compose(step)
+    a = np.array([step.x, step.y, step.yaw_rad])
+    b = np.array([moved.x, moved.y, step.yaw_rad])
+    assert b @ turned(found, 0.7) @ b == pytest.approx(a @ found @ a)
+
+
+@functools.cache
+def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
+    """Return (3,) the deviations of 100 matches of noisy scans, and what the response says.
+
+    From hypotheses around the truth, and with no weight on them: what the scans alone tell.
+    """
+    config = replace(GraphConfig().matcher, prior_weight_xy=0.0, prior_weight_yaw=0.0)
+    pose = true_poses(120)[index]
+    rng, truth = np.random.default_rng(1), np.array([pose.x, pose.y, pose.yaw_rad])
+    found, told = [], []
+    for seed in range(100):
+        points = place.points(pose, 1000 + seed, 0.015)
+        scan = ScanOnTiles(place.backend, place.submap.walls(), points, config.beams)
+        hypothesis = PoseHypothesis(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
+        pose_found = search_pose(scan, [hypothesis], config, rng).pose
+        found.append(pose_found)
+        information = place.information(Pose2(*(float(v) for v in pose_found)), points)
+        told.append(np.sqrt(np.diag(np.linalg.inv(information))))
+    return np.std(found, axis=0), np.mean(told, axis=0)
+
+
+@pytest.mark.parametrize("index", [40, 62, 80])
+def test_the_response_is_never_surer_than_the_matches(flat: Place, index: int):
+    spread, told = spread_of_matches(flat, index)
+    assert (spread < 1.2 * told).all()
+    assert (told < 8.0 * spread).all()
+
+
+def test_the_response_agrees_with_the_spread_of_matches(flat: Place):
+    ratios = []
+    for index in (40, 62, 80):
+        spread, told = spread_of_matches(flat, index)
+        ratios.append(told / spread)
+    typical = np.exp(np.log(ratios).mean(axis=0))
+    assert (typical > 0.5).all()
+    assert (typical < 2.0).all()
+
+
+# -- what odometry decides -------------------------------------------------------------------------
+
+
+def two_walls(half_m: float) -> F64:
+    """Return (N, 2) hits on two walls along x, 2 m apart, one at every centimetre."""
+    along = np.arange(-half_m, half_m, 0.01)
+    return np.concatenate([np.column_stack((along, np.full_like(along, y))) for y in (-1.0, 1.0)])
+
+
+def scan_of(backend: Backend, frame: Pose2, written: F64, points: F64) -> ScanOnTiles:
+    """Return hits over a submap of others, written at a pose."""
+    submap = Submap(backend, 0, CELL_M, 0.1)
+    submap.insert(written, NO_LASER, frame)
+    return ScanOnTiles(backend, submap.walls(), points, 100_000)
+
+
+def keep_prior(scan: ScanOnTiles, match: F64, expected: F64) -> F64:
+    """Return a match as odometry settles it."""
+    return keep_degenerate_prior(response_hessian(scan, match), match, expected)
+
+
+def vector(pose: Pose2) -> F64:
+    return np.array([pose.x, pose.y, pose.yaw_rad])
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, math.pi / 2, -math.pi])
+@pytest.mark.parametrize("ahead_m", [-0.4, 0.07, 1.5])
+@pytest.mark.parametrize("aside_m", [-0.3, 0.0, 0.2])
+def test_along_bare_walls_odometry_has_its_way(
+    backend: Backend, yaw_rad: float, ahead_m: float, aside_m: float
+):
+    """A match in the middle of two walls; odometry is ahead of it, aside, and turned."""
+    frame = Pose2(0.4, -0.3, yaw_rad)
+    scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
+    match = vector(frame)
+    expected = vector(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
+    before = match.copy()
+    kept = keep_prior(scan, match, expected)
+    wanted = vector(frame.compose(Pose2(ahead_m, 0.0, 0.0)))
+    np.testing.assert_allclose(kept[:2], wanted[:2], atol=1e-3)
+    assert kept[2] == match[2]
+    assert match.tobytes() == before.tobytes()
+
+
+@pytest.mark.parametrize("yaw_rad", [0.3, -0.2, 1.35])
+def test_along_walls_a_little_oblique_to_the_cells_too(backend: Backend, yaw_rad: float):
+    frame = Pose2(0.4, -0.3, yaw_rad)
+    scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
+    expected = frame.compose(Pose2(1.0, 0.2, 0.1))
+    kept = Pose2(*(float(v) for v in keep_prior(scan, vector(frame), vector(expected))))
+    moved = frame.inverse().compose(kept)
+    assert moved.x == pytest.approx(1.0, abs=0.02)
+    assert moved.y == pytest.approx(0.0, abs=0.02)
+    assert moved.yaw_rad == pytest.approx(0.0, abs=1e-12)
+
+
+def test_in_a_drawn_corridor_odometry_decides_along_it(corridor: Place):
+    """Of matches of noisy scans: nearly all, and never across."""
+    moved = []
+    for index in range(20):
+        pose = Pose2(12.0 + 0.1 * index, 1.5, 0.0)
+        points = corridor.points(pose, 100 + index, 0.015)
+        scan = ScanOnTiles(corridor.backend, corridor.submap.walls(), points, 180)
+        match = vector(pose)
+        kept = keep_prior(scan, match, match + np.array([0.2, 0.2, 0.1]))
+        moved.append(kept - match)
+    along, across, turn = np.array(moved).T
+    assert np.median(along) > 0.19
+    assert np.abs(across).max() < 0.05
+    assert (turn == 0.0).all()
+
+
+@pytest.mark.parametrize("index", [40, 52, 62, 80])
+def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
+    pose = true_poses(120)[index]
+    for seed in range(5):
+        points = flat.points(pose, seed, 0.015)
+        scan = ScanOnTiles(flat.backend, flat.submap.walls(), points, 180)
+        match = vector(pose)
+        kept = keep_prior(scan, match, match + np.array([1.0, -2.0, 0.5]))
+        assert kept.tobytes() == vector(pose).tobytes()
+
+
+def test_one_wall_across_closes_a_corridor(backend: Backend):
+    """The same two walls, and the end of the corridor in sight."""
+    end = np.column_stack((np.full(200, 2.5), np.arange(-1.0, 1.0, 0.01)))
+    points = np.concatenate((two_walls(2.5), end))
+    scan = scan_of(backend, Pose2(), points, points)
+    match, expected = np.zeros(3), np.array([-0.3, 0.1, 0.0])
+    assert keep_prior(scan, match, expected).tobytes() == match.tobytes()
+    information = response_information(scan, match)
+    assert information[0, 0] > DEGENERATE_SIGMA_M**-2.0
+
+
+@given(
+    x=st.floats(-1.0, 10.0),
+    y=st.floats(-1.0, 7.0),
+    yaw_rad=st.floats(-4.0, 4.0),
+    ahead=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
+)
+@settings(max_examples=80, deadline=None)
+def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
+    flat: Place, x: float, y: float, yaw_rad: float, ahead: tuple[float, float]
+):
+    """At any place, also outside and within walls, where a response bends any way."""
+    points = scan_at(true_poses(120)[60], 0.0).points()
+    scan = ScanOnTiles(flat.backend, flat.submap.walls(), points, 180)
+    match = np.array([x, y, yaw_rad])
+    expected = match + np.array([*ahead, 0.3])
+    kept = keep_prior(scan, match, expected)
+    assert kept[2] == match[2]
+    moved, left = (kept - match)[:2], (expected - kept)[:2]
+    assert abs(moved @ left) < 1e-9  # what is left lies across
+    assert np.hypot(*moved) <= np.hypot(*ahead) + 1e-9
+
+
+# -- limits ----------------------------------------------------------------------------------------
+
+
+def test_where_nothing_is_seen_a_match_tells_the_least(backend: Backend):
+    """A level response: the least in every direction, the heading's at 5 m."""
+    scan = scan_of(backend, Pose2(), two_walls(3.0), np.array([(100.0, 100.0), (101.0, 100.0)]))
+    least = MOST_SIGMA**-2.0
+    np.testing.assert_allclose(
+        response_information(scan, np.zeros(3)), np.diag([least, least, 25.0 * least]), atol=1e-9
+    )
+
+
+def test_a_sharp_response_tells_no_more_than_the_most(backend: Backend):
+    """Hits of a fine map in one cell each and a heading seen 25 m away."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-25.0, 25.0, (400, 2))
+    submap = Submap(backend, 0, CELL_M, 0.02)
+    submap.insert(points, NO_LASER, Pose2())
+    scan = ScanOnTiles(backend, submap.walls(), points, 1000)
+    values = np.linalg.eigvalsh(
+        response_information(scan, np.zeros(3)) / np.outer([1.0, 1.0, 5.0], [1.0, 1.0, 5.0])
+    )
+    assert values.max() == pytest.approx(LEAST_SIGMA**-2.0)
+    assert values.min() > DEGENERATE_SIGMA_M**-2.0

@@ -1,0 +1,267 @@
+"""What a run records: counts, times, memory, doubts, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.cli.slam import NAMES, RESUMABLE
+from slamfusion.compute import NumpyBackend
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.io.log import LogScan
+from slamfusion.slam.common.runner import FIRST_REPORTED, Resumable, run_producer
+from slamfusion.slam.registry import PRODUCERS, make_producer, resume_producer
+from slamfusion.trajectory import Trajectory
+from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
+
+
+def test_a_run_counts_what_it_did() -> None:
+    seen: list[int] = []
+    run = run_producer(DeadReckoning(), room_drive(20), progress=seen.append)
+    assert seen == list(range(1, 21))
+    assert (run.name, run.scans, run.scans_used) == ("dead-reckoning", 20, 20)
+    assert len(run.trajectory) == len(run.feed_s) == 20
+    assert run.odometry is not None
+    np.testing.assert_allclose(run.odometry.poses, run.trajectory.poses)
+    assert run.trajectory.path_length_m() == pytest.approx(19 * 0.05)
+    assert run.peak_memory_bytes == 20_000
+    assert run.process_peak_memory_bytes > 10_000_000  # an interpreter with NumPy
+    assert run.is_complete
+    assert run.doubts() == ()
+    assert run.log is None
+    assert 0.0 < run.feed_s.sum() <= run.time_s
+
+
+def test_the_record_has_the_promised_keys_and_is_json() -> None:
+    document = run_producer(DeadReckoning(), room_drive(8)).to_json()
+    promised = {"name", "scans", "scans_used", "time_s", "time_per_scan_ms", "peak_memory_mb"}
+    assert promised <= document.keys()
+    times = {"mean", "p50", "p95", "p99", "p999", "max"}
+    assert document["time_per_scan_ms"].keys() == times
+    assert document["peak_memory_mb"] == 0.008
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+
+
+def test_time_per_scan_is_that_of_the_feeds() -> None:
+    run = run_producer(DeadReckoning(), room_drive(5))
+    milliseconds = 1e3 * run.feed_s
+    figures = run.time_per_scan_ms()
+    assert figures["mean"] == pytest.approx(milliseconds.mean())
+    assert figures["p50"] == pytest.approx(np.sort(milliseconds)[2])
+    shares = [figures[name] for name in ("p50", "p95", "p99", "p999", "max")]
+    assert shares == sorted(shares)
+    assert figures["max"] == milliseconds.max()
+
+
+def test_percentiles_of_the_time_are_those_of_their_names() -> None:
+    feed_s = np.random.default_rng(0).permutation(np.arange(10_001)) * 1e-6
+    run = replace(run_producer(DeadReckoning(), room_drive(2)), feed_s=feed_s)
+    figures = run.time_per_scan_ms()
+    wanted = {"mean": 5.0, "p50": 5.0, "p95": 9.5, "p99": 9.9, "p999": 9.99, "max": 10.0}
+    assert figures == pytest.approx(wanted)
+
+
+def test_the_path_as_first_reported_is_found_where_it_is_kept() -> None:
+    run = run_producer(DeadReckoning(), room_drive(4))
+    assert run.online_path() is None
+    online = Trajectory(run.trajectory.stamps_s, run.trajectory.poses, FIRST_REPORTED)
+    assert replace(run, other_paths=(run.trajectory, online)).online_path() is online
+
+
+def test_the_graph_keeps_the_path_that_it_first_reported() -> None:
+    backend = make_producer("graph", RunConfig(), NumpyBackend())
+    told = [backend.feed(item.scan, item.odometry).pose_map_base for item in room_drive(6)]
+    backend = make_producer("graph", RunConfig(), NumpyBackend())
+    online = run_producer(backend, room_drive(6)).online_path()
+    assert online is not None
+    assert [online.pose(k) for k in range(6)] == told
+
+
+def test_one_scan_makes_a_map() -> None:
+    run = run_producer(DeadReckoning(), room_drive(1))
+    assert len(run.trajectory) == 1
+    assert (run.grid.cells == 100).any()
+    assert run.to_json()["path_length_m"] == 0.0
+
+
+def test_the_log_s_own_counts_are_kept() -> None:
+    log = ListLog(room_drive(3))
+    log.skips.add("cut-off line", 17)
+    log.warnings.add("no scan for an hour or more", 3)
+    log.notes.append("stamps are broken")
+    document = run_producer(DeadReckoning(), log, log=log).to_json()["log"]
+    assert document["skipped"] == [{"reason": "cut-off line", "count": 1, "first_lines": [17]}]
+    assert document["warnings"][0]["count"] == 1
+    assert document["notes"] == ["stamps are broken"]
+
+
+def test_no_usable_scan_is_one_line_with_the_reasons() -> None:
+    log = ListLog(room_drive(4, blind=True))
+    log.skips.add("cut-off line", 17)
+    with pytest.raises(SlamFusionError) as caught:
+        run_producer(DeadReckoning(), log, log=log)
+    message = str(caught.value)
+    for part in (
+        "drive.log",
+        "none of 4 scans",
+        "4 x nothing seen (scan 1, 2, 3, 4)",
+        "1 x cut-off line (line 17)",
+    ):
+        assert part in message
+    assert "\n" not in message
+
+
+def test_no_scan_at_all_is_the_same_error() -> None:
+    with pytest.raises(SlamFusionError, match="none of 0 scans"):
+        run_producer(DeadReckoning(), [])
+
+
+def test_scans_without_odometry_have_no_odometry_path() -> None:
+    scans = [LogScan(item.scan, None, item.line) for item in room_drive(3)]
+    run = run_producer(DeadReckoning(), scans)
+    assert run.odometry is None
+    assert run.to_json()["odometry_path_length_m"] is None
+
+
+def test_a_deadline_stops_and_says_so() -> None:
+    run = run_producer(DeadReckoning(), room_drive(9), deadline_s=0.0)
+    assert run.scans == 1
+    assert not run.is_complete
+    assert any("deadline" in sentence for sentence in run.doubts())
+
+
+def test_what_the_producer_offers_to_be_plotted_is_kept_and_not_in_the_json() -> None:
+    run = run_producer(DeadReckoning(), room_drive(5))
+    (series,) = run.series
+    assert (series.name, series.unit, series.limit) == ("hits", "beams", 100.0)
+    np.testing.assert_array_equal(series.stamps_s, run.trajectory.stamps_s)
+    hits = [item.scan.is_hit().sum() for item in room_drive(5)]
+    np.testing.assert_array_equal(series.values, hits)
+    assert [path.poses[0, 1] for path in run.other_paths] == pytest.approx([1.1, 2.1])
+    assert not {"series", "other_paths"} & run.to_json().keys()
+
+
+def test_a_limit_stops_without_a_doubt() -> None:
+    run = run_producer(DeadReckoning(), room_drive(9), limit=4)
+    assert (run.scans, run.stopped_by, run.doubts()) == (4, "limit", ())
+    assert run.odometry is not None
+    assert len(run.odometry) == 4
+    assert run.to_json()["complete"] is False
+    exact = run_producer(DeadReckoning(), room_drive(4), limit=4)
+    assert exact.is_complete
+
+
+def test_a_resumed_producer_is_fed_only_what_is_new(tmp_path: Path) -> None:
+    first = ResumableReckoning()
+    run_producer(first, room_drive(20), limit=8)
+    first.save_state(tmp_path / "state")
+    run = run_producer(ResumableReckoning.load_state(tmp_path / "state"), room_drive(20))
+    whole = run_producer(ResumableReckoning(), room_drive(20))
+    assert (run.known_scans, len(run.feed_s), run.scans) == (8, 12, 20)
+    assert run.to_json()["known_scans"] == 8
+    np.testing.assert_array_equal(run.grid.cells, whole.grid.cells)
+    np.testing.assert_array_equal(run.trajectory.poses, whole.trajectory.poses)
+    # The raw odometry of what was passed over counts too: the path begins there.
+    assert run.odometry is not None
+    assert whole.odometry is not None
+    np.testing.assert_array_equal(run.odometry.poses, whole.odometry.poses)
+
+
+def test_a_limit_counts_only_what_is_fed_in_this_run() -> None:
+    backend = ResumableReckoning()
+    run_producer(backend, room_drive(20), limit=3)
+    run = run_producer(backend, room_drive(20), limit=4)
+    assert (run.known_scans, len(run.feed_s), run.scans) == (3, 4, 7)
+
+
+def test_a_log_that_is_known_already_is_one_line() -> None:
+    backend = ResumableReckoning()
+    run_producer(backend, room_drive(6))
+    log = ListLog(room_drive(5))
+    with pytest.raises(SlamFusionError) as caught:
+        run_producer(backend, log, log=log)
+    assert str(caught.value) == (
+        "drive.log: dead-reckoning knows every one of the 5 scans: its state goes up to 0.500 s; "
+        "give a log that goes on from there"
+    )
+
+
+def test_a_resumed_producer_without_any_scan_makes_no_map() -> None:
+    backend = ResumableReckoning()
+    run_producer(backend, room_drive(6))
+    with pytest.raises(SlamFusionError, match="none of 0 scans; give"):
+        run_producer(backend, [])
+
+
+def test_many_blind_scans_are_a_doubt() -> None:
+    scans = room_drive(10)
+    blind = room_drive(14, blind=True)[10:]
+    run = run_producer(DeadReckoning(), scans + blind)
+    (sentence,) = run.doubts()
+    assert "4 of 14 scans could not be used" in sentence
+    assert "4 x nothing seen" in sentence
+
+
+@pytest.mark.parametrize(
+    ("low", "in_a_row", "is_doubted"),
+    [
+        (range(0, 100, 20), 1, False),  # 5 %
+        (range(0, 100, 16), 1, True),  # 7 %
+        (range(30, 37), 7, False),
+        (range(30, 38), 8, True),
+    ],
+)
+def test_many_bad_matches_or_many_in_a_row_are_a_doubt(
+    low: range, in_a_row: int, is_doubted: bool
+) -> None:
+    # Long enough that what comes in a row is a small share.
+    count = 100 if in_a_row == 1 else 200
+    backend = DeadReckoning(dict.fromkeys(low, 0.3))
+    run = run_producer(backend, room_drive(count))
+    assert run.low_in_a_row == in_a_row
+    assert bool(run.doubts()) == is_doubted
+    if is_doubted:
+        assert f"{len(low)} of {count} scans" in run.doubts()[0]
+
+
+def test_the_record_does_not_change_when_the_producer_goes_on() -> None:
+    backend = DeadReckoning()
+    run = run_producer(backend, room_drive(2))
+    backend.feed(room_drive(3)[2].scan)
+    assert run.scans == 2
+
+
+def test_the_command_line_offers_every_producer() -> None:
+    assert tuple(PRODUCERS) == NAMES
+
+
+def test_the_command_line_resumes_every_producer_that_can() -> None:
+    able = tuple(name for name, producer in PRODUCERS.items() if producer.resume is not None)
+    assert able == RESUMABLE
+    for name in PRODUCERS:
+        made = make_producer(name, RunConfig(), NumpyBackend())
+        assert isinstance(made, Resumable) == (name in RESUMABLE)
+
+
+def test_a_producer_that_cannot_go_on_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SlamFusionError, match="tinyslam cannot go on from a saved state"):
+        resume_producer("tinyslam", tmp_path / "state", RunConfig(), NumpyBackend())
+
+
+def test_an_unknown_producer_is_named() -> None:
+    with pytest.raises(SlamFusionError, match=r"'hector'.*tinyslam"):
+        make_producer("hector", RunConfig(), NumpyBackend())
+
+
+def test_tinyslam_makes_a_map_of_the_room() -> None:
+    run = run_producer(make_producer("tinyslam", RunConfig(), NumpyBackend()), room_drive(6))
+    assert run.scans_used == 6
+    truth = np.array([0.05 * 5 - 0.5, 0.1, 0.1])
+    np.testing.assert_allclose(run.trajectory.poses[-1], truth, atol=0.1)
+    # The room is 6 m wide; each wall is a cell or two.
+    assert run.grid.width * run.grid.resolution == pytest.approx(6.0, abs=0.3)

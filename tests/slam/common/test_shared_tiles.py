@@ -1,0 +1,290 @@
+"""Maps that share tiles hold what full copies hold, cell for cell, and copy as little as can be."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, open_backend
+from slamfusion.compute.slam_reference import TILE
+from slamfusion.slam.common.shared_tiles import GROWTH, SharedTileMaps
+from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN
+
+POOLS = {"counts": np.uint32, "field": np.uint8}
+MAPS = 4
+# The full copies hold so many pages on either side of the anchor.
+HALF_PAGES = 5
+SIDE = 2 * HALF_PAGES * TILE
+
+
+class CountingBackend:
+    """A real backend, and how often each of its operations was asked for."""
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self.calls: Counter[str] = Counter()
+        self.tiles_copied = 0
+
+    def __getattr__(self, name: str) -> Any:
+        self.calls[name] += 1
+        return getattr(self._backend, name)
+
+    def copy_tiles(self, pools: tuple[Any, ...], pairs: npt.NDArray[np.int32]) -> None:
+        self.calls["copy_tiles"] += 1
+        self.tiles_copied += len(pairs)
+        self._backend.copy_tiles(pools, pairs)
+
+
+@pytest.fixture(scope="module", params=["numpy", "auto"])
+def backend(request: pytest.FixtureRequest) -> Backend:
+    return open_backend(request.param)
+
+
+class Full:
+    """N maps, each with arrays of its own; the tiles of page (0, 0) begin at the anchor."""
+
+    def __init__(self, count: int = MAPS) -> None:
+        self.cells = {name: np.zeros((count, SIDE, SIDE), kind) for name, kind in POOLS.items()}
+
+    def take_over(self, parents: npt.NDArray[np.int64]) -> None:
+        self.cells = {name: cells[parents].copy() for name, cells in self.cells.items()}
+
+
+class Pair:
+    """Shared maps and full copies that get the same orders."""
+
+    def __init__(self, backend: Backend, count: int = MAPS) -> None:
+        self.backend = CountingBackend(backend)
+        self.shared = SharedTileMaps(self.backend, count, POOLS)  # type: ignore[arg-type]
+        self.full = Full(count)
+
+    def cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
+        """Make room for a box of pages, counted from the anchor."""
+        self.shared.cover(np.array(low) * float(TILE), (np.array(high) + 1.0) * TILE - 1.0)
+
+    def write(self, pages: list[tuple[int, int, int]], rng: np.random.Generator) -> None:
+        """Write one random cell on each of some pages: map, column and row from the anchor."""
+        shared = self.shared
+        places = [
+            (index, row - int(shared.corner[1]), col - int(shared.corner[0]))
+            for index, col, row in pages
+        ]
+        written = np.zeros(shared.pages.shape, dtype=np.bool_)
+        for place in places:
+            written[place] = True
+        shared.make_writable(written)
+        cells = rng.integers(0, TILE, (len(pages), 2))
+        values = rng.integers(1, 256, len(pages))
+        for name in POOLS:
+            pool = self.backend.download(shared.pools[name]).copy()
+            for (index, col, row), place, (up, right), value in zip(
+                pages, places, cells, values, strict=True
+            ):
+                tile = shared.pages[place]
+                pool[tile, up, right] = value.astype(pool.dtype)
+                at = ((row + HALF_PAGES) * TILE + up, (col + HALF_PAGES) * TILE + right)
+                self.full.cells[name][(index, *at)] = value.astype(pool.dtype)
+            shared.pools[name] = self.backend.upload(pool)
+
+    def take_over(self, parents: list[int]) -> None:
+        chosen = np.array(parents)
+        self.shared.take_over(chosen)
+        self.full.take_over(chosen)
+
+    def check(self) -> None:
+        """Every map equals its full copy, and the books are right."""
+        shared = self.shared
+        for name in POOLS:
+            for index, wanted in enumerate(self.full.cells[name]):
+                found = np.zeros_like(wanted)
+                values, (col, row) = shared.cells(name, index)
+                rows, cols = np.nonzero(values)
+                at = rows + int(row) + HALF_PAGES * TILE, cols + int(col) + HALF_PAGES * TILE
+                found[at] = values[rows, cols]
+                np.testing.assert_array_equal(found, wanted)
+            assert not self.backend.download(shared.pools[name])[0].any()
+        users = np.bincount(shared.pages.ravel(), minlength=len(shared._users))
+        np.testing.assert_array_equal(shared._users[1:], users[1:])
+        assert shared._users[0] == 0
+        assert shared.tiles_owned == (users[1:] == 1).sum()
+        assert shared.tiles_shared == (users[1:] > 1).sum()
+        np.testing.assert_array_equal(self.backend.download(shared.page_tables), shared.pages)
+        for index, pages in enumerate(shared.pages):
+            np.testing.assert_array_equal(self.backend.download(shared.page_table(index)), pages)
+
+
+# Pages that a program may write to, so that the window's margin stays inside the full copies.
+inner = st.integers(-HALF_PAGES + MARGIN, HALF_PAGES - 1 - MARGIN)
+maps = st.integers(0, MAPS - 1)
+steps = st.one_of(
+    st.tuples(st.just("cover"), st.tuples(inner, inner), st.tuples(inner, inner)),
+    st.tuples(
+        st.just("write"),
+        st.lists(st.tuples(maps, inner, inner), min_size=1, max_size=12, unique=True),
+    ),
+    st.tuples(st.just("take over"), st.lists(maps, min_size=MAPS, max_size=MAPS)),
+)
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(program=st.lists(steps, max_size=10), seed=st.integers(0, 2**32 - 1))
+def test_any_program_leaves_what_full_copies_hold(
+    backend: Backend, program: list[tuple[Any, ...]], seed: int
+):
+    pair, rng = Pair(backend), np.random.default_rng(seed)
+    for order, *what in program:
+        if order == "cover":
+            first, second = what
+            low, high = zip(
+                *(sorted(axis) for axis in zip(first, second, strict=True)), strict=True
+            )
+            pair.cover(low, high)
+        elif order == "write":
+            columns, rows = ([page[axis] for page in what[0]] for axis in (1, 2))
+            pair.cover((min(columns), min(rows)), (max(columns), max(rows)))
+            pair.write(what[0], rng)
+        else:
+            pair.take_over(what[0])
+        pair.check()
+
+
+def random_pages(rng: np.random.Generator, count: int) -> list[tuple[int, int, int]]:
+    low, high = -HALF_PAGES + MARGIN, HALF_PAGES - MARGIN
+    drawn = np.column_stack((rng.integers(0, MAPS, count), rng.integers(low, high, (count, 2))))
+    return [tuple(row) for row in np.unique(drawn, axis=0).tolist()]
+
+
+def test_a_long_life_of_writing_and_taking_over(backend: Backend):
+    """As a filter lives; the pool grows beyond its first size, and later no more."""
+    pair, rng = Pair(backend), np.random.default_rng(5)
+    pair.cover((-3, -3), (2, 2))
+    pages = (2 * (HALF_PAGES - MARGIN)) ** 2
+    for step in range(60):
+        pair.write(random_pages(rng, 40), rng)
+        if step % 3 == 2:
+            pair.take_over(sorted(rng.integers(0, MAPS, MAPS).tolist()))
+        if step % 10 == 9:
+            pair.check()
+    # No more tiles than all pages of all maps, and what one last growth may have been too much.
+    assert FIRST_TILES < len(pair.shared._users) <= GROWTH * (1 + MAPS * pages)
+    assert len(pair.backend.download(pair.shared.pools["field"])) == len(pair.shared._users)
+
+
+def test_freed_tiles_are_used_again(backend: Backend):
+    """All maps write everywhere, then follow one of them: the others' tiles are free again."""
+    pair, rng = Pair(backend), np.random.default_rng(0)
+    pair.cover((-2, -2), (1, 1))
+    everywhere = [(i, x, y) for i in range(MAPS) for x in range(-2, 2) for y in range(-2, 2)]
+    pair.write(everywhere, rng)
+    size = len(pair.shared._users)
+    for parent in (0, 3, 1, 2, 0, 2):
+        pair.take_over([parent] * MAPS)
+        assert (pair.shared.tiles_owned, pair.shared.tiles_shared) == (0, 16)
+        pair.write(everywhere, rng)
+        assert (pair.shared.tiles_owned, pair.shared.tiles_shared) == (16 * MAPS, 0)
+        assert len(pair.shared._users) == size
+    pair.check()
+
+
+def test_a_reused_tile_of_a_new_page_begins_empty(backend: Backend):
+    pair, rng = Pair(backend, 2), np.random.default_rng(1)
+    pair.cover((-2, -2), (1, 1))
+    pair.write([(1, -2, -2), (1, 0, 0)], rng)
+    freed = set(pair.shared.pages[1][pair.shared.pages[1] > 0].tolist())
+    pair.take_over([0, 0])
+    pair.write([(0, 1, 1), (1, -1, 0)], rng)
+    assert {tile for tile in pair.shared.pages.ravel().tolist() if tile} == freed
+    pair.check()
+
+
+def test_taking_over_copies_no_cell(backend: Backend):
+    pair, rng = Pair(backend), np.random.default_rng(2)
+    pair.cover((-2, -2), (1, 1))
+    pair.write([(i, x, 0) for i in range(MAPS) for x in range(-2, 2)], rng)
+    pair.backend.calls.clear()
+    pair.backend.tiles_copied = 0
+    for parents in ([0, 0, 2, 3], [2, 2, 2, 2], [3, 2, 1, 0]):
+        pair.take_over(parents)
+    # The page tables are sent, and nothing else happens.
+    assert pair.backend.calls == {"upload": 3}
+    pair.check()
+
+
+def test_a_write_copies_only_what_others_use(backend: Backend):
+    pair, rng = Pair(backend), np.random.default_rng(3)
+    pair.cover((-2, -2), (1, 1))
+    pair.write([(0, 0, 0), (0, 1, 0)], rng)
+
+    def copied(pages: list[tuple[int, int, int]]) -> int:
+        pair.backend.tiles_copied = 0
+        pair.write(pages, rng)
+        pair.check()
+        return pair.backend.tiles_copied
+
+    assert copied([(0, 0, 0), (0, 1, 0)]) == 0  # its own
+    pair.take_over([0, 0, 0, 0])
+    assert copied([(1, 0, 0)]) == 1
+    assert copied([(1, 0, 0)]) == 0
+    # Of the three that still share a tile, and all write, one keeps it.
+    assert copied([(0, 0, 0), (2, 0, 0), (3, 0, 0)]) == 2
+    # Of four that share, three write: the fourth keeps it.
+    assert copied([(0, 1, 0), (2, 1, 0), (3, 1, 0)]) == 3
+    assert pair.shared.tiles_shared == 0
+    assert copied([(1, 1, 0)]) == 0
+
+
+def test_nothing_written_changes_nothing(backend: Backend):
+    pair = Pair(backend)
+    before = dict(pair.backend.calls)
+    pair.shared.make_writable(np.zeros(pair.shared.pages.shape, dtype=np.bool_))
+    assert dict(pair.backend.calls) == before
+    assert pair.shared.cells("counts", 2)[0].max() == 0
+    pair.check()
+
+
+def test_page_tables_of_some_maps(backend: Backend):
+    pair, rng = Pair(backend), np.random.default_rng(4)
+    pair.write([(i, 0, 0) for i in range(MAPS)], rng)
+    for chosen in ([2], [0, 3], [1, 2, 3], list(range(MAPS))):
+        found = pair.backend.download(pair.shared.page_tables_of(np.array(chosen)))
+        np.testing.assert_array_equal(found, pair.shared.pages[chosen])
+
+
+def test_saved_and_restored_maps_go_on_alike(backend: Backend):
+    """The same cells, and the same choice of free tiles ever after."""
+    pair, rng = Pair(backend), np.random.default_rng(6)
+    pair.cover((-3, -3), (2, 2))
+    for _ in range(6):
+        pair.write(random_pages(rng, 60), rng)
+        pair.take_over(rng.integers(0, MAPS, MAPS).tolist())
+    arrays = {name: array.copy() for name, array in pair.shared.to_arrays().items()}
+    again = Pair(backend)
+    again.shared.restore(arrays)
+    again.full.cells = {name: cells.copy() for name, cells in pair.full.cells.items()}
+    again.check()
+    assert again.shared.memory_bytes == pair.shared.memory_bytes
+    for step in range(6):
+        for other in (pair, again):
+            drawn = np.random.default_rng(step)
+            other.write(random_pages(drawn, 40), drawn)
+            other.take_over(drawn.integers(0, MAPS, MAPS).tolist())
+            other.check()
+        np.testing.assert_array_equal(again.shared.pages, pair.shared.pages)
+        np.testing.assert_array_equal(again.shared._users, pair.shared._users)
+
+
+def test_memory_counts_pools_and_page_tables(backend: Backend):
+    pair, rng = Pair(backend), np.random.default_rng(7)
+    pair.cover((-2, -2), (1, 1))
+    for _ in range(3):
+        pair.write(random_pages(rng, 200), rng)
+    held = sum(pair.backend.download(pool).nbytes for pool in pair.shared.pools.values())
+    assert pair.shared.memory_bytes == held + 2 * pair.shared.pages.nbytes

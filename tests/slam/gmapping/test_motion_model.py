@@ -1,0 +1,235 @@
+"""Steps are drawn as the models' formulas say: how wide, and where to."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.config import GmappingConfig
+from slamfusion.geometry import Pose2, wrap_angles
+from slamfusion.slam.gmapping.motion_model import (
+    LEAST_SIGMAS,
+    MOST_STEERING_RAD,
+    BicycleModel,
+    DifferentialModel,
+    make_motion_model,
+)
+
+F64 = npt.NDArray[np.float64]
+
+DRAWS = 20_000
+# Standard errors that means and deviations of so many draws may be off; the seeds are fixed.
+FAR = 4.5
+
+
+def draws(model: DifferentialModel | BicycleModel, step: Pose2, seed: int = 0) -> F64:
+    found = model.draw(step, DRAWS, np.random.default_rng(seed))
+    assert found.shape == (DRAWS, 3)
+    return np.asarray(found)
+
+
+def arc(way: float, turn: float) -> Pose2:
+    """Return the step along an arc, metres and radians."""
+    if abs(turn) < 1e-12:
+        return Pose2(way, 0.0, 0.0)
+    radius = way / turn
+    return Pose2(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
+
+
+# -- differential ----------------------------------------------------------------------------------
+
+SRR, SRT, STR, STT = 0.11, 0.23, 0.13, 0.29
+STEPS = [
+    Pose2(1.0, 0.0, 0.0),
+    Pose2(0.0, 0.0, 0.7),
+    Pose2(0.0, 0.0, -0.7),
+    Pose2(0.3, -0.4, 0.2),
+    Pose2(-0.6, 0.1, -0.3),
+]
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_differential_errors_grow_with_way_and_turn(step: Pose2):
+    """Across srr s + str |a|, in the heading srt s + stt |a|, around the step itself."""
+    model = DifferentialModel(SRR, SRT, STR, STT)
+    way, turn = math.hypot(step.x, step.y), abs(step.yaw_rad)
+    across, around = SRR * way + STR * turn, SRT * way + STT * turn
+    wanted = np.array([across, across, around])
+    found = draws(model, step)
+    off = np.abs(found.mean(axis=0) - (step.x, step.y, step.yaw_rad))
+    assert (off < FAR * wanted / math.sqrt(DRAWS)).all()
+    np.testing.assert_allclose(found.std(axis=0), wanted, rtol=FAR / math.sqrt(2 * DRAWS))
+    correlations = np.corrcoef(found.T) - np.eye(3)
+    assert np.abs(correlations).max() < FAR / math.sqrt(DRAWS)
+    np.testing.assert_allclose(model.sigmas(step), wanted)
+
+
+def test_each_parameter_has_its_own_effect():
+    along, around = Pose2(2.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.5)
+    for place, (step, wanted) in enumerate(
+        [
+            (along, (0.2, 0.2, 0)),
+            (along, (0, 0, 0.2)),
+            (around, (0.05, 0.05, 0)),
+            (around, (0, 0, 0.05)),
+        ]
+    ):
+        model = DifferentialModel(*(0.1 * np.eye(4)[place]))
+        np.testing.assert_allclose(model.sigmas(step), np.maximum(wanted, LEAST_SIGMAS))
+        found = draws(model, step).std(axis=0)
+        np.testing.assert_allclose(found, wanted, rtol=0.03, atol=1e-12)
+
+
+# -- bicycle ---------------------------------------------------------------------------------------
+
+BASE = 0.4
+ARCS = [(1.0, 0.0), (0.8, 0.5), (0.8, -0.5), (2.0, 1.5), (-0.7, 0.4), (-0.7, 0.0), (0.3, 1e-10)]
+
+
+@pytest.mark.parametrize(("way", "turn"), ARCS)
+def test_a_bicycle_does_not_slip_sideways(way: float, turn: float):
+    """Every drawn step lies on an arc that begins along the robot: y = x tan(turn / 2)."""
+    found = draws(BicycleModel(0.1, 0.2, BASE), arc(way, turn))
+    half = 0.5 * found[:, 2]
+    aside = -np.sin(half) * found[:, 0] + np.cos(half) * found[:, 1]
+    assert np.abs(aside).max() < 1e-9
+    assert np.ptp(found[:, 2]) > 0.1 * abs(way)
+
+
+@pytest.mark.parametrize(("way", "turn"), ARCS)
+def test_way_and_steering_err_as_asked(way: float, turn: float):
+    """The way by srr a metre, the steering angle atan(L turn / way) by its own deviation."""
+    srr, steering_sigma = 0.05, 0.03
+    found = draws(BicycleModel(srr, steering_sigma, BASE), arc(way, turn))
+    half = 0.5 * found[:, 2]
+    chords = np.cos(half) * found[:, 0] + np.sin(half) * found[:, 1]  # negative backwards
+    ways = chords / np.sinc(half / math.pi)
+    angles = np.arctan(BASE * found[:, 2] / ways)
+    for values, wanted, sigma in (
+        (ways, way, srr * abs(way)),
+        (angles, math.atan(BASE * turn / way), steering_sigma),
+    ):
+        assert abs(values.mean() - wanted) < FAR * sigma / math.sqrt(DRAWS)
+        assert values.std() == pytest.approx(sigma, rel=FAR / math.sqrt(2 * DRAWS))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    speed=st.floats(0.02, 3.0),
+    backwards=st.booleans(),
+    turn_rate=st.floats(-2.0, 2.0),
+    seconds=st.floats(0.05, 1.0),
+)
+def test_controls_of_a_twist(speed: float, backwards: bool, turn_rate: float, seconds: float):
+    """A robot that goes with v and turns with w has steered by atan(L w / v)."""
+    speed = -speed if backwards else speed
+    model = BicycleModel(0.1, 0.05, BASE)
+    way, steering = model._controls(arc(speed * seconds, turn_rate * seconds))
+    assert way == pytest.approx(speed * seconds, rel=1e-6)
+    wanted = math.atan(BASE * turn_rate / speed)
+    assert steering == pytest.approx(
+        max(-MOST_STEERING_RAD, min(MOST_STEERING_RAD, wanted)), rel=1e-5, abs=1e-7
+    )
+
+
+def test_backward_steps_stay_backward():
+    for turn in (0.0, 0.4, -0.4):
+        found = draws(BicycleModel(0.05, 0.05, BASE), arc(-0.5, turn))
+        assert (found[:, 0] < 0.0).all()
+        assert abs(wrap_angles(found[:, 2].mean() - turn)) < 0.01
+
+
+@pytest.mark.parametrize("step", [Pose2(), Pose2(0.0, 0.0, 0.3), Pose2(1e-9, -1e-9, 1e-4)])
+def test_a_bicycle_that_stands_stays(step: Pose2):
+    """Without a way there is no error: what the step says, to the last bits."""
+    model = BicycleModel(0.1, 0.2, BASE)
+    found = model.draw(step, 50, np.random.default_rng(0))
+    np.testing.assert_allclose(found, [[step.x, step.y, step.yaw_rad]] * 50, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(model.sigmas(step), LEAST_SIGMAS)
+
+
+def test_a_differential_robot_that_stands_stays():
+    model = DifferentialModel(SRR, SRT, STR, STT)
+    assert not model.draw(Pose2(), 50, np.random.default_rng(0)).any()
+    np.testing.assert_array_equal(model.sigmas(Pose2()), LEAST_SIGMAS)
+
+
+def test_without_errors_a_step_is_itself():
+    """Also one that is no arc: around two corners, or sideways."""
+    for step in (*STEPS, Pose2(0.0, 0.5, 0.0), Pose2(0.2, 0.3, -3.1), arc(1.0, 6.0)):
+        for model in (BicycleModel(0.0, 0.0, BASE), DifferentialModel(0.0, 0.0, 0.0, 0.0)):
+            found = model.draw(step, 3, np.random.default_rng(0))
+            found[:, 2] = wrap_angles(found[:, 2] - step.yaw_rad)
+            np.testing.assert_allclose(found, [[step.x, step.y, 0.0]] * 3, rtol=0, atol=1e-12)
+            np.testing.assert_array_equal(model.sigmas(step), LEAST_SIGMAS)
+
+
+def test_a_step_that_is_no_arc_errs_like_the_arc_nearest_to_it():
+    """A robot that has gone around a pillar: errors of the arc's end, put behind the step."""
+    model = BicycleModel(0.1, 0.05, BASE)
+    step = Pose2(0.8, 0.4, -0.3)
+    chord, half = math.hypot(step.x, step.y), 0.5 * step.yaw_rad
+    nearest = arc(chord * half / math.sin(half), step.yaw_rad)
+    behind = [
+        given.inverse().compose(Pose2(*row))
+        for given, found in (
+            (step, draws(model, step)[:200]),
+            (nearest, draws(model, nearest)[:200]),
+        )
+        for row in found
+    ]
+    rows = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in behind])
+    np.testing.assert_allclose(rows[:200], rows[200:], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("way", "turn"), [(1.0, 0.0), (0.8, 0.3), (-0.8, 0.3), (0.5, -0.6)])
+def test_a_bicycle_s_sigmas_are_those_of_its_draws(way: float, turn: float):
+    """The heading's to a tenth; those of x and y both hold the whole of the place's error."""
+    model, step = BicycleModel(0.05, 0.03, BASE), arc(way, turn)
+    found = draws(model, step)
+    spread = found.std(axis=0)
+    place, same, heading = model.sigmas(step)
+    assert place == same
+    # The way errs too, and with it the turn.
+    along_turn = abs(turn) * 0.05
+    assert heading == pytest.approx(math.sqrt(spread[2] ** 2 - along_turn**2), rel=0.1)
+    assert place == pytest.approx(math.hypot(*spread[:2]), rel=0.15)
+
+
+def test_a_steering_beyond_its_stop_is_at_its_stop():
+    """A turn on the spot is beyond a bicycle: it is drawn as asked, with errors that are finite."""
+    step = Pose2(0.001, 0.0, 1.0)
+    model = BicycleModel(0.1, 0.2, BASE)
+    way, steering = model._controls(step)
+    assert way == pytest.approx(0.001, rel=0.1)
+    assert steering == MOST_STEERING_RAD
+    found = draws(model, step)
+    assert np.isfinite(found).all()
+    assert np.isfinite(model.sigmas(step)).all()
+    most = 1.5 * abs(way) * math.tan(MOST_STEERING_RAD) / BASE
+    assert np.abs(wrap_angles(found[:, 2] - 1.0)).max() < 2.0 * most
+
+
+def test_the_configuration_chooses_the_model():
+    config = GmappingConfig(srr=SRR, srt=SRT, str=STR, stt=STT).chosen()
+    step = Pose2(0.5, 0.1, 0.2)
+    wanted = DifferentialModel(SRR, SRT, STR, STT)
+    np.testing.assert_array_equal(make_motion_model(config).sigmas(step), wanted.sigmas(step))
+    for steering, base in ((0.1, 0.3), (0.3, 2.0)):
+        bicycle = GmappingConfig(
+            motion_model="bicycle", srr=SRR, steering_sigma=steering, wheel_base=base
+        ).chosen()
+        found = make_motion_model(bicycle).draw(step, 5, np.random.default_rng(1))
+        drawn = BicycleModel(SRR, steering, base).draw(step, 5, np.random.default_rng(1))
+        np.testing.assert_array_equal(found, drawn)
+
+
+def test_equal_generators_draw_equal_steps():
+    for model in (DifferentialModel(SRR, SRT, STR, STT), BicycleModel(0.1, 0.05, BASE)):
+        first, again = (model.draw(STEPS[3], 9, np.random.default_rng(4)) for _ in range(2))
+        assert first.tobytes() == again.tobytes()

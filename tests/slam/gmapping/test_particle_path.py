@@ -1,0 +1,218 @@
+"""Paths go back through the particles' parents, and tell how sure the filter is of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.slam.gmapping.particle_path import LEAST_SIGMAS, ParticlePaths
+
+F64 = npt.NDArray[np.float64]
+
+LEAST_ENTROPY = 1.5 * math.log(math.tau * math.e) + sum(math.log(s) for s in LEAST_SIGMAS)
+
+
+def column(*x: float) -> F64:
+    """Poses that differ in x alone."""
+    return np.array([(value, 0.0, 0.0) for value in x])
+
+
+def drawn_tree() -> ParticlePaths:
+    """Three particles, two resamplings; every node's scan, and one between the last two.
+
+    ======  ==========  =======
+    node    poses' x    parents
+    ======  ==========  =======
+    0       0  1  2     --
+    1       10 11 12    2 0 0
+    2       20 21 22    none
+    3       30 31 32    1 1 0
+    ======  ==========  =======
+    """
+    paths = ParticlePaths(3)
+    for number, parents in enumerate(([0, 1, 2], [2, 0, 0], None, [1, 1, 0])):
+        chosen = None if parents is None else np.array(parents)
+        paths.add_node(column(*(10.0 * number + np.arange(3))), chosen)
+        paths.add_scan(float(number), Pose2())
+        if number == 2:
+            paths.add_scan(2.5, Pose2(0.5, 0.25, 0.125))
+    return paths
+
+
+@pytest.mark.parametrize(
+    ("index", "x"),
+    [
+        (0, [0.0, 11.0, 21.0, 21.5, 30.0]),  # 3 <- 1 in node 2, 1 in node 1, 0 in node 0
+        (1, [0.0, 11.0, 21.0, 21.5, 31.0]),
+        (2, [2.0, 10.0, 20.0, 20.5, 32.0]),
+    ],
+)
+def test_a_path_goes_back_through_its_parents(index: int, x: list[float]):
+    path = drawn_tree().path(index, "mine")
+    assert path.name == "mine"
+    assert path.stamps_s.tolist() == [0.0, 1.0, 2.0, 2.5, 3.0]
+    assert path.poses[:, 0].tolist() == x
+    assert path.poses[:, 1].tolist() == [0.0, 0.0, 0.0, 0.25, 0.0]
+    assert path.poses[:, 2].tolist() == [0.0, 0.0, 0.0, 0.125, 0.0]
+
+
+def test_scans_between_nodes_are_counted_in_the_frame_of_their_node():
+    paths = ParticlePaths(2)
+    paths.add_node(np.array([(1.0, 2.0, 0.5 * math.pi), (5.0, 5.0, 0.0)]), None)
+    paths.add_scan(0.0, Pose2())
+    paths.add_scan(0.5, Pose2(1.0, 0.0, 0.1))
+    paths.add_scan(1.0, Pose2(2.0, 0.0, 3.0))
+    np.testing.assert_allclose(
+        paths.path(0, "").poses,
+        [
+            (1.0, 2.0, 0.5 * math.pi),
+            (1.0, 3.0, 0.5 * math.pi + 0.1),
+            (1.0, 4.0, wrap_angle(0.5 * math.pi + 3.0)),
+        ],
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        paths.path(1, "").poses, [(5.0, 5.0, 0.0), (6.0, 5.0, 0.1), (7.0, 5.0, 3.0)], atol=1e-12
+    )
+
+
+def test_scans_before_the_first_node_are_counted_from_the_frame_s_origin():
+    paths = ParticlePaths(2)
+    paths.add_scan(0.0, Pose2(3.0, 1.0, 0.5))
+    before = paths.path(1, "").poses
+    np.testing.assert_allclose(before, [(3.0, 1.0, 0.5)])
+    paths.add_node(np.array([(4.0, 1.0, 0.5)] * 2), None)
+    paths.add_scan(1.0, Pose2())
+    np.testing.assert_allclose(paths.path(1, "").poses, [(3.0, 1.0, 0.5), (4.0, 1.0, 0.5)])
+
+
+def test_a_path_without_a_scan_is_empty():
+    assert len(ParticlePaths(3).path(2, "empty")) == 0
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6), nodes=st.integers(1, 8))
+def test_every_path_is_what_a_full_copy_at_each_resampling_would_hold(
+    seed: int, count: int, nodes: int
+):
+    rng = np.random.default_rng(seed)
+    paths = ParticlePaths(count)
+    full: list[list[F64]] = [[] for _ in range(count)]
+    stamp = 0.0
+    for _ in range(nodes):
+        parents = None if rng.random() < 0.5 else rng.integers(0, count, count)
+        poses = rng.uniform(-1.0, 1.0, (count, 3))
+        full = [list(full[parent]) for parent in (range(count) if parents is None else parents)]
+        paths.add_node(poses, parents)
+        motions = [Pose2(), *(Pose2(*rng.uniform(-0.1, 0.1, 3)) for _ in range(rng.integers(3)))]
+        for moved in motions:
+            paths.add_scan(stamp, moved)
+            stamp += 0.1
+            for index in range(count):
+                pose = Pose2(*poses[index]).compose(moved)
+                full[index].append(np.array([pose.x, pose.y, pose.yaw_rad]))
+    for index in range(count):
+        np.testing.assert_allclose(paths.path(index, "").poses, full[index], atol=1e-12)
+
+
+def test_saved_and_restored_paths_are_the_same_and_go_on():
+    paths, again = drawn_tree(), ParticlePaths(3)
+    again.restore(paths.to_arrays())
+    for part in (paths, again):
+        part.add_node(column(40.0, 41.0, 42.0), np.array([2, 0, 1]))
+        part.add_scan(4.0, Pose2(0.1, 0.0, 0.0))
+    for index in range(3):
+        first, other = paths.path(index, "a"), again.path(index, "a")
+        assert first.poses.tobytes() == other.poses.tobytes()
+        assert first.stamps_s.tobytes() == other.stamps_s.tobytes()
+    assert again.entropy() == paths.entropy()
+    assert again.memory_bytes == paths.memory_bytes > drawn_tree().memory_bytes
+
+
+def test_empty_paths_are_saved_too():
+    again = ParticlePaths(3)
+    again.restore(ParticlePaths(3).to_arrays())
+    again.add_node(column(1.0, 2.0, 3.0), None)
+    again.add_scan(0.0, Pose2())
+    assert again.path(2, "").poses.tolist() == [[3.0, 0.0, 0.0]]
+
+
+# -- entropy ---------------------------------------------------------------------------------------
+
+
+def entropy_of(poses: F64) -> float:
+    paths = ParticlePaths(len(poses))
+    paths.add_node(poses, None)
+    entropy = paths.entropy()
+    assert entropy is not None
+    return entropy
+
+
+def cloud(sigmas: tuple[float, float, float], centre: F64, count: int = 2000) -> F64:
+    draws = np.random.default_rng(8).standard_normal((count, 3))
+    return np.asarray(centre + draws * sigmas)
+
+
+def test_entropy_is_that_of_a_gaussian():
+    """0.5 ln((2 pi e)^3 det); the sample's covariance is known, so no tolerance for chance."""
+    poses = cloud((0.3, 0.2, 0.1), np.zeros(3))
+    covariance = np.cov(poses.T, bias=True) + np.diag(np.square(LEAST_SIGMAS))
+    wanted = 0.5 * math.log((math.tau * math.e) ** 3 * np.linalg.det(covariance))
+    assert entropy_of(poses) == pytest.approx(wanted, abs=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    axis=st.integers(0, 2),
+    factor=st.floats(1.1, 5.0),
+    centre=st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-4.0, 4.0)),
+)
+def test_entropy_grows_with_the_spread_wherever_it_is(
+    axis: int, factor: float, centre: tuple[float, float, float]
+):
+    narrow = [0.05, 0.04, 0.03]
+    wide = list(narrow)
+    wide[axis] *= factor
+    at = np.array(centre)
+    grown = entropy_of(cloud(tuple(wide), at)) - entropy_of(cloud(tuple(narrow), at))
+    assert grown == pytest.approx(math.log(factor), abs=0.01)
+
+
+def test_entropy_is_finite_when_all_poses_are_equal():
+    for centre in ((0.0, 0.0, 0.0), (5e5, -3e5, 3.0)):
+        for count in (1, 2, 30):
+            same = np.tile(np.array(centre), (count, 1))
+            assert entropy_of(same) == pytest.approx(LEAST_ENTROPY)
+
+
+@pytest.mark.parametrize("turn", [math.pi, -math.pi, 0.5 * math.pi])
+def test_headings_across_pi_are_as_near_as_anywhere(turn: float):
+    poses = cloud((0.05, 0.05, 0.2), np.zeros(3))
+    wanted = entropy_of(poses)
+    turned = poses + np.array([0.0, 0.0, turn])
+    turned[:, 2] = (turned[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    assert entropy_of(turned) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_entropy_is_the_mean_over_the_nodes():
+    paths = ParticlePaths(3)
+    assert paths.entropy() is None
+    clouds = [column(0.0, 0.1, 0.2), column(1.0, 2.0, 4.0), column(5.0, 5.0, 5.0)]
+    for number, poses in enumerate(clouds):
+        paths.add_node(poses, None if number else np.array([2, 2, 0]))
+    assert paths.entropy() == pytest.approx(np.mean([entropy_of(poses) for poses in clouds]))
+
+
+def test_later_changes_of_the_poses_do_not_change_the_path():
+    poses = column(1.0, 2.0)
+    paths = ParticlePaths(2)
+    paths.add_node(poses, None)
+    paths.add_scan(0.0, Pose2())
+    poses += 5.0
+    assert paths.path(1, "").poses.tolist() == [[2.0, 0.0, 0.0]]

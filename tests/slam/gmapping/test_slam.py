@@ -1,0 +1,1086 @@
+"""gmapping: it knows where it is, each particle's map follows from its path, and it can go on."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.compute.hit_map_reference import FULL_HITS, FULL_VISITS, MOST_BEAMS, full_field
+from slamfusion.config import GmappingConfig
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io.log import LogScan
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
+from slamfusion.slam.common.shared_tiles import SharedTileMaps
+from slamfusion.slam.gmapping import particle_maps
+from slamfusion.slam.gmapping.beams import beams_of
+from slamfusion.slam.gmapping.slam import STATE_FORMAT, Gmapping
+from tests.slam.drives import (
+    CELL_M,
+    ONE_JUMP,
+    draw_flat,
+    drive,
+    jumped,
+    scan_at,
+    scans_at,
+    stalled,
+    true_poses,
+)
+
+pytestmark = pytest.mark.once
+
+PUBLISHED: dict[str, Any] = {
+    "particles": 30,
+    "delta": 0.05,
+    "sigma": 0.05,
+    "kernelSize": 1,
+    "lstep": 0.05,
+    "astep": 0.05,
+    "iterations": 5,
+    "lsigma": 0.075,
+    "ogain": 3.0,
+    "lskip": 0,
+    "minimumScore": 0.0,
+    "srr": 0.1,
+    "srt": 0.2,
+    "str": 0.1,
+    "stt": 0.2,
+    "linearUpdate": 1.0,
+    "angularUpdate": 0.5,
+    "temporalUpdate": -1.0,
+    "resampleThreshold": 0.5,
+    "llsamplerange": 0.01,
+    "llsamplestep": 0.01,
+    "lasamplerange": 0.005,
+    "lasamplestep": 0.005,
+    "occ_thresh": 0.25,
+    "map_update_interval": 5.0,
+}
+# What the tests run, whatever our own defaults are: few particles, and often a step.
+SETTINGS: dict[str, Any] = {
+    **PUBLISHED,
+    "particles": 6,
+    "linearUpdate": 0.4,
+    "angularUpdate": 0.25,
+    "match_every_scan": True,
+    "climb_loss": 0.005,
+}
+# Resampled at every step at which the weights are not quite equal, and they are not evened out.
+OFTEN: dict[str, Any] = {"resampleThreshold": 1.0, "linearUpdate": 0.15, "ogain": 0.2}
+BLIND = "no reading within the usable range"
+
+
+@pytest.fixture(scope="module")
+def backend() -> Backend:
+    return open_backend()
+
+
+def config(**settings: Any) -> GmappingConfig:
+    return GmappingConfig(**{**SETTINGS, **settings})
+
+
+def feed(slam: Gmapping, scans: list[LogScan]) -> Gmapping:
+    for item in scans:
+        slam.feed(item.scan, item.odometry)
+    return slam
+
+
+def run(backend: Backend, scans: list[LogScan], seed: int = 0, **settings: Any) -> Gmapping:
+    return feed(Gmapping(config(**settings), backend, seed), scans)
+
+
+def write(slam: Gmapping, scan: LaserScan, alive: npt.NDArray[np.int64]) -> None:
+    """Write a scan into the maps of some particles at their poses."""
+    slam._maps.integrate(beams_of(scan, slam._config), slam._particles.poses, alive)
+
+
+def errors(slam: Gmapping, truth: list[Pose2]) -> tuple[float, float]:
+    """Return the greatest errors of place (m) and heading (rad)."""
+    away = [
+        (math.hypot(pose.x - x, pose.y - y), abs(wrap_angle(pose.yaw_rad - yaw)))
+        for pose, (x, y, yaw) in zip(truth, slam.trajectory().poses, strict=True)
+    ]
+    return max(a for a, _ in away), max(a for _, a in away)
+
+
+def from_start(truth: list[Pose2]) -> list[Pose2]:
+    """Return poses as one without odometry calls them."""
+    start = truth[0].inverse()
+    return [start.compose(pose) for pose in truth]
+
+
+def occupied_share_on_truth(grid: OccupancyGrid, moved: Pose2) -> float:
+    """Return the share of the map's walls that lie within two cells of a true wall."""
+    rows, cols = np.nonzero(grid.cells >= 65)
+    own = moved.inverse().transform(grid.cell_centres(rows, cols)) / CELL_M
+    col, row = np.floor(own).astype(int).T
+    flat = np.pad(draw_flat(), 40)
+    near = np.zeros_like(flat)
+    for down in range(-2, 3):
+        for right in range(-2, 3):
+            near |= np.roll(flat, (down, right), axis=(0, 1))
+    return float(near[row + 40, col + 40].mean())
+
+
+def standing(count: int, step_s: float = 0.1) -> list[LogScan]:
+    """Scans of a robot that stands."""
+    pose = true_poses(1)[0]
+    first = scan_at(pose, 0.0)
+    scans = [replace(first, stamp_s=step_s * index) for index in range(count)]
+    return [LogScan(scan, pose, index + 1) for index, scan in enumerate(scans)]
+
+
+def all_counts(slam: Gmapping) -> list[tuple[bytes, list[int]]]:
+    """Return every particle's hits and visits, and where they lie."""
+    found = [slam._maps.tiles.cells("counts", index) for index in range(len(slam._particles.poses))]
+    return [(cells.tobytes(), first.tolist()) for cells, first in found]
+
+
+def everything(slam: Gmapping) -> list[Any]:
+    """Return what a filter shows to the outside, to the bit."""
+    grid = slam.grid()
+    paths = [slam.trajectory(), *slam.other_paths()]
+    series = [(s.name, s.limit, s.stamps_s.tobytes(), s.values.tobytes()) for s in slam.series()]
+    return [
+        (grid.cells.tobytes(), grid.cells.shape, grid.origin, grid.resolution),
+        [(path.name, path.stamps_s.tobytes(), path.poses.tobytes()) for path in paths],
+        json.dumps(slam.health.to_json()),
+        series,
+        all_counts(slam),
+        (slam.last_stamp_s, slam.memory_bytes()),
+    ]
+
+
+# -- settings --------------------------------------------------------------------------------------
+
+
+def test_the_published_profile_holds_the_published_values(backend: Backend):
+    chosen = GmappingConfig(profile="published").chosen()
+    assert {name: getattr(chosen, name) for name in PUBLISHED} == PUBLISHED
+    scans, truth = drive(120, turn_bias=0.01)
+    slam = feed(Gmapping(GmappingConfig(profile="published"), backend), scans)
+    assert slam.health.filter_steps > 5
+    assert len(slam.other_paths()) == 29
+    last = scans[-1].odometry
+    assert last is not None
+    assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) > 1.0
+    assert errors(slam, truth)[0] < 0.4
+    assert slam.series()[0].limit == 15.0
+
+
+def test_what_is_given_comes_before_the_profile():
+    chosen = GmappingConfig(profile="published", particles=7, minimumScore=50.0).chosen()
+    assert {name: getattr(chosen, name) for name in PUBLISHED} == {
+        **PUBLISHED,
+        "particles": 7,
+        "minimumScore": 50.0,
+    }
+
+
+@pytest.mark.parametrize("count", [0, -3])
+def test_a_filter_without_particles_is_refused_by_name(count: int):
+    with pytest.raises(ConfigError, match=rf"particles must lie in \[1, 10000\], found {count}"):
+        config(particles=count)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_filter_of_hardly_any_particles_works(backend: Backend, count: int):
+    scans, truth = drive(60, turn_bias=0.01)
+    slam = run(backend, scans, particles=count, **OFTEN)
+    assert errors(slam, truth)[0] < 0.2
+    assert len(slam.other_paths()) == count - 1
+    assert (slam.health.resamplings > 0) == (count > 1)  # one alone is always effective
+    assert slam.health.n_eff is not None
+    assert 1.0 - 1e-9 <= slam.health.n_eff <= count + 1e-9
+
+
+def test_a_thousand_particles(backend: Backend):
+    """Five scans, two filter steps of coarse cells."""
+    scans = drive(13)[0][::3]
+    slam = run(backend, scans, particles=1000, delta=0.1, linearUpdate=0.3, resampleThreshold=1.0)
+    assert slam.health.filter_steps == 2
+    assert len(slam.other_paths()) == 999
+    assert slam.health.n_eff is not None
+    assert 1.0 < slam.health.n_eff <= 1000.0 + 1e-6
+    assert slam.memory_bytes() < 1.2e9
+    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.9
+
+
+# -- where the robot is ----------------------------------------------------------------------------
+
+
+def test_biased_odometry_is_corrected(backend: Backend):
+    scans, truth = drive(120, turn_bias=0.01)
+    last = scans[-1].odometry
+    assert last is not None
+    assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) > 1.0
+    slam = run(backend, scans)
+    metres, radians = errors(slam, truth)
+    assert metres < 0.2
+    assert radians < 0.06
+    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
+    assert slam.health.filter_steps >= 15
+    assert slam.health.scans_used == 120
+
+
+@pytest.mark.parametrize("motion_model", ["differential", "bicycle"])
+@pytest.mark.parametrize("expectation", ["motion", "pose"])
+def test_without_odometry(backend: Backend, expectation: str, motion_model: str):
+    scans, truth = drive(120, turn_bias=0.01)
+    settings = {"expectation": expectation, "motion_model": motion_model, "odometry": "none"}
+    slam = run(backend, scans, **settings)
+    assert max(errors(slam, from_start(truth))) < 0.2
+
+
+@pytest.mark.parametrize("expectation", ["motion", "pose"])
+def test_odometry_that_is_not_to_be_used_is_not_used(backend: Backend, expectation: str):
+    scans, _ = drive(30, turn_bias=0.3)
+    bare = [replace(item, odometry=None) for item in scans]
+    asked = run(backend, scans, odometry="none", expectation=expectation)
+    assert everything(asked) == everything(run(backend, bare, expectation=expectation))
+
+
+@pytest.mark.parametrize(("expectation", "onward"), [("motion", 1.0), ("pose", 0.0)])
+def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
+    backend: Backend, expectation: str, onward: float
+):
+    """The robot goes on by as much as it went between the last two scans, or it stands."""
+    scans, truth = drive(30)
+    slam = run(backend, scans, odometry="none", expectation=expectation, linearUpdate=100.0)
+    before, last = (slam.trajectory().pose(index) for index in (28, 29))
+    found = slam.feed(blind_scan(scans[-1].scan.stamp_s + 0.1)).pose_map_base
+    step = before.inverse().compose(last)
+    wanted = last.compose(Pose2(*(onward * part for part in (step.x, step.y, step.yaw_rad))))
+    assert (found.x, found.y) == pytest.approx((wanted.x, wanted.y), abs=1e-9)
+    went = math.hypot(truth[29].x - truth[28].x, truth[29].y - truth[28].y)
+    assert math.hypot(found.x - last.x, found.y - last.y) == pytest.approx(onward * went, abs=0.03)
+
+
+def test_without_odometry_the_published_profile_follows_the_robot(backend: Backend):
+    scans, truth = drive(60)
+    slam = run(backend, scans, odometry="none", match_every_scan=False)
+    assert errors(slam, from_start(truth))[0] < 1.0
+
+
+def test_odometry_that_stalls_and_catches_up(backend: Backend):
+    scans, truth = drive(120)
+    assert errors(run(backend, stalled(scans)), truth)[0] < 0.25
+
+
+def test_odometry_that_goes_the_wrong_way_for_some_scans(backend: Backend):
+    """From scan 60 to 65 the wheels say backwards and a turn, 0.7 m beside the truth in all."""
+    scans, truth = drive(120)
+    wrong, odometry = [], scans[0].odometry or Pose2()
+    for index, item in enumerate(scans):
+        if index:
+            before = scans[index - 1].odometry or Pose2()
+            step = before.inverse().compose(item.odometry or Pose2())
+            if 60 <= index < 66:
+                step = Pose2(-step.x, step.y, step.yaw_rad + 0.05)
+            odometry = odometry.compose(step)
+        wrong.append(replace(item, odometry=odometry))
+    last = wrong[65].odometry
+    assert last is not None
+    assert math.hypot(last.x - truth[65].x, last.y - truth[65].y) > 0.6
+    assert errors(run(backend, wrong), truth)[0] < 0.25
+
+
+def test_an_odometry_jump_is_named_and_not_believed(backend: Backend):
+    scans, truth = drive(60)
+    slam = run(backend, jumped(scans))
+    assert errors(slam, truth)[0] < 0.2
+    assert slam.health.skips.to_json() == ONE_JUMP
+
+
+def test_a_start_far_from_zero_costs_nothing(backend: Backend):
+    near, truth = drive(40)
+    far_start = Pose2(512_345.6, -98_765.4, 2.0)
+    far, far_truth = drive(40, start=far_start)
+    slam, away = run(backend, near), run(backend, far)
+    assert away.memory_bytes() == pytest.approx(slam.memory_bytes(), rel=0.3)
+    assert errors(away, far_truth)[0] < 0.1
+    assert errors(slam, truth)[0] < 0.1
+    moved = far_start.compose(true_poses(40)[0].inverse())
+    assert occupied_share_on_truth(away.grid(), moved) > 0.95
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_a_mounted_laser_draws_the_same_flat(backend: Backend, *, clockwise: bool):
+    scans, truth = drive(60, mount=Pose2(0.3, -0.1, 0.7), clockwise=clockwise, turn_bias=0.005)
+    slam = run(backend, scans)
+    assert errors(slam, truth)[0] < 0.1
+    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
+
+
+def test_scans_of_changing_beam_count(backend: Backend):
+    """Every second, every third, then all beams again; one scan has a single reading."""
+    scans, truth = drive(60, turn_bias=0.01)
+    changed = []
+    for index, item in enumerate(scans):
+        scan, every = item.scan, 1 + index % 3
+        ranges = scan.ranges[::every]
+        if index == 30:
+            ranges = np.where(np.arange(len(ranges)) == 7, ranges, np.float32(np.nan))
+        increment = every * scan.angle_increment_rad
+        thinned = replace(scan, ranges=ranges, angle_increment_rad=increment)
+        changed.append(replace(item, scan=thinned))
+    slam = run(backend, changed)
+    assert errors(slam, truth)[0] < 0.15
+    assert slam.health.scans_used == 60
+
+
+def test_a_scan_of_100_000_beams(backend: Backend):
+    ranges = 3.0 + 0.5 * np.sin(np.linspace(0.0, 40.0, 100_000))
+    stamps = (0.0, 0.1, 0.2)
+    scans = [LaserScan(t, ranges, -math.pi, 2e-5 * math.pi, 0.0, 8.0) for t in stamps]
+    slam = feed(
+        Gmapping(config(temporalUpdate=0.0), backend),
+        [LogScan(scan, Pose2(), 1) for scan in scans],
+    )
+    assert slam.health.filter_steps == 2
+    assert max(abs(value) for value in slam.trajectory().poses[2]) < 0.03
+
+
+# -- scans that tell nothing, or too little --------------------------------------------------------
+
+
+def blind_scan(stamp_s: float, value: float = np.inf) -> LaserScan:
+    return LaserScan(stamp_s, np.full(7, value), 0.0, 0.1, 0.0, 8.0)
+
+
+def test_blind_scans_are_counted_and_dead_reckoned(backend: Backend):
+    scans, truth = drive(40)
+    slam = feed(Gmapping(config(), backend), scans[:11])
+    for number, value in ((12, np.inf), (13, np.nan)):
+        step = slam.feed(blind_scan(1.0 + 0.001 * number, value), scans[10].odometry)
+        assert not step.used
+        assert step.reason == BLIND
+        assert slam.health.scans == number
+    for item in scans[11:]:
+        assert slam.feed(item.scan, item.odometry).used
+    assert slam.health.scans_used == 40
+    assert slam.health.skips.counts == {BLIND: 2}
+    assert len(slam.trajectory()) == 42
+    last = slam.trajectory().pose(41)
+    assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) < 0.1
+
+
+def test_a_robot_that_is_blind_at_first_is_where_its_odometry_says(backend: Backend):
+    scans, truth = drive(40)
+    slam = Gmapping(config(), backend)
+    for item in scans[:20]:
+        step = slam.feed(blind_scan(item.scan.stamp_s), item.odometry)
+        assert not step.used
+        with pytest.raises(SlamFusionError, match="no map"):
+            slam.grid()
+        found = slam.trajectory().poses[-1]
+        np.testing.assert_allclose(found[:2], (step.pose_map_base.x, step.pose_map_base.y))
+    feed(slam, scans[20:])
+    assert errors(slam, truth)[0] < 0.1
+    np.testing.assert_allclose(
+        slam.trajectory().poses[:21, :2], [(pose.x, pose.y) for pose in truth[:21]], atol=1e-9
+    )
+    assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
+
+
+def test_no_scan_at_all_has_no_map(backend: Backend):
+    slam = Gmapping(config(), backend)
+    with pytest.raises(SlamFusionError, match="no scan could be used, so there is no map"):
+        slam.grid()
+    slam.feed(blind_scan(0.0), None)
+    with pytest.raises(SlamFusionError, match="no map"):
+        slam.grid()
+    assert slam.series() == ()
+    assert slam.health.n_eff is None
+
+
+def test_a_match_below_the_least_score_is_not_believed(backend: Backend):
+    """Nothing is ever good enough: the robot goes as the odometry says, errors and all."""
+    scans, _ = drive(60, turn_bias=0.01)
+    exact = {"srr": 0.0, "srt": 0.0, "str": 0.0, "stt": 0.0}
+    slam = run(backend, scans, minimumScore=1e5, **exact)
+    found = slam.trajectory().poses
+    wanted = np.array([(o.x, o.y) for o in (item.odometry or Pose2() for item in scans)])
+    np.testing.assert_allclose(found[:, :2], wanted, atol=1e-9)
+    steps = slam.health.filter_steps
+    assert steps >= 5
+    assert slam.health.rejected == 6 * steps
+    assert slam.health.to_json()["filter"]["rejected"] == 6 * steps
+    believed = run(backend, scans, minimumScore=0.0)
+    assert believed.health.rejected == 0
+
+
+def test_rejected_particles_are_drawn_from_the_motion_model(backend: Backend):
+    """Without a believed match they spread as odometry errs, and no two are alike."""
+    scans, _ = drive(30)
+    slam = run(backend, scans, minimumScore=1e5, particles=200, linearUpdate=1.0, stt=0.0, srt=0.0)
+    assert slam.health.filter_steps == 1
+    spread = slam._particles.poses[:, :2].std(axis=0)
+    np.testing.assert_allclose(spread, 0.1 * 1.03, rtol=0.2)  # srr for one step of 1 m
+    assert len(np.unique(slam._particles.poses, axis=0)) == 200
+
+
+# -- when the filter steps -------------------------------------------------------------------------
+
+
+def test_the_filter_steps_after_way_and_turn(backend: Backend):
+    """A robot that goes 3 m straight, then turns by 2 rad on the spot."""
+    poses = [Pose2(1.2 + 0.05 * i, 1.0, 0.0) for i in range(61)]
+    poses += [Pose2(4.2, 1.0, 0.05 * i) for i in range(1, 41)]
+    seen = scans_at(tuple(poses), tuple(0.1 * index for index in range(len(poses))))
+    scans = [LogScan(scan, pose, 1) for scan, pose in zip(seen, poses, strict=True)]
+    for linear, angular, wanted in ((0.49, 9.0, 6), (9.0, 0.39, 5), (0.49, 0.39, 11), (9, 9, 0)):
+        exact = {"match_every_scan": False, "srr": 0.0, "srt": 0.0, "str": 0.0, "stt": 0.0}
+        slam = run(
+            backend, scans, linearUpdate=linear, angularUpdate=angular, minimumScore=1e5, **exact
+        )
+        assert slam.health.filter_steps == wanted, (linear, angular)
+
+
+def test_scans_that_are_not_matched_are_told_as_such(backend: Backend):
+    scans, _ = drive(60)
+    slam = Gmapping(config(match_every_scan=False, linearUpdate=1.0), backend)
+    steps = [slam.feed(item.scan, item.odometry) for item in scans]
+    used = [step.used for step in steps]
+    assert sum(used) == 1 + slam.health.filter_steps == slam.health.scans_used == 4
+    reasons = {step.reason for step in steps if not step.used}
+    assert reasons == {"the robot has not gone far enough since the last one"}
+    assert {step.reason for step in steps if step.used} == {""}
+
+
+def test_a_robot_that_stands_leaves_its_map_alone(backend: Backend):
+    """600 scans by the published gates, and 100 that are matched too: not a bit changes."""
+    gates = {name: PUBLISHED[name] for name in ("linearUpdate", "angularUpdate", "temporalUpdate")}
+    for count, match_every_scan in ((600, False), (100, True)):
+        scans = standing(count)
+        slam = feed(
+            Gmapping(config(**gates, match_every_scan=match_every_scan), backend), scans[:1]
+        )
+        first, counts = slam.grid(), all_counts(slam)
+        feed(slam, scans[1:])
+        assert slam.grid().cells.tobytes() == first.cells.tobytes()
+        assert slam.grid().origin == first.origin
+        assert all_counts(slam) == counts
+        assert slam.health.filter_steps == 0
+        assert len(slam.trajectory()) == count
+        assert slam.trajectory().poses[-1] == pytest.approx(slam.trajectory().poses[0], abs=0.02)
+
+
+@pytest.mark.parametrize(("every_s", "wanted"), [(0.0, 39), (0.99, 3), (-1.0, 0), (-0.5, 0)])
+def test_time_alone_makes_a_step_where_it_is_asked_to(
+    backend: Backend, every_s: float, wanted: int
+):
+    slam = run(backend, standing(40), temporalUpdate=every_s, match_every_scan=False)
+    assert slam.health.filter_steps == wanted
+    assert slam.trajectory().poses[-1] == pytest.approx(slam.trajectory().poses[0], abs=0.05)
+
+
+def test_a_step_after_every_scan(backend: Backend):
+    scans, truth = drive(30)
+    slam = run(backend, scans, linearUpdate=0.0, particles=3, match_every_scan=False)
+    assert slam.health.filter_steps == 29
+    assert errors(slam, truth)[0] < 0.15
+
+
+# -- particles and their maps ----------------------------------------------------------------------
+
+
+class FullCopies(SharedTileMaps):
+    """The same maps, but one that takes over another's copies every cell of it."""
+
+    def take_over(self, parents: npt.NDArray[np.int64]) -> None:
+        super().take_over(parents)
+        self.make_writable(self.pages > 0)
+        assert self.tiles_shared == 0
+
+
+def test_shared_tiles_change_no_bit(backend: Backend, monkeypatch: pytest.MonkeyPatch):
+    scans, _ = drive(40, turn_bias=0.01)
+    shared = run(backend, scans, **OFTEN)
+    monkeypatch.setattr(particle_maps, "SharedTileMaps", FullCopies)
+    copied = run(backend, scans, **OFTEN)
+    assert shared.health.resamplings == copied.health.resamplings > 5
+    assert shared.health.tiles_shared > 0
+    assert shared._particles.poses.tobytes() == copied._particles.poses.tobytes()
+    assert all_counts(shared) == all_counts(copied)
+    for name in ("sums", "field"):
+        for index in range(6):
+            np.testing.assert_array_equal(
+                shared._maps.tiles.cells(name, index)[0], copied._maps.tiles.cells(name, index)[0]
+            )
+
+
+def test_every_particle_s_map_is_what_its_own_path_draws(backend: Backend):
+    """Along each particle's path, back through its parents, the same scans make the same map."""
+    scans, _ = drive(30, turn_bias=0.01)
+    slam = Gmapping(config(**OFTEN), backend)
+    mapped = []
+    for item in scans:
+        before = slam.health.filter_steps
+        slam.feed(item.scan, item.odometry)
+        if slam.health.filter_steps > before or len(mapped) == 0:
+            mapped.append(item)
+    assert slam.health.resamplings > 3
+    for index in range(6):
+        path = slam._paths.path(index, "")
+        alone = Gmapping(config(particles=1), backend)
+        alone._maps.anchor = slam._maps.anchor
+        for item in mapped:
+            alone._particles.poses = path.poses[path.nearest([item.scan.stamp_s])]
+            write(alone, item.scan, np.zeros(1, dtype=np.int64))
+        (found, at), (wanted, own) = (
+            maps.cells("counts", number)
+            for maps, number in ((slam._maps.tiles, index), (alone._maps.tiles, 0))
+        )
+        assert at.tolist() == own.tolist()
+        assert found.shape == wanted.shape
+        # Their windows differ, and with them the last bit of a place: a beam may graze a corner.
+        assert (found != wanted).sum() < 0.005 * (wanted > 0).sum()
+
+
+def check_field(slam: Gmapping, index: int) -> None:
+    """The score field of a particle's map is what its counts say."""
+    counts, sums, field = (slam._maps.tiles.cells(n, index)[0] for n in ("counts", "sums", "field"))
+    np.testing.assert_array_equal(full_field(counts, sums, slam._maps._field_rule), field)
+
+
+def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(backend: Backend):
+    """After a resampling siblings have their parent's weight, and all are equally likely."""
+    scans, _ = drive(40, turn_bias=0.01)
+    slam = Gmapping(config(linearUpdate=0.15, ogain=0.2), backend)
+    steps = resamplings = siblings = 0
+    for item in scans:
+        slam.feed(item.scan, item.odometry)
+        if slam.health.filter_steps == steps:
+            continue
+        steps = slam.health.filter_steps
+        assert slam._particles.best == np.argmax(slam._particles.path_weights)
+        if slam.health.resamplings == resamplings:
+            assert slam._particles.log_weights.all()
+            continue
+        resamplings = slam.health.resamplings
+        assert not slam._particles.log_weights.any()
+        parents = slam._paths.to_arrays()["node_parents"][-1]
+        for parent in np.unique(parents):
+            family = parents == parent
+            siblings += int(family.sum()) - 1
+            for values in (slam._particles.path_weights, *slam._particles.poses.T):
+                assert len(np.unique(values[family])) == 1
+    assert steps > resamplings > 1
+    assert siblings > 1
+
+
+def test_the_score_field_follows_from_the_counts_of_each_map(backend: Backend):
+    scans, _ = drive(30, turn_bias=0.01)
+    slam = run(backend, scans, **OFTEN)
+    for index in range(6):
+        assert slam._maps.tiles.cells("field", index)[0].max() > 200
+        check_field(slam, index)
+
+
+def test_what_it_offers_beside_the_best_path(backend: Backend):
+    scans, truth = drive(60, turn_bias=0.01)
+    slam = run(backend, scans, **OFTEN)
+    others = slam.other_paths()
+    assert [len(path) for path in others] == [60] * 5
+    weights = [slam._particles.path_weights[int(path.name.split()[1])] for path in others]
+    assert weights == sorted(weights, reverse=True)
+    assert slam._particles.path_weights.max() >= weights[0]
+    for path in others:
+        ends = path.poses[-1, :2] - (truth[-1].x, truth[-1].y)
+        assert math.hypot(*ends) < 0.3
+    (series,) = slam.series()
+    assert (series.name, series.limit) == ("effective particles", 6.0)
+    assert len(series.values) == slam.health.filter_steps
+    assert ((series.values > 1.0 - 1e-9) & (series.values < 6.0 + 1e-9)).all()
+    assert series.values[-1] == slam.health.n_eff
+    record = slam.health.to_json()["filter"]
+    assert record["resamplings"] > 0
+    assert record["tiles_owned"] + record["tiles_shared"] == (slam._maps.tiles._users > 0).sum()
+    assert slam.health.path_entropy == slam._paths.entropy()
+
+
+def test_the_trajectory_is_what_each_step_has_said_where_nothing_was_drawn_anew(backend: Backend):
+    """One particle has one past: what was said then is what is said now."""
+    scans, _ = drive(40, turn_bias=0.01)
+    slam = Gmapping(config(particles=1), backend)
+    said = [slam.feed(item.scan, item.odometry).pose_map_base for item in scans]
+    assert slam.health.filter_steps > 3
+    rows = np.array([(pose.x, pose.y, wrap_angle(pose.yaw_rad)) for pose in said])
+    np.testing.assert_allclose(slam.trajectory().poses, rows, atol=1e-9)
+
+
+# -- equal bytes -----------------------------------------------------------------------------------
+
+
+def test_same_seed_same_bytes_and_another_seed_agrees(backend: Backend):
+    scans, truth = drive(40, turn_bias=0.005)
+    first, again, other = (run(backend, scans, seed, **OFTEN) for seed in (3, 3, 4))
+    assert everything(first) == everything(again)
+    assert other.trajectory().poses.tobytes() != first.trajectory().poses.tobytes()
+    assert errors(other, truth)[0] < 0.1
+
+
+@pytest.mark.parametrize("match_every_scan", [True, False])
+def test_the_twins_find_the_same_way(backend: Backend, *, match_every_scan: bool):
+    scans, _ = drive(12, turn_bias=0.005)
+    settings = {**OFTEN, "particles": 3, "match_every_scan": match_every_scan}
+    plain = run(NumpyBackend(), scans, **settings)
+    device = run(backend, scans, **settings)
+    assert plain.health.filter_steps >= 3
+    assert everything(plain) == everything(device)
+
+
+# -- what a beam draws -----------------------------------------------------------------------------
+
+
+def reading(*ranges: float, range_max_m: float = 8.0) -> LaserScan:
+    """A scan of up to three beams: ahead, to the left and back."""
+    return LaserScan(0.0, np.array(ranges), 0.0, 0.5 * math.pi, 0.02, range_max_m)
+
+
+def along(slam: Gmapping, beam: int, metres: float) -> int:
+    """Return the cell of the map that a beam of the first scan passes at a distance."""
+    grid = slam.grid()
+    at = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)])[beam : beam + 1] * metres + 0.01
+    rows, cols = grid.cell_indices(at)
+    if not (0 <= rows[0] < grid.height and 0 <= cols[0] < grid.width):
+        return -1
+    return int(grid.cells[rows[0], cols[0]])
+
+
+def drawn(backend: Backend, scan: LaserScan, **settings: Any) -> Gmapping:
+    slam = Gmapping(config(**settings), backend)
+    slam.feed(scan, Pose2(0.01, 0.01, 0.0))
+    return slam
+
+
+def test_a_hit_is_a_wall_and_its_beam_is_free(backend: Backend):
+    slam = drawn(backend, reading(2.0, 3.0, 7.0))
+    for beam, metres in enumerate((2.0, 3.0, 7.0)):
+        assert along(slam, beam, metres) == 100
+        assert along(slam, beam, metres + 0.1) == -1
+        for way in (0.3, 0.5 * metres, metres - 0.1):
+            assert 0 <= along(slam, beam, way) <= 25
+
+
+def test_beyond_max_urange_a_beam_clears_and_draws_no_wall(backend: Backend):
+    slam = drawn(backend, reading(2.0, 6.0), maxUrange=4.0)
+    assert along(slam, 0, 2.0) == 100
+    assert along(slam, 1, 3.9) == 0
+    assert along(slam, 1, 4.2) == -1
+    assert along(slam, 1, 6.0) == -1
+    assert (slam.grid().cells >= 65).sum() == 1
+
+
+def test_beyond_max_range_a_beam_is_left_out(backend: Backend):
+    slam = drawn(backend, reading(2.0, 6.0, 4.5), maxUrange=4.0, maxRange=5.0)
+    assert along(slam, 0, 2.0) == 100
+    assert along(slam, 1, 2.0) == -1  # reads 6 m: not believed at all
+    assert along(slam, 2, 3.9) == 0  # reads 4.5 m: free as far as is used
+    assert along(slam, 2, 4.2) == -1
+
+
+@pytest.mark.parametrize("far", [np.inf, 8.0, 9.0])
+def test_no_return_is_free_only_where_max_range_lies_beyond_the_laser(backend: Backend, far: float):
+    scan = reading(2.0, far)
+    assert along(drawn(backend, scan), 1, 1.0) == -1
+    clears = drawn(backend, scan, maxRange=8.1, maxUrange=4.0)
+    assert along(clears, 1, 3.9) == 0
+    assert along(clears, 1, 4.2) == -1
+    assert (clears.grid().cells >= 65).sum() == 1
+
+
+@pytest.mark.parametrize("failed", [np.nan, 0.0, 0.01, -1.0])
+def test_a_failed_reading_clears_nothing(backend: Backend, failed: float):
+    slam = drawn(backend, reading(2.0, failed), maxRange=20.0, maxUrange=4.0)
+    assert along(slam, 1, 1.0) == -1
+
+
+def test_max_range_holds_for_hits_too(backend: Backend):
+    slam = drawn(backend, reading(2.0, 6.0), maxRange=5.0)
+    assert along(slam, 0, 2.0) == 100
+    assert along(slam, 1, 2.0) == -1
+
+
+def test_max_urange_beyond_the_laser_adds_nothing(backend: Backend):
+    """By default the last 2 % of the laser's reach are not trusted; what is asked for is used."""
+    scan = reading(2.0, 7.95)
+    assert along(drawn(backend, scan), 1, 7.95) == -1
+    assert along(drawn(backend, scan), 1, 7.7) == 0
+    for metres in (8.0, 50.0):
+        assert along(drawn(backend, scan, maxUrange=metres), 1, 7.95) == 100
+
+
+def test_only_walls_that_may_be_used_are_matched(backend: Backend):
+    """Nothing within ``maxUrange``: the scan tells nothing."""
+    slam = drawn(backend, reading(6.0, 7.0), maxUrange=4.0)
+    assert slam.health.skips.counts == {BLIND: 1}
+    with pytest.raises(SlamFusionError, match="no map"):
+        slam.grid()
+
+
+# -- counts ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("occ_thresh", [0.0, 0.1, 0.25, 0.6, 1.0])
+def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float):
+    """Of 20 visits; percents rise with the hits, and the map servers' limits tell them apart."""
+    hits = np.arange(21, dtype=np.uint32)
+    percent = percent_of_counts(hits[None] << 16 | np.uint32(20), occ_thresh)[0]
+    assert (np.diff(percent.astype(int)) >= 0).all()
+    for number, value in zip(hits.tolist(), percent.tolist(), strict=True):
+        assert value >= 65 if number / 20 > occ_thresh else 0 <= value <= 25
+    assert (
+        percent_of_counts(np.zeros((2, 3), dtype=np.uint32), occ_thresh).tolist() == [[-1] * 3] * 2
+    )
+
+
+def test_the_threshold_decides_the_map(backend: Backend):
+    """A cell hit by one of three scans."""
+    scans = [reading(2.0, 3.0), reading(2.0, 4.0), reading(2.0, 5.0)]
+    for occ_thresh, is_wall in ((0.3, True), (0.4, False)):
+        slam = drawn(backend, scans[0], occ_thresh=occ_thresh)
+        for scan in scans[1:]:
+            write(slam, scan, np.zeros(1, dtype=np.int64))
+        assert along(slam, 0, 2.0) == 100
+        assert (along(slam, 1, 3.0) >= 65) == is_wall
+        assert (along(slam, 1, 3.0) <= 25) != is_wall
+
+
+def counts_of(slam: Gmapping) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    counts = slam._maps.tiles.cells("counts", 0)[0].astype(np.int64)
+    return counts >> 16, counts & 0xFFFF
+
+
+def test_busy_cells_are_halved_and_nothing_else_changes(backend: Backend):
+    """Counts near their end: shares and mean hits stay, and what was seen once is still seen."""
+    slam = drawn(backend, scan_at(true_poses(1)[0], 0.0), particles=1)
+    pools, rng = slam._maps.tiles.pools, np.random.default_rng(0)
+    shape = backend.download(pools["counts"]).shape
+    visits = rng.choice([0, 1, 2, 3, 100, 1500, 20_000, FULL_VISITS - 1 + MOST_BEAMS], shape)
+    most = np.minimum(visits, FULL_HITS - 1 + MOST_BEAMS)
+    hits = np.rint(most * rng.random(shape)).astype(np.int64)
+    east, north = (hits * rng.integers(0, 16, shape) for _ in range(2))
+    pools["counts"] = backend.upload((hits << 16 | visits).astype(np.uint32))
+    pools["sums"] = backend.upload((east << 16 | north).astype(np.uint32))
+    halve_counts(backend, slam._maps.tiles.pools)
+    pools = slam._maps.tiles.pools
+    counts, sums = (backend.download(pools[name]).astype(np.int64) for name in ("counts", "sums"))
+    fewer_hits, fewer_visits = counts >> 16, counts & 0xFFFF
+    assert fewer_visits.max() < FULL_VISITS
+    assert fewer_hits.max() < FULL_HITS
+    assert (fewer_hits <= fewer_visits).all()
+    np.testing.assert_array_equal(fewer_visits == 0, visits == 0)
+    np.testing.assert_array_equal(fewer_hits == 0, hits == 0)
+    off = fewer_hits / np.maximum(fewer_visits, 1) - hits / np.maximum(visits, 1)
+    assert np.abs(off).max() < 1e-3
+    for fewer, given in ((sums >> 16, east), (sums & 0xFFFF, north)):
+        off = fewer / np.maximum(fewer_hits, 1) - given / np.maximum(hits, 1)
+        assert np.abs(off).max() <= 0.5
+        assert (fewer <= 15 * fewer_hits).all()
+    idle = (visits < FULL_VISITS // 2) & (hits < FULL_HITS // 2)
+    np.testing.assert_array_equal(counts[idle], (hits << 16 | visits)[idle])
+
+
+def test_a_scan_over_full_cells_halves_them_and_goes_on(backend: Backend):
+    """The pools are set near their end: the same scan once more brings them there."""
+    scan = scan_at(true_poses(1)[0], 0.0)
+    slam = drawn(backend, scan, particles=2)
+    hits, visits = counts_of(slam)
+    times = (FULL_VISITS - 1) // visits.max()
+    for name in ("counts", "sums"):
+        values = backend.download(slam._maps.tiles.pools[name])
+        slam._maps.tiles.pools[name] = backend.upload(values * np.uint32(times))
+    before = slam.grid()
+    for number in range(3):
+        write(slam, scan, np.arange(2))
+        fewer_hits, fewer_visits = counts_of(slam)
+        is_halved = visits * (times + 1) >= FULL_VISITS // 2
+        is_halved |= hits * (times + 1) >= FULL_HITS // 2
+        left = (times + 1) * np.where(is_halved, 0.5, 1.0) + number
+        np.testing.assert_allclose(fewer_visits, visits * left, rtol=0.0, atol=1.0)
+        np.testing.assert_allclose(fewer_hits, hits * left, rtol=0.0, atol=1.0)
+        np.testing.assert_array_equal(slam.grid().cells, before.cells)
+
+
+def test_counts_that_overflow_again_and_again_keep_the_map(backend: Backend):
+    """A robot that stands while 2000 beams cross the cell under it at every step.
+
+    A cell holds 32768 visits, so they are halved several times in 60 steps. A place that was seen
+    long ago, and by few beams, must not be forgotten, and free space must not become wall.
+    """
+    pose = Pose2(1.2, 1.0, 0.0)
+    elsewhere = scan_at(Pose2(6.0, 1.0, 0.0), 0.0)
+    angles = np.linspace(-0.2, 0.2, 2000)
+    ranges = (2.0 / np.cos(angles)).astype(np.float32)
+    slam = Gmapping(config(particles=1, temporalUpdate=0.0, match_every_scan=False), backend)
+    slam.feed(elsewhere, Pose2(6.0, 1.0, 0.0))
+    first = slam.grid()
+    rows, cols = np.nonzero(first.cells >= 0)
+    # Cells behind the wall that the many beams end at.
+    centres = first.cell_centres(rows, cols)
+    behind = centres[:, 0] > 3.5
+    wanted = first.cells[rows, cols][behind]
+    slam._particles.poses[:] = (pose.x, pose.y, 0.0)
+    halvings = 0
+    for index in range(60):
+        scan = LaserScan(1.0 + index, ranges, -0.2, 0.4 / 1999, 0.02, 8.0)
+        most = counts_of(slam)[1].max()
+        write(slam, scan, np.zeros(1, dtype=np.int64))
+        halvings += bool(counts_of(slam)[1].max() < most)
+        assert (counts_of(slam)[0] <= counts_of(slam)[1]).all()
+        assert counts_of(slam)[1].max() < FULL_VISITS
+    assert halvings > 3
+    grid = slam.grid()
+    at = grid.cell_indices(centres[behind])
+    np.testing.assert_array_equal(grid.cells[at], wanted)
+    assert (wanted >= 65).any()
+    assert (wanted == 0).any()
+    check_field(slam, 0)
+
+
+# -- going on from a file --------------------------------------------------------------------------
+
+
+def stopped_at(backend: Backend, scans: list[LogScan], count: int, path: Path) -> Gmapping:
+    """Return a filter that was stopped, written, read, and went on."""
+    settings = config(**OFTEN)
+    feed(Gmapping(settings, backend, 5), scans[:count]).save_state(path)
+    return feed(Gmapping.load_state(path, settings, backend, 5), scans[count:])
+
+
+@pytest.fixture(scope="module")
+def whole(backend: Backend) -> Gmapping:
+    return run(backend, drive(40, turn_bias=0.01)[0], 5, **OFTEN)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 17, 40])
+def test_a_filter_that_was_interrupted_goes_on_to_the_bit(
+    backend: Backend, whole: Gmapping, tmp_path: Path, count: int
+):
+    scans, _ = drive(40, turn_bias=0.01)
+    resumed = stopped_at(backend, scans, count, tmp_path / "state")
+    assert everything(resumed) == everything(whole)
+
+
+@pytest.mark.parametrize("count", [2, 17, 40])
+def test_a_state_holds_all_that_decides(backend: Backend, tmp_path: Path, count: int):
+    slam = run(backend, drive(40, turn_bias=0.01)[0][:count], 5, **OFTEN)
+    slam.save_state(tmp_path / "state")
+    again = Gmapping.load_state(tmp_path / "state", config(**OFTEN), backend, 5)
+    for one, other in (
+        (slam, again),
+        (slam._tracker, again._tracker),
+        (slam._particles, again._particles),
+        (slam._maps, again._maps),
+    ):
+        for name, value in vars(one).items():
+            if isinstance(value, (float, int, str, Pose2, list, np.ndarray)):
+                np.testing.assert_array_equal(getattr(other, name), value, err_msg=name)
+    assert again._rng.bit_generator.state == slam._rng.bit_generator.state
+    assert again._tracker.rng is again._rng
+
+
+def test_it_goes_on_right_after_a_resampling_and_right_before(
+    backend: Backend, whole: Gmapping, tmp_path: Path
+):
+    scans, _ = drive(40, turn_bias=0.01)
+    slam = Gmapping(config(**OFTEN), backend, 5)
+    resampled = []
+    for index, item in enumerate(scans):
+        before = slam.health.resamplings
+        slam.feed(item.scan, item.odometry)
+        if slam.health.resamplings > before:
+            resampled.append(index)
+    assert len(resampled) > 3
+    for count in (resampled[2], resampled[2] + 1):
+        resumed = stopped_at(backend, scans, count, tmp_path / f"state{count}")
+        assert everything(resumed) == everything(whole)
+
+
+def test_it_goes_on_after_blind_scans_a_jump_and_without_odometry(backend: Backend, tmp_path: Path):
+    scans, _ = drive(30)
+    far = [replace(item, odometry=Pose2(90.0, 0.0, 1.0)) for item in scans[20:22]]
+    blind = [replace(item, scan=blind_scan(item.scan.stamp_s)) for item in scans[:3]]
+    bare = [replace(item, odometry=None) for item in scans[22:]]
+    odd = [*blind, *scans[3:20], *far, *bare]
+    plain = run(backend, odd, 5, **OFTEN)
+    assert plain.health.skips.total == 4
+    for count in (2, 3, 21, 25):
+        assert everything(stopped_at(backend, odd, count, tmp_path / "state")) == everything(plain)
+
+
+def test_a_state_may_move_to_the_twins(backend: Backend, tmp_path: Path):
+    scans, _ = drive(12)
+    settings = config(particles=2, **OFTEN)
+    feed(Gmapping(settings, backend), scans[:8]).save_state(tmp_path / "state")
+    resumed = feed(Gmapping.load_state(tmp_path / "state", settings, NumpyBackend()), scans[8:])
+    assert everything(resumed) == everything(run(backend, scans, particles=2, **OFTEN))
+
+
+@pytest.fixture(scope="module")
+def state(backend: Backend, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("state") / "drive.state"
+    run(backend, drive(5)[0]).save_state(path)
+    return path
+
+
+def refused(path: Path, backend: Backend, seed: int = 0, **settings: Any) -> str:
+    with pytest.raises(SlamFusionError) as caught:
+        Gmapping.load_state(path, config(**settings), backend, seed)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
+    return message.removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"particles": 7}, "particles = 6, found 7"),
+        ({"delta": 0.1}, "delta = 0.05, found 0.1"),
+        ({"srr": 0.2}, "srr = 0.1, found 0.2"),
+        ({"maxUrange": 5.0}, "maxUrange = None, found 5.0"),
+        ({"match_every_scan": False}, "match_every_scan = True, found False"),
+        ({"profile": "published"}, "profile = own, found published"),
+    ],
+)
+def test_a_state_of_other_settings_is_refused(
+    backend: Backend, state: Path, settings: dict[str, Any], words: str
+):
+    message = refused(state, backend, **settings)
+    assert message == f"was made with {words}; resume with the same settings"
+
+
+def test_a_state_of_another_matcher_or_seed_is_refused(backend: Backend, state: Path):
+    matcher = config().matcher
+    other = replace(matcher, first_poses=matcher.first_poses + 1)
+    message = refused(state, backend, matcher=other)
+    assert f"matcher.first_poses = {matcher.first_poses}" in message
+    message = refused(state, backend, seed=1)
+    assert message == "was made with seed = 0, found 1; resume with the same settings"
+
+
+def test_what_is_no_state_is_refused_in_one_line(backend: Backend, state: Path, tmp_path: Path):
+    good = state.read_bytes()
+    array, other = tmp_path / "array.npy", tmp_path / "other.npz"
+    np.save(array, np.arange(5))
+    np.savez(other, numbers=np.arange(5))
+    junk = {
+        "empty": b"",
+        "text": b"hello",
+        "map.yaml": b"image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n",
+        "picture": b"P5\n2 2\n255\n\x00\x00\x00\x00",
+        "array": array.read_bytes(),
+        "other": other.read_bytes(),
+        "zip": b"PK\x03\x04" + bytes(100),
+        "half": good[: len(good) // 2],
+        "cut": good[:-30],
+        "noise": np.random.default_rng(0).bytes(5000),
+    }
+    for name, content in junk.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        assert refused(path, backend).endswith("state that `--save-state` has written")
+
+
+@pytest.mark.parametrize(("place", "value"), [(8, 1), (10, 99)])
+def test_a_zip_of_another_kind_is_refused_in_one_line(
+    backend: Backend, state: Path, tmp_path: Path, place: int, value: int
+):
+    """Its directory says that a part is encrypted, or packed by an unknown method."""
+    changed = bytearray(state.read_bytes())
+    entry = changed.rindex(b"PK\x01\x02")
+    changed[entry + place] = value
+    path = tmp_path / "changed"
+    path.write_bytes(changed)
+    assert refused(path, backend).endswith("state that `--save-state` has written")
+
+
+@pytest.mark.parametrize(
+    "name", ["particles.poses", "maps.tiles.pages", "maps.tiles.pool_counts", "paths.node_poses"]
+)
+def test_a_state_that_lacks_a_part_is_refused(
+    backend: Backend, state: Path, tmp_path: Path, name: str
+):
+    with np.load(state) as file:
+        arrays = dict(file)
+    del arrays[name]
+    path = tmp_path / "less"
+    with path.open("wb") as less:
+        np.savez(less, **arrays)
+    assert refused(path, backend) == f"not a whole state, '{name}' is missing"
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_a_damaged_state_is_refused_in_one_line(
+    backend: Backend, state: Path, tmp_path: Path, share: float
+):
+    damaged = bytearray(state.read_bytes())
+    start = int(share * len(damaged))
+    damaged[start : start + 64] = bytes(value ^ 0xFF for value in damaged[start : start + 64])
+    path = tmp_path / "damaged"
+    path.write_bytes(damaged)
+    assert refused(path, backend).endswith("state that `--save-state` has written")
+
+
+def test_a_state_that_cannot_be_read_is_named(backend: Backend, tmp_path: Path):
+    assert "No such file" in refused(tmp_path / "nowhere", backend)
+    assert "Is a directory" in refused(tmp_path, backend)
+
+
+def test_a_state_of_another_producer_or_format_is_refused(
+    backend: Backend, state: Path, tmp_path: Path
+):
+    with np.load(state) as file:
+        arrays = dict(file)
+    record = json.loads(arrays["record"].tobytes())
+    for change in ({"name": "hector"}, {"format": 9999}):
+        changed = json.dumps({**record, **change}).encode()
+        path = tmp_path / "other"
+        with path.open("wb") as file:
+            np.savez(file, **{**arrays, "record": np.frombuffer(changed, dtype=np.uint8)})
+        message = refused(path, backend)
+        assert message.startswith(f"wanted a state of gmapping, format {STATE_FORMAT}, found ")
+        assert str(next(iter(change.values()))) in message
+
+
+def test_a_state_is_written_whole_or_not_at_all(backend: Backend, tmp_path: Path):
+    """A failed save leaves what was there, and no trace of its own."""
+    scans, _ = drive(10)
+    slam = run(backend, scans[:5])
+    path = tmp_path / "state"
+    slam.save_state(path)
+    good = path.read_bytes()
+    feed(slam, scans[5:])
+    blocked = tmp_path / "state" / "below a file"
+    with pytest.raises(SlamFusionError, match="below a file"):
+        slam.save_state(blocked)
+    # Tests may run as root, whom permissions do not stop; the kernel's own files do.
+    with pytest.raises(SlamFusionError, match="/proc"):
+        slam.save_state(Path("/proc/slamfusion.state"))
+    assert path.read_bytes() == good
+    assert [item.name for item in tmp_path.iterdir()] == ["state"]
+    slam.save_state(path)
+    assert path.read_bytes() != good
+    assert everything(Gmapping.load_state(path, config(), backend)) == everything(slam)
+
+
+def test_saving_changes_nothing(backend: Backend, whole: Gmapping, tmp_path: Path):
+    scans, _ = drive(40, turn_bias=0.01)
+    slam = Gmapping(config(**OFTEN), backend, 5)
+    for item in scans:
+        slam.feed(item.scan, item.odometry)
+        slam.save_state(tmp_path / "state")
+    assert everything(slam) == everything(whole)

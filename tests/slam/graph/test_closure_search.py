@@ -1,0 +1,254 @@
+"""A closure is found where the robot is, and every reason against one is real."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, open_backend
+from slamfusion.config import GraphConfig
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.slam.common.response import LEAST_SIGMA, MOST_SIGMA
+from slamfusion.slam.graph.closure_search import (
+    LOCAL_DRIFT_M,
+    MOST_UNSEEN,
+    ClosureSearch,
+    Found,
+)
+from slamfusion.slam.graph.submap import Submap
+from tests.slam.drives import CELL_M, draw_flat, true_poses
+from tests.slam.places import NO_LASER, U8, draw_corridor, draw_regular_ring, draw_two_rooms, read
+
+pytestmark = pytest.mark.once
+
+F64 = npt.NDArray[np.float64]
+MEAN_SCORE = 0.75
+
+
+@pytest.fixture(scope="module")
+def backend() -> Backend:
+    return open_backend()
+
+
+@pytest.fixture(scope="module")
+def search(backend: Backend) -> ClosureSearch:
+    return ClosureSearch(GraphConfig(), backend, np.random.default_rng(0))
+
+
+def vector(pose: Pose2) -> F64:
+    return np.array([pose.x, pose.y, pose.yaw_rad])
+
+
+def hits(cells: U8, pose: Pose2, reach_m: float = 8.0) -> F64:
+    """Return (P, 2) what a laser of 181 beams hits, in the robot's frame."""
+    return read(cells, [pose], reach_m, beams=181)[0].points()
+
+
+def seen(backend: Backend, cells: U8, poses: list[Pose2], reach_m: float = 8.0) -> Submap:
+    """Return a finished submap, in the map frame."""
+    submap = Submap(backend, 0, CELL_M, 0.1)
+    for scan, pose in zip(read(cells, poses, reach_m, beams=361), poses, strict=True):
+        submap.insert(scan.points(), NO_LASER, pose)
+    submap.finish()
+    return submap
+
+
+@pytest.fixture(scope="module")
+def flat(backend: Backend) -> Submap:
+    return seen(backend, draw_flat(), true_poses(120)[::8])
+
+
+@pytest.fixture(scope="module")
+def two_rooms(backend: Backend) -> Submap:
+    """Two rooms that are the same, seen from within, in one submap; of the corridor nothing."""
+    inside = [Pose2(x, y, yaw) for x, y in ((1.5, 3.3), (3.2, 4.2)) for yaw in (-2.0, 0.0, 2.0)]
+    poses = [*inside, *(Pose2(pose.x + 5.0, pose.y, pose.yaw_rad) for pose in inside)]
+    return seen(backend, draw_two_rooms(), poses, 2.2)
+
+
+def is_at(found: Found | str, truth: Pose2, *, most_m: float = 0.1, most_rad: float = 0.03) -> bool:
+    """Return whether a place was found, and the true one."""
+    if isinstance(found, str):
+        return False
+    away = math.hypot(found.pose[0] - truth.x, found.pose[1] - truth.y)
+    return away < most_m and abs(wrap_angle(found.pose[2] - truth.yaw_rad)) < most_rad
+
+
+# -- a place that is found -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("drift_m", "wrong"),
+    [
+        (0.3, (0.2, -0.1, 0.03)),
+        (LOCAL_DRIFT_M, (-0.3, 0.3, -0.05)),
+        (LOCAL_DRIFT_M + 0.01, (0.6, -0.6, 0.1)),
+        (2.5, (2.4, -2.4, 0.25)),
+        (20.0, (-3.9, 3.9, 0.34)),
+    ],
+)
+def test_a_place_is_found_as_far_off_as_it_may_be(
+    search: ClosureSearch, flat: Submap, drift_m: float, wrong: tuple[float, float, float]
+):
+    for index in (40, 62, 80):
+        truth = true_poses(120)[index]
+        expected = vector(truth) + np.array(wrong)
+        found = search.near(flat, hits(draw_flat(), truth), expected, drift_m, MEAN_SCORE)
+        assert is_at(found, truth), f"{index}: {found}"
+        assert isinstance(found, Found)
+        arm = np.outer([1.0, 1.0, 5.0], [1.0, 1.0, 5.0])
+        values = np.linalg.eigvalsh(found.information / arm)
+        assert values.min() > 0.99 * MOST_SIGMA**-2.0
+        assert values.max() < 1.01 * LEAST_SIGMA**-2.0
+
+
+@pytest.mark.parametrize("index", [0, 40, 80, 110])
+def test_a_robot_that_may_be_anywhere_is_found(search: ClosureSearch, flat: Submap, index: int):
+    truth = true_poses(120)[index]
+    assert is_at(search.anywhere(flat, hits(draw_flat(), truth), MEAN_SCORE), truth)
+
+
+@given(
+    at=st.tuples(st.floats(0.8, 8.0), st.floats(0.8, 2.6), st.floats(-math.pi, math.pi)),
+    wrong=st.tuples(*[st.floats(-1.0, 1.0)] * 3),
+    drift_m=st.sampled_from((0.5, 1.5, 3.0)),
+)
+@settings(max_examples=40, deadline=None)
+def test_no_other_place_than_the_true_one_is_found(
+    search: ClosureSearch,
+    flat: Submap,
+    at: tuple[float, float, float],
+    wrong: tuple[float, float, float],
+    drift_m: float,
+):
+    """From anywhere in the flat, also where the robot never was: few walls in common blur it."""
+    truth = Pose2(*at)
+    expected = vector(truth) + np.array(wrong) * (drift_m, drift_m, 0.05)
+    found = search.near(flat, hits(draw_flat(), truth), expected, drift_m, MEAN_SCORE)
+    if not isinstance(found, str):
+        assert is_at(found, truth, most_m=0.4, most_rad=0.1), found.pose - vector(truth)
+
+
+# -- why one is not found --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("drift_m", [0.5, 2.0])
+def test_another_place_fits_badly(search: ClosureSearch, flat: Submap, drift_m: float):
+    """A round room in an L of straight walls."""
+    angles = np.linspace(0.0, 2.0 * math.pi, 180, endpoint=False)
+    ring = 0.9 * np.column_stack((np.cos(angles), np.sin(angles)))
+    expected = vector(true_poses(120)[60])
+    assert search.near(flat, ring, expected, drift_m, MEAN_SCORE) == "low response"
+    assert search.anywhere(flat, ring, MEAN_SCORE) == "low response"
+
+
+def test_what_is_usual_decides_what_fits_badly(search: ClosureSearch, flat: Submap):
+    """A third of the hits is noise: enough where matches are usually no better."""
+    truth = true_poses(120)[60]
+    points, rng = hits(draw_flat(), truth), np.random.default_rng(0)
+    points[::3] += rng.choice([-0.35, 0.35], points[::3].shape)
+    expected = vector(truth)
+    assert is_at(search.near(flat, points, expected, 0.4, 0.6), truth)
+    assert search.near(flat, points, expected, 0.4, 1.0) == "low response"
+    # Never below what the settings ask for.
+    points[::2] = rng.uniform(-0.8, 0.8, points[::2].shape)
+    assert search.near(flat, points, expected, 0.4, 0.1) == "low response"
+
+
+def test_where_nothing_was_seen_there_is_little_in_common(backend: Backend, search: ClosureSearch):
+    """A submap of one end of the flat, and a robot at its other end."""
+    end = seen(backend, draw_flat(), [Pose2(1.2, 1.0 + 0.2 * i, 2.5) for i in range(6)], 2.0)
+    truth = Pose2(7.0, 2.2, 0.3)
+    points = hits(draw_flat(), truth, 3.0)
+    assert search.near(end, points, vector(truth), 0.5, MEAN_SCORE) == "little in common"
+
+
+def test_a_share_that_is_not_seen_is_allowed(backend: Backend, search: ClosureSearch):
+    """A submap without a share of what the scan hits, from behind the robot on: no hit there."""
+    truth = true_poses(120)[60]
+    points = hits(draw_flat(), truth)
+    order = np.argsort(points[:, 0], kind="stable")
+    for share, is_found in ((0.25, True), (MOST_UNSEEN - 0.1, True), (MOST_UNSEEN + 0.1, False)):
+        submap = Submap(backend, 0, CELL_M, 0.1)
+        submap.insert(points[order[int(share * len(points)) :]], NO_LASER, truth)
+        submap.finish()
+        found = search.near(submap, points, vector(truth), 0.3, MEAN_SCORE)
+        if is_found:
+            assert is_at(found, truth), found
+        else:
+            assert found == "little in common"
+
+
+@pytest.mark.parametrize("drift_m", [0.3, 0.7])
+def test_a_bare_corridor_leaves_the_place_open(
+    backend: Backend, search: ClosureSearch, drift_m: float
+):
+    cells = draw_corridor()
+    submap = seen(backend, cells, [Pose2(9.0 + 0.3 * index, 1.5) for index in range(30)])
+    reasons = []
+    for index in range(10):
+        truth = Pose2(12.0 + 0.2 * index, 1.5)
+        found = search.near(submap, hits(cells, truth), vector(truth), drift_m, MEAN_SCORE)
+        reasons.append(found if isinstance(found, str) else "found")
+    assert reasons.count("place left open") >= 8
+    # The end of the same corridor is told.
+    submap = seen(backend, cells, [Pose2(0.8 + 0.2 * index, 1.5) for index in range(12)])
+    truth = Pose2(1.5, 1.5, 3.0)
+    assert is_at(search.near(submap, hits(cells, truth), vector(truth), drift_m, MEAN_SCORE), truth)
+
+
+def test_pillars_at_every_metre_fit_twice(backend: Backend, search: ClosureSearch):
+    """A robot that may have drifted by more than from one to the next."""
+    cells = draw_regular_ring()
+    submap = seen(backend, cells, [Pose2(3.0 + 0.4 * i, 1.5) for i in range(16)], 3.0)
+    for index in range(5):
+        truth = Pose2(6.0 + 0.17 * index, 1.5)
+        points = hits(cells, truth, 3.0)
+        assert search.near(submap, points, vector(truth), 1.2, MEAN_SCORE) == "two places fit"
+        assert search.anywhere(submap, points, MEAN_SCORE) == "two places fit"
+        # Of one that has hardly drifted it is known which.
+        assert is_at(search.near(submap, points, vector(truth), 0.3, MEAN_SCORE), truth)
+
+
+@pytest.mark.parametrize("room", [0, 1])
+def test_two_rooms_that_are_the_same_fit_twice(search: ClosureSearch, two_rooms: Submap, room: int):
+    """By the search of everything; a window about one of them does not reach the other."""
+    truth = Pose2(2.4 + 5.0 * room, 3.6, 0.4)
+    points = hits(draw_two_rooms(), truth, 2.2)
+    assert search.anywhere(two_rooms, points, MEAN_SCORE) == "two places fit"
+    expected = vector(truth) + np.array([0.8, -0.6, 0.1])
+    assert is_at(search.near(two_rooms, points, expected, 1.5, MEAN_SCORE), truth)
+
+
+def test_a_rival_just_beyond_what_is_expected_counts(search: ClosureSearch, two_rooms: Submap):
+    """The window reaches 3.6 m, the other room is 5 m off: it is looked for up to 4 m of either.
+
+    One that is expected half way between both is in one window with both.
+    """
+    truth = Pose2(2.4, 3.6, 0.4)
+    points = hits(draw_two_rooms(), truth, 2.2)
+    middle = vector(truth) + np.array([2.5, 0.0, 0.0])
+    assert search.near(two_rooms, points, middle, 2.6, MEAN_SCORE) == "two places fit"
+    nearer = vector(truth) + np.array([1.5, 0.0, 0.0])  # the other one is 3.5 m off
+    assert search.near(two_rooms, points, nearer, 2.2, MEAN_SCORE) == "two places fit"
+    assert is_at(search.near(two_rooms, points, vector(truth), 2.2, MEAN_SCORE), truth)
+
+
+def test_a_room_that_looks_the_same_turned_around_fits_twice(
+    backend: Backend, search: ClosureSearch
+):
+    """A bare oblong: half a turn away everything is the same."""
+    cells = np.ones((100, 140), dtype=np.uint8)
+    cells[10:90, 10:130] = 0
+    poses = [Pose2(3.5 + 0.2 * i, 2.5 + 0.1 * i, 1.2 * i) for i in range(-5, 6)]
+    submap = seen(backend, cells, poses)
+    truth = Pose2(2.2, 3.1, 0.3)
+    points = hits(cells, truth)
+    assert search.anywhere(submap, points, MEAN_SCORE) == "two places fit"
+    # Of one that knows its heading there is one place.
+    assert is_at(search.near(submap, points, vector(truth) + 0.1, 1.5, MEAN_SCORE), truth)

@@ -1,0 +1,268 @@
+"""The poses that fit what is known best: exact, along the right axes, and no false closure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.slam.graph.constraints import Constraint, solve_constraints, turned
+
+F64 = npt.NDArray[np.float64]
+STEP_SIGMAS = (0.05, 0.05, 0.02)
+CLOSURE_SIGMAS = (0.02, 0.02, 0.01)
+
+
+def known(sigmas: tuple[float, ...]) -> F64:
+    """Return (3, 3) the information of these deviations."""
+    return np.diag(np.array(sigmas) ** -2.0)
+
+
+def seen_from(poses: F64, start: int, end: int) -> F64:
+    """Return (3,) the true motion."""
+    motion = compose_poses(invert_poses(poses[start, None]), poses[end, None])[0]
+    motion[2] = wrap_angles(motion[2])
+    return motion
+
+
+def true_ring(count: int = 16) -> F64:
+    """Return (N, 3) a way once around a circle of 3 m."""
+    angles = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+    return np.column_stack((3.0 * np.cos(angles), 3.0 * np.sin(angles), angles + 0.5 * math.pi))
+
+
+def chain(poses: F64) -> list[Constraint]:
+    """Return the true steps from one to the next."""
+    return [
+        Constraint(index, index + 1, seen_from(poses, index, index + 1), known(STEP_SIGMAS))
+        for index in range(len(poses) - 1)
+    ]
+
+
+def closure(poses: F64, start: int, end: int, wrong: F64 | None = None) -> Constraint:
+    """Return a closure, true or off by a motion (3,) at its end."""
+    motion = seen_from(poses, start, end) + (0.0 if wrong is None else wrong)
+    return Constraint(start, end, motion, known(CLOSURE_SIGMAS), is_closure=True)
+
+
+def drifted(constraints: list[Constraint], first: F64, bias: F64) -> F64:
+    """Return (N, 3) where steps that are all wrong by a bias would lead."""
+    poses = [first]
+    for one in constraints:
+        poses.append(compose_poses(poses[-1][None], (one.motion + bias)[None])[0])
+    return np.array(poses)
+
+
+def off(poses: F64, truth: F64) -> float:
+    """Return the greatest difference, metres or radians."""
+    away = poses - truth
+    away[:, 2] = wrap_angles(away[:, 2])
+    return float(np.abs(away).max())
+
+
+@given(
+    x=st.floats(-1e4, 1e4),
+    y=st.floats(-1e4, 1e4),
+    yaw_rad=st.floats(-math.pi, math.pi),
+    turn_bias=st.floats(-0.03, 0.03),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_ring_without_noise_is_exact_in_any_frame(
+    x: float, y: float, yaw_rad: float, turn_bias: float
+):
+    frame = np.broadcast_to(np.array([x, y, yaw_rad]), (16, 3))
+    truth = compose_poses(frame, true_ring())
+    steps = chain(truth)
+    start = drifted(steps, truth[0], np.array([0.01, -0.01, turn_bias]))
+    solved = solve_constraints(start, [*steps, closure(truth, 0, 15), closure(truth, 2, 14)])
+    assert off(solved.poses, truth) < 1e-5
+    assert solved.chi2 < 1e-4
+    assert not solved.is_outlier.any()
+    np.testing.assert_allclose(solved.poses[0], start[0], atol=1e-9)  # the first is held
+
+
+def test_the_search_starts_at_the_given_poses():
+    truth = true_ring()
+    constraints = [*chain(truth), closure(truth, 0, 15)]
+    at_the_end = solve_constraints(truth, constraints)
+    assert off(at_the_end.poses, truth) < 1e-9
+    moved = truth + np.where(np.arange(16)[:, None] == 7, (0.1, 0.0, 0.0), 0.0)
+    before = moved.copy()
+    solved = solve_constraints(moved, constraints)
+    # Two steps say otherwise of the one pose that was moved, by two deviations each.
+    assert solved.chi2_start == pytest.approx(2.0 * (0.1 / 0.05) ** 2)
+    assert moved.tobytes() == before.tobytes()
+
+
+def test_noise_is_shared_out_by_what_is_known():
+    """Three nodes on a line; a closure says 10 cm less, three times as surely as either step."""
+    steps = [
+        Constraint(index, index + 1, np.array([1.0, 0.0, 0.0]), np.eye(3)) for index in range(2)
+    ]
+    whole = Constraint(0, 2, np.array([1.9, 0.0, 0.0]), 3.0 * np.eye(3), is_closure=True)
+    solved = solve_constraints(np.array([(0.0, 0, 0), (1.0, 0, 0), (2.0, 0, 0)]), [*steps, whole])
+    # Of 0.1: both steps together are worth 1/2, the closure 3.
+    short = 0.1 * 3.0 / 3.5
+    np.testing.assert_allclose(solved.poses[:, 0], [0.0, 1.0 - short / 2.0, 2.0 - short], atol=1e-6)
+    np.testing.assert_allclose(solved.poses[:, 1:], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi / 2, -2.0, math.pi])
+@pytest.mark.parametrize("is_closure", [False, True])
+def test_information_lies_along_the_axes_of_the_start(*, turn_rad: float, is_closure: bool):
+    """Two say of one node, turned in the start's frame, different places.
+
+    One is sure along the start's x, the other along its y; whichever way the node looks, x is that
+    of the one and y that of the other.
+    """
+    along = Constraint(0, 1, np.array([1.0, 0.5, turn_rad]), known((0.001, 1.0, 0.1)))
+    across = Constraint(
+        0, 1, np.array([1.1, 0.6, turn_rad]), known((1.0, 0.001, 0.1)), is_closure=is_closure
+    )
+    solved = solve_constraints(np.array([(0.0, 0.0, 0.0), (1.0, 0.5, turn_rad)]), [along, across])
+    np.testing.assert_allclose(solved.poses[1, :2], [1.0, 0.6], atol=1e-4)
+    assert abs(wrap_angles(solved.poses[1:, 2] - turn_rad)[0]) < 1e-4
+
+
+@pytest.mark.parametrize("frame_rad", [0.0, 1.0, -2.5])
+def test_a_closure_that_is_open_one_way_leaves_that_to_the_steps(frame_rad: float):
+    """It is 30 cm off along a corridor, of which it knows nothing, and its end looks across."""
+    marks = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (2.0, 1.0, 2.5), (0.5, 1.0, -1.3)]
+    truth = compose_poses(np.broadcast_to((3.0, -1.0, frame_rad), (4, 3)), np.array(marks))
+    steps = chain(truth)
+    drift = drifted(steps, truth[0], np.array([0.0, 0.0, 0.002]))
+    information = known((0.5, 0.01, 0.005))
+    motion = seen_from(truth, 0, 3) + np.array([0.3, 0.0, 0.0])
+    tie = Constraint(0, 3, motion, information, is_closure=True)
+    solved = solve_constraints(drift, [*steps, tie])
+    assert not solved.is_outlier.any()
+    found = seen_from(solved.poses, 0, 3)
+    true = seen_from(truth, 0, 3)
+    assert abs(found[0] - true[0]) < 0.03
+    assert abs(found[1] - true[1]) < 0.01
+
+
+# -- false closures --------------------------------------------------------------------------------
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    angle_rad=st.floats(-math.pi, math.pi),
+    away_m=st.floats(0.7, 5.0),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_false_closure_gets_no_weight(seed: int, angle_rad: float, away_m: float):
+    """Among three true ones and steps with noise."""
+    rng = np.random.default_rng(seed)
+    truth = true_ring()
+    steps = [
+        Constraint(
+            one.start, one.end, one.motion + rng.normal(0.0, (0.02, 0.02, 0.01)), known(STEP_SIGMAS)
+        )
+        for one in chain(truth)
+    ]
+    wrong = np.array([away_m * math.cos(angle_rad), away_m * math.sin(angle_rad), 0.3])
+    false = closure(truth, 3, 12, wrong)
+    true = [closure(truth, *ends) for ends in ((0, 15), (1, 14), (2, 13))]
+    solved = solve_constraints(drifted(steps, truth[0], np.zeros(3)), [*steps, false, *true])
+    assert solved.weights[15] == 0.0
+    np.testing.assert_array_equal(solved.weights[16:], 1.0)
+    np.testing.assert_array_equal(solved.weights[:15], 1.0)
+    without = solve_constraints(drifted(steps, truth[0], np.zeros(3)), [*steps, *true])
+    assert off(solved.poses, without.poses) < 1e-4
+
+
+def test_what_is_no_closure_is_never_doubted():
+    """Two steps that contradict each other share the blame."""
+    poses = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    steps = [Constraint(0, 1, np.array([x, 0.0, 0.0]), known(STEP_SIGMAS)) for x in (1.0, 3.0)]
+    solved = solve_constraints(poses, steps)
+    np.testing.assert_array_equal(solved.weights, 1.0)
+    assert solved.poses[1, 0] == pytest.approx(2.0)
+
+
+def test_a_closure_that_alone_joins_two_parts_is_believed():
+    poses = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (9.0, 9.0, 1.0), (10.0, 9.0, 1.0)])
+    ahead = np.array([1.0, 0.0, 0.0])
+    steps = [Constraint(a, a + 1, ahead, known(STEP_SIGMAS)) for a in (0, 2)]
+    joint = Constraint(1, 2, np.array([0.0, 2.0, 0.5]), known(CLOSURE_SIGMAS), is_closure=True)
+    solved = solve_constraints(poses, [*steps, joint])
+    np.testing.assert_allclose(solved.poses[2], [1.0, 2.0, 0.5], atol=1e-6)
+    assert not solved.is_outlier.any()
+
+
+@pytest.mark.parametrize("is_right", [False, True])
+def test_a_weak_tie_gives_way_to_closures_that_agree(*, is_right: bool):
+    """A lost robot: odometry is a closure that may be false beside a tie of next to nothing."""
+    truth = true_ring(10)
+    steps = chain(truth)
+    carried = np.zeros(3) if is_right else np.array([4.0, -3.0, 1.0])
+    told = steps[4].motion + carried
+    steps[4:5] = [
+        Constraint(4, 5, told, known((10.0, 10.0, 3.0))),
+        Constraint(4, 5, told, known((0.3, 0.3, 0.2)), is_closure=True),
+    ]
+    seen = [closure(truth, *ends) for ends in ((0, 8), (1, 9), (2, 7))]
+    solved = solve_constraints(truth, [*steps, *seen])
+    assert off(solved.poses, truth) < (1e-5 if is_right else 0.02)
+    assert (solved.weights[5] > 0.5) == is_right
+    np.testing.assert_array_equal(solved.weights[-3:], 1.0)
+
+
+def test_what_was_found_false_once_is_found_false_again():
+    truth = true_ring()
+    steps = chain(truth)
+    false = closure(truth, 3, 12, np.array([2.0, 1.0, 0.3]))
+    constraints = [*steps, false, closure(truth, 0, 15), closure(truth, 1, 14)]
+    first = solve_constraints(truth, constraints)
+    later = [*constraints, closure(truth, 2, 13)]
+    again = solve_constraints(first.poses, later, first.weights)
+    again = solve_constraints(first.poses, later)
+    assert again.weights[15] == again.weights[15] == 0.0
+    assert off(again.poses, again.poses) < 1e-6
+    assert off(again.poses, truth) < 1e-6
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count: int):
+    """A false closure was believed while it was alone; then true ones say otherwise."""
+    truth = true_ring()
+    steps = chain(truth)
+    false = closure(truth, 3, 12, np.array([0.5, 0.2, 0.05]))
+    first = solve_constraints(truth, [*steps, false])
+    assert first.weights[15] == 1.0
+    true = [closure(truth, *ends) for ends in ((2, 13), (4, 11), (1, 14), (0, 15))][:count]
+    later = [*steps, false, *true]
+    stands = solve_constraints(first.poses, later, first.weights, tolerated=count)
+    assert not stands.is_reevaluated
+    assert stands.weights[15] == 1.0
+    np.testing.assert_array_equal(stands.weights[16:], 0.0)
+    again = solve_constraints(first.poses, later, first.weights, tolerated=count - 1)
+    assert again.is_reevaluated
+    assert again.weights[15] == 0.0
+    assert off(again.poses, truth) < 1e-6
+
+
+# -- the frame of an information -------------------------------------------------------------------
+
+
+@given(
+    angle_rad=st.floats(-7.0, 7.0),
+    step=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
+    sigmas=st.tuples(*[st.floats(0.01, 1.0)] * 3),
+)
+@settings(max_examples=60, deadline=None)
+def test_turned_information_is_worth_the_same(
+    angle_rad: float, step: tuple[float, ...], sigmas: tuple[float, ...]
+):
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    information, a = known(sigmas), np.array(step)
+    b = np.array([cos * a[0] - sin * a[1], sin * a[0] + cos * a[1], a[2]])
+    found = turned(information, angle_rad)
+    assert b @ found @ b == pytest.approx(a @ information @ a, rel=1e-9, abs=1e-9)
+    np.testing.assert_allclose(turned(found, -angle_rad), information, rtol=1e-6, atol=1e-6)

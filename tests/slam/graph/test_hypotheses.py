@@ -1,0 +1,143 @@
+"""Hypotheses about a kidnapped robot: the right one outlives look-alikes, and none wins early."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamfusion.geometry import Pose2
+from slamfusion.slam.graph.constraints import Constraint
+from slamfusion.slam.graph.hypotheses import (
+    BORNE_OUT_M,
+    BORNE_OUT_NODES,
+    MISSES,
+    MOST_HYPOTHESES,
+    TESTED,
+    RelocalizationHypotheses,
+)
+from slamfusion.slam.graph.pending_closures import PendingClosure
+
+pytestmark = pytest.mark.once
+
+HERE = Pose2(3.0, -2.0, 0.5)
+TRUE, TWIN = Pose2(4.0, 1.0, 1.0), Pose2(-6.0, 2.0, -2.0)
+
+
+def hit(node: int, correction: Pose2, step_m: float = 1.0) -> PendingClosure:
+    """A closure of a node, ``step_m`` metres after the node before it."""
+    edge = Constraint(0, node, np.zeros(3), np.eye(3), is_closure=True)
+    return PendingClosure(edge, correction, step_m * node, "anywhere")
+
+
+def told(
+    hypotheses: RelocalizationHypotheses, correction: Pose2, nodes: range, step_m: float = 1.0
+) -> None:
+    for node in nodes:
+        hypotheses.add(hit(node, correction, step_m), HERE)
+
+
+def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
+    hypotheses = RelocalizationHypotheses()
+    for node in range(BORNE_OUT_NODES - 1):
+        hypotheses.add(hit(node, TRUE), HERE)
+        assert hypotheses.winner() is None
+    hypotheses.add(hit(BORNE_OUT_NODES, TRUE), HERE)
+    winner = hypotheses.winner()
+    assert winner is not None
+    assert [one.constraint.end for one in winner.hits] == [
+        *range(BORNE_OUT_NODES - 1),
+        BORNE_OUT_NODES,
+    ]
+
+
+def test_a_robot_that_hardly_drives_is_not_found():
+    hypotheses = RelocalizationHypotheses()
+    told(
+        hypotheses,
+        TRUE,
+        range(5 * BORNE_OUT_NODES),
+        step_m=0.9 * BORNE_OUT_M / (5 * BORNE_OUT_NODES),
+    )
+    assert hypotheses.winner() is None
+
+
+def test_closures_of_one_node_count_once():
+    hypotheses = RelocalizationHypotheses()
+    for _ in range(BORNE_OUT_NODES):
+        told(hypotheses, TRUE, range(0, 2 * BORNE_OUT_NODES - 2, 2))
+    assert hypotheses.winner() is None
+
+
+def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
+    hypotheses = RelocalizationHypotheses()
+    for node in range(4 * BORNE_OUT_NODES):
+        hypotheses.add(hit(node, TRUE), HERE)
+        twin = hypotheses.add(hit(node, TWIN), HERE)
+        assert hypotheses.winner() is None
+    for _ in range(MISSES - 1):
+        hypotheses.miss(twin)
+        assert hypotheses.winner() is None
+    hypotheses.miss(twin)
+    winner = hypotheses.winner()
+    assert winner is not None
+    assert winner.correction == TRUE
+
+
+def test_misses_count_in_a_row():
+    hypotheses = RelocalizationHypotheses()
+    told(hypotheses, TRUE, range(2))
+    hypothesis = hypotheses.kept[0]
+    for _ in range(3):
+        for _ in range(MISSES - 1):
+            hypotheses.miss(hypothesis)
+        told(hypotheses, TRUE, range(2, 3))
+    assert hypotheses.kept == [hypothesis]
+    for _ in range(MISSES):
+        hypotheses.miss(hypothesis)
+    hypotheses.miss(hypothesis)  # of one that is given up already
+    assert hypotheses.kept == []
+
+
+def test_a_false_lead_that_cannot_be_tested_does_not_stand_in_the_way_forever():
+    hypotheses = RelocalizationHypotheses()
+    told(hypotheses, TWIN, range(8))
+    told(hypotheses, TRUE, range(8, 16))
+    assert hypotheses.winner() is None
+    told(hypotheses, TRUE, range(16, 40))
+    winner = hypotheses.winner()
+    assert winner is not None
+    assert winner.correction == TRUE
+
+
+@pytest.mark.parametrize(("away", "count"), [((0.1, 0.1, 0.02), 1), ((0.5, 0.0, 0.0), 2)])
+def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, float], count: int):
+    """The same at the robot; what a correction does at the frame's origin is no matter."""
+    hypotheses = RelocalizationHypotheses()
+    place = TRUE.compose(HERE)
+    other = Pose2(place.x + away[0], place.y + away[1], place.yaw_rad + away[2])
+    hypotheses.add(hit(0, TRUE), HERE)
+    hypotheses.add(hit(1, other.compose(HERE.inverse())), HERE)
+    assert len(hypotheses.kept) == count
+
+
+def test_few_are_tested_at_a_node_and_each_in_its_turn():
+    hypotheses = RelocalizationHypotheses()
+    for number in range(5):
+        hypotheses.add(hit(0, Pose2(3.0 * number, 0.0)), HERE)
+    tested = []
+    for node in range(3):
+        chosen = hypotheses.to_test()
+        assert len(chosen) == TESTED
+        for hypothesis in chosen:
+            hypothesis.tested = node
+            tested.append(round(hypothesis.correction.x))
+    assert tested[:5] == [0, 3, 6, 9, 12]
+
+
+def test_the_least_supported_hypothesis_makes_room():
+    hypotheses = RelocalizationHypotheses()
+    told(hypotheses, TRUE, range(3))
+    for number in range(2 * MOST_HYPOTHESES):
+        hypotheses.add(hit(0, Pose2(30.0 + 3.0 * number, 0.0)), HERE)
+    assert len(hypotheses.kept) == MOST_HYPOTHESES
+    assert hypotheses.kept[0].correction == TRUE

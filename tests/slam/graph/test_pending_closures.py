@@ -1,0 +1,256 @@
+"""Closures that would move the robot wait until others say the same."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.geometry import Pose2
+from slamfusion.slam.graph.constraints import Constraint
+from slamfusion.slam.graph.pending_closures import (
+    AGREEMENT_M,
+    SMALL_STEP_M,
+    SMALL_STEP_RAD,
+    TRUST,
+    How,
+    PendingClosure,
+    PendingClosures,
+)
+
+pytestmark = pytest.mark.once
+
+F64 = npt.NDArray[np.float64]
+
+
+def closure_of(
+    number: int,
+    correction: Pose2,
+    *,
+    start: int = 0,
+    travelled_m: float | None = None,
+    how: How = "known",
+) -> PendingClosure:
+    """Return a closure of a node; every node is half a metre on."""
+    edge = Constraint(start, number, np.zeros(3), np.eye(3), is_closure=True)
+    least_m = 0.5 * number if travelled_m is None else travelled_m
+    return PendingClosure(edge, correction, least_m, how)
+
+
+HERE = Pose2(3.0, -2.0, 0.5)
+BIG = Pose2(2.0, 1.0, 0.0)
+
+
+def moving(x: float, y: float, yaw_rad: float) -> Pose2:
+    """Return a correction that moves a robot at ``HERE`` so, along the map's axes."""
+    moved = Pose2(HERE.x + x, HERE.y + y, HERE.yaw_rad + yaw_rad)
+    return moved.compose(HERE.inverse())
+
+
+@pytest.mark.parametrize(
+    ("step", "is_small"),
+    [
+        ((0.0, 0.0, 0.0), True),
+        ((SMALL_STEP_M - 0.01, 0.0, 0.0), True),
+        ((0.0, -SMALL_STEP_M - 0.01, 0.0), False),
+        ((0.3, 0.3, 0.0), False),
+        ((0.1, 0.1, SMALL_STEP_RAD - 0.01), True),
+        ((0.0, 0.0, -SMALL_STEP_RAD - 0.01), False),
+        ((0.0, 0.0, math.tau), True),
+    ],
+)
+def test_a_small_step_is_believed_at_once(step: tuple[float, float, float], is_small: bool):
+    pending, closure = PendingClosures(), closure_of(7, moving(*step))
+    assert pending.confirmed(closure, HERE) == ([closure] if is_small else [])
+    assert pending.closures == ([] if is_small else [closure])
+
+
+def test_a_big_step_waits_for_one_that_says_the_same():
+    pending = PendingClosures()
+    first, second = closure_of(7, BIG), closure_of(9, BIG)
+    assert pending.confirmed(first, HERE) == []
+    assert pending.confirmed(second, HERE) == [second, first]
+    assert pending.closures == []
+    # The next one starts from nothing.
+    assert pending.confirmed(closure_of(10, BIG), HERE) == []
+
+
+def test_a_small_step_says_nothing_of_those_that_wait():
+    pending, first = PendingClosures(), closure_of(7, BIG)
+    pending.confirmed(first, HERE)
+    small = closure_of(8, moving(0.1, 0.0, 0.0))
+    assert pending.confirmed(small, HERE) == [small]
+    assert pending.closures == [first]
+    last = closure_of(9, BIG)
+    assert pending.confirmed(last, HERE) == [last, first]
+
+
+@pytest.mark.parametrize(
+    ("other", "agrees"),
+    [
+        ((2.0, 1.0, 0.5), True),
+        ((2.0 + AGREEMENT_M - 0.01, 1.0, 0.5), True),
+        ((2.0 + AGREEMENT_M + 0.01, 1.0, 0.5), False),
+        ((2.0, 1.0, 0.5 + 0.04), True),
+        ((2.0, 1.0, 0.5 - 0.06), False),
+        ((2.0, 1.0, 0.5 + math.tau), True),
+    ],
+)
+def test_what_would_move_the_robot_elsewhere_confirms_nothing(
+    other: tuple[float, float, float], agrees: bool
+):
+    pending = PendingClosures()
+    pending.confirmed(closure_of(7, moving(2.0, 1.0, 0.5)), HERE)
+    assert len(pending.confirmed(closure_of(8, moving(*other)), HERE)) == (2 if agrees else 0)
+
+
+def test_agreement_is_about_the_robot_of_now():
+    """Two corrections that turn differently agree at the place where one was found, not far on."""
+    one, other = moving(2.0, 0.0, 0.0), moving(2.0, 0.0, 0.04)
+    for far_m, agrees in ((0.0, True), (20.0, False)):
+        pending, pose = PendingClosures(), HERE.compose(Pose2(far_m))
+        pending.confirmed(closure_of(7, one), HERE)
+        assert len(pending.confirmed(closure_of(8, other), pose)) == (2 if agrees else 0)
+
+
+def test_two_of_one_node_do_not_confirm_each_other():
+    pending = PendingClosures()
+    assert pending.confirmed(closure_of(7, BIG, start=1), HERE) == []
+    assert pending.confirmed(closure_of(7, BIG, start=2), HERE) == []
+    assert len(pending.confirmed(closure_of(8, BIG, start=1), HERE)) == 3
+
+
+@pytest.mark.parametrize("confirms", [True, False])
+def test_old_ones_expire(*, confirms: bool):
+    later = TRUST["known"][2] + (0 if confirms else 1)
+    pending, second = PendingClosures(), closure_of(7 + later, BIG)
+    pending.confirmed(closure_of(7, BIG), HERE)
+    assert len(pending.confirmed(second, HERE)) == (2 if confirms else 0)
+    assert pending.closures == ([] if confirms else [second])
+
+
+def test_only_those_that_agree_are_believed():
+    pending, other = PendingClosures(), moving(-5.0, 0.0, 1.0)
+    first, false, last = closure_of(7, BIG), closure_of(8, other), closure_of(9, BIG)
+    for closure in (first, false):
+        assert pending.confirmed(closure, HERE) == []
+    assert pending.confirmed(last, HERE) == [last, first]
+
+
+OTHER = moving(-5.0, 2.0, 1.0)
+LOST: tuple[How, ...] = ("odometry",)
+
+
+def told(how: How, ones: list[tuple[int, Pose2]], every_m: float = 1.0) -> list[int]:
+    """Return how many closures of a lost robot were believed, after each of them."""
+    pending = PendingClosures()
+    return [
+        len(
+            pending.confirmed(
+                closure_of(number, correction, travelled_m=every_m * number, how=how), HERE
+            )
+        )
+        for number, correction in ones
+    ]
+
+
+def row(correction: Pose2, first: int, count: int) -> list[tuple[int, Pose2]]:
+    """Return closures of nodes that follow each other and say the same."""
+    return [(first + index, correction) for index in range(count)]
+
+
+def test_a_robot_that_was_lost_needs_more_than_one_that_was_not():
+    assert TRUST["known"][0] == 2
+    assert TRUST["known"][0] < TRUST["odometry"][0]
+    assert TRUST["known"][1] < TRUST["odometry"][1]
+
+
+@pytest.mark.parametrize("how", LOST)
+@pytest.mark.parametrize("correction", [BIG, moving(0.0, 0.0, 0.0)])
+def test_a_lost_robot_is_found_when_enough_nodes_agree(how: How, correction: Pose2):
+    """Also where it happens to be where odometry has it: no step is small then."""
+    wanted = TRUST[how][0]
+    assert told(how, row(correction, 7, wanted)) == [0] * (wanted - 1) + [wanted]
+
+
+@pytest.mark.parametrize("how", LOST)
+def test_closures_of_one_node_count_once(how: How):
+    wanted = TRUST[how][0]
+    twice = [one for one in row(BIG, 7, wanted - 1) for _ in range(2)]
+    assert told(how, twice) == [0] * len(twice)
+    assert told(how, [*twice, (30, BIG)])[-1] == (len(twice) + 1 if TRUST[how][2] >= 30 - 7 else 0)
+
+
+@pytest.mark.parametrize("how", LOST)
+def test_a_lost_robot_must_have_driven_between_them(how: How):
+    wanted, least_m, _ = TRUST[how]
+    enough = least_m / (wanted - 1)
+    assert told(how, row(BIG, 7, wanted), 1.01 * enough)[-1] == wanted
+    short = told(how, row(BIG, 7, wanted + 1), 0.99 * enough)
+    assert short == [*[0] * wanted, wanted + 1]
+
+
+@pytest.mark.parametrize("how", LOST)
+def test_a_lost_robot_is_not_found_where_as_many_say_otherwise(how: How):
+    """The last of six, say, has five before it that agree: five that do not are too many."""
+    wanted = TRUST[how][0]
+    others = [(number, moving(-5.0 - number, 2.0, 1.0)) for number in range(wanted - 1)]
+    agreeing = row(BIG, wanted, wanted)
+    assert told(how, [*others[1:], *agreeing])[-1] == wanted
+    assert told(how, [*others, *agreeing])[-1] == 0
+    assert told(how, [*others, *agreeing, (2 * wanted, BIG)])[-1] == wanted + 1
+
+
+@pytest.mark.parametrize("how", ["known", *LOST])
+def test_contradictions_expire_as_everything_does(how: How):
+    wanted, _, nodes = TRUST[how]
+    others = [(number, moving(-5.0 - number, 2.0, 1.0)) for number in range(3 * wanted)]
+    last = nodes + len(others)
+    found = told(how, [*others, *row(BIG, last - wanted + 1, wanted)])
+    assert found[-1] == wanted
+    # An agreeing one from too long ago is none.
+    late = told(how, [(0, BIG), *row(BIG, nodes + 1, wanted - 1)])
+    assert not any(late)
+
+
+@given(
+    frame=st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-3.0, 3.0)),
+    ones=st.lists(
+        st.tuples(
+            st.integers(0, 3),
+            st.sampled_from(
+                [(0.1, 0.1, 0.05), (2.0, 1.0, 0.5), (2.1, 1.1, 0.52), (2.4, 1.0, 0.5), (-5, 2, 1)]
+            ),
+            st.sampled_from(("known", "odometry")),
+        ),
+        max_size=25,
+    ),
+)
+@settings(max_examples=100, deadline=None)
+def test_what_is_believed_does_not_depend_on_the_map_frame(
+    frame: tuple[float, float, float],
+    ones: list[tuple[int, tuple[float, float, float], How]],
+):
+    """And every closure is believed once at most, after it was told, within its time."""
+    turn = Pose2(*frame)
+    here, there = PendingClosures(), PendingClosures()
+    pose, number, believed = HERE, 0, []
+    for further, step, how in ones:
+        number += further
+        pose = pose.compose(Pose2(0.5 * further, 0.0, 0.1 * further))
+        moved = Pose2(pose.x + step[0], pose.y + step[1], pose.yaw_rad + step[2])
+        correction = moved.compose(pose.inverse())
+        turned = turn.compose(correction).compose(turn.inverse())
+        one = closure_of(number, correction, how=how)
+        found = here.confirmed(one, pose)
+        same = there.confirmed(closure_of(number, turned, how=how), turn.compose(pose))
+        assert [c.constraint.end for c in found] == [c.constraint.end for c in same]
+        assert not found or found[0] is one
+        assert all(number - c.constraint.end <= TRUST[c.how][2] for c in found)
+        assert not {id(c) for c in found} & {id(c) for c in here.closures}
+        believed += found
+    assert len({id(one) for one in believed}) == len(believed)

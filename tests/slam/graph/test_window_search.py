@@ -1,0 +1,379 @@
+"""The search of a whole window finds what looking at every pose of it finds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.slam.graph.submap import Pyramid, Submap
+from slamfusion.slam.graph.window_search import (
+    BESIDE_M,
+    BESIDE_RAD,
+    LEAST_REACH_CELLS,
+    YAW_CELLS,
+    WindowMatch,
+    search_window,
+)
+from tests.slam.drives import CELL_M, scan_at, true_poses
+
+F64 = npt.NDArray[np.float64]
+U8 = npt.NDArray[np.uint8]
+
+
+@pytest.fixture(scope="module")
+def backend() -> Backend:
+    return open_backend()
+
+
+@dataclass(frozen=True)
+class Case:
+    """A field, a scan, and the window where it is looked for.
+
+    Attributes:
+        field: (H, W) uint8.
+        corner: (2,) of its first cell, cells.
+        points: (P, 2) metres.
+        centre: (3,) metres and radians.
+        half_m: half the window's side.
+        half_rad: half its angle.
+        resolution: metres per cell.
+    """
+
+    field: U8
+    corner: F64
+    points: F64
+    centre: F64
+    half_m: float
+    half_rad: float
+    resolution: float
+
+    def search(
+        self, backend: Backend, least: float = 0.0, beside: F64 | None = None
+    ) -> WindowMatch | None:
+        """Search it."""
+        return search_window(
+            backend,
+            Pyramid(backend, self.field, self.corner),
+            self.points,
+            self.centre,
+            half_m=self.half_m,
+            half_rad=self.half_rad,
+            resolution=self.resolution,
+            least=least,
+            beside=beside,
+        )
+
+    def poses(self) -> F64:
+        """Return (N, 3) every pose of the search set."""
+        far = max(np.hypot(*self.points.T).max() / self.resolution, LEAST_REACH_CELLS)
+        half = math.ceil(self.half_m / self.resolution)
+        shifts = np.arange(-half, half + 1) * self.resolution
+        count = math.ceil(self.half_rad * far / YAW_CELLS)
+        turns = np.linspace(-self.half_rad, self.half_rad, 2 * count + 1) if count else np.zeros(1)
+        axes = np.meshgrid(shifts, shifts, turns, indexing="ij")
+        return self.centre + np.stack([axis.ravel() for axis in axes], axis=-1)
+
+    def scores(self, poses: F64) -> F64:
+        """Return (N,) the mean of the field under the hits, 0 to 1, beyond the field 0."""
+        height, width = self.field.shape
+        cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        x = poses[:, :1] + cos * self.points[:, 0] - sin * self.points[:, 1]
+        y = poses[:, 1:2] + sin * self.points[:, 0] + cos * self.points[:, 1]
+        col = np.floor(x / self.resolution - self.corner[0]).astype(np.int64)
+        row = np.floor(y / self.resolution - self.corner[1]).astype(np.int64)
+        inside = (col >= 0) & (row >= 0) & (col < width) & (row < height)
+        values = self.field[np.clip(row, 0, height - 1), np.clip(col, 0, width - 1)]
+        return np.asarray(np.where(inside, values, 0).sum(axis=1) / (255.0 * len(self.points)))
+
+
+def is_elsewhere(poses: F64, beside: F64) -> npt.NDArray[np.bool_]:
+    """Return of poses (N, 3) whether each is another place than one pose."""
+    away = np.hypot(poses[:, 0] - beside[0], poses[:, 1] - beside[1])
+    turns = np.array([abs(wrap_angle(float(yaw - beside[2]))) for yaw in poses[:, 2]])
+    return np.asarray((away >= BESIDE_M) | (turns >= BESIDE_RAD))
+
+
+def random_case(seed: int, half_cells: float, half_rad: float, points: int) -> Case:
+    """A field of a few walls and some dirt, and points anywhere about it."""
+    rng = np.random.default_rng(seed)
+    height, width = (int(side) for side in rng.integers(1, 50, 2))
+    field = rng.integers(0, 256, (height, width)) * (rng.random((height, width)) < 0.15)
+    field[rng.integers(height)] = rng.integers(256)
+    field[:, rng.integers(width)] = rng.integers(256)
+    cell = float(rng.choice([0.05, 0.1, 0.3]))
+    corner = rng.integers(-60, 20, 2).astype(np.float64)
+    middle = (corner + np.array([width, height]) * rng.random(2)) * cell
+    return Case(
+        field.astype(np.uint8),
+        corner,
+        rng.uniform(-30.0, 30.0, (points, 2)) * cell * rng.choice([0.1, 1.0]),
+        np.array([*middle, rng.uniform(-7.0, 7.0)]) + rng.normal(0.0, 0.3, 3),
+        half_cells * cell,
+        half_rad,
+        cell,
+    )
+
+
+CASES = st.builds(
+    random_case,
+    seed=st.integers(0, 2**32 - 1),
+    half_cells=st.sampled_from((0.0, 0.4, 1.0, 3.7, 9.0, 24.3)),
+    half_rad=st.sampled_from((0.0, 0.01, 0.2)),
+    points=st.integers(1, 40),
+)
+
+
+@given(case=CASES)
+@settings(max_examples=120, deadline=None)
+def test_finds_the_best_of_every_pose(backend: Backend, case: Case):
+    everything = case.scores(case.poses())
+    found = case.search(backend)
+    if everything.max() == 0.0:
+        assert found is None
+        return
+    assert found is not None
+    assert found.score == pytest.approx(everything.max(), abs=1e-12)
+    assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
+    away = np.abs(case.poses() - found.pose)
+    assert away.max(axis=1).min() < 1e-9  # it is one of the search set
+
+
+@given(case=CASES, share=st.floats(0.5, 1.5))
+@settings(max_examples=60, deadline=None)
+def test_nothing_at_or_below_the_least_is_found(backend: Backend, case: Case, share: float):
+    best = float(case.scores(case.poses()).max())
+    found = case.search(backend, least=share * best)
+    if share * best < best - 1e-9:
+        assert found is not None
+        assert found.score == pytest.approx(best, abs=1e-12)
+    elif share * best > best - 1e-12:
+        assert found is None
+
+
+@given(case=CASES)
+@settings(max_examples=60, deadline=None)
+def test_the_best_score_itself_as_least_is_not_found_again(backend: Backend, case: Case):
+    found = case.search(backend)
+    if found is not None:
+        assert case.search(backend, least=found.score) is None
+
+
+@given(seed=st.integers(0, 2**32 - 1), half_cells=st.sampled_from((0.0, 2.6, 17.0)))
+@settings(max_examples=15, deadline=None)
+def test_twins_find_the_same_pose_of_equals(backend: Backend, seed: int, half_cells: float):
+    case = random_case(seed, half_cells, 0.05, 7)
+    device, plain = case.search(backend), case.search(NumpyBackend())
+    again = case.search(backend)
+    if device is None or plain is None or again is None:
+        assert device is plain is again is None
+        return
+    for other in (plain, again):
+        assert other.pose.tobytes() == device.pose.tobytes()
+        assert (other.score, other.opened) == (device.score, device.opened)
+
+
+BESIDE_CASES = st.builds(
+    random_case,
+    seed=st.integers(0, 2**32 - 1),
+    half_cells=st.sampled_from((0.0, 1.0, 5.7, 16.0)),
+    half_rad=st.sampled_from((0.0, 0.3, 1.0)),
+    points=st.integers(1, 12),
+)
+
+
+@given(case=BESIDE_CASES, seed=st.integers(0, 2**32 - 1), turns=st.sampled_from((0, 1, -2)))
+@settings(max_examples=120, deadline=None)
+def test_finds_the_best_of_every_other_place(backend: Backend, case: Case, seed: int, turns: int):
+    """What lies beside one pose is passed over; whole turns of its heading change nothing."""
+    poses = case.poses()
+    chosen = np.random.default_rng(seed).integers(len(poses))
+    # Off the search set's lattice, so that no pose lies on the limit.
+    beside = poses[chosen] + (0.00123, 0.00217, 0.00031 + turns * math.tau)
+    allowed = poses[is_elsewhere(poses, beside)]
+    found = case.search(backend, beside=beside)
+    best = case.scores(allowed).max() if len(allowed) else 0.0
+    if best == 0.0:
+        assert found is None
+        return
+    assert found is not None
+    assert found.score == pytest.approx(best, abs=1e-12)
+    assert case.scores(found.pose[None])[0] == pytest.approx(found.score, abs=1e-12)
+    assert is_elsewhere(found.pose[None], beside).all()
+    assert np.abs(allowed - found.pose).max(axis=1).min() < 1e-9
+
+
+@given(
+    case=BESIDE_CASES,
+    place=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    share=st.floats(0.5, 1.0),
+)
+@settings(max_examples=60, deadline=None)
+def test_another_place_must_still_be_better_than_the_least(
+    backend: Backend, case: Case, place: tuple[float, ...], share: float
+):
+    beside = case.centre + np.array(place) * (0.2, 0.2, 0.1)
+    other = case.search(backend, beside=beside)
+    if other is None:
+        assert case.search(backend, share, beside=beside) is None
+        return
+    again = case.search(backend, share * other.score, beside=beside)
+    if share < 1.0 - 1e-9:
+        assert again is not None
+        assert again.score == other.score
+    assert case.search(backend, other.score, beside=beside) is None
+
+
+def test_twins_find_the_same_other_place(backend: Backend):
+    """Also among many equals: a field that is the same everywhere but in one corner."""
+    field = np.full((80, 80), 200, dtype=np.uint8)
+    field[:20, :20] = 210
+    points, corner = np.array([(0.1, 0.2), (0.4, -0.3)]), np.array([-40.0, -40.0])
+    for beside in ((0.0, 0.0, 0.0), (-1.5, -1.5, 0.3), (0.6, -0.6, 0.3 + math.tau)):
+        case = Case(field, corner, points, np.array([0.0, 0.0, 0.3]), *(0.9, 0.5, 0.05))
+        device, plain = (
+            case.search(place, beside=np.array(beside)) for place in (backend, NumpyBackend())
+        )
+        assert device is not None
+        assert plain is not None
+        assert device.pose.tobytes() == plain.pose.tobytes()
+        assert device.opened == plain.opened
+        assert is_elsewhere(device.pose[None], np.array(beside)).all()
+
+
+def test_a_field_that_one_place_fits_has_no_other(backend: Backend):
+    """A single wall cell: every pose that hits it with the only point lies in one place."""
+    field = np.zeros((60, 60), dtype=np.uint8)
+    field[30, 30] = 255
+    case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([1.5, 1.5, 0.0]), 1.0, 0.15, 0.05)
+    found = case.search(backend)
+    assert found is not None
+    assert case.search(backend, beside=found.pose) is None
+    # There with another heading is another place.
+    turned = np.array([*found.pose[:2], 0.15 + BESIDE_RAD + 0.01])
+    assert case.search(backend, beside=turned) is not None
+
+
+def test_many_equals_give_one_pose(backend: Backend):
+    """A field that is the same everywhere."""
+    case = Case(
+        np.full((60, 60), 200, dtype=np.uint8),
+        np.array([-30.0, -30.0]),
+        np.array([(0.1, 0.2), (0.4, -0.3)]),
+        np.array([0.0, 0.0, 0.3]),
+        *(0.6, 0.1, 0.05),
+    )
+    first, second = case.search(backend), case.search(NumpyBackend())
+    assert first is not None
+    assert second is not None
+    assert first.pose.tobytes() == second.pose.tobytes()
+    assert first.score == 200 / 255
+
+
+def test_a_window_off_the_field_has_nothing(backend: Backend):
+    field = np.full((20, 20), 255, dtype=np.uint8)
+    points = np.array([(0.5, 0.0), (0.0, 0.5)])
+    for centre in ((5.0, 0.5, 0.0), (-3.0, -3.0, 1.0), (1e6, -1e6, 0.0)):
+        case = Case(field, np.zeros(2), points, np.array(centre), 0.8, 0.3, 0.05)
+        assert case.search(backend) is None
+    # And one that reaches over its corner finds the one cell that is left of it.
+    case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([-0.52, 1.47, 0.0]), 0.55, 0.0, 0.05)
+    found = case.search(backend)
+    assert found is not None
+    assert found.score == 1.0
+    assert 0.0 <= found.pose[0] < 0.05
+
+
+@pytest.fixture(scope="module")
+def flat(backend: Backend) -> Submap:
+    """A submap of the drawn flat, in the map frame."""
+    submap = Submap(backend, 0, CELL_M, 0.1)
+    for index, pose in enumerate(true_poses(120)[::8]):
+        scan = scan_at(pose, 0.1 * index)
+        submap.insert(scan.points(), np.zeros(2), pose)
+    submap.finish()
+    return submap
+
+
+@pytest.mark.parametrize(
+    "wrong", [(0.0, 0.0, 0.0), (2.9, -2.7, 0.3), (-3.0, 3.0, -0.34), (-4.0, 0.5, math.pi - 0.3)]
+)
+def test_a_true_pose_far_from_the_centre_is_found(
+    backend: Backend, flat: Submap, wrong: tuple[float, float, float]
+):
+    truth = true_poses(120)[60]
+    points = scan_at(truth, 0.0).points()
+    found = search_window(
+        backend,
+        flat.pyramid(),
+        points[::2],
+        np.array([truth.x, truth.y, truth.yaw_rad]) + wrong,
+        half_m=4.0,
+        half_rad=0.349 if abs(wrong[2]) < 0.349 else math.pi,
+        resolution=CELL_M,
+        least=0.3,
+    )
+    assert found is not None
+    assert math.hypot(found.pose[0] - truth.x, found.pose[1] - truth.y) < 2.0 * CELL_M
+    assert abs(wrap_angle(found.pose[2] - truth.yaw_rad)) < 0.02
+    assert found.score > 0.7
+
+
+def test_of_a_clear_match_few_blocks_are_opened(backend: Backend, flat: Submap):
+    truth = true_poses(120)[60]
+    points = scan_at(truth, 0.0).points()[::2]
+    window = {"half_m": 4.0, "half_rad": 0.349, "resolution": CELL_M}
+    centre = np.array([truth.x + 1.0, truth.y - 1.5, truth.yaw_rad + 0.2])
+    found = search_window(backend, flat.pyramid(), points, centre, **window)
+    assert found is not None
+    yaws = 2 * math.ceil(0.349 * np.hypot(*points.T).max() / CELL_M) + 1
+    assert found.opened < 0.05 * yaws * 161**2
+    # What is known to be of no use is not opened.
+    better = search_window(
+        backend, flat.pyramid(), points, centre, **window, least=found.score - 0.01
+    )
+    assert better is not None
+    assert better.pose.tobytes() == found.pose.tobytes()
+    assert better.opened <= found.opened
+    assert search_window(backend, flat.pyramid(), points, centre, **window, least=0.99) is None
+
+
+def test_another_place_than_the_submap_matches_little(backend: Backend, flat: Submap):
+    """A ring of hits fits nowhere in an L of straight walls."""
+    angles = np.linspace(0.0, 2.0 * math.pi, 90, endpoint=False)
+    ring = 1.4 * np.column_stack((np.cos(angles), np.sin(angles)))
+    centre = np.array([4.0, 3.0, 0.0])
+    window = {"half_m": 4.0, "half_rad": 0.349, "resolution": CELL_M}
+    found = search_window(backend, flat.pyramid(), ring, centre, **window)
+    assert found is not None
+    assert found.score < 0.5
+    assert search_window(backend, flat.pyramid(), ring, centre, **window, least=0.5) is None
+
+
+def test_turned_submap_and_scan_find_the_same_place(backend: Backend):
+    """The anchor's frame is free: a submap turned by 2 rad finds the pose in its own frame."""
+    frame, poses = Pose2(3.0, -40.0, 2.0), true_poses(120)
+    submap = Submap(backend, 0, CELL_M, 0.1)
+    for index, pose in enumerate(poses[::8]):
+        local = frame.inverse().compose(pose)
+        submap.insert(scan_at(pose, 0.1 * index).points(), np.zeros(2), local)
+    truth = frame.inverse().compose(poses[60])
+    found = search_window(
+        backend,
+        submap.pyramid(),
+        scan_at(poses[60], 0.0).points()[::2],
+        np.array([truth.x - 2.0, truth.y + 1.0, truth.yaw_rad + 0.1]),
+        half_m=2.5,
+        half_rad=0.2,
+        resolution=CELL_M,
+        least=0.3,
+    )
+    assert found is not None
+    assert math.hypot(found.pose[0] - truth.x, found.pose[1] - truth.y) < 2.0 * CELL_M

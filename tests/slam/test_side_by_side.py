@@ -1,0 +1,197 @@
+"""Producers in processes of their own: the same maps, and one that dies takes nobody with it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import open_backend
+from slamfusion.config import RunConfig, SideBySideConfig
+from slamfusion.errors import ConfigError, LogError
+from slamfusion.io import open_log, write_carmen
+from slamfusion.io.log import LogScan
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.registry import make_producer
+from slamfusion.slam.side_by_side import Outcome, SideBySide, usable_cores
+from tests.slam.drives import drive
+
+pytestmark = pytest.mark.once
+
+CONFIG = RunConfig(seed=4)
+SCANS = 40
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drive") / "flat.log"
+    write_carmen(path, drive(SCANS)[0])
+    return path
+
+
+def with_settings(**settings: float) -> RunConfig:
+    return replace(CONFIG, run=SideBySideConfig(**settings))
+
+
+def run(
+    log: Path,
+    *names: str,
+    config: RunConfig = CONFIG,
+    meanwhile: Callable[[SideBySide], None] | None = None,
+) -> dict[str, Outcome]:
+    """Run producers to their end; afterwards none of their processes may be left."""
+    with SideBySide(names, log, config) as side_by_side:
+        if meanwhile is not None:
+            meanwhile(side_by_side)
+        outcomes = side_by_side.wait()
+    assert tuple(outcome.name for outcome in outcomes) == names
+    assert not multiprocessing.active_children()
+    return {outcome.name: outcome for outcome in outcomes}
+
+
+def signal_to(name: str, number: signal.Signals) -> Callable[[SideBySide], None]:
+    def send(side_by_side: SideBySide) -> None:
+        process = side_by_side.process_id(name)
+        assert process is not None
+        os.kill(process, number)
+
+    return send
+
+
+def test_each_makes_what_it_makes_alone(log: Path) -> None:
+    told: dict[str, list[float]] = {"tinyslam": [], "graph": []}
+    with SideBySide(tuple(told), log, CONFIG) as side_by_side:
+        outcomes = side_by_side.wait(lambda name, share: told[name].append(share))
+    for outcome in outcomes:
+        source = open_log(log)
+        wanted = run_producer(
+            make_producer(outcome.name, CONFIG, open_backend()), source, log=source
+        )
+        assert outcome.run is not None
+        assert outcome.reason == ""
+        assert np.array_equal(outcome.run.grid.cells, wanted.grid.cells)
+        assert outcome.run.grid.origin == wanted.grid.origin
+        assert np.array_equal(outcome.run.trajectory.poses, wanted.trajectory.poses)
+        assert np.array_equal(outcome.run.match_scores, wanted.match_scores, equal_nan=True)
+        assert outcome.run.health == wanted.health
+        assert outcome.run.log is not None
+        assert outcome.cpu_s is not None
+        assert outcome.device
+        for array in (outcome.run.grid.cells, outcome.run.trajectory.poses):
+            assert not array.flags.writeable
+        shares = told[outcome.name]
+        assert shares == sorted(shares)
+        assert shares[-1] == 1.0
+
+
+def test_a_killed_producer_is_named_and_the_others_go_on(log: Path) -> None:
+    outcomes = run(
+        log, "tinyslam", "graph", config=with_settings(processes=2),
+        meanwhile=signal_to("graph", signal.SIGKILL),
+    )  # fmt: skip
+    assert outcomes["graph"].run is None
+    assert "killed by SIGKILL" in outcomes["graph"].reason
+    assert outcomes["tinyslam"].run is not None
+
+
+def test_a_frozen_producer_is_stopped_at_its_time_limit(log: Path) -> None:
+    outcomes = run(
+        log, "graph", config=with_settings(time_limit_s=1.5),
+        meanwhile=signal_to("graph", signal.SIGSTOP),
+    )  # fmt: skip
+    assert outcomes["graph"].run is None
+    assert "ran past its time limit of 1.5 s" in outcomes["graph"].reason
+    assert outcomes["graph"].time_s >= 1.5
+
+
+def test_the_longest_job_starts_first_and_no_more_run_than_may(log: Path) -> None:
+    names = ("tinyslam", "graph", "gmapping")
+    with SideBySide(names, log, with_settings(processes=1)) as side_by_side:
+        assert [side_by_side.process_id(name) is None for name in names] == [True, True, False]
+    assert not multiprocessing.active_children()
+
+
+def test_leaving_early_leaves_no_process(log: Path) -> None:
+    def interrupted() -> None:
+        with SideBySide(("tinyslam", "graph"), log, CONFIG):
+            assert multiprocessing.active_children()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not multiprocessing.active_children()
+
+
+def test_what_cannot_be_mapped_is_said_by_each(tmp_path: Path) -> None:
+    blind = [
+        LogScan(
+            LaserScan(item.scan.stamp_s, np.full(len(item.scan), np.inf), -1.0, 0.01, 0.05, 30.0),
+            item.odometry,
+            item.line,
+        )
+        for item in drive(3)[0]
+    ]
+    log = tmp_path / "blind.log"
+    write_carmen(log, blind)
+    outcomes = run(log, "tinyslam", "graph")
+    for name, outcome in outcomes.items():
+        assert outcome.run is None
+        assert f"{name} could use none of 3 scans" in outcome.reason
+        assert "\n" not in outcome.reason
+        assert outcome.detail == ""
+
+
+def test_a_device_that_is_not_there_is_the_reason(log: Path) -> None:
+    config = replace(CONFIG, device=replace(CONFIG.device, device="no such device"))
+    outcomes = run(log, "tinyslam", config=config)
+    assert "no such device" in outcomes["tinyslam"].reason
+
+
+@pytest.mark.parametrize("names", [(), ("hector",), ("graph", "graph")])
+def test_what_is_no_list_of_producers_is_refused(log: Path, names: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError, match="wanted some of the producers tinyslam, gmapping, graph"):
+        SideBySide(names, log, CONFIG)
+
+
+def test_a_log_that_cannot_be_opened_starts_nothing(tmp_path: Path) -> None:
+    empty = tmp_path / "empty.log"
+    empty.touch()
+    with pytest.raises(LogError, match="the file is empty"):
+        SideBySide(("graph",), empty, CONFIG)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no /proc to look into")
+def test_the_processes_share_the_cores_and_ours_keeps_its_environment(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("POCL_MAX_PTHREAD_COUNT", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    before = dict(os.environ)
+    with SideBySide(("tinyslam", "graph"), log, CONFIG) as side_by_side:
+        process = side_by_side.process_id("graph")
+        theirs = environment_of(process)
+    assert theirs["POCL_MAX_PTHREAD_COUNT"] == str(max(1, usable_cores() // 2))
+    assert theirs["OMP_NUM_THREADS"] == "7"
+    assert dict(os.environ) == before
+
+
+def environment_of(process: int | None) -> dict[str, str]:
+    """What a process was started with; its exec may still be on its way."""
+    end_s = time.monotonic() + 30.0
+    while time.monotonic() < end_s:
+        entries = Path(f"/proc/{process}/environ").read_text(encoding="utf-8").split("\0")
+        found = dict(entry.split("=", 1) for entry in entries if "=" in entry)
+        if "POCL_MAX_PTHREAD_COUNT" in found:
+            return found
+        time.sleep(0.02)
+    message = f"process {process} has no such variable"
+    raise AssertionError(message)

@@ -1,0 +1,125 @@
+"""Cell models against values worked out by hand, and the hit cell's area against drawn points."""
+
+from __future__ import annotations
+
+import math
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.slam.tinyslam.cell_models import (
+    CELL_MODELS,
+    CellModel,
+    area_behind,
+    base_cell,
+    mean_cell,
+)
+
+VALUES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20)
+OFFSETS = st.floats(-0.5, 0.5)
+ANGLES = st.floats(-7.0, 7.0)
+
+
+def test_base_moves_a_share_of_the_way() -> None:
+    assert base_cell([1.0, 0.0], 0.25).tolist() == [0.5, 0.625, 0.46875]
+
+
+def test_mean_is_that_of_the_believed_observations() -> None:
+    # Believed at 0.5: 0.75 and 0.25, then 0.75 again.
+    assert mean_cell([1.0, 0.0, 1.0], 0.5).tolist() == pytest.approx([0.5, 0.75, 0.5, 1.75 / 3])
+
+
+@pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
+def test_each_observation_may_have_its_quality(model: CellModel) -> None:
+    values = model([1.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    assert values[1] == 1.0
+    assert values[-1] == {base_cell: 1.0, mean_cell: 2.0 / 3.0}[model]
+
+
+@pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
+def test_many_cells_at_once_are_each_cell_alone(model: CellModel) -> None:
+    told = np.random.default_rng(3).uniform(size=(6, 2, 4))
+    together = model(told, 0.4)
+    assert together.shape == (7, 2, 4)
+    for row in range(2):
+        for col in range(4):
+            np.testing.assert_allclose(together[:, row, col], model(told[:, row, col], 0.4))
+
+
+@pytest.mark.parametrize("model", CELL_MODELS.values(), ids=CELL_MODELS)
+def test_a_cell_never_told_anything_is_unknown(model: CellModel) -> None:
+    assert model(np.zeros(0), 1.0).tolist() == [0.5]
+
+
+@given(VALUES, st.floats(0.0, 1.0), st.randoms(use_true_random=False))
+def test_mean_forgets_the_order_and_stays_between(
+    told: list[float], quality: float, random: Random
+) -> None:
+    shuffled = random.sample(told, len(told))
+    value = mean_cell(told, quality)[-1]
+    assert mean_cell(shuffled, quality)[-1] == pytest.approx(value)
+    assert min(*told, 0.5) - 1e-12 <= value <= max(*told, 0.5) + 1e-12
+
+
+def test_base_does_not_forget_the_order() -> None:
+    assert base_cell([1.0, 0.0], 0.5)[-1] < base_cell([0.0, 1.0], 0.5)[-1]
+
+
+@given(ANGLES)
+def test_a_line_through_the_middle_halves_the_cell(angle_rad: float) -> None:
+    assert area_behind(0.0, 0.0, angle_rad) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "angle_rad", "share"),
+    [
+        (0.25, 0.4, 0.0, 0.25),  # flying along x: what lies right of x = 0.25
+        (0.25, 0.4, math.pi, 0.75),
+        (0.25, 0.4, math.pi / 2.0, 0.1),
+        (0.5, 0.5, math.pi / 4.0, 0.0),
+        (-0.5, -0.5, math.pi / 4.0, 1.0),
+        (0.25, 0.25, math.pi / 4.0, 0.125),  # a corner triangle with legs of 0.5
+        (-0.25, -0.25, math.pi / 4.0, 0.875),
+    ],
+)
+def test_area_by_hand(x: float, y: float, angle_rad: float, share: float) -> None:
+    assert area_behind(x, y, angle_rad) == pytest.approx(share, abs=1e-12)
+
+
+@given(OFFSETS, OFFSETS, ANGLES)
+def test_area_turns_and_mirrors_with_the_cell(x: float, y: float, angle_rad: float) -> None:
+    share = area_behind(x, y, angle_rad)
+    assert area_behind(-y, x, angle_rad + math.pi / 2.0) == pytest.approx(share, abs=1e-9)
+    assert area_behind(x, -y, -angle_rad) == pytest.approx(share, abs=1e-9)
+    # Seen from the other side of the same wall, the rest is behind.
+    assert area_behind(x, y, angle_rad + math.pi) == pytest.approx(1.0 - share, abs=1e-9)
+
+
+@given(OFFSETS, OFFSETS, ANGLES, st.floats(0.0, 0.5))
+def test_the_farther_the_hit_the_less_is_behind(
+    x: float, y: float, angle_rad: float, way: float
+) -> None:
+    near = area_behind(x, y, angle_rad)
+    far = area_behind(x + way * math.cos(angle_rad), y + way * math.sin(angle_rad), angle_rad)
+    assert 0.0 <= far <= near + 1e-12
+    assert near <= 1.0
+
+
+def test_area_equals_the_share_of_drawn_points() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (100_000, 2))
+    x, y = rng.uniform(-0.5, 0.5, (2, 40))
+    angle = rng.uniform(-math.pi, math.pi, 40)
+    shares = area_behind(x, y, angle)
+    assert shares.shape == (40,)
+    for share, *hit, direction in zip(shares, x, y, angle, strict=True):
+        behind = (points - hit) @ (math.cos(direction), math.sin(direction)) > 0.0
+        assert share == pytest.approx(behind.mean(), abs=0.007)  # over four deviations
+
+
+def test_area_broadcasts() -> None:
+    shares = area_behind(np.zeros((3, 1)), np.zeros(4), 0.3)
+    assert shares.shape == (3, 4)
