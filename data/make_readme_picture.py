@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import fuse_grids
 from slamfusion.grid import FREE, OCCUPIED
@@ -67,7 +67,7 @@ def panel(picture: Picture, caption: str) -> Picture:
 def main(path: Path = DATA / "readme.png") -> None:
     """Fuse the sample and write the picture."""
     grids = [load_map(DATA / "sample" / f"{name}.yaml") for name in NAMES]
-    result = fuse_grids(grids, FusionConfig(), open_backend())
+    result = fuse_grids(grids, FusionConfig(), open_device())
     aligned = [record.aligned for record in result.inputs if record.aligned is not None]
     panels = [
         panel(paint(grid.cells, colour), grid.name)

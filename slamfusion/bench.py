@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend, NumpyBackend
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import AlignConfig, FusionConfig, VoteConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import align_grids, fuse_grids
@@ -125,23 +125,23 @@ class Entry:
         }
 
 
-def run_benchmarks(backend: Backend, *, quick: bool = False) -> BenchResultsJson:
+def run_benchmarks(device: ComputeDevice, *, quick: bool = False) -> BenchResultsJson:
     """Time alignment, vote and the [F16] batch.
 
     Args:
-        backend: the device to time; the NumPy twins get maps small enough for them.
+        device: the device to time; the NumPy twins get maps small enough for them.
         quick: smaller maps and fewer runs, for a look; targets do not apply to them.
 
     Returns:
         ``entries``: a list of measurements, see ``Entry``; ``ratio`` is seconds over baseline
         seconds, smaller is better. ``quick``: as given.
     """
-    sizes = (QUICK if quick else FULL) if backend.is_opencl else TWINS
+    sizes = (QUICK if quick else FULL) if device.is_opencl else TWINS
     entries = [
-        *_time_alignment(backend, sizes),
-        *_time_small_alignment(backend, sizes),
-        _time_vote(backend, sizes),
-        *_time_batch(backend, sizes),
+        *_time_alignment(device, sizes),
+        *_time_small_alignment(device, sizes),
+        _time_vote(device, sizes),
+        *_time_batch(device, sizes),
     ]
     if sizes is not FULL:
         entries = [dataclasses.replace(e, must=None, stretch=None) for e in entries]
@@ -151,11 +151,11 @@ def run_benchmarks(backend: Backend, *, quick: bool = False) -> BenchResultsJson
 # -- alignment -------------------------------------------------------------------------------------
 
 
-def _time_alignment(backend: Backend, sizes: Sizes) -> list[Entry]:
+def _time_alignment(device: ComputeDevice, sizes: Sizes) -> list[Entry]:
     """Align two maps of one building without proof, with proof, and from the last transform."""
     reference, moving, truth = _draw_pair(sizes.align_cells)
     size = _size(sizes.align_cells)
-    lattice = _search_set(reference, moving, WITH_PROOF, backend)
+    lattice = _search_set(reference, moving, WITH_PROOF, device)
     plain, yaws = _time_exhaustive(lattice, sizes.exhaustive_yaws)
     words = f"plain exhaustive search of the same {_members(lattice)} poses, same device"
     if yaws < lattice.yaw_count:
@@ -166,7 +166,7 @@ def _time_alignment(backend: Backend, sizes: Sizes) -> list[Entry]:
         ("without proof", WITHOUT_PROOF, 0.5, 0.1),
         ("with proof", WITH_PROOF, 2.0, 0.4),
     ):
-        align = partial(align_grids, reference, moving, config, backend)
+        align = partial(align_grids, reference, moving, config, device)
         seconds, found = _median_seconds(align, sizes.runs)
         detail = _describe(found, truth, reference, moving)
         entries.append(
@@ -181,12 +181,12 @@ def _time_alignment(backend: Backend, sizes: Sizes) -> list[Entry]:
                 detail=detail,
             )
         )
-    entries.append(_time_tracking(backend, sizes, (reference, moving, truth), entries[0].seconds))
+    entries.append(_time_tracking(device, sizes, (reference, moving, truth), entries[0].seconds))
     return entries
 
 
 def _time_tracking(
-    backend: Backend,
+    device: ComputeDevice,
     sizes: Sizes,
     pair: tuple[OccupancyGrid, OccupancyGrid, Pose2],
     searched: float,
@@ -197,14 +197,14 @@ def _time_tracking(
     """
     reference, moving, truth = pair
     start = Pose2(0.1, -0.05, math.radians(1.0)).compose(truth)
-    held = _prepare(reference, backend)
+    held = _prepare(reference, device)
 
     def track() -> Alignment:
-        return track_features(held, _prepare(moving, backend), backend, start)
+        return track_features(held, _prepare(moving, device), device, start)
 
     seconds, found = _median_seconds(track, sizes.runs)
-    ready = _prepare(moving, backend)
-    prepared, _ = _median_seconds(lambda: track_features(held, ready, backend, start), sizes.runs)
+    ready = _prepare(moving, device)
+    prepared, _ = _median_seconds(lambda: track_features(held, ready, device, start), sizes.runs)
     detail = {**_describe(found, truth, reference, moving), "prepared_s": prepared}
     return Entry(
         f"align {_size(sizes.align_cells)}, tracked from the last transform",
@@ -218,20 +218,20 @@ def _time_tracking(
     )
 
 
-def _time_small_alignment(backend: Backend, sizes: Sizes) -> list[Entry]:
+def _time_small_alignment(device: ComputeDevice, sizes: Sizes) -> list[Entry]:
     """Align two small maps, which the exhaustive search and the NumPy twins can finish."""
     reference, moving, truth = _draw_pair(sizes.small_cells)
     size = _size(sizes.small_cells)
     proven, found = _median_seconds(
-        lambda: align_grids(reference, moving, WITH_PROOF, backend), sizes.runs
+        lambda: align_grids(reference, moving, WITH_PROOF, device), sizes.runs
     )
-    lattice = _search_set(reference, moving, WITH_PROOF, backend)
+    lattice = _search_set(reference, moving, WITH_PROOF, device)
     plain, _ = _time_exhaustive(lattice, lattice.yaw_count)
     searched, quickly = _median_seconds(
-        lambda: align_grids(reference, moving, WITHOUT_PROOF, backend), sizes.runs
+        lambda: align_grids(reference, moving, WITHOUT_PROOF, device), sizes.runs
     )
     began = time.perf_counter()
-    align_grids(reference, moving, WITHOUT_PROOF, NumpyBackend())
+    align_grids(reference, moving, WITHOUT_PROOF, NumpyDevice())
     twins = time.perf_counter() - began
     return [
         Entry(
@@ -254,12 +254,12 @@ def _time_small_alignment(backend: Backend, sizes: Sizes) -> list[Entry]:
 
 
 def _search_set(
-    reference: OccupancyGrid, moving: OccupancyGrid, config: FusionConfig, backend: Backend
+    reference: OccupancyGrid, moving: OccupancyGrid, config: FusionConfig, device: ComputeDevice
 ) -> LatticeScore:
     """Return the written-down search set over all yaws and its score."""
-    held, moved = _prepare(reference, backend), _prepare(moving, backend)
+    held, moved = _prepare(reference, device), _prepare(moving, device)
     window = SearchWindow((0.0, 0.0, 0.0), None, math.pi)
-    return LatticeScore(held, moved, config.align, window, backend)
+    return LatticeScore(held, moved, config.align, window, device)
 
 
 def _time_exhaustive(lattice: LatticeScore, most_yaws: int) -> tuple[float, int]:
@@ -279,7 +279,7 @@ def _time_exhaustive(lattice: LatticeScore, most_yaws: int) -> tuple[float, int]
 # -- vote ------------------------------------------------------------------------------------------
 
 
-def _time_vote(backend: Backend, sizes: Sizes) -> Entry:
+def _time_vote(device: ComputeDevice, sizes: Sizes) -> Entry:
     """Let three grids vote, against copying them to arrays that are already there."""
     grids = _draw_votes(sizes.vote_cells)
     targets = [np.zeros_like(grid) for grid in grids]
@@ -290,11 +290,11 @@ def _time_vote(backend: Backend, sizes: Sizes) -> Entry:
 
     runs = 3 * sizes.runs
     vote_s, copy_s = [], []
-    vote_grids(grids, VoteConfig(), backend)
+    vote_grids(grids, VoteConfig(), device)
     for _ in range(runs):
         # In turns, so that both see the machine in the same mood.
         copy_s.append(_seconds(copy))
-        vote_s.append(_seconds(lambda: vote_grids(grids, VoteConfig(), backend)))
+        vote_s.append(_seconds(lambda: vote_grids(grids, VoteConfig(), device)))
     return Entry(
         f"vote of three {_size(sizes.vote_cells)} grids",
         median(vote_s),
@@ -325,7 +325,7 @@ def _draw_votes(cells: int) -> list[I8]:
 # -- the [F16] batch -------------------------------------------------------------------------------
 
 
-def _time_batch(backend: Backend, sizes: Sizes) -> list[Entry]:
+def _time_batch(device: ComputeDevice, sizes: Sizes) -> list[Entry]:
     """Register three maps of each place to its truth, fuse them, register the fused map.
 
     [F16] aligns two maps to the reference in each fusion (12 in 6); ours aligns all three pairs, to
@@ -337,7 +337,7 @@ def _time_batch(backend: Backend, sizes: Sizes) -> list[Entry]:
         ("without proof", WITHOUT_PROOF, max(1, sizes.runs // 2), 4.0, 1.5),
         ("with proof", WITH_PROOF, 1, None, None),
     ):
-        seconds, detail = _median_seconds(partial(_run_batch, trios, config, backend), runs)
+        seconds, detail = _median_seconds(partial(_run_batch, trios, config, device), runs)
         entries.append(
             Entry(
                 f"[F16] batch: {sizes.trios} trios of {_size(sizes.trio_cells)}, {kind}",
@@ -354,19 +354,21 @@ def _time_batch(backend: Backend, sizes: Sizes) -> list[Entry]:
 
 
 def _run_batch(
-    trios: list[tuple[OccupancyGrid, list[OccupancyGrid]]], config: FusionConfig, backend: Backend
+    trios: list[tuple[OccupancyGrid, list[OccupancyGrid]]],
+    config: FusionConfig,
+    device: ComputeDevice,
 ) -> dict[str, Any]:
     """Do the batch once; the error of an alignment to the truth is the [F16] error."""
     maps, fused = [], []
     failed = 0
     for truth, inputs in trios:
-        maps += [align_grids(truth, grid, config, backend) for grid in inputs]
+        maps += [align_grids(truth, grid, config, device) for grid in inputs]
         try:
-            result = fuse_grids(inputs, config, backend)
+            result = fuse_grids(inputs, config, device)
         except AlignmentError:
             failed += 1
             continue
-        fused.append(align_grids(truth, result.fused, config, backend))
+        fused.append(align_grids(truth, result.fused, config, device))
     return {
         "registrations": len(maps) + 3 * len(trios) + len(fused),
         "accepted": sum(a.accepted for a in maps + fused),
@@ -417,10 +419,10 @@ def _draw_map(
     return degrade_map(truth, rng, degradation)
 
 
-def _prepare(grid: OccupancyGrid, backend: Backend) -> GridFeatures:
+def _prepare(grid: OccupancyGrid, device: ComputeDevice) -> GridFeatures:
     """Normalise a grid and hand it to the device."""
-    normalized = normalize_grid(grid, RESOLUTION, FusionConfig().normalize, backend)
-    return GridFeatures(normalized, backend)
+    normalized = normalize_grid(grid, RESOLUTION, FusionConfig().normalize, device)
+    return GridFeatures(normalized, device)
 
 
 def _describe(

@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: backends, the recorded maps, drawn grids."""
+"""Fixtures shared by all tests: devices, the recorded maps, drawn grids."""
 
 from __future__ import annotations
 

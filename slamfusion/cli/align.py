@@ -47,7 +47,7 @@ def command(
     The motion printed maps a point of MOVING's frame into REFERENCE's. Exit code 1 when the
     alignment cannot be believed; the record is printed all the same.
     """
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute import open_device  # noqa: PLC0415
     from slamfusion.fusion import align_grids  # noqa: PLC0415
 
     try:
@@ -56,19 +56,19 @@ def command(
         message = f"--start: {error}"
         raise click.UsageError(message) from None
     still, moved = load_maps((reference, moving), resolution, config.map_files)
-    backend = open_backend(config.device.device)
-    found = align_grids(still, moved, config.fusion, backend, start_pose)
+    device = open_device(config.device.device)
+    found = align_grids(still, moved, config.fusion, device, start_pose)
     if as_json:
         document: AlignDocument = {
             **found.to_json(),
-            "device": backend.name,
+            "device": device.name,
             "seed": config.seed,
             "config": to_mapping(config),
             "versions": versions(),
         }
         print_json(document)
     else:
-        _print_alignment(found, backend.name)
+        _print_alignment(found, device.name)
     if not found.accepted:
         message = f"{moving} does not align with {reference}: {found.reason}"
         raise AlignmentError(message)

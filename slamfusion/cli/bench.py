@@ -23,14 +23,14 @@ __all__ = ["command"]
 def command(quick: bool, config: RunConfig, as_json: bool) -> int:
     """Time alignment, vote and the [F16] batch on this machine, as ratios."""
     from slamfusion.bench import run_benchmarks  # noqa: PLC0415
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute import open_device  # noqa: PLC0415
 
-    backend = open_backend(config.device.device)
-    results = run_benchmarks(backend, quick=quick)
+    device = open_device(config.device.device)
+    results = run_benchmarks(device, quick=quick)
     if as_json:
         document: BenchDocument = {
             **results,
-            "device": backend.name,
+            "device": device.name,
             "versions": versions(),
         }
         print_json(document)
@@ -38,7 +38,7 @@ def command(quick: bool, config: RunConfig, as_json: bool) -> int:
         print_table(
             COLUMNS,
             [_row(entry) for entry in results["entries"]],
-            title=f"Benchmarks on {backend.name}",
+            title=f"Benchmarks on {device.name}",
         )
     return 0
 

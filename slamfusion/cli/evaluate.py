@@ -26,7 +26,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
 if TYPE_CHECKING:
-    from slamfusion.compute import Backend
+    from slamfusion.compute import ComputeDevice
     from slamfusion.evaluation import DistanceComparison, MapError
     from slamfusion.fusion.records import Alignment
     from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
@@ -59,7 +59,7 @@ def evaluate_maps(
     grids: Sequence[OccupancyGrid],
     truth: OccupancyGrid,
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     *,
     align: bool = True,
     progress: Progress | None = None,
@@ -76,7 +76,7 @@ def evaluate_maps(
     for done, grid in enumerate(grids):
         if progress is not None:
             progress("evaluate", done, len(grids))
-        alignment = align_grids(truth, grid, config.fusion, backend) if align else None
+        alignment = align_grids(truth, grid, config.fusion, device) if align else None
         error = compare_to_truth(
             grid,
             truth,
@@ -146,10 +146,10 @@ def command(
     evaluations: list[Evaluation] = []
     device = None
     if truth_path is not None:
-        from slamfusion.compute import open_backend  # noqa: PLC0415
+        from slamfusion.compute import open_device  # noqa: PLC0415
 
         truth = load_maps([truth_path], resolution, config.map_files)[0]
-        backend = open_backend(config.device.device)
+        backend = open_device(config.device.device)
         device = backend.name
         with progress_bar() as progress:
             evaluations = evaluate_maps(

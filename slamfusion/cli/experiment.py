@@ -25,7 +25,7 @@ from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import ConfigError, SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.compute import Backend
+    from slamfusion.compute import ComputeDevice
     from slamfusion.experiments import (
         CellModelRow,
         Drive,
@@ -229,16 +229,16 @@ def occupancy_estimator(
         raise click.UsageError(message)
     recorded = [] if log_path is None else [DriveFiles(log_path, *others)]
     floors = _floors(config.experiment.occupancy_estimator.floors, recorded)
-    backend = _prepare(folder, config)
-    keep = _keeper(folder, NAME, config, backend)
+    device = _prepare(folder, config)
+    keep = _keeper(folder, NAME, config, device)
     with progress_bar() as progress:
-        drives = _drives(recorded, floors, config, backend, progress)
-        results = sweep_estimators(drives, config, backend, keep=keep, progress=progress)
+        drives = _drives(recorded, floors, config, device, progress)
+        results = sweep_estimators(drives, config, device, keep=keep, progress=progress)
     found = verdicts(results)
     sentences = [verdict.sentence() for verdict in found]
     document = {"verdicts": [verdict.to_json() for verdict in found]}
     pictures = _sweep_pictures(results, NAME)
-    _finish(folder, NAME, results, sentences, document, pictures, config, backend, as_json)
+    _finish(folder, NAME, results, sentences, document, pictures, config, device, as_json)
     return 0
 
 
@@ -310,12 +310,12 @@ def cell_models_trajectories(
 
     recorded = [_drive_files(text) for text in logs]
     floors = _floors(config.experiment.cell_models_trajectories.floors, recorded)
-    backend = _prepare(folder, config)
-    keep = _keeper(folder, NAME, config, backend)
+    device = _prepare(folder, config)
+    keep = _keeper(folder, NAME, config, device)
     with progress_bar() as progress:
-        drives = _drives(recorded, floors, config, backend, progress)
-        results = compare_models(drives, config, backend, keep=keep, progress=progress)
-    _finish(folder, NAME, results, model_sentences(results), {}, {}, config, backend, as_json)
+        drives = _drives(recorded, floors, config, device, progress)
+        results = compare_models(drives, config, device, keep=keep, progress=progress)
+    _finish(folder, NAME, results, model_sentences(results), {}, {}, config, device, as_json)
     return 0
 
 
@@ -411,11 +411,11 @@ def real_logs(folder: Path, datasets: Path, config: RunConfig, as_json: bool) ->
     if not names:
         message = f"no recorded drive in {datasets}; wanted {' or '.join(REAL_LOGS)} there"
         raise SlamFusionError(message)
-    backend = _prepare(folder, config)
+    device = _prepare(folder, config)
     with progress_bar() as progress:
-        table = compare_on_logs(datasets, names, config, backend, progress)
+        table = compare_on_logs(datasets, names, config, device, progress)
     pictures = _map_differences(table)
-    _finish_fusion(folder, NAME, table, pictures, config, backend.name, as_json=as_json)
+    _finish_fusion(folder, NAME, table, pictures, config, device.name, as_json=as_json)
     return 0
 
 
@@ -508,13 +508,13 @@ def _differences(folder: Path, trials: Sequence[Trial]) -> dict[str, list[Differ
 # --- what the repeated ones share ----------------------------------------------------------------
 
 
-def _prepare(folder: Path, config: RunConfig) -> Backend:
+def _prepare(folder: Path, config: RunConfig) -> ComputeDevice:
     """Refuse what cannot end well before any work, and open the device."""
     import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute import open_device  # noqa: PLC0415
 
     check_writable(folder)
-    return open_backend(config.device.device)
+    return open_device(config.device.device)
 
 
 def _floors(count: int, recorded: Sequence[DriveFiles]) -> range:
@@ -529,7 +529,7 @@ def _drives(
     recorded: Sequence[DriveFiles],
     floors: Sequence[int],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     progress: Progress | None,
 ) -> list[Drive]:
     """Return the recorded drives, then the simulated ones; their names differ."""
@@ -540,17 +540,17 @@ def _drives(
         drive = read_drive(files, config)
         twins = sum(other.name.split("#")[0] == drive.name for other in drives)
         drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
-    return drives + [simulated_office(seed, backend, progress) for seed in floors]
+    return drives + [simulated_office(seed, device, progress) for seed in floors]
 
 
 def _keeper(
-    folder: Path, stem: str, config: RunConfig, backend: Backend
+    folder: Path, stem: str, config: RunConfig, device: ComputeDevice
 ) -> Callable[[Results], None]:
     """Return what writes the tables so far: an interruption then loses one condition at most."""
     from slamfusion.experiments import write_results  # noqa: PLC0415
 
     def keep(results: Results) -> None:
-        write_results(folder, stem, results, document=_circumstances(config, backend.name))
+        write_results(folder, stem, results, document=_circumstances(config, device.name))
 
     return keep
 
@@ -563,14 +563,14 @@ def _finish(
     document: Mapping[str, Any],
     pictures: Mapping[str, bytes],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     as_json: bool,
 ) -> None:
     """Write everything, and print it."""
     from slamfusion.experiments import write_results  # noqa: PLC0415
     from slamfusion.experiments.table import measure_label  # noqa: PLC0415
 
-    full = {**document, "sentences": list(sentences), **_circumstances(config, backend.name)}
+    full = {**document, "sentences": list(sentences), **_circumstances(config, device.name)}
     text = "\n".join(["## In words", "", *(f"- {sentence}" for sentence in sentences)])
     files = write_results(folder, stem, results, text=text, document=full, pictures=pictures)
     if as_json:

@@ -111,7 +111,7 @@ def command(
     MAPS are map_server YAML files, or bare images together with --resolution. At least two have
     to fit each other; those that do not are named and left out.
     """
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute import open_device  # noqa: PLC0415
     from slamfusion.fusion import fuse_grids  # noqa: PLC0415
 
     outputs = _Outputs.of(out)
@@ -126,19 +126,19 @@ def command(
         check_writable(report_dir)
     grids = load_maps(maps, resolution, config.map_files)
     truth = None if truth_path is None else load_maps([truth_path], resolution, config.map_files)[0]
-    backend = open_backend(config.device.device)
+    device = open_device(config.device.device)
 
     evaluations: list[Evaluation] = []
     try:
         with progress_bar() as progress:
-            result = fuse_grids(grids, config.fusion, backend, progress)
+            result = fuse_grids(grids, config.fusion, device, progress)
             if config.fusion.require_all and result.rejected:
                 raise AllRequiredError(result)
             if truth is not None:
                 judged = [*grids, result.fused.with_name("fused")]
-                evaluations = evaluate_maps(judged, truth, config, backend, progress=progress)
+                evaluations = evaluate_maps(judged, truth, config, device, progress=progress)
     except AlignmentError as error:
-        _report_failure(error, grids, config, backend.name, report_dir, as_json)
+        _report_failure(error, grids, config, device.name, report_dir, as_json)
         raise
 
     _save(result, outputs, evaluations, config, report_dir)

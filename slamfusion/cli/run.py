@@ -66,7 +66,7 @@ from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
 
 if TYPE_CHECKING:
-    from slamfusion.compute import Backend
+    from slamfusion.compute import ComputeDevice
     from slamfusion.evaluation import Relations
     from slamfusion.fusion.path_check import PathGap
     from slamfusion.fusion.records import Alignment, FusionResult
@@ -337,7 +337,7 @@ def _work(request: _Request, config: RunConfig, begun_s: float) -> _Job:
 
         yardsticks = _Yardsticks.read(request, config)
         maps = load_maps(request.maps, request.resolution, config.map_files)
-        backend = _open(config)
+        device = _open(config)
         with progress_bar() as bar:
 
             def tell(name: str, share: float) -> None:
@@ -346,23 +346,23 @@ def _work(request: _Request, config: RunConfig, begun_s: float) -> _Job:
 
             outcomes = side_by_side.wait(tell)
     grids = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
-    job = _Job(outcomes, [*grids, *_renamed(maps)], backend.name, request.out, yardsticks.path)
+    job = _Job(outcomes, [*grids, *_renamed(maps)], device.name, request.out, yardsticks.path)
     job.stages["producers"] = time.perf_counter() - begun_s
     with progress_bar() as bar:
         began_s = time.perf_counter()
-        _fuse(job, request, config, backend, bar)
+        _fuse(job, request, config, device, bar)
         job.stages["fusion"] = time.perf_counter() - began_s
         began_s = time.perf_counter()
-        _measure(job, yardsticks, config, backend, bar)
+        _measure(job, yardsticks, config, device, bar)
         job.stages["errors"] = time.perf_counter() - began_s
     return job
 
 
-def _open(config: RunConfig) -> Backend:
-    """Return the backend of the fusion."""
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+def _open(config: RunConfig) -> ComputeDevice:
+    """Return the device of the fusion."""
+    from slamfusion.compute import open_device  # noqa: PLC0415
 
-    return open_backend(config.device.device)
+    return open_device(config.device.device)
 
 
 def _renamed(maps: Sequence[OccupancyGrid]) -> list[OccupancyGrid]:
@@ -372,7 +372,7 @@ def _renamed(maps: Sequence[OccupancyGrid]) -> list[OccupancyGrid]:
 
 
 def _fuse(
-    job: _Job, request: _Request, config: RunConfig, backend: Backend, bar: Progress | None
+    job: _Job, request: _Request, config: RunConfig, device: ComputeDevice, bar: Progress | None
 ) -> None:
     """Fuse the maps, and hold the producers' paths against each other in the fused frame.
 
@@ -403,7 +403,7 @@ def _fuse(
     paths = {item.name: item.run.trajectory for item in job.outcomes if item.run is not None}
     try:
         job.fused, job.gaps = fuse_with_paths(
-            job.grids, paths, fusion, config.run.path_gap_m, backend, bar
+            job.grids, paths, fusion, config.run.path_gap_m, device, bar
         )
     except AlignmentError as error:
         job.best_founded = best_founded(job.grids, error.pairs).name
@@ -425,7 +425,11 @@ def _fuse(
 
 
 def _measure(
-    job: _Job, yardsticks: _Yardsticks, config: RunConfig, backend: Backend, bar: Progress | None
+    job: _Job,
+    yardsticks: _Yardsticks,
+    config: RunConfig,
+    device: ComputeDevice,
+    bar: Progress | None,
 ) -> None:
     """Measure every map and path; what cannot be measured does not take the rest with it."""
     if job.fused is not None:
@@ -436,7 +440,7 @@ def _measure(
         if job.fused is not None:
             judged.append(job.fused.fused.with_name(FUSED))
         try:
-            job.evaluations = evaluate_maps(judged, yardsticks.truth, config, backend, progress=bar)
+            job.evaluations = evaluate_maps(judged, yardsticks.truth, config, device, progress=bar)
         except SlamFusionError as error:
             job.troubles.append(str(error))
         evaluated = {item.error.name: item for item in job.evaluations}

@@ -57,7 +57,7 @@ def command(
     Writes DIR/NAME.log.gz (a CARMEN log), DIR/truth.yaml and .pgm (the true map), DIR/truth.tum
     (the true poses) and DIR/course.yaml, which gives the same files again.
     """
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute import open_device  # noqa: PLC0415
     from slamfusion.sim import simulate, write_recording  # noqa: PLC0415
 
     check_writable(folder)
@@ -65,10 +65,10 @@ def command(
         context.get_parameter_source("config_seed") != click.core.ParameterSource.DEFAULT
     )
     wanted = _course(course, config, is_seed_given=is_seed_given)
-    backend = open_backend(config.device.device)
+    device = open_device(config.device.device)
     start = time.perf_counter()
     with progress_bar() as progress:
-        recording = simulate(wanted, backend, progress)
+        recording = simulate(wanted, device, progress)
     files = write_recording(recording, folder)
     if recording.left_out:
         count = len(recording.left_out)
@@ -76,7 +76,7 @@ def command(
     made: SimulateDocument = {
         **_summary(recording),
         "files": [str(path) for path in files],
-        "device": backend.name,
+        "device": device.name,
         "seed": recording.course.seed,
         "time_s": time.perf_counter() - start,
         "config": to_mapping(config),

@@ -40,7 +40,7 @@ from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import MapFileError, SlamFusionError
 
 if TYPE_CHECKING:
-    from slamfusion.compute import Backend
+    from slamfusion.compute import ComputeDevice
     from slamfusion.io import AtomicFiles
     from slamfusion.jobs.records import SlamDocument
     from slamfusion.slam.common.mapper import Mapper
@@ -219,7 +219,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     """Run, measure, write, print."""
     from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
     from slamfusion.io import read_trajectory  # noqa: PLC0415
-    from slamfusion.slam.registry import open_producer_backend  # noqa: PLC0415
+    from slamfusion.slam.registry import open_producer_device  # noqa: PLC0415
 
     relations = None if request.relations is None else read_relations(request.relations)
     odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
@@ -229,8 +229,8 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
         if request.truth_map is None
         else load_maps([request.truth_map], None, config.map_files)[0]
     )
-    backend = open_producer_backend(name, config)
-    producer = _producer(name, request.resume, config, backend)
+    device = open_producer_device(name, config)
+    producer = _producer(name, request.resume, config, device)
     found = _produce(producer, request, config)
     failed: SlamFusionError | None = None
     evaluation: Evaluation | None = None
@@ -238,10 +238,10 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     try:
         measures = measure_run(found, config, relations=relations, odometry=odometry, truth=truth)
         if truth_map is not None:
-            evaluation = evaluate_maps([found.grid], truth_map, config, backend)[0]
+            evaluation = evaluate_maps([found.grid], truth_map, config, device)[0]
     except SlamFusionError as error:  # the map is made; it is kept, then the failure is told
         failed = error
-    result = ProducerResult(found, measures, evaluation, backend.name)
+    result = ProducerResult(found, measures, evaluation, device.name)
     document: SlamDocument = {
         "producers": [
             {
@@ -256,7 +256,7 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
         "scan_odometry": path_text(request.scan_odometry),
         "truth": path_text(request.truth),
         "truth_map": path_text(request.truth_map),
-        "device": backend.name,
+        "device": device.name,
         "seed": config.seed,
         "config": to_mapping(config),
         "versions": versions(),
@@ -274,13 +274,13 @@ def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> i
     return 0
 
 
-def _producer(name: str, state: Path | None, config: RunConfig, backend: Backend) -> Mapper:
+def _producer(name: str, state: Path | None, config: RunConfig, device: ComputeDevice) -> Mapper:
     """Return the producer, fresh or in a saved state."""
     from slamfusion.slam.registry import make_producer, resume_producer  # noqa: PLC0415
 
     if state is None:
-        return make_producer(name, config, backend)
-    return resume_producer(name, state, config, backend)
+        return make_producer(name, config, device)
+    return resume_producer(name, state, config, device)
 
 
 def _produce(producer: Mapper, request: _Request, config: RunConfig) -> ProducerRun:

@@ -9,7 +9,7 @@ OpenCL device is asked for.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
 from slamfusion.errors import DeviceError
@@ -18,16 +18,7 @@ if TYPE_CHECKING:
     from slamfusion.compute.device import DeviceInfo
     from slamfusion.compute.pocl import PoclState
 
-__all__ = [
-    "Backend",
-    "ComputeDevice",
-    "NumpyBackend",
-    "NumpyDevice",
-    "list_devices",
-    "open_backend",
-    "open_device",
-    "pocl_state",
-]
+__all__ = ["ComputeDevice", "NumpyDevice", "list_devices", "open_device", "pocl_state"]
 
 
 def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
@@ -67,9 +58,3 @@ def pocl_state() -> PoclState | None:
     except ImportError:
         return None
     return device.pocl_state()
-
-
-# Names of before; they go with the next commits.
-Backend: TypeAlias = ComputeDevice
-NumpyBackend: TypeAlias = NumpyDevice
-open_backend = open_device

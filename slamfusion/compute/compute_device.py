@@ -105,10 +105,10 @@ class NumpyDevice:
     climb_maps = _twin(scan_match.climb_maps)
     score_maps = _twin(scan_match.score_maps)
 
-    tiny_mark = _twin(cell_means.tiny_mark)
-    tiny_fold = _twin(cell_means.tiny_fold)
-    smear_mark = _twin(cell_means.smear_mark)
-    smear_fold = _twin(cell_means.smear_fold)
+    mark_scan = _twin(cell_means.mark_scan)
+    integrate_scan = _twin(cell_means.integrate_scan)
+    mark_likelihood = _twin(cell_means.mark_likelihood)
+    update_likelihood = _twin(cell_means.update_likelihood)
 
     touch_pages = _twin(hit_counts.touch_pages)
     count_beams = _twin(hit_counts.count_beams)

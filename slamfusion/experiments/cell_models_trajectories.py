@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
 from slamfusion.experiments.table import (
@@ -33,22 +33,22 @@ SIGNIFICANT = 0.05
 GMAPPING_CELL_M = 0.2
 
 
-def _tinyslam(cell_model: str) -> Callable[[RunConfig, Backend, int], Mapper]:
+def _tinyslam(cell_model: str) -> Callable[[RunConfig, ComputeDevice, int], Mapper]:
     """Return what makes a tinySLAM of a cell model; the quality is that model's default."""
 
-    def make(config: RunConfig, backend: Backend, seed: int) -> Mapper:
-        return TinySlam(replace(config.tinyslam, cell_model=cell_model), backend, seed)
+    def make(config: RunConfig, device: ComputeDevice, seed: int) -> Mapper:
+        return TinySlam(replace(config.tinyslam, cell_model=cell_model), device, seed)
 
     return make
 
 
-def _gmapping(config: RunConfig, backend: Backend, seed: int) -> Mapper:
+def _gmapping(config: RunConfig, device: ComputeDevice, seed: int) -> Mapper:
     """Return gmapping on the cells of [H16]."""
-    return Gmapping(replace(config.gmapping, delta=GMAPPING_CELL_M), backend, seed)
+    return Gmapping(replace(config.gmapping, delta=GMAPPING_CELL_M), device, seed)
 
 
 # Every column of the table: how a fresh producer is made from configuration, device and seed.
-METHODS: dict[str, Callable[[RunConfig, Backend, int], Mapper]] = {
+METHODS: dict[str, Callable[[RunConfig, ComputeDevice, int], Mapper]] = {
     "tinyslam base": _tinyslam("base"),
     "tinyslam mean": _tinyslam("mean"),
     "gmapping": _gmapping,
@@ -58,7 +58,7 @@ METHODS: dict[str, Callable[[RunConfig, Backend, int], Mapper]] = {
 def compare_models(
     drives: Sequence[Drive],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     *,
     keep: Callable[[Results], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -69,7 +69,7 @@ def compare_models(
         drives: their names differ.
         config: number of seeds in ``experiment.cell_models_trajectories``; the methods' settings;
             the first seed.
-        backend: computes.
+        device: computes.
         keep: given the results so far after each condition.
         progress: told the runs that are done.
 
@@ -82,7 +82,7 @@ def compare_models(
 
     def once(levels: tuple[Level, ...], seed: int) -> dict[str, float]:
         name, method = levels
-        producer = METHODS[str(method)](config, backend, seed)
+        producer = METHODS[str(method)](config, device, seed)
         return run_errors(by_name[str(name)], producer, config.trajectory)
 
     return repeat(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation import (
@@ -140,18 +140,18 @@ def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
 
 
 def simulated_office(
-    seed: int, backend: Backend, progress: Callable[[str, int, int], None] | None = None
+    seed: int, device: ComputeDevice, progress: Callable[[str, int, int], None] | None = None
 ) -> Drive:
     """Simulate a drive through every room of an office floor with a Hokuyo; the truth is known.
 
     Args:
         seed: of the floor and the drive.
-        backend: casts the rays.
+        device: casts the rays.
         progress: told the scans that are done.
     """
     name = f"office-{seed}"
     course = replace(named_course("office", seed), name=name)
-    recording = simulate(course, backend, progress)
+    recording = simulate(course, device, progress)
     return Drive(name, recording.scans, reference=recording.truth)
 
 

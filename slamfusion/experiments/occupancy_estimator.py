@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
 from slamfusion.experiments.records import VerdictJson
@@ -95,7 +95,7 @@ class Verdict:
 def sweep_estimators(
     drives: Sequence[Drive],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     *,
     keep: Callable[[Results], None] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -106,7 +106,7 @@ def sweep_estimators(
         drives: their names differ.
         config: cell sizes and number of seeds in ``experiment.occupancy_estimator``; tinySLAM's
             other settings; the first seed.
-        backend: computes.
+        device: computes.
         keep: given the results so far after each condition.
         progress: told the runs that are done.
 
@@ -122,7 +122,7 @@ def sweep_estimators(
         tinyslam = replace(
             config.tinyslam, resolution=float(size_m), occupancy_estimator=str(estimator)
         )
-        producer = TinySlam(tinyslam, backend, seed)
+        producer = TinySlam(tinyslam, device, seed)
         return run_errors(by_name[str(name)], producer, config.trajectory)
 
     return repeat(

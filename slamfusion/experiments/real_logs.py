@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, doubled_wall_share
@@ -225,7 +225,7 @@ def compare_on_logs(
     folder: Path,
     names: Sequence[str],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     progress: Progress | None = None,
 ) -> RealLogTable:
     """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
@@ -234,7 +234,7 @@ def compare_on_logs(
         folder: of the data sets.
         names: of ``REAL_LOGS``; those whose files lie there.
         config: settings of producers and fusion.
-        backend: computes.
+        device: computes.
         progress: told the drives, and the scans of each producer.
 
     Raises:
@@ -246,7 +246,7 @@ def compare_on_logs(
     notes: dict[tuple[str, str], str] = {}
     references: dict[str, str] = {}
     for name in names:
-        part = _compare_on_log(folder, name, config, backend, progress)
+        part = _compare_on_log(folder, name, config, device, progress)
         rows += part.rows
         notes |= part.notes
         references |= part.references
@@ -254,13 +254,13 @@ def compare_on_logs(
 
 
 def _compare_on_log(
-    folder: Path, name: str, config: RunConfig, backend: Backend, progress: Progress | None
+    folder: Path, name: str, config: RunConfig, device: ComputeDevice, progress: Progress | None
 ) -> RealLogTable:
     """Return the maps of one drive."""
     files = REAL_LOGS[name]
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
-    reference, count = reference_map(scans, trajectory, config, backend)
+    reference, count = reference_map(scans, trajectory, config, device)
 
     notes: dict[str, str] = {}
     maps: dict[str, OccupancyGrid | None] = {}
@@ -273,7 +273,7 @@ def _compare_on_log(
 
         say = partial(tell, what=f"{name}, {producer}")
         try:
-            run = run_producer(make_producer(producer, config, backend), scans, progress=say)
+            run = run_producer(make_producer(producer, config, device), scans, progress=say)
         except SlamFusionError as error:
             maps[producer], notes[producer] = None, str(error)
             continue
@@ -286,12 +286,12 @@ def _compare_on_log(
     # The reference is drawn from scans as well: its walls have no backs either.
     vote = replace(config.fusion.vote, solid_walls=False)
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
-    fused = vote_every_way(grids, paths, config, backend, notes)
+    fused = vote_every_way(grids, paths, config, device, notes)
 
     rows = []
     for method, grid in (maps | fused).items():
         if grid is not None:
-            found = against_truth(grid, reference, config, backend)
+            found = against_truth(grid, reference, config, device)
             rows.append(RealLogRow(name, method, _doubled(grid, config), found))
     rows.append(RealLogRow(name, REFERENCE, _doubled(reference, config), None))
     why = {(name, what): text for what, text in notes.items()}
@@ -304,7 +304,7 @@ def _doubled(grid: OccupancyGrid, config: RunConfig) -> float:
 
 
 def reference_map(
-    scans: Sequence[LogScan], trajectory: Trajectory, config: RunConfig, backend: Backend
+    scans: Sequence[LogScan], trajectory: Trajectory, config: RunConfig, device: ComputeDevice
 ) -> tuple[OccupancyGrid, int]:
     """Return the map that scans draw at known poses, and how many scans drew it.
 
@@ -315,7 +315,7 @@ def reference_map(
         scans: in the order of time.
         trajectory: poses of the robot in the frame of the map.
         config: ``config.graph`` says how cells are counted.
-        backend: computes.
+        device: computes.
 
     Raises:
         SlamFusionError: no scan has a pose.
@@ -333,4 +333,4 @@ def reference_map(
         laser = np.array([scan.mount.x, scan.mount.y], dtype=np.float32)
         nodes.append(Node(ends, laser, 0.0, None))
     job = MapJob(nodes, trajectory.poses[nearest[is_known]], REFERENCE)
-    return NodeMap(config.graph, backend).draw(job), len(nodes)
+    return NodeMap(config.graph, device).draw(job), len(nodes)

@@ -26,8 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 import slamfusion
-from slamfusion.compute import open_backend
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.program import kernel_folder
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig, field_infos, to_mapping
 from slamfusion.errors import AlignmentError, GridError, SlamFusionError
@@ -154,7 +153,7 @@ def alone(fusion: str) -> str:
 
 
 def measure_trial(
-    trial: Trial, config: RunConfig, backend: Backend
+    trial: Trial, config: RunConfig, device: ComputeDevice
 ) -> tuple[TrialRecord, dict[str, MapError]]:
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
@@ -166,7 +165,7 @@ def measure_trial(
     Args:
         trial: what to drive.
         config: settings of producers and fusion; its seed gives way to the trial's.
-        backend: computes.
+        device: computes.
 
     Returns:
         The record, and each map's error with its difference to the truth.
@@ -175,12 +174,12 @@ def measure_trial(
         SimulationError: the course cannot be driven.
     """
     config = replace(config, seed=trial.seed)
-    recording = simulate(trial.course, backend)
+    recording = simulate(trial.course, device)
     notes: dict[str, str] = {}
-    maps, paths = _produce(trial, recording, config, backend, notes)
-    fused = _fuse(trial, maps, paths, config, backend, notes)
+    maps, paths = _produce(trial, recording, config, device, notes)
+    fused = _fuse(trial, maps, paths, config, device, notes)
     found = {
-        name: against_truth(grid, recording.world.grid, config, backend)
+        name: against_truth(grid, recording.world.grid, config, device)
         for name, grid in (maps | fused).items()
     }
     record = TrialRecord(
@@ -195,7 +194,11 @@ def measure_trial(
 
 
 def _produce(
-    trial: Trial, recording: Recording, config: RunConfig, backend: Backend, notes: dict[str, str]
+    trial: Trial,
+    recording: Recording,
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
 ) -> tuple[dict[str, OccupancyGrid | None], dict[str, Trajectory]]:
     """Return each producer's map, None where it made none, and the paths found with them."""
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
@@ -204,7 +207,7 @@ def _produce(
     for name in PRODUCERS:
         scans = faulty if trial.harmed in {"", name} else recording.scans
         try:
-            run = run_producer(make_producer(name, config, backend), scans)
+            run = run_producer(make_producer(name, config, device), scans)
         except SlamFusionError as error:
             maps[name], notes[name] = None, str(error)
             continue
@@ -217,18 +220,18 @@ def _fuse(
     maps: Mapping[str, OccupancyGrid | None],
     paths: Mapping[str, Trajectory],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
     """Fuse as ``run`` does: the plain vote decides who votes, then the same maps vote otherwise."""
     grids = [grid for grid in maps.values() if grid is not None]
     align = replace(config.fusion.align, shared_frame=True, deadline_s=PATIENCE_S)
     config = replace(config, fusion=replace(config.fusion, align=align))
-    fused = vote_every_way(grids, paths, config, backend, notes)
+    fused = vote_every_way(grids, paths, config, device, notes)
     if trial.harmed:
         rest = [grid for grid in grids if grid.name != trial.harmed]
         own_notes: dict[str, str] = {}
-        others = vote_every_way(rest, paths, config, backend, own_notes)
+        others = vote_every_way(rest, paths, config, device, own_notes)
         fused |= {alone(mode): grid for mode, grid in others.items()}
         notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}
     return fused
@@ -238,7 +241,7 @@ def vote_every_way(
     grids: Sequence[OccupancyGrid],
     paths: Mapping[str, Trajectory],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
     """Return the fused map of every way to vote; all have the same voters, or the same one map.
@@ -247,7 +250,7 @@ def vote_every_way(
         grids: the producers' maps.
         paths: found with them, by name.
         config: settings of the fusion.
-        backend: computes.
+        device: computes.
         notes: told, by method, what went wrong.
 
     Returns:
@@ -256,19 +259,17 @@ def vote_every_way(
     if not grids:
         notes[PLAIN] = "no map was made"
         return dict.fromkeys(FUSIONS)
-    plain = _vote_plainly(grids, paths, config, backend, notes)
+    plain = _vote_plainly(grids, paths, config, device, notes)
     if isinstance(plain, OccupancyGrid):
         return dict.fromkeys(FUSIONS, plain)
-    return {
-        mode: vote_again(plain, _voting(config.fusion, mode), backend).fused for mode in FUSIONS
-    }
+    return {mode: vote_again(plain, _voting(config.fusion, mode), device).fused for mode in FUSIONS}
 
 
 def _vote_plainly(
     grids: Sequence[OccupancyGrid],
     paths: Mapping[str, Trajectory],
     config: RunConfig,
-    backend: Backend,
+    device: ComputeDevice,
     notes: dict[str, str],
 ) -> FusionResult | OccupancyGrid:
     """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
@@ -278,7 +279,7 @@ def _vote_plainly(
     kept = {grid.name: paths[grid.name] for grid in grids}
     settings = _voting(config.fusion, PLAIN)
     try:
-        result, _ = fuse_with_paths(grids, kept, settings, config.run.path_gap_m, backend)
+        result, _ = fuse_with_paths(grids, kept, settings, config.run.path_gap_m, device)
     except AlignmentError as error:
         alone_grid = best_founded(grids, error.pairs)
         notes[PLAIN] = f"{alone_grid.name} alone: {error}"
@@ -293,7 +294,7 @@ def _voting(config: FusionConfig, mode: str) -> FusionConfig:
 
 
 def against_truth(
-    grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, backend: Backend
+    grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, device: ComputeDevice
 ) -> MapError:
     """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
 
@@ -303,7 +304,7 @@ def against_truth(
         grid: None is a map that knows nothing.
         truth: decides lattice and box.
         config: thresholds, search and tolerance.
-        backend: computes.
+        device: computes.
     """
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
@@ -312,7 +313,7 @@ def against_truth(
     settings = replace(config.fusion, align=align)
     if grid is not None:
         with suppress(GridError):  # not one known cell: it lies as well anywhere
-            found = align_grids(truth, grid, settings, backend)
+            found = align_grids(truth, grid, settings, device)
             transforms.append(found.transform)
             # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
             if found.runner_up is not None:
@@ -420,21 +421,21 @@ def _follow() -> None:
         os._exit(1)
 
 
-_backends: dict[str | None, Backend] = {}
+_devices: dict[str | None, ComputeDevice] = {}
 
 
 def _work(trial: Trial, config: RunConfig) -> Done:
     """Run a trial; a process opens its device once."""
     device = config.device.device
-    if device not in _backends:
-        _backends[device] = open_backend(device)
-    return _done(trial, config, _backends[device])
+    if device not in _devices:
+        _devices[device] = open_device(device)
+    return _done(trial, config, _devices[device])
 
 
-def _done(trial: Trial, config: RunConfig, backend: Backend) -> Done:
+def _done(trial: Trial, config: RunConfig, device: ComputeDevice) -> Done:
     """Run a trial, and pack what an example shows."""
     try:
-        record, found = measure_trial(trial, config, backend)
+        record, found = measure_trial(trial, config, device)
     except SlamFusionError as error:
         message = f"{trial.key}: {error}"
         raise SlamFusionError(message) from None

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import fixed_poses
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.fusion.accept import Evidence, decide
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures, spread_sample
@@ -72,7 +72,7 @@ def align_grids(
     reference: OccupancyGrid,
     moving: OccupancyGrid,
     config: FusionConfig,
-    backend: Backend,
+    device: ComputeDevice,
     start: Pose2 | None = None,
 ) -> Alignment:
     """Align one occupancy grid to another.
@@ -82,7 +82,7 @@ def align_grids(
         moving: gets the transform.
         config: normalisation and search; ``config.align.window_*`` limit the search around
             ``start``.
-        backend: computes.
+        device: computes.
         start: expected pose of the moving map frame in the reference's, metres; identity when None.
 
     Returns:
@@ -95,17 +95,17 @@ def align_grids(
     check_resampling([reference, moving], config.normalize, "aligning")
     resolution = common_resolution([reference, moving], config.normalize)
     features = [
-        GridFeatures(normalize_grid(grid, resolution, config.normalize, backend), backend)
+        GridFeatures(normalize_grid(grid, resolution, config.normalize, device), device)
         for grid in (reference, moving)
     ]
-    return align_features(features[0], features[1], config.align, backend, start)
+    return align_features(features[0], features[1], config.align, device, start)
 
 
 def align_features(
     reference: GridFeatures,
     moving: GridFeatures,
     config: AlignConfig,
-    backend: Backend,
+    device: ComputeDevice,
     start: Pose2 | None = None,
 ) -> Alignment:
     """Align two prepared grids; see ``align_grids``."""
@@ -116,43 +116,43 @@ def align_features(
             return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     window = _window(reference, moving, config, start)
     if config.step is not None:
-        motion = fixed_step_search(reference, moving, config.step, window, backend)
-        score = rank(reference, moving, motion[None], 1, FINE_TABLE, backend)
+        motion = fixed_step_search(reference, moving, config.step, window, device)
+        score = rank(reference, moving, motion[None], 1, FINE_TABLE, device)
         found = _Found(motion[None], score, None, None, "fixed step")
     else:
-        coarse, motions, scores = search(reference, moving, config, window, backend)
+        coarse, motions, scores = search(reference, moving, config, window, device)
         is_full = window.shift_cells is None and window.yaw_rad >= math.pi
         found = _Found(motions, scores, coarse, None, "full" if is_full else "window")
         if config.prove and len(motions):
-            found = _prove(reference, moving, config, window, backend, found)
+            found = _prove(reference, moving, config, window, device, found)
     if not len(found.motions):
         reason = "no fit inside the window; widen it or give a better start"
         return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     if start is None and config.shared_frame:
         start = Pose2()
-    return _conclude(reference, moving, backend, found, start, began)
+    return _conclude(reference, moving, device, found, start, began)
 
 
 def track_features(
     reference: GridFeatures,
     moving: GridFeatures,
-    backend: Backend,
+    device: ComputeDevice,
     start: Pose2,
 ) -> Alignment:
     """Refine a known transform without a search; the decision rests on the fit alone.
 
     Args:
         reference, moving: the grids.
-        backend: computes.
+        device: computes.
         start: pose of the moving map frame in the reference's, within about half a metre and a few
             degrees.
     """
     began = time.perf_counter()
     motion = _motion(reference, moving, start)[None]
-    motion = settle(reference, moving, motion, backend)
-    score = rank(reference, moving, motion, 1, FINE_TABLE, backend)
+    motion = settle(reference, moving, motion, device)
+    score = rank(reference, moving, motion, 1, FINE_TABLE, device)
     return _conclude(
-        reference, moving, backend, _Found(motion, score, None, None, "tracked"), start, began
+        reference, moving, device, _Found(motion, score, None, None, "tracked"), start, began
     )
 
 
@@ -208,12 +208,12 @@ def _prove(
     moving: GridFeatures,
     config: AlignConfig,
     window: SearchWindow,
-    backend: Backend,
+    device: ComputeDevice,
     found: _Found,
 ) -> _Found:
     """Bound the whole search set; rivals that the proof turns up are refined and may win."""
     end = time.perf_counter() + config.deadline_s
-    lattice = LatticeScore(reference, moving, config, window, backend)
+    lattice = LatticeScore(reference, moving, config, window, device)
     motions, scores = found.motions, found.scores
     if lattice.plane_cells > PLANE_CELLS_MAX:
         # Nothing can be bounded in reasonable memory: the rest of the set may score anything.
@@ -225,7 +225,7 @@ def _prove(
         gap, rival = proof.bound_gap, False
         if not len(proof.rivals):
             break
-        others = inside(window, settle(reference, moving, proof.rivals[:RIVALS], backend))
+        others = inside(window, settle(reference, moving, proof.rivals[:RIVALS], device))
         elsewhere = [other for other in others if not _is_same(other, motions[0])]
         if not elsewhere:
             # All that scores above the answer runs into it when refined: it is their optimum.
@@ -233,7 +233,7 @@ def _prove(
             break
         rival = any(_is_distinct(other, motions[0]) for other in elsewhere)
         everything = np.concatenate((motions, np.array(elsewhere)))
-        ranked = rank(reference, moving, everything, 1, FINE_TABLE, backend)
+        ranked = rank(reference, moving, everything, 1, FINE_TABLE, device)
         order = np.argsort(-ranked, kind="stable")
         changed = order[0] >= len(motions)
         motions, scores = everything[order], ranked[order]
@@ -257,21 +257,21 @@ def _is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
 def _conclude(
     reference: GridFeatures,
     moving: GridFeatures,
-    backend: Backend,
+    device: ComputeDevice,
     found: _Found,
     start: Pose2 | None,
     began: float,
 ) -> Alignment:
     """Measure the best motion and its runner-up, decide, and write the record."""
     best, score = found.motions[0], float(found.scores[0])
-    statistics = measure(reference, moving, best, backend)
+    statistics = measure(reference, moving, best, device)
     is_bent = max(statistics["wall_match_moving"], statistics["wall_match_reference"]) < BENT_MATCH
     runner_up = _runner_up(reference, moving, found, BENT_CELLS if is_bent else DISTINCT_CELLS)
     if is_bent:
         # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
         # leaves the rest; the wide one spreads the misfit over the whole map.
-        best = refine(reference, moving, best[None], 1, BENT_SCALES, backend, iterations=8)[0]
-        statistics = measure(reference, moving, best, backend)
+        best = refine(reference, moving, best[None], 1, BENT_SCALES, device, iterations=8)[0]
+        statistics = measure(reference, moving, best, device)
     transform = _transform(reference, moving, best)
     overlap, error = statistics.pop("overlap"), statistics.pop("error")
     profile = None
@@ -353,7 +353,7 @@ def _separation(coarse: CoarseSearch, yaw: float) -> tuple[float, float]:
 
 
 def measure(
-    reference: GridFeatures, moving: GridFeatures, motion: F64, backend: Backend
+    reference: GridFeatures, moving: GridFeatures, motion: F64, device: ComputeDevice
 ) -> dict[str, float]:
     """Return the numbers by which a motion is judged.
 
@@ -378,7 +378,7 @@ def measure(
     ):
         sample = spread_sample(points, EVIDENCE_POINTS)
         for far2, shares in zip(clashes2, clash, strict=True):
-            counts = backend.pose_counts(
+            counts = device.pose_counts(
                 sample,
                 fixed_poses(pose),
                 features.known,
@@ -392,7 +392,7 @@ def measure(
         match.append(counts[1] / len(sample))
         known.append(counts[0] / len(sample))
         chance.append(features.near_wall_share(near2))
-    overlap, error = _overlap_and_error(reference, moving, lattice, backend)
+    overlap, error = _overlap_and_error(reference, moving, lattice, device)
     return {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
@@ -407,11 +407,11 @@ def measure(
 
 
 def _overlap_and_error(
-    reference: GridFeatures, moving: GridFeatures, lattice: F64, backend: Backend
+    reference: GridFeatures, moving: GridFeatures, lattice: F64, device: ComputeDevice
 ) -> tuple[float, float]:
     """Return the share of known cells in common, and the [F16] error over the reference's box."""
-    warped = backend.warp(moving.cells, fixed_poses(invert(lattice)), reference.shape, -1)
-    counts = backend.confusion(reference.cells, warped)
+    warped = device.warp(moving.cells, fixed_poses(invert(lattice)), reference.shape, -1)
+    counts = device.confusion(reference.cells, warped)
     both = float(counts[1:, 1:].sum())
     smaller = max(1, min(reference.known_cells, moving.known_cells))
     squares = np.array([[0, 1, 4], [1, 0, 1], [4, 1, 0]])

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.backend import Handle
-from slamfusion.compute.reference import DISTANCE2_MAX, DISTANCE_TABLE
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.fields import FieldDevice
+from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_TABLE
 from slamfusion.fusion.normalize import NormalizedGrid
 
 __all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"]
@@ -83,10 +84,10 @@ class Level:
 
     step: int
     shape: tuple[int, int]
-    wall: Handle
-    free: Handle
-    distance2: Handle
-    distance: Handle
+    wall: DeviceArray[Any]
+    free: DeviceArray[Any]
+    distance2: DeviceArray[Any]
+    distance: DeviceArray[Any]
     points: npt.NDArray[np.int32]
 
     @property
@@ -98,13 +99,13 @@ class Level:
 class GridFeatures:
     """The levels and fields of one normalised grid on one device."""
 
-    def __init__(self, grid: NormalizedGrid, backend: Backend) -> None:
+    def __init__(self, grid: NormalizedGrid, device: FieldDevice) -> None:
         """Upload the cells; everything else is computed when first asked for."""
         self.grid = grid
-        self.backend = backend
-        self.cells = backend.upload(grid.cells)
+        self.device = device
+        self.cells = device.upload(grid.cells)
         self._levels: dict[int, Level] = {}
-        self._fields: dict[tuple[int, str], Handle] = {}
+        self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
 
     @property
@@ -128,36 +129,36 @@ class GridFeatures:
         return _lattice_points(self.grid.solid != 0)
 
     @cached_property
-    def known(self) -> Handle:
+    def known(self) -> DeviceArray[Any]:
         """(H, W) uint8 on the device, 1 where known."""
-        return self.backend.upload((self.grid.cells >= 0).astype(np.uint8))
+        return self.device.upload((self.grid.cells >= 0).astype(np.uint8))
 
     def near_wall_share(self, near2: int) -> float:
         """Return the share of known cells within this squared distance (cells) of a wall."""
         if near2 not in self._near_wall_share:
-            distance2 = self.backend.download(self.level(1).distance2)
+            distance2 = self.device.download(self.level(1).distance2)
             near = np.count_nonzero((distance2 <= near2) & (self.grid.cells >= 0))
             self._near_wall_share[near2] = near / max(1, self.known_cells)
         return self._near_wall_share[near2]
 
     @cached_property
-    def _surface(self) -> Handle:
+    def _surface(self) -> DeviceArray[Any]:
         """Surface walls; all solid walls where none touches free space."""
-        solid = self.backend.upload(self.grid.solid)
-        surface = self.backend.surface_walls(self.cells, solid)
-        return surface if self.backend.download(surface).any() else solid
+        solid = self.device.upload(self.grid.solid)
+        surface = self.device.surface_walls(self.cells, solid)
+        return surface if self.device.download(surface).any() else solid
 
     def level(self, step: int) -> Level:
         """Return the grid at ``step`` fine cells a cell."""
         if step not in self._levels:
             if step == 1:
                 wall = self._surface
-                free = self.backend.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
+                free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
             else:
-                wall, free = self.backend.shrink(self._surface, self.cells, step)
-            distance2 = self.backend.distance_squared(wall)
-            distance = self.backend.look_up(distance2, DISTANCE_TABLE)
-            mask = self.backend.download(wall)
+                wall, free = self.device.shrink(self._surface, self.cells, step)
+            distance2 = self.device.distance_squared(wall)
+            distance = self.device.look_up(distance2, DISTANCE_TABLE)
+            mask = self.device.download(wall)
             self._levels[step] = Level(
                 step, mask.shape, wall, free, distance2, distance, _lattice_points(mask != 0)
             )
@@ -166,17 +167,17 @@ class GridFeatures:
     @cached_property
     def solid_level(self) -> Level:
         """The finest level with every solid wall cell, not only the surfaces."""
-        wall = self.backend.upload(self.grid.solid)
-        distance2 = self.backend.distance_squared(wall, SOLID_REACH)
-        distance = self.backend.look_up(distance2, DISTANCE_TABLE)
+        wall = self.device.upload(self.grid.solid)
+        distance2 = self.device.distance_squared(wall, SOLID_REACH)
+        distance = self.device.look_up(distance2, DISTANCE_TABLE)
         return Level(1, self.shape, wall, self.level(1).free, distance2, distance, self.wall_points)
 
-    def field(self, step: int, table: ScoreTable) -> Handle:
+    def field(self, step: int, table: ScoreTable) -> DeviceArray[Any]:
         """Return the score field of a level, uint8 on the device."""
         key = (step, table.name)
         if key not in self._fields:
             level = self.level(step)
-            self._fields[key] = self.backend.score_field(
+            self._fields[key] = self.device.score_field(
                 level.distance2, level.free, table.hit, table.miss, table.base
             )
         return self._fields[key]

@@ -15,8 +15,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import fixed_poses
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.errors import ConfigError
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.search import SearchWindow, invert, to_lattice
@@ -35,13 +35,13 @@ def fixed_step_search(
     moving: GridFeatures,
     step: int,
     window: SearchWindow,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> F64:
     """Return the motion (3,) of least [F16] error: where the centre lands in cells, and yaw.
 
     Args:
         reference, moving: the two grids. step: first step, cells and degrees. window: the start,
-        and how far to look; a quarter of the reference's longer side unless given. backend:
+        and how far to look; a quarter of the reference's longer side unless given. device:
         computes the errors.
     """
     reach = window.shift_cells
@@ -60,7 +60,7 @@ def fixed_step_search(
             )
             raise ConfigError(message)
         grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
-        best = _least_error(reference, moving, best + grid, max(1, step // 2), backend)
+        best = _least_error(reference, moving, best + grid, max(1, step // 2), device)
         if step == 1:
             return best
         reach, turn = float(step), float(step)
@@ -68,13 +68,13 @@ def fixed_step_search(
 
 
 def _least_error(
-    reference: GridFeatures, moving: GridFeatures, motions: F64, stride: int, backend: Backend
+    reference: GridFeatures, moving: GridFeatures, motions: F64, stride: int, device: ComputeDevice
 ) -> F64:
     """Return the motion of least error; of equals the first."""
     errors = []
     for start in range(0, len(motions), BATCH):
         poses = invert(to_lattice(motions[start : start + BATCH], moving.centre))
         errors.append(
-            backend.squared_error(reference.cells, moving.cells, fixed_poses(poses), stride)
+            device.squared_error(reference.cells, moving.cells, fixed_poses(poses), stride)
         )
     return np.asarray(motions[int(np.argmin(np.concatenate(errors)))])

@@ -39,7 +39,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
 from slamfusion.errors import GridError, MemoryBudgetError
 from slamfusion.fusion.live_canvas import Canvas, hull, joined
@@ -148,22 +148,22 @@ class LiveFusion:
     ``reset`` from one, which does the work.
     """
 
-    def __init__(self, config: RunConfig, backend: Backend) -> None:
+    def __init__(self, config: RunConfig, device: ComputeDevice) -> None:
         """Start without inputs.
 
         Args:
             config: ``fusion`` and ``live`` count; proofs are left out, they take seconds.
-            backend: computes.
+            device: computes.
         """
         self._live = config.live
         self._config = config.fusion
-        self._backend = backend
+        self._device = device
         self._lock = threading.Lock()
         self._mail: dict[str, _Mail] = {}
         self._clear()
 
     def _clear(self) -> None:
-        self._judge = Judge(self._config, self._live, self._backend)
+        self._judge = Judge(self._config, self._live, self._device)
         self._tracks = self._judge.tracks
         self._canvas: Canvas | None = None
         self._voters: tuple[str, ...] = ()
@@ -283,7 +283,7 @@ class LiveFusion:
             raise StateError(message)
         self._clear()
         self._judge.restore(state.lattice, state.scores)
-        self._canvas = Canvas(state.lattice, self._config, self._backend)
+        self._canvas = Canvas(state.lattice, self._config, self._device)
         self._canvas.restore(state.box, state.fused, state.agreement)
         self._restored = dict(state.transforms)
 
@@ -314,7 +314,7 @@ class LiveFusion:
         )
         self._place()
         if self._canvas is None and self._judge.lattice is not None:
-            self._canvas = Canvas(self._judge.lattice, self._config, self._backend)
+            self._canvas = Canvas(self._judge.lattice, self._config, self._device)
         clock.append(time.perf_counter())
         box = self._vote()
         fused = agreement = None
@@ -427,7 +427,7 @@ class LiveFusion:
         if reason is not None:
             return reason
         try:
-            change = track.follow(grid, resolution, thresholds, self._live, self._backend)
+            change = track.follow(grid, resolution, thresholds, self._live, self._device)
         except (GridError, MemoryBudgetError) as error:
             return str(error)
         except MemoryError:

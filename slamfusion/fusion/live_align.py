@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
 from slamfusion.fusion.align import align_features, track_features
@@ -81,7 +81,7 @@ class Aligner:
         is_wanted: asked while a search takes long; True gives it up.
     """
 
-    def __init__(self, config: FusionConfig, live: LiveConfig, backend: Backend) -> None:
+    def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
         """Start without a frame; proofs are left out, they take seconds."""
         self.config = replace(config, align=replace(config.align, prove=False))
         self.live = live
@@ -89,8 +89,8 @@ class Aligner:
         self.has_searched = False
         self.now_s = 0.0
         self.is_wanted: Callable[[], bool] | None = None
-        self._pausable = Pausable(backend)
-        self.backend = cast("Backend", self._pausable)
+        self._pausable = Pausable(device)
+        self.device = cast("ComputeDevice", self._pausable)
         self._found: dict[frozenset[str], _Searched] = {}
 
     # -- what is aligned --------------------------------------------------------------------------
@@ -105,7 +105,7 @@ class Aligner:
     def features(self, track: Track) -> GridFeatures:
         """Return what alignment looks at in an input's map."""
         size, thresholds = self.fixed().resolution, self.config.normalize
-        return track.features(size, thresholds, self.live.track_share, self.backend)
+        return track.features(size, thresholds, self.live.track_share, self.device)
 
     def held(self, track: Track) -> Held:
         """Return an input as something to align others to."""
@@ -113,8 +113,8 @@ class Aligner:
 
     def hold_grid(self, name: str, grid: OccupancyGrid) -> Held:
         """Return a map of the fused frame as something to align to."""
-        normal = normalize_grid(grid, grid.resolution, self.config.normalize, self.backend)
-        return Held(name, IDENTITY, GridFeatures(normal, self.backend))
+        normal = normalize_grid(grid, grid.resolution, self.config.normalize, self.device)
+        return Held(name, IDENTITY, GridFeatures(normal, self.device))
 
     def note(self, pair: Alignment) -> None:
         """Keep what a search gave for a pair."""
@@ -143,7 +143,7 @@ class Aligner:
         self, pair: Alignment, reference: GridFeatures, moving: GridFeatures
     ) -> Alignment:
         """Return a pair, refused where its maps fit better mirrored."""
-        return refuse_mirrored(pair, reference, moving, self.config.align, self.backend)
+        return refuse_mirrored(pair, reference, moving, self.config.align, self.device)
 
     # -- tracking ---------------------------------------------------------------------------------
 
@@ -182,7 +182,7 @@ class Aligner:
         """
         last = track.transform or IDENTITY
         start = held.transform.inverse().compose(last)
-        pair = track_features(held.features, self.features(track), self.backend, start)
+        pair = track_features(held.features, self.features(track), self.device, start)
         track.score, track.overlap = pair.score, pair.overlap
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
@@ -290,15 +290,15 @@ class Aligner:
             wanted = self.is_wanted
             return wanted is not None and time.perf_counter() > until_s and wanted()
 
-        config, backend = self.config.align, self.backend
+        config, device = self.config.align, self.device
         try:
             with self._pausable.until(is_wanted):
                 if is_swapped:
                     back = None if start is None else start.inverse()
-                    pair = align_features(own, held.features, config, backend, back)
+                    pair = align_features(own, held.features, config, device, back)
                     pair = replace(pair, transform=pair.transform.inverse())
                 else:
-                    pair = align_features(held.features, own, config, backend, start)
+                    pair = align_features(held.features, own, config, device, start)
                 pair = self.second_look(pair, held.features, own)
         except PausedError:
             track.patience_s *= 2.0

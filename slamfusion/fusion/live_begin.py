@@ -44,13 +44,13 @@ def align_first(
     Raises:
         SlamFusionError: too few agree, or memory cannot hold them; in one line.
     """
-    config, backend = aligner.config, aligner.backend
+    config, device = aligner.config, aligner.device
     thresholds = config.normalize
     resolution = common_resolution([t.grid for t in tracks if t.grid is not None], thresholds)
     try:
-        features = {t.name: t.features(resolution, thresholds, -1.0, backend) for t in tracks}
+        features = {t.name: t.features(resolution, thresholds, -1.0, device) for t in tracks}
         group = align_group(
-            features, {}, config, backend, list(features), second_look=aligner.second_look
+            features, {}, config, device, list(features), second_look=aligner.second_look
         )
     except MemoryError:
         message = f"no memory is left to align {len(tracks)} maps at {resolution:g} m a cell"
@@ -71,7 +71,7 @@ def place_all(tracks: Iterable[Track], aligner: Aligner) -> None:
         odd = odd_resolution(track.grid.resolution, lattice.resolution)
         reason = odd or too_large(track.grid, lattice.resolution)
         if reason is None:
-            track.place(lattice.resolution, thresholds, aligner.backend)
+            track.place(lattice.resolution, thresholds, aligner.device)
         elif track.is_live:
             track.is_live = False
             track.refuse(reason)

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import FIXED_ONE, fixed_poses
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import FusionConfig, NormalizeConfig
 from slamfusion.fusion.normalize import pool_cells
 from slamfusion.fusion.pipeline import agreement_weights
@@ -134,7 +135,7 @@ def lay_out(
     lattice: Lattice | None,
     resolution: float,
     thresholds: NormalizeConfig,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> Sheet:
     """Return a grid as a sheet of cells of the given size.
 
@@ -144,7 +145,7 @@ def lay_out(
             none of its cells starts a lattice of its own.
         resolution: metres per cell of the sheet.
         thresholds: what makes a wall, where cells are joined.
-        backend: resamples. The nearest cell, or where the sheet is coarser any wall in a cell.
+        device: resamples. The nearest cell, or where the sheet is coarser any wall in a cell.
     """
     own = Lattice(grid.resolution, grid.origin)
     if lattice is not None:
@@ -162,13 +163,15 @@ def lay_out(
     shift_y = 2 * (scale * box.row0 * parts - FIXED_ONE * row)
     poses = np.array([[scale, 0, shift_x, shift_y]], dtype=np.int64)
     shape = (box.height * parts, box.width * parts)
-    fine = backend.download(backend.warp(backend.upload(grid.cells), poses, shape, UNKNOWN))[0]
+    fine = device.download(device.warp(device.upload(grid.cells), poses, shape, UNKNOWN))[0]
     if parts > 1:
         fine = pool_cells(fine.reshape(box.height, parts, box.width, parts), thresholds)
     return Sheet(np.ascontiguousarray(fine), fused, box.row0, box.col0)
 
 
-def carry(sheet: Sheet, transform: Pose2, lattice: Lattice, box: CellBox, backend: Backend) -> I8:
+def carry(
+    sheet: Sheet, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
+) -> I8:
     """Return a box of a lattice as a sheet sees it, nearest cell, unknown outside.
 
     The motion is rounded once for cell [0, 0] of both lattices and then moved by whole cells: a
@@ -179,7 +182,7 @@ def carry(sheet: Sheet, transform: Pose2, lattice: Lattice, box: CellBox, backen
         transform: maps the sheet's frame into the lattice's, metres.
         lattice: onto which.
         box: cells of the lattice; the answer is (height, width) int8.
-        backend: resamples.
+        device: resamples.
     """
     away = transform.inverse()
     into = sheet.lattice.origin.inverse().compose(away).compose(lattice.origin)
@@ -192,9 +195,9 @@ def carry(sheet: Sheet, transform: Pose2, lattice: Lattice, box: CellBox, backen
         return np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
     pose[2] += 2 * (cos * box.col0 - sin * box.row0 - FIXED_ONE * needed.col0)
     pose[3] += 2 * (sin * box.col0 + cos * box.row0 - FIXED_ONE * needed.row0)
-    cells = backend.upload(np.ascontiguousarray(sheet.window(needed)))
-    warped = backend.warp(cells, pose[None], (box.height, box.width), UNKNOWN)
-    return np.asarray(backend.download(warped)[0])
+    cells = device.upload(np.ascontiguousarray(sheet.window(needed)))
+    warped = device.warp(cells, pose[None], (box.height, box.width), UNKNOWN)
+    return np.asarray(device.download(warped)[0])
 
 
 class Canvas:
@@ -210,13 +213,13 @@ class Canvas:
         phantom_cells: occupied in the fused cells, occupied in no layer that voted.
     """
 
-    def __init__(self, lattice: Lattice, config: FusionConfig, backend: Backend) -> None:
+    def __init__(self, lattice: Lattice, config: FusionConfig, device: ComputeDevice) -> None:
         """Start without cells; ``config`` gives the vote and its thresholds."""
         self.lattice = lattice
         self.box: CellBox | None = None
         self.phantom_cells = 0
         self._config = config
-        self._backend = backend
+        self._device = device
         self._layers: dict[str, I8] = {}
         self._covered: dict[str, CellBox] = {}
         self._fused = np.zeros((0, 0), dtype=np.int8)
@@ -328,7 +331,7 @@ class Canvas:
             self._covered[name] = now if before is None or changed is None else hull(before, now)
         if target is not None:
             layer[slices(target, box.row0, box.col0)] = carry(
-                sheet, transform, self.lattice, target, self._backend
+                sheet, transform, self.lattice, target, self._device
             )
         return touched
 
@@ -365,7 +368,7 @@ class Canvas:
         voted = vote_grids(
             aligned,
             config,
-            self._backend,
+            self._device,
             weights=weights,
             percents=percents if config.mode == "log-odds" else None,
             thresholds=self._config.normalize,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
 from slamfusion.fusion.features import GridFeatures
@@ -65,7 +65,7 @@ class Change:
 
 
 def compare(
-    old: Sheet, new: Sheet, walls: int, thresholds: NormalizeConfig, backend: Backend
+    old: Sheet, new: Sheet, walls: int, thresholds: NormalizeConfig, device: ComputeDevice
 ) -> Change:
     """Compare two maps of one input, cell by cell where both lie in its frame.
 
@@ -74,7 +74,7 @@ def compare(
         new: the map now; on another lattice it is resampled first, and all of it counts as changed.
         walls: wall cells of ``old``.
         thresholds: what is a wall, and what is free.
-        backend: resamples.
+        device: resamples.
     """
     if new.lattice == old.lattice:
         box = _changed_box(old, new)
@@ -88,7 +88,7 @@ def compare(
     else:
         box = old.box
         before = old.cells
-        after = carry(new, Pose2(), old.lattice, box, backend)
+        after = carry(new, Pose2(), old.lattice, box, device)
         is_lost = True
     occupied = math.ceil(thresholds.occupied_percent)
     was, now = (before >= occupied).view(np.uint8), (after >= occupied).view(np.uint8)
@@ -282,10 +282,10 @@ class Track:
         """Why it votes, or why not, one line."""
         return self.contradiction if self.stands and self.contradiction else self.reason
 
-    def place(self, resolution: float, thresholds: NormalizeConfig, backend: Backend) -> None:
+    def place(self, resolution: float, thresholds: NormalizeConfig, device: ComputeDevice) -> None:
         """Lay the map out at the fused resolution; before the first fusion there is none."""
         if self.grid is not None:
-            self._take(lay_out(self.grid, None, resolution, thresholds, backend), thresholds)
+            self._take(lay_out(self.grid, None, resolution, thresholds, device), thresholds)
             self.relay = True
 
     def _take(
@@ -306,7 +306,7 @@ class Track:
         resolution: float | None,
         thresholds: NormalizeConfig,
         live: LiveConfig,
-        backend: Backend,
+        device: ComputeDevice,
     ) -> Change | None:
         """Take a new map; return what it changed, None where that cannot be told.
 
@@ -315,7 +315,7 @@ class Track:
             resolution: of the fused map; None before the first fusion.
             thresholds: what is a wall, and what is free.
             live: the share of the old walls that must stand for the transform to hold.
-            backend: resamples.
+            device: resamples.
         """
         before, walls, last = self.sheet, self.walls, self.grid
         self.grid = grid
@@ -326,10 +326,10 @@ class Track:
             self.version += 1
             self._features = None
             if resolution is not None:
-                self.place(resolution, thresholds, backend)
+                self.place(resolution, thresholds, device)
             return None
-        sheet = lay_out(grid, before.lattice, resolution, thresholds, backend)
-        change = compare(before, sheet, walls, thresholds, backend)
+        sheet = lay_out(grid, before.lattice, resolution, thresholds, device)
+        change = compare(before, sheet, walls, thresholds, device)
         if change.box is None:
             self.sheet = sheet
             return change
@@ -338,7 +338,7 @@ class Track:
         self.drift += change.walls
         self._features_drift += change.walls
         self.key_drift += change.walls
-        if not (change.is_steady(live.steady_share) and self._stands(thresholds, live, backend)):
+        if not (change.is_steady(live.steady_share) and self._stands(thresholds, live, device)):
             self.is_steady = False
             self._features = None
         if sheet.lattice != before.lattice:
@@ -347,7 +347,7 @@ class Track:
             self.unlaid = change.box if self.unlaid is None else hull(self.unlaid, change.box)
         return change
 
-    def _stands(self, thresholds: NormalizeConfig, live: LiveConfig, backend: Backend) -> bool:
+    def _stands(self, thresholds: NormalizeConfig, live: LiveConfig, device: ComputeDevice) -> bool:
         """Whether the walls still stand as in the map that was last aligned."""
         if self.key is None or self.sheet is None:
             return True
@@ -355,7 +355,7 @@ class Track:
             return True
         self.key_drift = 0
         before, walls = self.key
-        change = compare(before, self.sheet, walls, thresholds, backend)
+        change = compare(before, self.sheet, walls, thresholds, device)
         return change.is_steady(live.steady_share)
 
     def pin(self) -> None:
@@ -367,15 +367,19 @@ class Track:
             self.key = self.sheet, self.walls
 
     def features(
-        self, resolution: float, thresholds: NormalizeConfig, stale_share: float, backend: Backend
+        self,
+        resolution: float,
+        thresholds: NormalizeConfig,
+        stale_share: float,
+        device: ComputeDevice,
     ) -> GridFeatures:
         """Return what alignment looks at; that of an older map while few walls have changed."""
         if self._features is None or self._features_drift > stale_share * self.walls:
             if self.grid is None:
                 message = f"{self.name} has no map"
                 raise ValueError(message)
-            normalized = normalize_grid(self.grid, resolution, thresholds, backend)
-            self._features = GridFeatures(normalized, backend)
+            normalized = normalize_grid(self.grid, resolution, thresholds, device)
+            self._features = GridFeatures(normalized, device)
             self._features_drift = 0
         return self._features
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live_align import Aligner, Held
@@ -33,12 +33,12 @@ class Judge:
         problem: why nobody votes, one line.
     """
 
-    def __init__(self, config: FusionConfig, live: LiveConfig, backend: Backend) -> None:
+    def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
         """Start without inputs; proofs are left out, they take seconds."""
         self.tracks: dict[str, Track] = {}
         self.reference = ""
         self.problem = "no map yet"
-        self._aligner = Aligner(config, live, backend)
+        self._aligner = Aligner(config, live, device)
         self._config = self._aligner.config
         self._live = live
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
@@ -34,7 +34,7 @@ def refuse_mirrored(
     reference: GridFeatures,
     moving: GridFeatures,
     config: AlignConfig,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> Alignment:
     """Return an alignment, refused with the reason where the maps fit better mirrored.
 
@@ -45,14 +45,14 @@ def refuse_mirrored(
         reference: held still.
         moving: the one that is mirrored.
         config: settings of the search; its window and start do not hold for a mirror image.
-        backend: computes.
+        device: computes.
     """
     if not pair.accepted or pair.score >= SURE_SCORE:
         return pair
     free = replace(
         config, prove=False, step=None, window_m=None, window_yaw_rad=math.pi, shared_frame=False
     )
-    other = align_features(reference, _mirrored(moving, backend), free, backend)
+    other = align_features(reference, _mirrored(moving, device), free, device)
     if other.score < pair.score + GAIN_MIN:
         return pair
     reason = (
@@ -62,7 +62,7 @@ def refuse_mirrored(
     return replace(pair, accepted=False, reason=reason)
 
 
-def _mirrored(features: GridFeatures, backend: Backend) -> GridFeatures:
+def _mirrored(features: GridFeatures, device: ComputeDevice) -> GridFeatures:
     """Return the mirror image of a grid, about its own x axis."""
     given = features.grid
     image = NormalizedGrid(
@@ -70,4 +70,4 @@ def _mirrored(features: GridFeatures, backend: Backend) -> GridFeatures:
         np.ascontiguousarray(given.cells[::-1]),
         np.ascontiguousarray(given.solid[::-1]),
     )
-    return GridFeatures(image, backend)
+    return GridFeatures(image, device)

@@ -1,4 +1,4 @@
-"""``Pausable``: a backend whose work is given up, between two operations, when something waits."""
+"""``Pausable``: a device whose work is given up, between two operations, when something waits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 
 __all__ = ["Pausable", "PausedError"]
 
@@ -16,18 +16,18 @@ class PausedError(Exception):
 
 
 class Pausable:
-    """A backend that asks, inside of ``until``, before each operation whether to give up.
+    """A device that asks, inside of ``until``, before each operation whether to give up.
 
     An alignment of maps of 16 million cells takes half a second in two hundred operations, so
     what waits for it waits no longer than the longest of these: a device that takes orders ahead
     finishes each before the next is given.
     """
 
-    def __init__(self, backend: Backend) -> None:
-        """Start without asking; ``backend`` does the operations."""
-        self._backend = backend
+    def __init__(self, device: ComputeDevice) -> None:
+        """Start without asking; ``device`` does the operations."""
+        self._device = device
         self._is_wanted: Callable[[], bool] | None = None
-        self._finish: Callable[[], None] | None = getattr(backend, "finish", None)
+        self._finish: Callable[[], None] | None = getattr(device, "finish", None)
 
     @contextlib.contextmanager
     def until(self, is_wanted: Callable[[], bool] | None) -> Iterator[None]:
@@ -39,10 +39,10 @@ class Pausable:
             self._is_wanted = before
 
     def __getattr__(self, name: str) -> Any:
-        """Return an operation of the backend."""
+        """Return an operation of the device."""
         if self._is_wanted is not None:
             if self._finish is not None:
                 self._finish()
             if self._is_wanted():
                 raise PausedError
-        return getattr(self._backend, name)
+        return getattr(self._device, name)

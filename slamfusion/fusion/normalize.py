@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import FIXED_ONE
+from slamfusion.compute.fields import FieldDevice
+from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
@@ -98,7 +98,7 @@ def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
 
 
 def normalize_grid(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, backend: Backend
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: FieldDevice
 ) -> NormalizedGrid:
     """Resample to ``resolution``, threshold, and crop to the known cells.
 
@@ -106,7 +106,7 @@ def normalize_grid(
         grid: any occupancy grid.
         resolution: metres per cell of the result.
         config: thresholds.
-        backend: does the resampling.
+        device: does the resampling.
 
     Raises:
         GridError: no cell of the grid is known under these thresholds.
@@ -122,11 +122,11 @@ def normalize_grid(
     # Margins go first: a map of a small place on a huge canvas costs no more than the place.
     grid = grid.crop(given)
     cells = trinary_cells(grid.cells, config)
-    solid = backend.download(backend.solid_walls(backend.upload(cells))).astype(np.int8)
-    resampled = _resample(grid, resolution, config, backend)
+    solid = device.download(device.solid_walls(device.upload(cells))).astype(np.int8)
+    resampled = _resample(grid, resolution, config, device)
     if resampled is not grid:
         mask = OccupancyGrid(solid * np.int8(OCCUPIED), grid.resolution, grid.origin, grid.name)
-        solid = (_resample(mask, resolution, config, backend).cells > 0).astype(np.int8)
+        solid = (_resample(mask, resolution, config, device).cells > 0).astype(np.int8)
         cells = trinary_cells(resampled.cells, config)
     box = known_box(cells)
     if box is None:
@@ -142,7 +142,7 @@ def normalize_grid(
 
 
 def _resample(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, backend: Backend
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: FieldDevice
 ) -> OccupancyGrid:
     """Return the grid on its own axes and corner, with cells of another size.
 
@@ -159,8 +159,8 @@ def _resample(
     parts = max(1, int(np.ceil(ratio - 1e-9)))
     scale = round(ratio / parts * FIXED_ONE)
     poses = np.array([[scale, 0, 0, 0]], dtype=np.int64)
-    fine = backend.download(
-        backend.warp(backend.upload(grid.cells), poses, (height * parts, width * parts), UNKNOWN)
+    fine = device.download(
+        device.warp(device.upload(grid.cells), poses, (height * parts, width * parts), UNKNOWN)
     )[0]
     if parts > 1:
         fine = pool_cells(fine.reshape(height, parts, width, parts), config)

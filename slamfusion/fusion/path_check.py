@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion.accept import CLASH_MAX
@@ -181,7 +181,7 @@ def place_by_path(
     moving: GridFeatures,
     paths: Mapping[str, Trajectory],
     limit_m: float,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> Alignment:
     """Return an alignment as it is, or the one that the paths give where the walls leave it open.
 
@@ -191,7 +191,7 @@ def place_by_path(
         reference, moving: its grids.
         paths: by producer; a pair of which one has none stays as it is.
         limit_m: two paths agree when their median gap is at most this, metres.
-        backend: refines the transform.
+        device: refines the transform.
     """
     if pair.reference not in paths or pair.moving not in paths:
         return pair
@@ -203,7 +203,7 @@ def place_by_path(
 
     if pair.accepted and gap_m(pair) <= limit_m:
         return replace(pair, statistics=pair.statistics | {PATH_GAP: gap_m(pair)})
-    tracked = track_features(reference, moving, backend, fit_paths(moved, still))
+    tracked = track_features(reference, moving, device, fit_paths(moved, still))
     fitting = [found for found in (pair, tracked) if _bear_out(found) and gap_m(found) <= limit_m]
     if not fitting:
         return pair
@@ -261,7 +261,7 @@ def fuse_with_paths(
     paths: Mapping[str, Trajectory],
     config: FusionConfig,
     limit_m: float,
-    backend: Backend,
+    device: ComputeDevice,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:
     """Fuse maps; leave out a producer whose path then lies elsewhere than those of the others.
@@ -274,7 +274,7 @@ def fuse_with_paths(
             each in its map's frame.
         config: see ``fuse_grids``.
         limit_m: two paths agree when their median gap is at most this, metres.
-        backend: computes.
+        device: computes.
         progress: see ``fuse_grids``.
 
     Returns:
@@ -286,9 +286,9 @@ def fuse_with_paths(
     """
 
     def look(pair: Alignment, reference: GridFeatures, moving: GridFeatures) -> Alignment:
-        return place_by_path(pair, reference, moving, paths, limit_m, backend)
+        return place_by_path(pair, reference, moving, paths, limit_m, device)
 
-    result = fuse_grids(grids, config, backend, progress, look)
+    result = fuse_grids(grids, config, device, progress, look)
     placed = {
         record.name: moved_path(paths[record.name], record.alignment.transform)
         for record in result.accepted
@@ -303,7 +303,7 @@ def fuse_with_paths(
         message = f"the walls of the maps fit, but the paths do not, so nothing is fused ({words})"
         raise PathsApartError(message, result.pairs, gaps)
     rest = [grid for grid in grids if grid.name not in reasons]
-    again = fuse_grids(rest, config, backend, second_look=look)
+    again = fuse_grids(rest, config, device, second_look=look)
     kept = {record.name: record for record in again.inputs}
     inputs = [
         kept[record.name]

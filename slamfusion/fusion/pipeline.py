@@ -12,8 +12,8 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import fixed_poses
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError, GridError
 from slamfusion.fusion.align import align_features, rejected_alignment, track_features
@@ -54,7 +54,7 @@ MINIMUM_INPUTS = 2
 def fuse_grids(
     grids: Sequence[OccupancyGrid],
     config: FusionConfig,
-    backend: Backend,
+    device: ComputeDevice,
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
 ) -> FusionResult:
@@ -63,7 +63,7 @@ def fuse_grids(
     Args:
         grids: one or more, of distinct names, any frames and resolutions.
         config: every setting of the fusion.
-        backend: computes.
+        device: computes.
         progress: called with what is being done, how many steps are done, and of how many.
         second_look: what else is known of a pair: given each alignment, returns the one that is
             believed; None: the walls alone decide.
@@ -83,13 +83,13 @@ def fuse_grids(
     features: dict[str, GridFeatures] = {}
     for grid in grids:
         try:
-            normalized = normalize_grid(grid, resolution, config.normalize, backend)
+            normalized = normalize_grid(grid, resolution, config.normalize, device)
         except GridError as error:
             reasons[grid.name] = str(error)
             continue
-        features[grid.name] = GridFeatures(normalized, backend)
+        features[grid.name] = GridFeatures(normalized, device)
     names = [grid.name for grid in grids]
-    group = align_group(features, reasons, config, backend, names, progress, second_look)
+    group = align_group(features, reasons, config, device, names, progress, second_look)
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     rejected = {
@@ -97,17 +97,17 @@ def fuse_grids(
         for grid in grids
         if grid.name in reasons
     }
-    result = _vote(grids, group.reference, group.alignments, features, rejected, config, backend)
+    result = _vote(grids, group.reference, group.alignments, features, rejected, config, device)
     return replace(result, pairs=group.pairs, time_s=time.perf_counter() - began)
 
 
-def vote_again(result: FusionResult, config: FusionConfig, backend: Backend) -> FusionResult:
+def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice) -> FusionResult:
     """Return the vote of the same inputs under the same alignments with other settings.
 
     Args:
         result: of ``fuse_grids``.
         config: its ``vote`` may differ from that of the result.
-        backend: computes.
+        device: computes.
     """
     began = time.perf_counter()
     grids = [record.grid for record in result.inputs]
@@ -115,11 +115,11 @@ def vote_again(result: FusionResult, config: FusionConfig, backend: Backend) -> 
     alignments, features = {}, {}
     for record in result.accepted:
         if record.alignment is not None:
-            normalized = normalize_grid(record.grid, resolution, config.normalize, backend)
-            features[record.name] = GridFeatures(normalized, backend)
+            normalized = normalize_grid(record.grid, resolution, config.normalize, device)
+            features[record.name] = GridFeatures(normalized, device)
             alignments[record.name] = record.alignment
     rejected = {record.name: record for record in result.rejected}
-    voted = _vote(grids, result.reference, alignments, features, rejected, config, backend)
+    voted = _vote(grids, result.reference, alignments, features, rejected, config, device)
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
 
 
@@ -144,7 +144,7 @@ def align_group(
     features: dict[str, GridFeatures],
     reasons: dict[str, str],
     config: FusionConfig,
-    backend: Backend,
+    device: ComputeDevice,
     names: Sequence[str],
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
@@ -155,7 +155,7 @@ def align_group(
         features: the inputs that can be aligned, by name, all at one resolution.
         reasons: why the other inputs cannot.
         config: settings of the search; ``reference`` may name the reference.
-        backend: computes.
+        device: computes.
         names: all inputs, in order.
         progress, second_look: see ``fuse_grids``.
 
@@ -163,10 +163,10 @@ def align_group(
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    pairs = _align_pairs(features, config, backend, progress, second_look)
+    pairs = _align_pairs(features, config, device, progress, second_look)
     group = _agree(names, features, pairs, reasons)
     reference = choose_reference(group.members, features, config.reference, names)
-    alignments = _to_reference(reference, group, features, pairs, backend)
+    alignments = _to_reference(reference, group, features, pairs, device)
     left_out = {
         name: _left_out(name, reference, group, pairs)
         for name in features
@@ -191,7 +191,7 @@ def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
 def _align_pairs(
     features: dict[str, GridFeatures],
     config: FusionConfig,
-    backend: Backend,
+    device: ComputeDevice,
     progress: Progress | None,
     second_look: SecondLook | None,
 ) -> list[Alignment]:
@@ -202,7 +202,7 @@ def _align_pairs(
         reference, moving = (a, b) if math.prod(a.shape) <= math.prod(b.shape) else (b, a)
         if progress is not None:
             progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
-        pair = align_features(reference, moving, config.align, backend)
+        pair = align_features(reference, moving, config.align, device)
         pairs.append(pair if second_look is None else second_look(pair, reference, moving))
     if progress is not None:
         progress("vote", len(couples), len(couples))
@@ -273,7 +273,7 @@ def _to_reference(
     group: Group,
     features: dict[str, GridFeatures],
     pairs: Sequence[Alignment],
-    backend: Backend,
+    device: ComputeDevice,
 ) -> dict[str, Alignment]:
     """Return each member's alignment to the reference, the reference's own the identity.
 
@@ -292,7 +292,7 @@ def _to_reference(
             if start is None:  # pragma: no cover - a group is connected by construction
                 message = f"{name} has no path of accepted pairs to {reference}"
                 raise AlignmentError(message, tuple(pairs))
-            tracked = track_features(features[reference], features[name], backend, start)
+            tracked = track_features(features[reference], features[name], device, start)
             other = direct.get((name, reference))
             if other is not None:
                 other = _from_the_side_of(name, other)
@@ -368,7 +368,7 @@ def warp_onto(
     transform: Pose2,
     lattice: OccupancyGrid,
     box: CellBox,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> npt.NDArray[np.int8]:
     """Return cells of one grid on the box of another's lattice, nearest cell, unknown outside.
 
@@ -378,15 +378,15 @@ def warp_onto(
         transform: maps the grid's map frame into the lattice's, metres.
         lattice: the grid whose lattice is the target.
         box: cells of that lattice; may reach beyond it.
-        backend: computes.
+        device: computes.
     """
     size = lattice.resolution
     into = grid.grid.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
     corner = into.transform((box.col0 * size, box.row0 * size)) / size
     pose = fixed_poses((corner[0], corner[1], into.yaw_rad))
     shape = (box.height, box.width)
-    warped = backend.warp(backend.upload(cells), pose, shape, UNKNOWN)
-    return np.asarray(backend.download(warped)[0])
+    warped = device.warp(device.upload(cells), pose, shape, UNKNOWN)
+    return np.asarray(device.download(warped)[0])
 
 
 def _vote(
@@ -396,7 +396,7 @@ def _vote(
     features: dict[str, GridFeatures],
     rejected: dict[str, InputRecord],
     config: FusionConfig,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> FusionResult:
     """Warp the accepted grids onto the fused lattice, vote, and write the records."""
     base = features[reference].grid
@@ -417,16 +417,16 @@ def _vote(
     aligned, percents = [], []
     for name, pair in alignments.items():
         grid = features[name].grid
-        aligned.append(warp_onto(grid, grid.cells, pair.transform, base.grid, box, backend))
+        aligned.append(warp_onto(grid, grid.cells, pair.transform, base.grid, box, device))
         if config.vote.mode == "log-odds":
             percents.append(
-                warp_onto(grid, grid.grid.cells, pair.transform, base.grid, box, backend)
+                warp_onto(grid, grid.grid.cells, pair.transform, base.grid, box, device)
             )
     weights = agreement_weights(aligned) if config.vote.mode == "weighted" else [1.0] * len(aligned)
     voted = vote_grids(
         aligned,
         config.vote,
-        backend,
+        device,
         weights=weights,
         percents=percents or None,
         thresholds=config.normalize,
@@ -454,7 +454,7 @@ def _vote(
         pairs=(),
         phantom_cells=voted.phantom_cells,
         weights={name: float(weights[index]) for name, index in slots.items()},
-        device=backend.name,
+        device=device.name,
         time_s=0.0,
     )
 

@@ -33,12 +33,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.backend import SHIFT_LANES, Handle
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import SHIFT_LANES
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import GridFeatures, score_table, spread_sample
 from slamfusion.fusion.search import SearchWindow, shift_range
@@ -86,10 +88,10 @@ class LatticeScore:
         moving: GridFeatures,
         config: AlignConfig,
         window: SearchWindow,
-        backend: Backend,
+        device: ComputeDevice,
     ) -> None:
         """Lay out the yaws, the shifts, the points and the field."""
-        self.backend = backend
+        self.device = device
         table = score_table(config.proof_sigma_cells, base=BASE, span=LEVELS - BASE)
         self.field = reference.field(1, table)
         points = spread_sample(moving.level(1).points, config.proof_points)
@@ -174,16 +176,16 @@ class LatticeScore:
         lanes = -(-width // SHIFT_LANES) * SHIFT_LANES
         shape = (height + 2 * self.reach + 2, lanes + 2 * self.reach + 2)
         corner = (self.rows[0] + rows[0] - self.reach, self.cols[0] + cols[0] - self.reach)
-        plane = self.backend.polyphase(self.field, corner, 1, shape, BASE)
+        plane = self.device.polyphase(self.field, corner, 1, shape, BASE)
         x, y = self.turned(self.yaw(yaws))
         at_row = np.floor(y + 0.5).astype(np.int32) + self.reach
         at_col = np.floor(x + 0.5).astype(np.int32) + self.reach
         offsets = at_row * shape[1] + at_col
-        scores = self.backend.correlate(_as_planes(plane, shape), offsets, (height, lanes))
-        return self.backend.download(scores)[:, :, :width]
+        scores = self.device.correlate(_as_planes(plane, shape), offsets, (height, lanes))
+        return self.device.download(scores)[:, :, :width]
 
 
-def _as_planes(handle: Handle, shape: tuple[int, int]) -> Handle:
+def _as_planes(handle: DeviceArray[Any], shape: tuple[int, int]) -> DeviceArray[Any]:
     """View a (1, 1, H, W) polyphase result as the (1, H, W) that ``correlate`` takes."""
     return handle.reshape((1, *shape))
 
@@ -327,20 +329,20 @@ class _Windows:
         self.sizes = [1 if step == 1 else step + int(e) for e in extra]
 
 
-def _pooled(lattice: LatticeScore, window: int, pad: int) -> Handle:
+def _pooled(lattice: LatticeScore, window: int, pad: int) -> DeviceArray[Any]:
     """Return the field, padded by ``pad`` before it, with the maximum over windows."""
     height, width = lattice.field.shape
-    padded = lattice.backend.polyphase(
+    padded = lattice.device.polyphase(
         lattice.field, (-pad, -pad), 1, (height + pad, width + pad), BASE
     ).reshape((height + pad, width + pad))
-    along = lattice.backend.max_window(padded, window, along_rows=True, fill=BASE)
-    return lattice.backend.max_window(along, window, along_rows=False, fill=BASE)
+    along = lattice.device.max_window(padded, window, along_rows=True, fill=BASE)
+    return lattice.device.max_window(along, window, along_rows=False, fill=BASE)
 
 
 def _bound_all(lattice: LatticeScore, step: int) -> I32:
     """Return the bound of every block of a level: (groups, rows, cols) int32."""
     windows = _Windows(lattice, step, np.arange(-(-lattice.shape[0] // step)))
-    backend = lattice.backend
+    device = lattice.device
     _, height, width = lattice.shape
     rows, cols = -(-height // step), -(-width // step)
     lanes = -(-cols // SHIFT_LANES) * SHIFT_LANES
@@ -353,16 +355,14 @@ def _bound_all(lattice: LatticeScore, step: int) -> I32:
         pooled = _pooled(lattice, size, pad)
         corner = (row0 + pad, col0 + pad)
         planes.append(
-            backend.download(
-                backend.polyphase(pooled, corner, step, (plane_rows, plane_cols), BASE)
-            )
+            device.download(device.polyphase(pooled, corner, step, (plane_rows, plane_cols), BASE))
         )
-    field = backend.upload(np.stack(planes).reshape(1, -1, plane_cols))
+    field = device.upload(np.stack(planes).reshape(1, -1, plane_cols))
     at_row, at_col = windows.rows - row0, windows.cols - col0
     plane = (windows.classes * step + at_row % step) * step + at_col % step
     offsets = (plane * plane_rows + at_row // step) * plane_cols + at_col // step
-    scores = backend.correlate(field, offsets.astype(np.int32), (rows, lanes))
-    return backend.download(scores)[:, :, :cols]
+    scores = device.correlate(field, offsets.astype(np.int32), (rows, lanes))
+    return device.download(scores)[:, :, :cols]
 
 
 class _BlockBounds:
@@ -374,18 +374,18 @@ class _BlockBounds:
         self.slots = np.zeros(int(groups[-1]) + 1, dtype=np.int32)
         self.slots[groups] = np.arange(len(groups), dtype=np.int32)
         windows = _Windows(lattice, step, groups)
-        self.backend = lattice.backend
+        self.device = lattice.device
         self.pad = max(windows.sizes)
         sizes = sorted(set(windows.sizes))
-        pooled = [self.backend.download(_pooled(lattice, size, self.pad)) for size in sizes]
-        self.fields = self.backend.upload(np.stack(pooled))
+        pooled = [self.device.download(_pooled(lattice, size, self.pad)) for size in sizes]
+        self.fields = self.device.upload(np.stack(pooled))
         plane = np.array([sizes.index(size) for size in windows.sizes], dtype=np.uint8)
         self.classes = plane[windows.classes]
         starts = np.stack((windows.rows, windows.cols), axis=1) + self.pad
-        self.starts = self.backend.upload(np.ascontiguousarray(starts.astype(np.int32)))
+        self.starts = self.device.upload(np.ascontiguousarray(starts.astype(np.int32)))
 
     def bounds(self, blocks: I32) -> I32:
         """Return the bound of each block (B, 3): yaw group, first row, first column."""
         own = blocks.copy()
         own[:, 0] = self.slots[blocks[:, 0]]
-        return self.backend.bound_blocks(own, self.starts, self.classes, self.fields, BASE)
+        return self.device.bound_blocks(own, self.starts, self.classes, self.fields, BASE)

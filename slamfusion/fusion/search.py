@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import SHIFT_LANES
-from slamfusion.compute.reference import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import (
     COARSE_TABLE,
@@ -124,7 +124,7 @@ def coarse_search(
     moving: GridFeatures,
     config: AlignConfig,
     window: SearchWindow,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> CoarseSearch:
     """Score all whole-cell shifts at all yaws on shrunken grids and return the best peaks."""
     step = coarse_step(reference, moving, config.coarse_cells)
@@ -140,10 +140,10 @@ def coarse_search(
     rows = shift_range(ref.shape[0], mov.shape, reach, window.start[1] / step, window, step)
     cols = shift_range(ref.shape[1], mov.shape, reach, window.start[0] / step, window, step)
     surface = _ShiftSurface(ref, mov, reference, moving, rows, cols, reach)
-    forward = surface.forward(yaws, own, backend)
-    backward = surface.backward(yaws, from_ref // 2, centre, backend)
+    forward = surface.forward(yaws, own, device)
+    backward = surface.backward(yaws, from_ref // 2, centre, device)
     width = cols[1] - cols[0]
-    values, places = backend.tile_peaks(forward, backward, width, TILE)
+    values, places = device.tile_peaks(forward, backward, width, TILE)
     count = len(from_ref) + len(from_mov)
     scores = (values / count - COARSE_TABLE.base) / COARSE_TABLE.span
     motions, kept = _distinct_peaks(
@@ -204,20 +204,20 @@ class _ShiftSurface:
         self.width = cols[1] - cols[0]
         self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
 
-    def forward(self, yaws: F64, own: F64, backend: Backend) -> DeviceArray[np.int32]:
+    def forward(self, yaws: F64, own: F64, device: ComputeDevice) -> DeviceArray[np.int32]:
         """Moving walls on the reference's field: scores (K, shifts)."""
         reach = self.reach
         plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
         corner = (self.cols[0] - reach, self.rows[0] - reach, 0.0)
-        plane = backend.warp(self.field_ref, fixed_poses(corner), plane_shape, COARSE_TABLE.base)
+        plane = device.warp(self.field_ref, fixed_poses(corner), plane_shape, COARSE_TABLE.base)
         cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
         x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
         y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32)
         offsets = (y + reach) * plane_shape[1] + (x + reach)
-        return backend.correlate(plane, offsets, (self.height, self.lanes))
+        return device.correlate(plane, offsets, (self.height, self.lanes))
 
     def backward(
-        self, yaws: F64, points: npt.NDArray[np.int32], centre: F64, backend: Backend
+        self, yaws: F64, points: npt.NDArray[np.int32], centre: F64, device: ComputeDevice
     ) -> DeviceArray[np.int32]:
         """Reference walls on the moving field, turned; read with shifts running backwards."""
         plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
@@ -227,9 +227,9 @@ class _ShiftSurface:
         poses = np.stack(
             (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
         )
-        planes = backend.warp(self.field_mov, fixed_poses(poses), plane_shape, COARSE_TABLE.base)
+        planes = device.warp(self.field_mov, fixed_poses(poses), plane_shape, COARSE_TABLE.base)
         offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
-        return backend.correlate(planes, offsets, (self.height, self.lanes))
+        return device.correlate(planes, offsets, (self.height, self.lanes))
 
 
 def _distinct_peaks(
@@ -291,7 +291,7 @@ def refine(
     motions: F64,
     step: int,
     scales: tuple[float, ...],
-    backend: Backend,
+    device: ComputeDevice,
     *,
     points: int = REFINE_POINTS,
     iterations: int = 4,
@@ -304,7 +304,7 @@ def refine(
         motions: (P, 3) where the moving centre lands, fine cells, and yaw.
         step: level to work on, fine cells a cell.
         scales: robust scale of each round, in cells of the level, wide to narrow.
-        backend: computes the normal equations.
+        device: computes the normal equations.
         points: at most this many wall points of each grid.
         iterations: Gauss-Newton steps a scale; fewer once no pose moves by 0.02 cells.
         solid: fit all wall cells instead of surfaces; at step 1.
@@ -316,8 +316,8 @@ def refine(
     ref, mov = reference.level(step), moving.level(step)
     if solid:
         ref, mov = reference.solid_level, moving.solid_level
-    from_mov = backend.upload((spread_sample(mov.points, points) / 2.0).astype(np.float32))
-    from_ref = backend.upload((spread_sample(ref.points, points) / 2.0).astype(np.float32))
+    from_mov = device.upload((spread_sample(mov.points, points) / 2.0).astype(np.float32))
+    from_ref = device.upload((spread_sample(ref.points, points) / 2.0).astype(np.float32))
     centre_mov = (moving.centre[0] / step, moving.centre[1] / step)
     pivot = (ref.shape[1] / 2.0, ref.shape[0] / 2.0)
     reach = math.hypot(*mov.shape) / 2.0
@@ -325,14 +325,14 @@ def refine(
     for scale in scales:
         for _ in range(iterations):
             poses = to_lattice(local, centre_mov)
-            terms = backend.refine_terms(
+            terms = device.refine_terms(
                 from_mov,
                 _device_poses(poses),
                 ref.distance,
                 scale=scale,
                 centre=pivot,
                 backward=False,
-            ) + backend.refine_terms(
+            ) + device.refine_terms(
                 from_ref,
                 _device_poses(invert(poses)),
                 mov.distance,
@@ -372,7 +372,9 @@ def _apply(motions: F64, change: F64, pivot: tuple[float, float]) -> F64:
     )
 
 
-def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend: Backend) -> F64:
+def settle(
+    reference: GridFeatures, moving: GridFeatures, motions: F64, device: ComputeDevice
+) -> F64:
     """Finish motions that are right to a few cells, as finely as the walls of the two maps allow.
 
     Where one map's walls are thicker, their surfaces cannot meet: a fit narrower than the
@@ -381,8 +383,8 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
     nothing of the wall's other side: the last fit takes all cells of the walls, under which a thin
     wall comes to lie in the middle of a thick one.
     """
-    motions = refine(reference, moving, motions, 1, (12.0, 8.0), backend, points=FINE_POINTS)
-    spread = _surface_distance(reference, moving, motions, backend)
+    motions = refine(reference, moving, motions, 1, (12.0, 8.0), device, points=FINE_POINTS)
+    spread = _surface_distance(reference, moving, motions, device)
     settled = np.empty_like(motions)
     for radius in np.unique(spread):
         mine = spread == radius
@@ -393,7 +395,7 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
             motions[mine],
             1,
             (last,),
-            backend,
+            device,
             points=FINE_POINTS,
             solid=True,
         )
@@ -401,7 +403,7 @@ def settle(reference: GridFeatures, moving: GridFeatures, motions: F64, backend:
 
 
 def _surface_distance(
-    reference: GridFeatures, moving: GridFeatures, motions: F64, backend: Backend
+    reference: GridFeatures, moving: GridFeatures, motions: F64, device: ComputeDevice
 ) -> F64:
     """Return (P,) the median distance in cells, rounded up, of surfaces with one within 8 cells."""
     ref, mov = reference.level(1), moving.level(1)
@@ -410,7 +412,7 @@ def _surface_distance(
     near = np.zeros((len(SURFACE_RADII) + 1, len(motions)))
     for row, radius in enumerate((*SURFACE_RADII, 8)):
         for points, pose, level in sides:
-            counts = backend.pose_counts(
+            counts = device.pose_counts(
                 spread_sample(points, SPREAD_POINTS),
                 fixed_poses(pose),
                 level.free,
@@ -432,7 +434,7 @@ def rank(
     motions: F64,
     step: int,
     table: ScoreTable,
-    backend: Backend,
+    device: ComputeDevice,
     *,
     points: int = FINAL_POINTS,
 ) -> F64:
@@ -449,7 +451,7 @@ def rank(
     total = np.zeros(len(motions))
     weight = 0.0
     for sample, own, features, level, count in sides:
-        counts = backend.pose_counts(
+        counts = device.pose_counts(
             sample,
             fixed_poses(own),
             features.field(level.step, table),
@@ -476,20 +478,20 @@ def search(
     moving: GridFeatures,
     config: AlignConfig,
     window: SearchWindow,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> tuple[CoarseSearch, F64, F64]:
     """Run both stages; return the coarse outcome, and motions (P, 3) and scores, best first."""
-    coarse = coarse_search(reference, moving, config, window, backend)
+    coarse = coarse_search(reference, moving, config, window, device)
     middle = max(1, round(coarse.step / 8))
     motions = refine(
-        reference, moving, coarse.motions, middle, (16.0, 8.0, 4.0), backend, points=384
+        reference, moving, coarse.motions, middle, (16.0, 8.0, 4.0), device, points=384
     )
-    scores = rank(reference, moving, motions, middle, FINE_TABLE, backend, points=1024)
+    scores = rank(reference, moving, motions, middle, FINE_TABLE, device, points=1024)
     motions = distinct(motions[np.argsort(-scores, kind="stable")], 3.0 * middle, 0.02)[:SETTLED]
-    motions = inside(window, settle(reference, moving, motions, backend))
+    motions = inside(window, settle(reference, moving, motions, device))
     if not len(motions):
         return coarse, motions, np.zeros(0)
-    scores = rank(reference, moving, motions, 1, FINE_TABLE, backend)
+    scores = rank(reference, moving, motions, 1, FINE_TABLE, device)
     order = np.argsort(-scores, kind="stable")
     return coarse, motions[order], scores[order]
 

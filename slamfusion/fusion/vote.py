@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import MOST_INPUTS, Votes
+from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.compute.votes import VoteDevice, Votes
 from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion.records import VoteResult
@@ -42,7 +42,7 @@ SOLID_MODES = ("consensus", "log-odds")
 def vote_grids(
     stack: Sequence[I8],
     config: VoteConfig,
-    backend: Backend,
+    device: VoteDevice,
     *,
     weights: Sequence[float] | None = None,
     percents: Sequence[I8] | None = None,
@@ -68,7 +68,7 @@ def vote_grids(
     Args:
         stack: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
         config: mode and the meaning of unknown; ``extent`` is the caller's.
-        backend: computes the vote.
+        device: computes the vote.
         weights: one each input, finite and not negative; for ``weighted``.
         percents: the inputs' occupancy in percent on the same lattice, (H, W) int8, -1 unknown;
             for ``log-odds``.
@@ -88,14 +88,14 @@ def vote_grids(
     """
     grids = _dense(stack, "grids")
     if config.mode == "log-odds":
-        votes = _vote_log_odds(grids, percents, thresholds, backend)
+        votes = _vote_log_odds(grids, percents, thresholds, device)
     elif config.mode == "weighted":
-        votes = _vote_weighted(grids, weights, config, backend)
+        votes = _vote_weighted(grids, weights, config, device)
     elif config.mode == "consensus":
-        return _solid(_vote_consensus(grids, reach_cells, backend), grids, None, config)
+        return _solid(_vote_consensus(grids, reach_cells, device), grids, None, config)
     else:
         with_unknown = unknown_votes(config.unknown, [1] * len(grids))
-        votes = backend.vote_majority(grids, unknown_votes=with_unknown)
+        votes = device.vote_majority(grids, unknown_votes=with_unknown)
     voted = VoteResult(
         votes.fused, votes.agreement, _join_planes(votes.dissent), votes.phantom_cells
     )
@@ -196,9 +196,9 @@ def _solid(
     return VoteResult(fused, agreement, dissent, voted.phantom_cells)
 
 
-def _vote_consensus(grids: list[I8], reach_cells: int, backend: Backend) -> VoteResult:
+def _vote_consensus(grids: list[I8], reach_cells: int, device: VoteDevice) -> VoteResult:
     """Vote of those that know, without walls beside those that several see."""
-    votes = backend.vote_majority(grids, unknown_votes=False)
+    votes = device.vote_majority(grids, unknown_votes=False)
     fused, agreement = votes.fused.copy(), votes.agreement.copy()
     dissent = _join_planes(votes.dissent).copy()
     occupied = np.zeros(fused.shape, dtype=np.uint8)
@@ -219,7 +219,7 @@ def _vote_consensus(grids: list[I8], reach_cells: int, backend: Backend) -> Vote
 
 
 def _vote_weighted(
-    grids: list[I8], weights: Sequence[float] | None, config: VoteConfig, backend: Backend
+    grids: list[I8], weights: Sequence[float] | None, config: VoteConfig, device: VoteDevice
 ) -> Votes:
     """Vote by weight."""
     if weights is None or len(weights) != len(grids):
@@ -228,20 +228,20 @@ def _vote_weighted(
         raise ConfigError(message)
     whole = quantise_weights(weights)
     with_unknown = unknown_votes(config.unknown, [int(w) for w in whole])
-    return backend.vote_weighted(grids, whole, unknown_votes=with_unknown)
+    return device.vote_weighted(grids, whole, unknown_votes=with_unknown)
 
 
 def _vote_log_odds(
     grids: list[I8],
     percents: Sequence[I8] | None,
     thresholds: NormalizeConfig,
-    backend: Backend,
+    device: VoteDevice,
 ) -> Votes:
     """Vote by the sum of log-odds."""
     if percents is None or [p.shape for p in percents] != [g.shape for g in grids]:
         message = "mode 'log-odds' wants the occupancy in percent of every input, cell by cell"
         raise ConfigError(message)
-    return backend.vote_log_odds(
+    return device.vote_log_odds(
         _dense(percents, "occupancies"),
         log_odds_table(),
         occupied_percent=math.ceil(thresholds.occupied_percent),

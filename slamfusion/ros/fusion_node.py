@@ -12,7 +12,7 @@ import numpy as np
 from nav_msgs.msg import OccupancyGrid
 
 from slamfusion import grid as grids
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import (
     DeviceConfig,
     FusionConfig,
@@ -121,9 +121,9 @@ class FusionNode(NodeBase):
             for name, entry in entries.items()
             if (grid := load_saved(name, entry, config.map_files, self.log.warning)) is not None
         }
-        self._backend = open_backend(config.device.device)
-        _warm(config, self._backend)
-        self._live = LiveFusion(config, self._backend)
+        self._device = open_device(config.device.device)
+        _warm(config, self._device)
+        self._live = LiveFusion(config, self._device)
 
         # Written by the worker's thread, read by the executor's: each is replaced as a whole.
         self._inputs: tuple[tuple[LiveInput, ...], float] = ((), time.monotonic())
@@ -160,7 +160,7 @@ class FusionNode(NodeBase):
         self.timer(LOOK_S, self._look)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
-            f"fuses {', '.join(entries.values())} on {self._backend.name}; the fused map is on "
+            f"fuses {', '.join(entries.values())} on {self._device.name}; the fused map is on "
             f"{node.resolve_topic_name(MAP_TOPIC)!r} in frame {self.settings.fused_frame!r}"
         )
         self._wake()
@@ -388,7 +388,7 @@ class FusionNode(NodeBase):
             else f"{published[1].width} x {published[1].height}",
             "latency median [ms]": median_ms,
             "latency p95 [ms]": high_ms,
-            "device": self._backend.name,
+            "device": self._device.name,
         }
         if update is not None:
             values |= {f"{step} [ms]": 1e3 * spent for step, spent in update.time_s.items()}
@@ -399,11 +399,11 @@ class FusionNode(NodeBase):
         self._memory.close(is_whole=self._worker.close())
 
 
-def _warm(config: RunConfig, backend: Backend) -> None:
+def _warm(config: RunConfig, device: ComputeDevice) -> None:
     """Fuse two small drawn maps, so that the kernels are compiled before the first real ones."""
     cells = np.zeros((48, 60), dtype=np.int8)
     cells[[0, -1], :] = cells[:, [0, -1]] = cells[10:14, 20:40] = cells[30:40, 44:47] = 100
-    trial = LiveFusion(replace(config, live=replace(config.live, minimum_inputs=2)), backend)
+    trial = LiveFusion(replace(config, live=replace(config.live, minimum_inputs=2)), device)
     for number, name in enumerate("ab"):
         origin = Pose2(0.0, 0.0, 0.1 * number)
         trial.put(name, grids.OccupancyGrid(cells, 0.05, origin, name), 0.0)

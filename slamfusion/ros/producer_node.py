@@ -21,7 +21,7 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import LaserScan
 
 from slamfusion import grid as grids
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import DeviceConfig, ProducerNodeConfig, RunConfig
 from slamfusion.errors import ScanError, SlamFusionError, TrajectoryError
 from slamfusion.geometry import Pose2
@@ -153,12 +153,12 @@ class ProducerNode(NodeBase):
         )
         self._kind = kind
         self._map_frame = self.settings.map_frame or f"{self.name}_map"
-        self._backend = open_backend(device.device)
+        self._device = open_device(device.device)
         # Drawing aside has a backend of its own: a device's queue is one thread's.
-        self._drawing: Backend | None = None
-        if isinstance(make_producer(kind, self._config, self._backend), DrawsAside):
-            self._drawing = open_backend(device.device)
-        self._producer = _warm(kind, self._config, self._backend, self._drawing)
+        self._drawing: ComputeDevice | None = None
+        if isinstance(make_producer(kind, self._config, self._device), DrawsAside):
+            self._drawing = open_device(device.device)
+        self._producer = _warm(kind, self._config, self._device, self._drawing)
 
         # Shared between the executor's thread and the workers'; each counter has one writer.
         self._counts = _Counts()
@@ -195,7 +195,7 @@ class ProducerNode(NodeBase):
         self._make_inputs()
         self.timer(LOOK_S, self._look)
         self.log.info(
-            f"{kind} on {self._backend.name}, seed {self._config.seed}; map on "
+            f"{kind} on {self._device.name}, seed {self._config.seed}; map on "
             f"{node.resolve_topic_name(f'{name}/map')!r} in frame {self._map_frame!r}"
         )
 
@@ -330,7 +330,7 @@ class ProducerNode(NodeBase):
     def _feed(self, item: _Queued) -> None:
         """Find a scan's odometry and mount, feed it, and tell the pose."""
         if item.generation != self._producer_generation:
-            self._producer = make_producer(self._kind, self._config, self._backend)
+            self._producer = make_producer(self._kind, self._config, self._device)
             self._producer_generation = item.generation
             self._fed_s, self._unmapped, self._job, self._is_settled = None, 0, None, True
         if self._fed_s is not None and item.stamp_s <= self._fed_s:
@@ -550,7 +550,7 @@ class ProducerNode(NodeBase):
             "last odometry [s ago]": None
             if odometry is None or odometry.last_s is None
             else now_s - odometry.last_s,
-            "device": self._backend.name,
+            "device": self._device.name,
         }
         with self._lock:
             values |= {f"left out: {key}": count for key, count in self._skips.counts.items()}
@@ -583,12 +583,14 @@ class ProducerNode(NodeBase):
         self._messages.close()
 
 
-def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | None) -> Mapper:
+def _warm(
+    kind: str, config: RunConfig, device: ComputeDevice, drawing: ComputeDevice | None
+) -> Mapper:
     """Return a fresh producer, after another one has had its kernels compiled and run."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     # A square room of 6 m.
     ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
-    trial = make_producer(kind, config, backend)
+    trial = make_producer(kind, config, device)
     for index in range(3):
         scan = Scan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
         trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
@@ -596,4 +598,4 @@ def _warm(kind: str, config: RunConfig, backend: Backend, drawing: Backend | Non
         NodeMap(config.graph, drawing).draw(trial.map_job())
     else:
         trial.grid()
-    return make_producer(kind, config, backend)
+    return make_producer(kind, config, device)

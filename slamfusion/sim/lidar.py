@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend
+from slamfusion.compute.rays import RayDevice
 from slamfusion.config import LidarConfig
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.sim.world import GLASS, World, tilt_of
@@ -86,7 +86,7 @@ def sweep_ranges(
     lidar: LidarConfig,
     poses: F64,
     people: tuple[F64, F64],
-    backend: Backend,
+    device: RayDevice,
     rng: np.random.Generator,
 ) -> Iterator[F32]:
     """Read one sweep at each pose.
@@ -96,14 +96,14 @@ def sweep_ranges(
         lidar: the laser.
         poses: (N, 3) true x, y, yaw of the robot's base in the map frame.
         people: (N, D, 2) centres and (D,) radii of discs, from ``people.walk``.
-        backend: casts the rays.
-        rng: source of every error; the draws do not depend on the backend.
+        device: casts the rays.
+        rng: source of every error; the draws do not depend on the device.
 
     Yields:
         (B,) float32 metres for each pose, by REP-117: +inf nothing seen or reading failed, -inf
         too close.
     """
-    sight = _Sight(world, lidar, backend)
+    sight = _Sight(world, lidar, device)
     at_once = max(1, RAYS // lidar.beams)
     centres, radii = people
     for first in range(0, len(poses), at_once):
@@ -115,9 +115,9 @@ def sweep_ranges(
 class _Sight:
     """What beams meet, without the errors of reading it."""
 
-    def __init__(self, world: World, lidar: LidarConfig, backend: Backend) -> None:
-        self.world, self.lidar, self.backend = world, lidar, backend
-        self.cells = backend.upload(world.classes())
+    def __init__(self, world: World, lidar: LidarConfig, device: RayDevice) -> None:
+        self.world, self.lidar, self.device = world, lidar, device
+        self.cells = device.upload(world.classes())
         first, step = beam_angles(lidar)
         self.angles: F64 = np.asarray(first + step * np.arange(lidar.beams), dtype=np.float64)
 
@@ -150,7 +150,7 @@ class _Sight:
         rays[..., 2] = turn_cos * cos + turn_sin * sin
         rays[..., 3] = turn_cos * sin - turn_sin * cos
         reach = (lidar.range_max_m + 1.0) / grid.resolution
-        hits = self.backend.cast_rays(self.cells, rays.reshape(-1, 4), reach)
+        hits = self.device.cast_rays(self.cells, rays.reshape(-1, 4), reach)
         first, met, cosine, behind = hits.astype(np.float64).T
         # Glass sends back what meets it nearly head-on; the rest goes through every pane.
         slant = np.arccos(np.clip(cosine, 0.0, 1.0)) / lidar.glass_angle_rad

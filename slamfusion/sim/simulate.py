@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from slamfusion.compute import Backend
+from slamfusion.compute.rays import RayDevice
 from slamfusion.config import ObstacleConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
@@ -76,12 +76,12 @@ class Recording:
         return Trajectory(self.truth.stamps_s, np.array(poses), "odometry")
 
 
-def simulate(course: Course, backend: Backend, progress: Progress | None = None) -> Recording:
+def simulate(course: Course, device: RayDevice, progress: Progress | None = None) -> Recording:
     """Drive a course and record it. Same course, same recording, on every device.
 
     Args:
         course: what the seed may choose is chosen here.
-        backend: casts the rays.
+        device: casts the rays.
         progress: told the scans that are done.
 
     Raises:
@@ -121,7 +121,7 @@ def simulate(course: Course, backend: Backend, progress: Progress | None = None)
         obstacles=world.obstacles,
     )
     walks = _walks(chosen, world, motion, walkers)
-    scans, truth = _record(chosen, world, motion, walks, backend, progress)
+    scans, truth = _record(chosen, world, motion, walks, device, progress)
     return Recording(chosen, world, scans, truth, walks.places, tuple(left_out))
 
 
@@ -250,7 +250,7 @@ def _record(
     world: World,
     motion: Motion,
     walks: Walks,
-    backend: Backend,
+    device: RayDevice,
     progress: Progress | None,
 ) -> tuple[tuple[LogScan, ...], Trajectory]:
     """Read laser and odometry along a motion."""
@@ -260,7 +260,7 @@ def _record(
     odometry = read_odometry(motion, course.drive, _chance(course, ODOMETRY_STREAM))[::every]
     stamps_s = np.arange(len(poses)) / lidar.rate_hz
     discs = (walks.discs, walks.radii_m)
-    ranges = sweep_ranges(world, lidar, poses, discs, backend, _chance(course, LASER_STREAM))
+    ranges = sweep_ranges(world, lidar, poses, discs, device, _chance(course, LASER_STREAM))
     angle_min_rad, step_rad = beam_angles(lidar)
     mount = mount_of(lidar)
     scans = []

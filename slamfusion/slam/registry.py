@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamfusion.compute import open_backend
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.slam.common.mapper import Mapper
@@ -20,7 +19,7 @@ __all__ = [
     "PRODUCERS",
     "Producer",
     "make_producer",
-    "open_producer_backend",
+    "open_producer_device",
     "resume_producer",
 ]
 
@@ -33,67 +32,67 @@ class Producer:
         make: with its settings and an empty map.
         resume: from a file of ``Resumable.save_state``, with the settings and the seed that it was
             made with; None for a producer that cannot. Raises SlamFusionError for another file.
-        small_kernels: what its backend is to be good at, see ``open_backend``.
+        small_kernels: what its device is to be good at, see ``open_device``.
     """
 
-    make: Callable[[RunConfig, Backend], Mapper]
-    resume: Callable[[Path, RunConfig, Backend], Resumable] | None = None
+    make: Callable[[RunConfig, ComputeDevice], Mapper]
+    resume: Callable[[Path, RunConfig, ComputeDevice], Resumable] | None = None
     small_kernels: bool = False
 
 
-def _gmapping(config: RunConfig, backend: Backend) -> Resumable:
-    return Gmapping(config.gmapping, backend, config.seed)
+def _gmapping(config: RunConfig, device: ComputeDevice) -> Resumable:
+    return Gmapping(config.gmapping, device, config.seed)
 
 
-def _resumed_gmapping(path: Path, config: RunConfig, backend: Backend) -> Resumable:
-    return Gmapping.load_state(path, config.gmapping, backend, config.seed)
+def _resumed_gmapping(path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
+    return Gmapping.load_state(path, config.gmapping, device, config.seed)
 
 
-def _graph(config: RunConfig, backend: Backend) -> Resumable:
-    return GraphSlam(config.graph, backend, config.seed)
+def _graph(config: RunConfig, device: ComputeDevice) -> Resumable:
+    return GraphSlam(config.graph, device, config.seed)
 
 
-def _resumed_graph(path: Path, config: RunConfig, backend: Backend) -> Resumable:
-    return GraphSlam.load_state(path, config.graph, backend, config.seed)
+def _resumed_graph(path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
+    return GraphSlam.load_state(path, config.graph, device, config.seed)
 
 
 # Every producer; its name is also the section of its settings.
 PRODUCERS: dict[str, Producer] = {
     "tinyslam": Producer(
-        lambda config, backend: TinySlam(config.tinyslam, backend, config.seed), small_kernels=True
+        lambda config, device: TinySlam(config.tinyslam, device, config.seed), small_kernels=True
     ),
     "gmapping": Producer(_gmapping, _resumed_gmapping),
     "graph": Producer(_graph, _resumed_graph, small_kernels=True),
 }
 
 
-def open_producer_backend(name: str, config: RunConfig) -> Backend:
-    """Return the backend for a producer that has a process to itself.
+def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
+    """Return the device for a producer that has a process to itself.
 
     Raises:
         SlamFusionError: there is no producer of this name; the known ones are named.
-        DeviceError: see ``open_backend``.
+        DeviceError: see ``open_device``.
     """
-    return open_backend(config.device.device, small_kernels=_producer(name).small_kernels)
+    return open_device(config.device.device, small_kernels=_producer(name).small_kernels)
 
 
-def make_producer(name: str, config: RunConfig, backend: Backend) -> Mapper:
+def make_producer(name: str, config: RunConfig, device: ComputeDevice) -> Mapper:
     """Return a producer of ``PRODUCERS`` with its settings and an empty map.
 
     Raises:
         SlamFusionError: there is none of this name; the known ones are named.
     """
-    return _producer(name).make(config, backend)
+    return _producer(name).make(config, device)
 
 
-def resume_producer(name: str, path: Path, config: RunConfig, backend: Backend) -> Resumable:
+def resume_producer(name: str, path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
     """Return a producer of ``PRODUCERS`` in the state that a file holds.
 
     Args:
         name: the producer.
         path: written by its ``save_state``.
         config: with the settings and the seed that the state was made with.
-        backend: where it computes from now on.
+        device: where it computes from now on.
 
     Raises:
         SlamFusionError: there is no such producer, it cannot go on from a file, or the file is
@@ -105,7 +104,7 @@ def resume_producer(name: str, path: Path, config: RunConfig, backend: Backend) 
         able = ", ".join(key for key, value in PRODUCERS.items() if value.resume is not None)
         message = f"{name} cannot go on from a saved state; wanted one of {able or '(none)'}"
         raise SlamFusionError(message)
-    return resume(path, config, backend)
+    return resume(path, config, device)
 
 
 def _producer(name: str) -> Producer:

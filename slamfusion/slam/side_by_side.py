@@ -25,7 +25,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
-from slamfusion.slam.registry import PRODUCERS, make_producer, open_producer_backend
+from slamfusion.slam.registry import PRODUCERS, make_producer, open_producer_device
 
 __all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 
@@ -307,8 +307,8 @@ def _answer(
 ) -> _Answer:
     """Return what the producer made, or why it made nothing."""
     try:
-        backend = open_producer_backend(name, config)
-        producer = make_producer(name, config, backend)
+        device = open_producer_device(name, config)
+        producer = make_producer(name, config, device)
         source = open_log(log, config.log, scan_odometry)
         told_s = 0.0
 
@@ -329,7 +329,7 @@ def _answer(
     except Exception as error:  # noqa: BLE001 - a bug in one producer must not take the others
         reason = f"a bug: {type(error).__name__}: {error}"
         return _Answer(None, _one_line(reason), _cpu_s(), detail=traceback.format_exc())
-    return _Answer(run, "", _cpu_s(), backend.name)
+    return _Answer(run, "", _cpu_s(), device.name)
 
 
 def _one_line(error: Exception | str) -> str:

@@ -17,7 +17,7 @@ from dataclasses import replace
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import align_grids
 from tests.support.drawn import BASES, case_error, drawn_cases
@@ -32,14 +32,14 @@ def main() -> None:
     parser.add_argument("--prove", action="store_true")
     parser.add_argument("--device", default="auto")
     arguments = parser.parse_args()
-    backend = open_backend(arguments.device)
+    device = open_device(arguments.device)
     config = FusionConfig()
     config = replace(config, align=replace(config.align, prove=arguments.prove))
     counts: Counter[tuple[str, str]] = Counter()
     seconds = []
     for case in drawn_cases(arguments.per_base, arguments.seed):
         began = time.perf_counter()
-        alignment = align_grids(case.truth, case.moving, config, backend)
+        alignment = align_grids(case.truth, case.moving, config, device)
         seconds.append(time.perf_counter() - began)
         cells, degrees = case_error(case, alignment)
         is_right = cells <= 1.0 and degrees <= 0.5
@@ -51,7 +51,7 @@ def main() -> None:
         if outcome != "right":
             print(case.base, outcome, f"{cells:.2f} cells {degrees:.2f} deg", alignment.reason)
             print("   ", case.degradation)
-    table = Table("map", *COLUMNS, title=f"drawn cases on {backend.name}")
+    table = Table("map", *COLUMNS, title=f"drawn cases on {device.name}")
     for base in BASES:
         table.add_row(base, *(str(counts[base, column]) for column in COLUMNS))
     totals = [sum(counts[base, column] for base in BASES) for column in COLUMNS]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
 from slamfusion.fusion.live import LiveFusion, LiveUpdate
 from slamfusion.geometry import Pose2
@@ -150,7 +150,7 @@ def run(side: int, rounds: int) -> None:
     """Print the table of one side."""
     rng = np.random.default_rng(0)
     maps = draw_maps(side)
-    live = LiveFusion(RunConfig(), open_backend())
+    live = LiveFusion(RunConfig(), open_device())
     clock = 0.0
     first = Row("first fusion")
     first.put(live, [revealed(grid, 0.6) for grid in maps.values()], clock)
@@ -170,7 +170,7 @@ def run(side: int, rounds: int) -> None:
 def main(sides: list[int]) -> None:
     """Print a table for each side."""
     for side in sides:
-        print(f"three maps of {side} x {side} on {open_backend().name}")
+        print(f"three maps of {side} x {side} on {open_device().name}")
         print(f"{'ms':34} {'median':>7} {'p95':>7} {'worst':>7} {'cpu':>7}")
         run(side, 20 if side < 2000 else 6)
 

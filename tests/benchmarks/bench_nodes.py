@@ -26,7 +26,7 @@ from geometry_msgs.msg import PoseStamped
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import RunConfig, SimulateConfig, TrajectoryConfig
 from slamfusion.evaluation.trajectory_error import trajectory_errors
 from slamfusion.io import open_log
@@ -47,16 +47,16 @@ SAMPLE_S = 5.0
 
 def record(minutes: float) -> Recording:
     """Return a drive of at least so many minutes, stop by stop again and again."""
-    backend = open_backend()
+    device = open_device()
     course = with_overrides(named_course("office", 0), SimulateConfig(lidar="rplidar"))
     course = dataclasses.replace(
         course, lidar=dataclasses.replace(course.lidar, rate_hz=RATE_HZ), people=0
     )
-    once = simulate(course, backend)
+    once = simulate(course, device)
     assert once.course.waypoints is not None
     times = int(60.0 * minutes / (len(once.scans) / RATE_HZ)) + 1
     again = dataclasses.replace(once.course, waypoints=once.course.waypoints * times)
-    return simulate(again, backend)
+    return simulate(again, device)
 
 
 @dataclass
@@ -93,7 +93,7 @@ def error_cm(poses: Trajectory, truth: Trajectory) -> str:
 
 def offline(kind: str, scans: list[LogScan]) -> Trajectory:
     """Return the poses that a producer tells at each scan, fed one by one."""
-    producer = make_producer(kind, RunConfig(), open_backend())
+    producer = make_producer(kind, RunConfig(), open_device())
     rows = []
     for item in scans:
         pose = producer.feed(item.scan, item.odometry).pose_map_base

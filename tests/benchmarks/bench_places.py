@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
@@ -65,20 +65,18 @@ def same_place() -> Iterator[Pair]:
 class Aligner:
     """Aligns pairs, keeping the features of each map and resolution."""
 
-    def __init__(self, backend: Backend, *, prove: bool) -> None:
+    def __init__(self, device: ComputeDevice, *, prove: bool) -> None:
         config = FusionConfig()
         self.config = replace(config, align=replace(config.align, prove=prove))
-        self.backend = backend
+        self.device = device
         self.features: dict[tuple[str, float], GridFeatures] = {}
 
     def feature(self, entry: MapEntry, resolution: float) -> GridFeatures:
         """Return the prepared map."""
         key = (entry.file, resolution)
         if key not in self.features:
-            grid = normalize_grid(
-                load_entry(entry), resolution, self.config.normalize, self.backend
-            )
-            self.features[key] = GridFeatures(grid, self.backend)
+            grid = normalize_grid(load_entry(entry), resolution, self.config.normalize, self.device)
+            self.features[key] = GridFeatures(grid, self.device)
         return self.features[key]
 
     def align(self, a: MapEntry, b: MapEntry) -> tuple[Alignment, GridFeatures, GridFeatures]:
@@ -87,7 +85,7 @@ class Aligner:
         first, second = self.feature(a, resolution), self.feature(b, resolution)
         if math.prod(first.shape) > math.prod(second.shape):
             first, second = second, first
-        return align_features(first, second, self.config.align, self.backend), first, second
+        return align_features(first, second, self.config.align, self.device), first, second
 
 
 def draw_pair(
@@ -95,7 +93,7 @@ def draw_pair(
     alignment: Alignment,
     reference: GridFeatures,
     moving: GridFeatures,
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
     """Write a picture of both maps' walls: reference orange, moving blue, both black."""
     height, width = reference.shape
@@ -103,7 +101,7 @@ def draw_pair(
     box = CellBox(-margin, -margin, height + margin, width + margin)
     lattice = reference.grid.grid
     own = np.pad(reference.grid.cells, margin, constant_values=-1)
-    other = warp_onto(moving.grid, moving.grid.cells, alignment.transform, lattice, box, backend)
+    other = warp_onto(moving.grid, moving.grid.cells, alignment.transform, lattice, box, device)
     picture = np.full((*own.shape, 3), 255, dtype=np.uint8)
     picture[(own == 0) | (other == 0)] = (238, 238, 238)
     picture[own == 1] = (230, 120, 0)
@@ -156,7 +154,7 @@ def bench_same(aligner: Aligner, console: Console, pictures: Path | None) -> Non
         )
         if pictures is not None:
             name = f"{record.reference}--{record.moving}.png".replace("/", "_")
-            draw_pair(pictures / name, record, reference, moving, aligner.backend)
+            draw_pair(pictures / name, record, reference, moving, aligner.device)
     console.print(table)
 
 
@@ -168,13 +166,13 @@ def bench_halmstad(aligner: Aligner, console: Console) -> None:
         grids = load_place(place)
         features = {
             name: GridFeatures(
-                normalize_grid(grid, grid.resolution, aligner.config.normalize, aligner.backend),
-                aligner.backend,
+                normalize_grid(grid, grid.resolution, aligner.config.normalize, aligner.device),
+                aligner.device,
             )
             for name, grid in grids.items()
         }
         for a, b in itertools.combinations(features, 2):
-            record = align_features(features[a], features[b], aligner.config.align, aligner.backend)
+            record = align_features(features[a], features[b], aligner.config.align, aligner.device)
             pixels, degrees = annotated_error(grids[b], record)
             is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
             counts["pairs"] += 1
@@ -196,9 +194,9 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--skip-different", action="store_true")
     arguments = parser.parse_args()
-    backend = open_backend(arguments.device)
+    device = open_device(arguments.device)
     console = Console(width=180)
-    aligner = Aligner(backend, prove=arguments.prove)
+    aligner = Aligner(device, prove=arguments.prove)
     bench_halmstad(aligner, console)
     bench_same(aligner, console, arguments.pictures)
     if not arguments.skip_different:

@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import Relations, Summary, subsample_to_scans
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, DriveFiles, read_drive
@@ -58,7 +58,7 @@ SIMULATED = tuple((world, lidar) for world in ("office", "hall") for lidar in ("
 SIMULATED_KINECT = (("office", "kinect"), ("f16", "kinect"))
 
 
-def drives(config: RunConfig, backend: Backend) -> Iterator[Drive]:
+def drives(config: RunConfig, device: ComputeDevice) -> Iterator[Drive]:
     """Yield every drive; recorded ones first."""
     for files in MEASURED:
         if files.log.exists():
@@ -71,7 +71,7 @@ def drives(config: RunConfig, backend: Backend) -> Iterator[Drive]:
         course = named_course(world, config.seed)
         if world != "f16":
             course = with_overrides(course, replace(config.simulate, lidar=lidar))
-        recording = simulate(course, backend)
+        recording = simulate(course, device)
         yield Drive(f"{world}, {lidar}", recording.scans, reference=recording.truth)
 
 
@@ -127,15 +127,15 @@ def main() -> None:
     parser.add_argument("--maps", type=Path)
     options = parser.parse_args()
     config = RunConfig()
-    backend = open_backend(options.device, small_kernels=True)
+    device = open_device(options.device, small_kernels=True)
     columns = "scans, beams, odometry m, floor m, mean m, dev. m, worst m, ms, p95 ms, map MB"
-    table = Table(title=f"{options.producer}, {options.seeds} seeds, {backend.name}")
+    table = Table(title=f"{options.producer}, {options.seeds} seeds, {device.name}")
     for column in ("drive", *columns.split(", ")):
         table.add_column(column)
-    for drive in drives(config, backend):
+    for drive in drives(config, device):
         runs = [
             run_producer(
-                make_producer(options.producer, replace(config, seed=seed), backend), drive.scans
+                make_producer(options.producer, replace(config, seed=seed), device), drive.scans
             )
             for seed in range(options.seeds)
         ]

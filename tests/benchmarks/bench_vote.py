@@ -11,7 +11,7 @@ from statistics import median
 
 import numpy as np
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import VoteConfig
 from slamfusion.fusion.vote import vote_grids
 
@@ -20,9 +20,9 @@ RUNS = 7
 
 def main(side: int) -> None:
     """Print the table."""
-    backend = open_backend()
+    device = open_device()
     rng = np.random.default_rng(0)
-    print(f"{side} x {side} on {backend.name}")
+    print(f"{side} x {side} on {device.name}")
     print(f"{'mode':10} {'inputs':>6} {'copy ms':>9} {'vote ms':>9} {'ratio':>7}")
     for mode in ("majority", "weighted", "log-odds"):
         for count in (1, 2, 3, 4, 8, 12):
@@ -36,9 +36,7 @@ def main(side: int) -> None:
                 for grid, target in zip(grids, targets, strict=True):
                     np.copyto(target, grid)
                 copied = time.perf_counter()
-                vote_grids(
-                    grids, VoteConfig(mode=mode), backend, weights=weights, percents=percents
-                )
+                vote_grids(grids, VoteConfig(mode=mode), device, weights=weights, percents=percents)
                 copies.append(copied - began)
                 votes.append(time.perf_counter() - copied)
             copy_s, vote_s = median(copies[1:]), median(votes[1:])

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from slamfusion.config import DeviceConfig, RunConfig, load_config
-from slamfusion.slam.registry import open_producer_backend
+from slamfusion.slam.registry import open_producer_device
 from tests.benchmarks.gmapping.bench import Bench
 
 # Each part, told what it needs, and how many seeds it takes where none are asked for.
@@ -54,7 +54,7 @@ def measure(
     config = load_config(options.config) if options.config else RunConfig()
     if options.device:
         config = replace(config, device=DeviceConfig(options.device))
-    backend = open_producer_backend(producer, config)
+    device = open_producer_device(producer, config)
     console = Console(width=width)
     for name in options.part or parts:
         part, count = parts[name]
@@ -62,5 +62,5 @@ def measure(
         seeds = tuple(range(first, first + (options.seeds or count)))
         maps = None if options.maps is None else options.maps / name
         began_s = time.perf_counter()
-        part(Bench(producer, config, backend, seeds, maps, console), *more)
+        part(Bench(producer, config, device, seeds, maps, console), *more)
         console.print(f"{name}: {time.perf_counter() - began_s:.0f} s in all\n", highlight=False)

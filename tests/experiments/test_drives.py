@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
 from slamfusion.evaluation import read_relations, relation_errors
@@ -97,7 +97,7 @@ def test_a_drive_that_nothing_measures_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_an_office_is_the_same_for_one_seed_and_another_for_the_next() -> None:
-    first, again, other = (simulated_office(seed, NumpyBackend()) for seed in (1, 1, 2))
+    first, again, other = (simulated_office(seed, NumpyDevice()) for seed in (1, 1, 2))
     assert first.name == "office-1"
     assert first.reference is not None
     assert again.reference is not None

@@ -8,7 +8,7 @@ import io
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import compare_to_truth
@@ -32,8 +32,8 @@ def truth() -> Trajectory:
 
 def test_the_reference_map_is_drawn_at_the_reference_poses() -> None:
     # The odometry of the scans is bad, and takes no part where every scan has a pose.
-    grid, count = reference_map(room(drift=0.3).scans, truth(), CONFIG, NumpyBackend())
-    wanted, _ = reference_map(room().scans, truth(), CONFIG, NumpyBackend())
+    grid, count = reference_map(room(drift=0.3).scans, truth(), CONFIG, NumpyDevice())
+    wanted, _ = reference_map(room().scans, truth(), CONFIG, NumpyDevice())
     assert count == 12
     assert np.array_equal(grid.cells, wanted.cells)
     assert grid.origin == wanted.origin
@@ -43,8 +43,8 @@ def test_the_reference_map_is_drawn_at_the_reference_poses() -> None:
 
 def test_scans_between_the_poses_do_not_draw() -> None:
     every_third = Trajectory(truth().stamps_s[::3], truth().poses[::3])
-    grid, count = reference_map(room().scans, every_third, CONFIG, NumpyBackend())
-    wanted, _ = reference_map(room().scans[::3], truth(), CONFIG, NumpyBackend())
+    grid, count = reference_map(room().scans, every_third, CONFIG, NumpyDevice())
+    wanted, _ = reference_map(room().scans[::3], truth(), CONFIG, NumpyDevice())
     assert count == 4
     assert np.array_equal(grid.cells, wanted.cells)
 
@@ -52,7 +52,7 @@ def test_scans_between_the_poses_do_not_draw() -> None:
 def test_a_reference_of_another_time_is_refused() -> None:
     later = Trajectory(truth().stamps_s + 100.0, truth().poses)
     with pytest.raises(SlamFusionError, match="no scan of the log has a pose"):
-        reference_map(room().scans, later, CONFIG, NumpyBackend())
+        reference_map(room().scans, later, CONFIG, NumpyDevice())
 
 
 def drawn(name: str, shift: int) -> OccupancyGrid:
@@ -104,9 +104,9 @@ def test_tables_hold_every_map() -> None:
 @pytest.mark.datasets
 @pytest.mark.skipif(not (DATASETS / REAL_LOGS["intel"].log).exists(), reason=ABSENT)
 def test_on_intel_the_fused_map_is_near_the_best_and_doubles_fewer_walls() -> None:
-    from slamfusion.compute import open_backend  # noqa: PLC0415
+    from slamfusion.compute import open_device  # noqa: PLC0415
 
-    found = compare_on_logs(DATASETS, ["intel"], CONFIG, open_backend("auto"))
+    found = compare_on_logs(DATASETS, ["intel"], CONFIG, open_device("auto"))
     assert found.notes == {}
     assert found.ratios("intel")["majority"] < 1.15
     doubled = {row.method: row.doubled_share for row in found.rows}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import (
     CellModelsConfig,
     ExperimentConfig,
@@ -65,7 +65,7 @@ def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:
     results = sweep_estimators(
         [room(drift=0.3), room("hall", drift=0.3, relations=False)],
         CONFIG,
-        NumpyBackend(),
+        NumpyDevice(),
         keep=lambda so_far: kept.append(len(so_far.runs)),
     )
     assert kept == list(range(2, 17, 2))
@@ -84,7 +84,7 @@ def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:
 
 
 def test_one_seed_gives_one_result() -> None:
-    first, again = (sweep_estimators([room(drift=0.3)], CONFIG, NumpyBackend()) for _ in range(2))
+    first, again = (sweep_estimators([room(drift=0.3)], CONFIG, NumpyDevice()) for _ in range(2))
     assert [run.values[ATE] for run in first.runs] == [run.values[ATE] for run in again.runs]
 
 
@@ -159,7 +159,7 @@ def test_without_coarse_cells_there_is_no_verdict() -> None:
 
 def test_cell_models_are_compared_on_every_drive() -> None:
     results = compare_models(
-        [room(drift=0.3), room("hall", drift=0.3, relations=False)], CONFIG, NumpyBackend()
+        [room(drift=0.3), room("hall", drift=0.3, relations=False)], CONFIG, NumpyDevice()
     )
     assert results.is_complete
     assert results.levels(1) == ["tinyslam base", "tinyslam mean", "gmapping"]

@@ -187,7 +187,7 @@ def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
 
 
 def test_where_no_two_maps_agree_the_best_founded_counts_alone() -> None:
-    backend = module.open_backend("numpy")
+    device = module.open_device("numpy")
     grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(PRODUCERS)]
     paths = {
         name: Trajectory(np.arange(2.0), np.array([[0, 0, 0], [9.0 * index, 0, 0]]))
@@ -195,11 +195,11 @@ def test_where_no_two_maps_agree_the_best_founded_counts_alone() -> None:
     }
     notes: dict[str, str] = {}
     config = replace(RunConfig(), fusion=fusion_config())
-    fused = vote_every_way(grids, paths, config, backend, notes)
+    fused = vote_every_way(grids, paths, config, device, notes)
     (grid,) = {id(item): item for item in fused.values()}.values()
     assert grid is not None
     assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
-    assert vote_every_way([], {}, config, backend, notes) == dict.fromkeys(FUSIONS)
+    assert vote_every_way([], {}, config, device, notes) == dict.fromkeys(FUSIONS)
 
 
 def test_drives_are_paired_and_worlds_are_numbered() -> None:
@@ -247,6 +247,6 @@ def test_an_unknown_course_or_laser_is_refused(options: dict[str, str]) -> None:
 def test_failing_courses_are_driven(name: str) -> None:
     trials = [item for item in failure_trials(small()) if item.course.name == name]
     for trial in trials[:2]:
-        recording = simulate(trial.course, module.open_backend("auto"))
+        recording = simulate(trial.course, module.open_device("auto"))
         assert recording.truth.path_length_m() > 30.0
         assert 200 < len(recording.scans) < 1500

@@ -1,18 +1,18 @@
-"""The backends that the fusion runs on."""
+"""The devices that the fusion runs on."""
 
 from __future__ import annotations
 
 import pytest
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 
 
 @pytest.fixture(scope="session")
-def backend() -> Backend:
+def device() -> ComputeDevice:
     """The device that a user gets: PoCL where there is no other."""
-    return open_backend()
+    return open_device()
 
 
 @pytest.fixture(scope="session")
-def twins() -> Backend:
-    return NumpyBackend()
+def twins() -> ComputeDevice:
+    return NumpyDevice()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import normalize_grid
@@ -72,11 +72,11 @@ def random_grid(seed: int, low: int = 20, high: int = 60) -> OccupancyGrid:
 
 
 def features_of(
-    grid: OccupancyGrid, backend: Backend, resolution: float | None = None
+    grid: OccupancyGrid, device: ComputeDevice, resolution: float | None = None
 ) -> GridFeatures:
     """Return a grid normalised with the defaults and ready to be searched."""
-    normalized = normalize_grid(grid, resolution or grid.resolution, NormalizeConfig(), backend)
-    return GridFeatures(normalized, backend)
+    normalized = normalize_grid(grid, resolution or grid.resolution, NormalizeConfig(), device)
+    return GridFeatures(normalized, device)
 
 
 def fusion_config(**align: Any) -> FusionConfig:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig, RunConfig, VoteConfig
 from slamfusion.fusion.live import LiveFusion, LiveInput, LiveUpdate
 from slamfusion.geometry import Pose2
@@ -68,13 +68,13 @@ def noise(size: int = 300, seed: int = 0) -> OccupancyGrid:
     return OccupancyGrid(cells, 0.1, Pose2(), "noise")
 
 
-def live_fusion(backend: Backend, mode: str = "majority", **live: Any) -> LiveFusion:
+def live_fusion(device: ComputeDevice, mode: str = "majority", **live: Any) -> LiveFusion:
     """Return a live fusion without pauses between searches."""
     config = RunConfig(
         fusion=FusionConfig(vote=VoteConfig(mode=mode)),
         live=LiveConfig(**{"search_pause_s": 0.0, **live}),
     )
-    return LiveFusion(config, backend)
+    return LiveFusion(config, device)
 
 
 class Drive:
@@ -108,9 +108,9 @@ class Drive:
         return "".join(r.name for r in self.live.inputs(self.now_s) if r.accepted)
 
 
-def started(backend: Backend, **live: Any) -> Drive:
+def started(device: ComputeDevice, **live: Any) -> Drive:
     """Return a drive on which the three maps were fused."""
-    drive = Drive(live_fusion(backend, **live))
+    drive = Drive(live_fusion(device, **live))
     update = drive.step(*three().values())
     assert drive.accepted() == "abc", [record.reason for record in update.inputs]
     return drive

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import align_grids
@@ -59,10 +59,10 @@ def without_time(alignment: Alignment) -> dict[str, object]:
 
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_known_transform_comes_back(backend: Backend, fault: str, seed: int) -> None:
+def test_a_known_transform_comes_back(device: ComputeDevice, fault: str, seed: int) -> None:
     truth = building(seed, 11.0, 9.0)
     moving, pose = degraded(truth, seed, **FAULTS[fault])
-    assert_right(align_grids(truth, moving, QUICK, backend), moving, pose)
+    assert_right(align_grids(truth, moving, QUICK, device), moving, pose)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -75,18 +75,18 @@ def test_a_known_transform_comes_back(backend: Backend, fault: str, seed: int) -
     flips=st.floats(0.0, 0.03),
 )
 def test_any_drawn_transform_comes_back_or_is_rejected(
-    backend: Backend, seed: int, yaw: float, x: float, y: float, crop: float, flips: float
+    device: ComputeDevice, seed: int, yaw: float, x: float, y: float, crop: float, flips: float
 ) -> None:
     truth = building(seed, 11.0, 9.0)
     moving, pose = degraded(
         truth, seed, yaw_rad=yaw, shift_share=(x, y), crop_share=crop, flip_share=flips
     )
-    found = align_grids(truth, moving, QUICK, backend)
+    found = align_grids(truth, moving, QUICK, device)
     if found.accepted:
         assert_right(found, moving, pose)
 
 
-def test_nine_in_ten_drawn_transforms_are_accepted_and_right(backend: Backend) -> None:
+def test_nine_in_ten_drawn_transforms_are_accepted_and_right(device: ComputeDevice) -> None:
     rng = np.random.default_rng(4)
     accepted = 0
     for seed in range(30):
@@ -98,7 +98,7 @@ def test_nine_in_ten_drawn_transforms_are_accepted_and_right(backend: Backend) -
             crop_share=float(rng.uniform(0.7, 1.0)),
             flip_share=float(rng.uniform(0.0, 0.03)),
         )
-        found = align_grids(truth, moving, QUICK, backend)
+        found = align_grids(truth, moving, QUICK, device)
         if found.accepted:
             assert_right(found, moving, pose)
         accepted += found.accepted
@@ -106,9 +106,9 @@ def test_nine_in_ten_drawn_transforms_are_accepted_and_right(backend: Backend) -
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_map_on_itself_scores_one_without_error(backend: Backend, seed: int) -> None:
+def test_a_map_on_itself_scores_one_without_error(device: ComputeDevice, seed: int) -> None:
     grid = building(seed)
-    found = align_grids(grid, grid.with_name("again"), QUICK, backend)
+    found = align_grids(grid, grid.with_name("again"), QUICK, device)
     assert_right(found, grid, Pose2(), cells=0.05, degrees=0.05)
     assert found.score == pytest.approx(1.0)
     assert found.overlap == 1.0
@@ -117,11 +117,11 @@ def test_a_map_on_itself_scores_one_without_error(backend: Backend, seed: int) -
     assert found.statistics["wall_clash"] == 0.0
 
 
-def test_both_directions_give_inverse_transforms(backend: Backend) -> None:
+def test_both_directions_give_inverse_transforms(device: ComputeDevice) -> None:
     truth = building(4, 11.0, 9.0)
     moving, pose = degraded(truth, 1, yaw_rad=2.0, crop_share=0.8)
-    forth = align_grids(truth, moving, QUICK, backend)
-    back = align_grids(moving, truth, QUICK, backend)
+    forth = align_grids(truth, moving, QUICK, device)
+    back = align_grids(moving, truth, QUICK, device)
     assert_right(forth, moving, pose)
     assert_right(back, truth, pose.inverse())
     shift, turn = off_by(moving, forth.transform, back.transform.inverse())
@@ -129,10 +129,10 @@ def test_both_directions_give_inverse_transforms(backend: Backend) -> None:
     assert turn < 0.25
 
 
-def test_the_yaw_profile_is_of_the_transform(backend: Backend) -> None:
+def test_the_yaw_profile_is_of_the_transform(device: ComputeDevice) -> None:
     truth = building(4, 11.0, 9.0)
     moving, pose = degraded(truth, 1, yaw_rad=2.0, origin_yaw_rad=0.8)
-    profile = align_grids(truth, moving, QUICK, backend).yaw_profile
+    profile = align_grids(truth, moving, QUICK, device).yaw_profile
     assert profile is not None
     assert np.all(np.diff(profile[:, 0]) > 0)
     best = float(profile[profile[:, 1].argmax(), 0])
@@ -141,13 +141,13 @@ def test_the_yaw_profile_is_of_the_transform(backend: Backend) -> None:
 
 @pytest.mark.parametrize("flips", [0.0, 0.01])
 @pytest.mark.parametrize("prove", [False, True])
-def test_a_square_room_is_ambiguous(backend: Backend, flips: float, prove: bool) -> None:
+def test_a_square_room_is_ambiguous(device: ComputeDevice, flips: float, prove: bool) -> None:
     """Turned by a quarter it looks the same; far from the start nothing can tell which is right."""
     room = draw(ROOM)
     away, _ = degraded(room, 1, "away", yaw_rad=0.7, shift_share=(0.5, 0.5), flip_share=flips)
     if not flips:
         away = with_origin(room.with_name("away"), Pose2(30.0, 4.0, 0.7))
-    found = align_grids(room, away, fusion_config(prove=prove), backend)
+    found = align_grids(room, away, fusion_config(prove=prove), device)
     assert found.runner_up is not None
     assert found.runner_up.ratio > 0.95
     turn = wrap_angle(found.runner_up.transform.yaw_rad - found.transform.yaw_rad)
@@ -159,49 +159,51 @@ def test_a_square_room_is_ambiguous(backend: Backend, flips: float, prove: bool)
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_unrelated_buildings_are_rejected(backend: Backend, seed: int) -> None:
+def test_unrelated_buildings_are_rejected(device: ComputeDevice, seed: int) -> None:
     first, second = building(seed, 11.0, 9.0, 0.05), building(seed + 50, 9.0, 7.5, 0.05)
     # Drawn buildings have their zero in the corridor; that they share it must not speak for them.
     second = with_origin(second, Pose2(30.0, -20.0, 1.3).compose(second.origin))
-    found = align_grids(first, second, QUICK, backend)
+    found = align_grids(first, second, QUICK, device)
     assert not found.accepted, found.reason
     assert found.reason
 
 
-def test_unrelated_buildings_are_rejected_with_the_proof(backend: Backend) -> None:
+def test_unrelated_buildings_are_rejected_with_the_proof(device: ComputeDevice) -> None:
     config = FusionConfig(align=AlignConfig(deadline_s=10.0))
-    found = align_grids(building(1, 11.0, 9.0), building(52, 9.0, 7.5), config, backend)
+    found = align_grids(building(1, 11.0, 9.0), building(52, 9.0, 7.5), config, device)
     assert not found.accepted
     assert found.bound_gap is not None
 
 
 @pytest.mark.parametrize("prove", [False, True])
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_a_window_without_the_answer_is_rejected(backend: Backend, seed: int, prove: bool) -> None:
+def test_a_window_without_the_answer_is_rejected(
+    device: ComputeDevice, seed: int, prove: bool
+) -> None:
     """Inside a small window there is no rival to compare with: that speaks for nothing."""
     truth = building(seed, 11.0, 9.0)
     moving, pose = degraded(truth, 1, yaw_rad=2.0)
     start = pose.compose(Pose2(0.0, 0.0, 1.5))
     config = fusion_config(window_m=0.5, window_yaw_rad=0.2, prove=prove)
-    found = align_grids(truth, moving, config, backend, start)
+    found = align_grids(truth, moving, config, device, start)
     shift, turn = off_by(moving, found.transform, pose)
     assert shift > 5.0 or turn > 5.0
     assert not found.accepted, found.reason
 
 
 @pytest.mark.parametrize("turned_round", [False, True])
-def test_a_map_without_walls_is_rejected_by_name(backend: Backend, turned_round: bool) -> None:
+def test_a_map_without_walls_is_rejected_by_name(device: ComputeDevice, turned_round: bool) -> None:
     truth, empty = building(1), draw("....\n....", name="lawn")
     pair = (empty, truth) if turned_round else (truth, empty)
-    found = align_grids(*pair, QUICK, backend)
+    found = align_grids(*pair, QUICK, device)
     assert not found.accepted
     assert "lawn has no occupied cell" in found.reason
     assert found.transform == Pose2()
 
 
-def test_a_map_without_a_known_cell_is_an_error(backend: Backend) -> None:
+def test_a_map_without_a_known_cell_is_an_error(device: ComputeDevice) -> None:
     with pytest.raises(GridError, match="fog: all 1 x 2 cells are unknown"):
-        align_grids(building(1), draw(" ?", name="fog"), QUICK, backend)
+        align_grids(building(1), draw(" ?", name="fog"), QUICK, device)
 
 
 TINY = {
@@ -219,11 +221,11 @@ TINY = {
 
 @pytest.mark.parametrize("prove", [False, True])
 @pytest.mark.parametrize("name", TINY)
-def test_maps_that_fit_anywhere_are_rejected(backend: Backend, name: str, prove: bool) -> None:
+def test_maps_that_fit_anywhere_are_rejected(device: ComputeDevice, name: str, prove: bool) -> None:
     tiny = draw(TINY[name], name="tiny")
     config = fusion_config(prove=prove, deadline_s=0.3)
     for pair in ((building(1), tiny), (tiny, building(1)), (tiny, tiny.with_name("twin"))):
-        found = align_grids(*pair, config, backend)
+        found = align_grids(*pair, config, device)
         if pair[1].name == "twin" and name in {"one wall", "all occupied"}:
             continue  # the same square twice in the same frame: nothing speaks against it
         assert not found.accepted, (pair[0].name, pair[1].name, found.reason)
@@ -233,79 +235,81 @@ def test_maps_that_fit_anywhere_are_rejected(backend: Backend, name: str, prove:
 
 
 @pytest.mark.parametrize("name", TINY)
-def test_the_fixed_step_search_takes_any_map(backend: Backend, name: str) -> None:
+def test_the_fixed_step_search_takes_any_map(device: ComputeDevice, name: str) -> None:
     tiny = draw(TINY[name], name="tiny")
     config = fusion_config(step=8, window_m=1.0, window_yaw_rad=0.2)
     for pair in ((building(1), tiny), (tiny, building(1))):
-        assert not align_grids(*pair, config, backend).accepted
+        assert not align_grids(*pair, config, device).accepted
 
 
 @pytest.mark.parametrize("prove", [False, True])
-def test_same_input_same_answer_to_the_last_bit(backend: Backend, prove: bool) -> None:
+def test_same_input_same_answer_to_the_last_bit(device: ComputeDevice, prove: bool) -> None:
     truth = building(5, 11.0, 9.0)
     moving, _ = degraded(truth, 2, yaw_rad=1.0, flip_share=0.03, crop_share=0.7)
     config = fusion_config(prove=prove, deadline_s=60.0)
-    first, second = (align_grids(truth, moving, config, backend) for _ in range(2))
+    first, second = (align_grids(truth, moving, config, device) for _ in range(2))
     assert without_time(first) == without_time(second)
     assert first.yaw_profile is not None
     assert second.yaw_profile is not None
     assert first.yaw_profile.tobytes() == second.yaw_profile.tobytes()
 
 
-def test_a_proven_answer_has_no_gap(backend: Backend) -> None:
+def test_a_proven_answer_has_no_gap(device: ComputeDevice) -> None:
     truth = building(5)
     moving, pose = degraded(truth, 2, yaw_rad=1.0)
-    found = align_grids(truth, moving, fusion_config(prove=True, deadline_s=60.0), backend)
+    found = align_grids(truth, moving, fusion_config(prove=True, deadline_s=60.0), device)
     assert found.bound_gap == 0.0
     assert_right(found, moving, pose)
 
 
 @pytest.mark.parametrize("aside", [12.0, 19.0, 30.0])
-def test_an_answer_beside_the_best_is_not_called_proven(backend: Backend, aside: float) -> None:
+def test_an_answer_beside_the_best_is_not_called_proven(
+    device: ComputeDevice, aside: float
+) -> None:
     """The search left the answer some cells aside: the proof moves it, or leaves a gap."""
-    grid = features_of(building(1, 11.0, 9.0), backend)
+    grid = features_of(building(1, 11.0, 9.0), device)
     right = np.array([*grid.centre, 0.0])
     motions = right[None] + np.array([[aside, 0.0, 0.0]])
-    scores = rank(grid, grid, motions, 1, FINE_TABLE, backend)
+    scores = rank(grid, grid, motions, 1, FINE_TABLE, device)
     config = AlignConfig(deadline_s=30.0)
     found = _prove(
-        grid, grid, config, SearchWindow(), backend, _Found(motions, scores, None, None, "full")
+        grid, grid, config, SearchWindow(), device, _Found(motions, scores, None, None, "full")
     )
     shift, _ = displacement(found.motions[0], right)
     assert shift < 1.0 or (found.bound_gap or 0.0) > 0.0
 
 
-def test_no_gap_is_stated_when_no_proof_was_asked_for(backend: Backend) -> None:
-    assert align_grids(building(5), building(5), QUICK, backend).bound_gap is None
+def test_no_gap_is_stated_when_no_proof_was_asked_for(device: ComputeDevice) -> None:
+    assert align_grids(building(5), building(5), QUICK, device).bound_gap is None
 
 
-def test_proof_does_not_change_a_right_answer(backend: Backend) -> None:
+def test_proof_does_not_change_a_right_answer(device: ComputeDevice) -> None:
     truth = building(6)
     moving, _ = degraded(truth, 3, yaw_rad=-2.5, flip_share=0.02)
-    plain = align_grids(truth, moving, QUICK, backend)
-    proven = align_grids(truth, moving, fusion_config(prove=True, deadline_s=60.0), backend)
+    plain = align_grids(truth, moving, QUICK, device)
+    proven = align_grids(truth, moving, fusion_config(prove=True, deadline_s=60.0), device)
     assert plain.transform == proven.transform
 
 
-def test_a_start_chooses_among_the_turns_of_a_square_room(backend: Backend) -> None:
+def test_a_start_chooses_among_the_turns_of_a_square_room(device: ComputeDevice) -> None:
     room = draw(ROOM)
     centre = Pose2(2.0, 2.0)
     for quarter in range(4):
         start = centre.compose(Pose2(0.0, 0.0, quarter * math.pi / 2)).compose(centre.inverse())
         near = start.compose(Pose2(0.15, -0.1, 0.05))
         config = fusion_config(window_m=1.0, window_yaw_rad=0.3)
-        found = align_grids(room, room.with_name("again"), config, backend, near)
+        found = align_grids(room, room.with_name("again"), config, device, near)
         assert_right(found, room, start, cells=0.5, degrees=0.5)
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_the_answer_lies_near_the_window(backend: Backend, seed: int) -> None:
+def test_the_answer_lies_near_the_window(device: ComputeDevice, seed: int) -> None:
     """The right transform is outside; refinement moves what is found instead by little."""
     truth = building(seed, 11.0, 9.0)
     moving, pose = degraded(truth, 1, yaw_rad=2.0)
     start = pose.compose(Pose2(0.0, 0.0, 1.5))
     config = fusion_config(window_m=0.5, window_yaw_rad=0.2)
-    found = align_grids(truth, moving, config, backend, start)
+    found = align_grids(truth, moving, config, device, start)
     if "no fit inside the window" in found.reason:
         assert not found.accepted
         return
@@ -315,117 +319,117 @@ def test_the_answer_lies_near_the_window(backend: Backend, seed: int) -> None:
 
 
 @pytest.mark.parametrize("prove", [False, True])
-def test_a_window_around_the_answer_finds_it(backend: Backend, prove: bool) -> None:
+def test_a_window_around_the_answer_finds_it(device: ComputeDevice, prove: bool) -> None:
     truth = building(1, 11.0, 9.0)
     moving, pose = degraded(truth, 1, yaw_rad=2.0, origin_yaw_rad=0.4, shift_share=(0.5, 0.1))
     centre = moving.origin.transform((moving.width * 0.05, moving.height * 0.05))
     nudge = Pose2(*centre, 0.1).compose(Pose2(*(-centre)))
     config = fusion_config(window_m=0.6, window_yaw_rad=0.3, prove=prove)
-    found = align_grids(truth, moving, config, backend, pose.compose(nudge))
+    found = align_grids(truth, moving, config, device, pose.compose(nudge))
     assert_right(found, moving, pose)
 
 
 @pytest.mark.parametrize("step", [4, 8])
-def test_the_fixed_step_search_finds_a_small_motion(backend: Backend, step: int) -> None:
+def test_the_fixed_step_search_finds_a_small_motion(device: ComputeDevice, step: int) -> None:
     """Within a cell and a degree, its last step, and with the least error of those."""
     truth = building(1)
     middle = Pose2(*truth.origin.transform((4.5, 3.5)))
     motion = middle.compose(Pose2(0.5, -0.4, math.radians(5.0))).compose(middle.inverse())
     moving = with_origin(truth.with_name("moved"), motion.inverse().compose(truth.origin))
     config = fusion_config(step=step, window_m=1.2, window_yaw_rad=math.radians(16))
-    found = align_grids(truth, moving, config, backend)
+    found = align_grids(truth, moving, config, device)
     shift, turn = off_by(moving, found.transform, motion)
     assert shift <= 1.5
     assert turn <= 1.0 + 1e-6
     assert found.bound_gap is None
 
 
-def test_far_origins_do_not_matter(backend: Backend) -> None:
+def test_far_origins_do_not_matter(device: ComputeDevice) -> None:
     """500 m away a degree is 9 m of shift at the frame's zero, but not at the map."""
     truth = building(2, 11.0, 9.0)
     moving, pose = degraded(truth, 2, yaw_rad=1.1, flip_share=0.02, resample=False)
-    near = align_grids(truth, moving, QUICK, backend)
+    near = align_grids(truth, moving, QUICK, device)
     far = Pose2(-500.0, 507.77, 2.2)
     there = with_origin(moving, far.compose(moving.origin))
-    found = align_grids(truth, there, QUICK, backend)
+    found = align_grids(truth, there, QUICK, device)
     assert_right(found, there, pose.compose(far.inverse()))
     shift, turn = off_by(moving, found.transform.compose(far), near.transform)
     assert shift < 1e-3
     assert turn < 1e-3
-    both = align_grids(with_origin(truth, far.compose(truth.origin)), there, QUICK, backend)
+    both = align_grids(with_origin(truth, far.compose(truth.origin)), there, QUICK, device)
     assert_right(both, there, far.compose(pose).compose(far.inverse()))
 
 
-def test_an_unknown_margin_changes_nothing(backend: Backend) -> None:
+def test_an_unknown_margin_changes_nothing(device: ComputeDevice) -> None:
     truth = building(2, 11.0, 9.0)
     moving, _ = degraded(truth, 2, yaw_rad=1.1, origin_yaw_rad=0.6)
-    plain = align_grids(truth, moving, QUICK, backend)
-    grown = align_grids(padded(truth, 5, 0, 31, 8), padded(moving, 40, 3, 0, 77), QUICK, backend)
+    plain = align_grids(truth, moving, QUICK, device)
+    grown = align_grids(padded(truth, 5, 0, 31, 8), padded(moving, 40, 3, 0, 77), QUICK, device)
     shift, turn = off_by(moving, grown.transform, plain.transform)
     assert shift < 1e-6
     assert turn < 1e-6
     assert (grown.score, grown.error) == (plain.score, plain.error)
 
 
-def test_thin_and_thick_walls_align_centred(backend: Backend) -> None:
+def test_thin_and_thick_walls_align_centred(device: ComputeDevice) -> None:
     """Walls of one cell against walls of three."""
     truth = building(3, 11.0, 9.0)
     walls = ndimage.binary_dilation(truth.cells == 100, np.ones((3, 3)))
     thick = replace(truth, cells=np.where(walls, np.int8(100), truth.cells), name="thick")
     turned, pose = degraded(thick, 1, yaw_rad=0.8)
-    assert_right(align_grids(truth, turned, QUICK, backend), turned, pose)
+    assert_right(align_grids(truth, turned, QUICK, device), turned, pose)
 
 
-def test_the_error_is_that_of_the_paper(backend: Backend) -> None:
+def test_the_error_is_that_of_the_paper(device: ComputeDevice) -> None:
     """Sum of squared differences of -1 / 0 / 1 over the reference's known box, and its root."""
     grid = building(3)
     cells = grid.cells.copy()
     free = np.argwhere(cells == 0)[::97]
     cells[tuple(free.T)] = -1
     other = replace(grid, cells=cells, name="holes")
-    found = align_grids(grid, other, QUICK, backend)
+    found = align_grids(grid, other, QUICK, device)
     assert_right(found, other, Pose2(), cells=0.1)
     assert found.error == pytest.approx(math.sqrt(len(free)), rel=0.3)
 
 
-def test_thresholds_reach_the_alignment(backend: Backend) -> None:
+def test_thresholds_reach_the_alignment(device: ComputeDevice) -> None:
     """Walls at 60 % are unknown by default and walls when asked for."""
     truth = building(3)
     faint = replace(
         truth, cells=np.where(truth.cells == 100, np.int8(60), truth.cells), name="faint"
     )
-    assert not align_grids(truth, faint, QUICK, backend).accepted
+    assert not align_grids(truth, faint, QUICK, device).accepted
     asked = replace(QUICK, normalize=NormalizeConfig(occupied_percent=60.0))
-    assert_right(align_grids(truth, faint, asked, backend), faint, Pose2())
+    assert_right(align_grids(truth, faint, asked, device), faint, Pose2())
 
 
-def test_tracking_refines_a_known_transform(backend: Backend) -> None:
+def test_tracking_refines_a_known_transform(device: ComputeDevice) -> None:
     truth = building(3, 11.0, 9.0)
     moving, pose = degraded(truth, 5, yaw_rad=0.8, flip_share=0.02)
-    a, b = features_of(truth, backend), features_of(moving, backend)
-    found = track_features(a, b, backend, pose.compose(Pose2(0.2, -0.15, 0.03)))
+    a, b = features_of(truth, device), features_of(moving, device)
+    found = track_features(a, b, device, pose.compose(Pose2(0.2, -0.15, 0.03)))
     assert_right(found, moving, pose)
     assert found.runner_up is None
     assert found.yaw_profile is None
 
 
-def test_tracking_a_transform_that_is_wrong_is_rejected(backend: Backend) -> None:
-    a, b = (features_of(building(seed, 11.0, 9.0), backend) for seed in (3, 4))
-    found = track_features(a, b, backend, Pose2(1.0, 2.0, 1.0))
+def test_tracking_a_transform_that_is_wrong_is_rejected(device: ComputeDevice) -> None:
+    a, b = (features_of(building(seed, 11.0, 9.0), device) for seed in (3, 4))
+    found = track_features(a, b, device, Pose2(1.0, 2.0, 1.0))
     assert not found.accepted
     assert "do not match" in found.reason
 
 
-def test_prepared_grids_align_as_given_ones(backend: Backend) -> None:
+def test_prepared_grids_align_as_given_ones(device: ComputeDevice) -> None:
     truth = building(2)
     moving, _ = degraded(truth, 2, yaw_rad=1.1)
-    a, b = features_of(truth, backend), features_of(moving, backend)
-    prepared = align_features(a, b, QUICK.align, backend)
-    assert without_time(prepared) == without_time(align_grids(truth, moving, QUICK, backend))
+    a, b = features_of(truth, device), features_of(moving, device)
+    prepared = align_features(a, b, QUICK.align, device)
+    assert without_time(prepared) == without_time(align_grids(truth, moving, QUICK, device))
 
 
-def test_an_alignment_as_json_has_the_keys_that_programs_rely_on(backend: Backend) -> None:
-    found = align_grids(building(1), building(1).with_name("again"), QUICK, backend)
+def test_an_alignment_as_json_has_the_keys_that_programs_rely_on(device: ComputeDevice) -> None:
+    found = align_grids(building(1), building(1).with_name("again"), QUICK, device)
     assert list(found.to_json()) == [
         "name",
         "reference",
@@ -445,18 +449,18 @@ def test_an_alignment_as_json_has_the_keys_that_programs_rely_on(backend: Backen
     assert found.to_json()["name"] == "again"
 
 
-def test_a_map_of_two_resolutions_aligns_either_way(backend: Backend) -> None:
+def test_a_map_of_two_resolutions_aligns_either_way(device: ComputeDevice) -> None:
     truth = building(2, 11.0, 9.0)
     for resolution in (0.05, 0.0875, 0.15):
         moving, pose = degraded(truth, 2, yaw_rad=1.1, resolution=resolution)
-        assert_right(align_grids(truth, moving, QUICK, backend), moving, pose)
-        assert_right(align_grids(moving, truth, QUICK, backend), truth, pose.inverse())
+        assert_right(align_grids(truth, moving, QUICK, device), moving, pose)
+        assert_right(align_grids(moving, truth, QUICK, device), truth, pose.inverse())
 
 
-def test_a_given_resolution_is_used(backend: Backend) -> None:
+def test_a_given_resolution_is_used(device: ComputeDevice) -> None:
     truth = building(2, 11.0, 9.0, 0.05)
     moving, pose = degraded(truth, 2, yaw_rad=1.1)
     coarse = replace(QUICK, normalize=NormalizeConfig(resolution=0.1))
-    found = align_grids(truth, moving, coarse, backend)
+    found = align_grids(truth, moving, coarse, device)
     assert_right(found, moving, pose, cells=2.0)
     assert isinstance(truth, OccupancyGrid)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend
-from slamfusion.compute.reference import fixed_poses
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import FusionResult, align_grids, fuse_grids
 from slamfusion.fusion.align import align_features
@@ -42,7 +42,9 @@ def load(folder: str, *names: str) -> tuple[OccupancyGrid, ...]:
     return tuple(load_map(path / f"{name}.yaml").with_name(name) for name in names)
 
 
-def rotated(grid: OccupancyGrid, angle: float, backend: Backend) -> tuple[OccupancyGrid, Pose2]:
+def rotated(
+    grid: OccupancyGrid, angle: float, device: ComputeDevice
+) -> tuple[OccupancyGrid, Pose2]:
     """Return the content turned on a lattice of its own, and the new frame in the old one."""
     height, width = grid.cells.shape
     cos, sin = math.cos(angle), math.sin(angle)
@@ -52,8 +54,8 @@ def rotated(grid: OccupancyGrid, angle: float, backend: Backend) -> tuple[Occupa
     x = width / 2 - (cos * cols - sin * rows) / 2 + 0.37
     y = height / 2 - (sin * cols + cos * rows) / 2 - 0.21
     pose = fixed_poses((x, y, angle))
-    warped = backend.warp(backend.upload(grid.cells), pose, (rows, cols), -1)
-    cells = np.ascontiguousarray(backend.download(warped)[0])
+    warped = device.warp(device.upload(grid.cells), pose, (rows, cols), -1)
+    cells = np.ascontiguousarray(device.download(warped)[0])
     size = grid.resolution
     turned = OccupancyGrid(cells, size, Pose2(), grid.name)
     return turned, grid.origin.compose(Pose2(x * size, y * size, angle))
@@ -79,29 +81,29 @@ def assert_home(
 
 
 @pytest.mark.parametrize("prove", [False, True])
-def test_three_slams_of_one_home_come_together(backend: Backend, prove: bool) -> None:
+def test_three_slams_of_one_home_come_together(device: ComputeDevice, prove: bool) -> None:
     grids = load("nanorobot-real", *HOME)
-    result = fuse_grids(grids, fusion_config(prove=prove), backend)
+    result = fuse_grids(grids, fusion_config(prove=prove), device)
     assert_home(result, grids, dict.fromkeys(HOME, Pose2()))
 
 
 @pytest.mark.parametrize("angles", [(0.3, -1.2, 2.6), (-3.0, 1.7, 0.9), (1.0, 2.0, 3.0)])
 def test_the_home_comes_together_from_any_turn(
-    backend: Backend, angles: tuple[float, float, float]
+    device: ComputeDevice, angles: tuple[float, float, float]
 ) -> None:
     """The content turned on new lattices, and the frames moved besides."""
     grids, frames = [], {}
     for grid, angle in zip(load("nanorobot-real", *HOME), angles, strict=True):
-        turned, frame = rotated(grid, angle, backend)
+        turned, frame = rotated(grid, angle, device)
         there = Pose2(7.0 * angle, -3.0, 2.0 * angle)
         grids.append(with_origin(turned, there.compose(turned.origin)))
         frames[grid.name] = frame.compose(there.inverse())
-    assert_home(fuse_grids(grids, QUICK, backend), tuple(grids), frames)
+    assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
 
 
 @pytest.mark.parametrize("angles", [(0.3, -1.2, 2.6), (-3.0, 1.7, 0.9)])
 def test_the_home_comes_together_from_other_frames(
-    backend: Backend, angles: tuple[float, float, float]
+    device: ComputeDevice, angles: tuple[float, float, float]
 ) -> None:
     """The frames alone turned and moved, through the origins."""
     grids, frames = [], {}
@@ -109,13 +111,15 @@ def test_the_home_comes_together_from_other_frames(
         there = Pose2(-40.0 * angle, 12.0, angle)
         grids.append(with_origin(grid, there.compose(grid.origin)))
         frames[grid.name] = there.inverse()
-    assert_home(fuse_grids(grids, QUICK, backend), tuple(grids), frames)
+    assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
 
 
 @pytest.mark.parametrize("prove", [False, True])
-def test_a_lost_slam_is_rejected_and_the_other_two_fused(backend: Backend, prove: bool) -> None:
+def test_a_lost_slam_is_rejected_and_the_other_two_fused(
+    device: ComputeDevice, prove: bool
+) -> None:
     grids = load("mit-csail", "gmapping", "karto", "tinyslam-lost")
-    result = fuse_grids(grids, fusion_config(prove=prove), backend)
+    result = fuse_grids(grids, fusion_config(prove=prove), device)
     assert [record.name for record in result.accepted] == ["gmapping", "karto"]
     (lost,) = result.rejected
     assert lost.name == "tinyslam-lost"
@@ -150,17 +154,17 @@ def assert_triangles_close(grids: tuple[OccupancyGrid, ...], pairs: list[Alignme
 
 @pytest.mark.parametrize(("folder", "names"), [("nanobot-new", ROOM), ("nanorobot-real", HOME)])
 def test_all_pairs_of_a_place_are_accepted_and_their_triangles_close(
-    backend: Backend, folder: str, names: tuple[str, ...]
+    device: ComputeDevice, folder: str, names: tuple[str, ...]
 ) -> None:
     grids = load(folder, *names)
-    pairs = [align_grids(a, b, QUICK, backend) for a, b in itertools.combinations(grids, 2)]
+    pairs = [align_grids(a, b, QUICK, device) for a, b in itertools.combinations(grids, 2)]
     assert [f"{p.moving}-{p.reference}: {p.reason}" for p in pairs if not p.accepted] == []
     assert_triangles_close(grids, pairs)
 
 
-def test_the_husky_pair_is_accepted(backend: Backend) -> None:
+def test_the_husky_pair_is_accepted(device: ComputeDevice) -> None:
     grids = load("husky-lar-gazebo-sim", "map_gmapping", "map_hector")
-    found = align_grids(*grids, QUICK, backend)
+    found = align_grids(*grids, QUICK, device)
     assert found.accepted, found.reason
 
 
@@ -176,14 +180,14 @@ def different_places() -> Iterator[tuple[MapEntry, MapEntry]]:
 class Prepared:
     """Features of recorded maps, each made once a resolution."""
 
-    def __init__(self, backend: Backend) -> None:
-        self.backend = backend
+    def __init__(self, device: ComputeDevice) -> None:
+        self.device = device
         self.kept: dict[tuple[str, float], GridFeatures] = {}
 
     def features(self, entry: MapEntry, resolution: float) -> GridFeatures:
         key = (entry.file, resolution)
         if key not in self.kept:
-            self.kept[key] = features_of(load_entry(entry), self.backend, resolution)
+            self.kept[key] = features_of(load_entry(entry), self.device, resolution)
         return self.kept[key]
 
     def align(self, a: MapEntry, b: MapEntry, config: FusionConfig = QUICK) -> Alignment:
@@ -191,11 +195,11 @@ class Prepared:
         pair = sorted(
             (self.features(entry, size) for entry in (a, b)), key=lambda f: math.prod(f.shape)
         )
-        return align_features(pair[0], pair[1], config.align, self.backend)
+        return align_features(pair[0], pair[1], config.align, self.device)
 
 
-def test_maps_of_different_places_are_never_accepted(backend: Backend) -> None:
-    prepared = Prepared(backend)
+def test_maps_of_different_places_are_never_accepted(device: ComputeDevice) -> None:
+    prepared = Prepared(device)
     pairs = list(different_places())
     # Every 47th of some two thousand pairs: every map against maps of every kind.
     chosen = pairs[11 :: len(pairs) // 40]
@@ -204,9 +208,9 @@ def test_maps_of_different_places_are_never_accepted(backend: Backend) -> None:
     assert [f"{p.moving}-{p.reference}: {p.reason}" for p in found if p.accepted] == []
 
 
-def test_homes_are_not_taken_for_each_other(backend: Backend) -> None:
+def test_homes_are_not_taken_for_each_other(device: ComputeDevice) -> None:
     """Places of one size and one maker, the likeliest to be mistaken."""
-    prepared = Prepared(backend)
+    prepared = Prepared(device)
     small = [entry for entry in map_entries() if entry.place.startswith(("nano", "turtle"))]
     found = [
         prepared.align(a, b) for a, b in itertools.combinations(small, 2) if a.place != b.place
@@ -215,7 +219,7 @@ def test_homes_are_not_taken_for_each_other(backend: Backend) -> None:
     assert [f"{p.moving}-{p.reference}: {p.reason}" for p in found if p.accepted] == []
 
 
-def test_halmstad_pairs_are_right_as_people_marked_them(backend: Backend) -> None:
+def test_halmstad_pairs_are_right_as_people_marked_them(device: ComputeDevice) -> None:
     right = accepted = 0
     names = {"F5": ("F5_01", "F5_02", "F5_03", "F5_04"), "HIH": ("HIH_01", "HIH_02", "HIH_03")}
     pairs = [(place, *pair) for place in names for pair in itertools.combinations(names[place], 2)]
@@ -228,7 +232,7 @@ def test_halmstad_pairs_are_right_as_people_marked_them(backend: Backend) -> Non
             ).with_name(name)
             for name in (first, second)
         }
-        found = align_grids(grids[first], grids[second], QUICK, backend)
+        found = align_grids(grids[first], grids[second], QUICK, device)
         pixels, degrees = halmstad.annotated_error(grids[second], found)
         is_right = pixels < halmstad.RIGHT_PIXELS and degrees < halmstad.RIGHT_DEGREES
         assert is_right or not found.accepted, f"{second} to {first}: {pixels:.1f} px"
@@ -240,11 +244,11 @@ def test_halmstad_pairs_are_right_as_people_marked_them(backend: Backend) -> Non
 
 
 @pytest.mark.parametrize("seed", [20, 21])
-def test_drawn_cases_are_right_or_rejected(backend: Backend, seed: int) -> None:
+def test_drawn_cases_are_right_or_rejected(device: ComputeDevice, seed: int) -> None:
     """Recorded maps against degraded copies of themselves; none wrong and believed."""
     right = total = 0
     for case in drawn_cases(per_base=3, seed=seed):
-        found = align_grids(case.truth, case.moving, QUICK, backend)
+        found = align_grids(case.truth, case.moving, QUICK, device)
         cells, degrees = case_error(case, found)
         told = f"{case.base}: {cells:.2f} cells, {degrees:.2f} deg, {found.reason}"
         if found.accepted:
@@ -256,13 +260,13 @@ def test_drawn_cases_are_right_or_rejected(backend: Backend, seed: int) -> None:
     assert right >= 22
 
 
-def test_a_drawn_case_is_proven_right(backend: Backend) -> None:
+def test_a_drawn_case_is_proven_right(device: ComputeDevice) -> None:
     """With time enough the proof agrees with the search on a home of 7 m."""
     bases = ("multi-slam/nanorobot-real/gmapping.yaml",)
     (case,) = drawn_cases(per_base=1, seed=3, bases=bases)
-    plain = align_grids(case.truth, case.moving, QUICK, backend)
+    plain = align_grids(case.truth, case.moving, QUICK, device)
     proven = align_grids(
-        case.truth, case.moving, fusion_config(prove=True, deadline_s=30.0), backend
+        case.truth, case.moving, fusion_config(prove=True, deadline_s=30.0), device
     )
     assert proven.bound_gap == 0.0
     cells, degrees = case_error(case, proven)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.fusion import fuse_grids, live_canvas
 from slamfusion.fusion.live_canvas import Canvas
@@ -35,8 +35,8 @@ from tests.fusion.live_maps import (
 # -- the first fusion ------------------------------------------------------------------------------
 
 
-def test_a_map_goes_by_the_name_of_its_input(backend: Backend) -> None:
-    live = live_fusion(backend)
+def test_a_map_goes_by_the_name_of_its_input(device: ComputeDevice) -> None:
+    live = live_fusion(device)
     for index, (name, grid) in enumerate(three().items()):
         live.put(name, grid.with_name(f"map {index}"), 1.0)
     update = live.update(1.0)
@@ -46,11 +46,11 @@ def test_a_map_goes_by_the_name_of_its_input(backend: Backend) -> None:
 
 
 @pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])
-def test_the_first_fusion_is_that_of_the_offline_command(backend: Backend, mode: str) -> None:
+def test_the_first_fusion_is_that_of_the_offline_command(device: ComputeDevice, mode: str) -> None:
     grids = list(three().values())
     config = replace(fusion_config(), vote=VoteConfig(mode=mode, extent="union"))
-    offline = fuse_grids(grids, config, backend)
-    update = Drive(live_fusion(backend, mode)).step(*grids)
+    offline = fuse_grids(grids, config, device)
+    update = Drive(live_fusion(device, mode)).step(*grids)
     assert update.fused is not None
     assert update.agreement is not None
     assert update.reference == offline.reference
@@ -62,8 +62,8 @@ def test_the_first_fusion_is_that_of_the_offline_command(backend: Backend, mode:
         assert live.accepted == record.accepted
 
 
-def test_nothing_is_published_before_two_inputs_agree(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_nothing_is_published_before_two_inputs_agree(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
     first = drive.step(three()["a"])
     assert first.fused is None
     assert "waits for 2 inputs" in first.problem
@@ -77,8 +77,8 @@ def test_nothing_is_published_before_two_inputs_agree(backend: Backend) -> None:
     assert not drive.input("stranger").accepted
 
 
-def test_a_single_input_is_its_own_fusion_where_that_is_asked_for(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend, minimum_inputs=1))
+def test_a_single_input_is_its_own_fusion_where_that_is_asked_for(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device, minimum_inputs=1))
     update = drive.step(three()["a"])
     assert update.fused is not None
     assert update.reference == "a"
@@ -86,8 +86,8 @@ def test_a_single_input_is_its_own_fusion_where_that_is_asked_for(backend: Backe
     assert np.array_equal(on_lattice(update.fused, three()["a"]), np.where(own == 1, 100, own))
 
 
-def test_nothing_new_is_no_update_and_an_equal_map_publishes_nothing(backend: Backend) -> None:
-    drive = started(backend)
+def test_nothing_new_is_no_update_and_an_equal_map_publishes_nothing(device: ComputeDevice) -> None:
+    drive = started(device)
     assert drive.maybe() is None
     again = drive.step(*three().values())
     assert again.fused is None
@@ -95,8 +95,8 @@ def test_nothing_new_is_no_update_and_an_equal_map_publishes_nothing(backend: Ba
     assert drive.accepted() == "abc"
 
 
-def test_reset_starts_again_with_the_newest_maps(backend: Backend) -> None:
-    drive = started(backend)
+def test_reset_starts_again_with_the_newest_maps(device: ComputeDevice) -> None:
+    drive = started(device)
     drive.live.reset()
     update = drive.step()
     assert update.fused is not None
@@ -112,12 +112,12 @@ MARGINS = st.tuples(*[st.integers(-25, 40)] * 4)
 @settings(max_examples=15, deadline=None)
 @given(steps=st.lists(st.tuples(st.sampled_from("bc"), MARGINS), min_size=1, max_size=4))
 def test_growing_cropping_and_shifting_an_input_never_moves_a_fused_cell(
-    backend: Backend, steps: list[tuple[str, tuple[int, int, int, int]]]
+    device: ComputeDevice, steps: list[tuple[str, tuple[int, int, int, int]]]
 ) -> None:
     # Two voters are the same map, so that they decide every cell that they know, whatever the
     # third says: the fused map is the reference's, cell by cell.
     a, b = three()["a"], three()["b"]
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(a, b, moved_frame(a, AWAY).with_name("c"))
     reference = drive.live.inputs(drive.now_s)[0]
     assert reference.transform == Pose2()
@@ -140,9 +140,9 @@ def test_growing_cropping_and_shifting_an_input_never_moves_a_fused_cell(
 @settings(max_examples=15, deadline=None)
 @given(name=st.sampled_from("abc"), margins=st.tuples(*[st.integers(0, 60)] * 4))
 def test_unknown_margins_of_an_input_change_nothing(
-    backend: Backend, name: str, margins: tuple[int, int, int, int]
+    device: ComputeDevice, name: str, margins: tuple[int, int, int, int]
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     first = drive.fused
     before = {record.name: record.transform for record in drive.live.inputs(drive.now_s)}
     update = drive.step(padded(three()[name], *margins))
@@ -158,11 +158,11 @@ def test_unknown_margins_of_an_input_change_nothing(
 @pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])
 @pytest.mark.parametrize("at_once", [1, 3])
 def test_what_was_not_voted_on_again_is_as_if_it_had_been(
-    backend: Backend, mode: str, at_once: int, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, mode: str, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What changed in several places is several votes also in a small map.
     monkeypatch.setattr(live_canvas, "SPARE_CELLS", 0)
-    drive = Drive(live_fusion(backend, mode))
+    drive = Drive(live_fusion(device, mode))
     drive.step(*three().values())
     rng = np.random.default_rng(4)
     for number in range(6):
@@ -178,7 +178,7 @@ def test_what_was_not_voted_on_again_is_as_if_it_had_been(
     canvas = live._canvas
     assert canvas is not None
     assert canvas.box is not None
-    fresh = Canvas(canvas.lattice, live._config, backend)
+    fresh = Canvas(canvas.lattice, live._config, device)
     fresh.grow(canvas.box, "all")
     for track in live._tracks.values():
         assert track.sheet is not None
@@ -192,8 +192,8 @@ def test_what_was_not_voted_on_again_is_as_if_it_had_been(
     assert canvas.phantom_cells == fresh.phantom_cells
 
 
-def test_only_what_changed_is_voted_on_again(backend: Backend) -> None:
-    drive = started(backend)
+def test_only_what_changed_is_voted_on_again(device: ComputeDevice) -> None:
+    drive = started(device)
     grid = three()["a"]
     cells = grid.cells.copy()
     cells[40:44, 50:53] = np.where(cells[40:44, 50:53] == 0, 100, 0)
@@ -211,9 +211,9 @@ def test_only_what_changed_is_voted_on_again(backend: Backend) -> None:
 
 @pytest.mark.parametrize("gone", ["a", "b", "c"])
 def test_an_input_that_is_lost_and_returns_leaves_every_wall_where_it_was(
-    backend: Backend, gone: str
+    device: ComputeDevice, gone: str
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     first = drive.fused
     assert first is not None
     before = {record.name: record.transform for record in drive.live.inputs(drive.now_s)}
@@ -236,8 +236,8 @@ def test_an_input_that_is_lost_and_returns_leaves_every_wall_where_it_was(
         assert turn < 0.5
 
 
-def test_the_lattice_is_kept_when_a_finer_map_comes_and_grows(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_the_lattice_is_kept_when_a_finer_map_comes_and_grows(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
     fine = three()["a"]
     doubled = np.repeat(np.repeat(fine.cells, 2, axis=0), 2, axis=1)
     fine = OccupancyGrid(doubled, fine.resolution / 2, fine.origin, "fine")
@@ -271,9 +271,9 @@ def upside_down(grid: OccupancyGrid) -> OccupancyGrid:
 )
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_a_map_that_says_too_little_is_named_and_the_others_go_on(
-    backend: Backend, bad: OccupancyGrid, words: str, name: str
+    device: ComputeDevice, bad: OccupancyGrid, words: str, name: str
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     first = drive.fused
     assert first is not None
     update = drive.step(bad.with_name(name))
@@ -287,8 +287,8 @@ def test_a_map_that_says_too_little_is_named_and_the_others_go_on(
     assert drive.accepted() == "abc"
 
 
-def test_a_message_that_cannot_be_read_is_counted_and_named(backend: Backend) -> None:
-    drive = started(backend)
+def test_a_message_that_cannot_be_read_is_counted_and_named(device: ComputeDevice) -> None:
+    drive = started(device)
     drive.live.reject("b", "b: resolution nan", drive.now_s)
     drive.step()
     assert drive.input("b").reason == "b: resolution nan"
@@ -301,9 +301,9 @@ def test_a_message_that_cannot_be_read_is_counted_and_named(backend: Backend) ->
 
 @pytest.mark.parametrize("name", ["a", "c"])
 def test_an_upside_down_map_is_refused_and_taken_back_when_it_is_right(
-    backend: Backend, name: str
+    device: ComputeDevice, name: str
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     first = drive.fused
     assert first is not None
     for number in range(3):
@@ -318,9 +318,9 @@ def test_an_upside_down_map_is_refused_and_taken_back_when_it_is_right(
 
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_a_producer_that_starts_again_elsewhere_is_believed_at_its_second_map(
-    backend: Backend, name: str
+    device: ComputeDevice, name: str
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     first = drive.fused
     assert first is not None
     last = drive.input(name).transform
@@ -342,8 +342,8 @@ def test_a_producer_that_starts_again_elsewhere_is_believed_at_its_second_map(
     assert share_standing(first, drive.fused) > 0.97
 
 
-def test_a_transform_that_jumped_once_is_not_believed(backend: Backend) -> None:
-    drive = started(backend)
+def test_a_transform_that_jumped_once_is_not_believed(device: ComputeDevice) -> None:
+    drive = started(device)
     before = drive.input("b").transform
     drive.step(moved_frame(three()["b"], AWAY))
     assert drive.accepted() == "ac"
@@ -353,9 +353,9 @@ def test_a_transform_that_jumped_once_is_not_believed(backend: Backend) -> None:
 
 
 def test_a_third_tells_which_of_two_is_wrong_also_when_it_is_the_reference(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = started(backend, search_share=0.95)
+    drive = started(device, search_share=0.95)
     first = drive.fused
     assert first is not None
     update = drive.step(littered(three()["a"], 1))
@@ -369,8 +369,10 @@ def test_a_third_tells_which_of_two_is_wrong_also_when_it_is_the_reference(
     assert share_standing(first, drive.fused) > 0.95
 
 
-def test_two_that_disagree_are_both_named_and_nothing_new_is_published(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_two_that_disagree_are_both_named_and_nothing_new_is_published(
+    device: ComputeDevice,
+) -> None:
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], three()["b"])
     last = drive.fused
     assert last is not None
@@ -390,9 +392,9 @@ def test_two_that_disagree_are_both_named_and_nothing_new_is_published(backend: 
 
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_of_two_that_disagree_the_one_goes_on_that_fits_the_map_they_agreed_on(
-    backend: Backend, name: str
+    device: ComputeDevice, name: str
 ) -> None:
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], three()["b"])
     last = drive.fused
     assert last is not None
@@ -410,8 +412,8 @@ def test_of_two_that_disagree_the_one_goes_on_that_fits_the_map_they_agreed_on(
     assert drive.accepted() == "ab"
 
 
-def test_the_one_whose_walls_moved_is_doubted_not_the_one_that_stood(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_the_one_whose_walls_moved_is_doubted_not_the_one_that_stood(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], three()["b"])
     first = drive.fused
     assert first is not None
@@ -423,8 +425,10 @@ def test_the_one_whose_walls_moved_is_doubted_not_the_one_that_stood(backend: Ba
     assert share_standing(drive.fused, first) > 0.97
 
 
-def test_walls_of_the_reference_that_creep_do_not_take_the_frame_along(backend: Backend) -> None:
-    drive = started(backend)
+def test_walls_of_the_reference_that_creep_do_not_take_the_frame_along(
+    device: ComputeDevice,
+) -> None:
+    drive = started(device)
     first = drive.fused
     assert first is not None
     grid = padded(three()["a"], 0, 0, 0, 20)
@@ -438,7 +442,7 @@ def test_walls_of_the_reference_that_creep_do_not_take_the_frame_along(backend: 
 
 
 def test_a_reference_that_is_drawn_anew_beside_its_lattice_each_time_keeps_the_frame(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
     fine = building(7, 12.0, 10.0, 0.05)
 
@@ -450,7 +454,7 @@ def test_a_reference_that_is_drawn_anew_beside_its_lattice_each_time_keeps_the_f
         origin = Pose2(0.05 * col, 0.05 * row, 0.0)
         return OccupancyGrid(blocks.max(axis=(1, 3)), 0.1, origin, name)
 
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     others = [moved_frame(drawn(name, 0, 0), AWAY) for name in "bc"]
     drive.step(drawn("a", 0, 0), *others)
     first = drive.fused
@@ -463,8 +467,8 @@ def test_a_reference_that_is_drawn_anew_beside_its_lattice_each_time_keeps_the_f
         assert share_standing(drive.fused, first) > 0.97
 
 
-def test_all_walls_moved_at_once_and_the_last_fused_map_tells_where(backend: Backend) -> None:
-    drive = started(backend)
+def test_all_walls_moved_at_once_and_the_last_fused_map_tells_where(device: ComputeDevice) -> None:
+    drive = started(device)
     first = drive.fused
     assert first is not None
     for number in range(8):
@@ -476,7 +480,7 @@ def test_all_walls_moved_at_once_and_the_last_fused_map_tells_where(backend: Bac
 
 
 def test_a_place_that_looks_alike_from_two_sides_is_believed_on_the_side_where_it_was(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
     def room(name: str, frame: Pose2, *, has_boxes: bool) -> OccupancyGrid:
         """A room that looks the same turned by half, but for some boxes."""
@@ -488,7 +492,7 @@ def test_a_place_that_looks_alike_from_two_sides_is_believed_on_the_side_where_i
         return moved_frame(OccupancyGrid(cells, 0.1, Pose2(), name), frame)
 
     frames = {"a": Pose2(), "b": AWAY}
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     for has_boxes in (True, False):
         drive.step(*(room(name, pose, has_boxes=has_boxes) for name, pose in frames.items()))
         assert drive.accepted() == "ab"
@@ -509,8 +513,8 @@ def test_a_place_that_looks_alike_from_two_sides_is_believed_on_the_side_where_i
 # -- health ----------------------------------------------------------------------------------------
 
 
-def test_an_input_without_a_map_is_stale_only_while_another_has_one(backend: Backend) -> None:
-    drive = started(backend, stale_after_s=5.0)
+def test_an_input_without_a_map_is_stale_only_while_another_has_one(device: ComputeDevice) -> None:
+    drive = started(device, stale_after_s=5.0)
     for number in range(6):
         drive.step(touched(three()["a"], number), touched(three()["b"], number))
     assert drive.input("c").reason == "no map for 6 s"
@@ -526,8 +530,8 @@ def test_an_input_without_a_map_is_stale_only_while_another_has_one(backend: Bac
     assert drive.input("c").accepted
 
 
-def test_a_saved_map_is_never_stale(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend, stale_after_s=5.0))
+def test_a_saved_map_is_never_stale(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device, stale_after_s=5.0))
     drive.live.put("c", three()["c"], drive.now_s, is_saved=True)
     drive.step(three()["a"], three()["b"])
     for number in range(8):
@@ -535,8 +539,8 @@ def test_a_saved_map_is_never_stale(backend: Backend) -> None:
     assert drive.accepted() == "cab"
 
 
-def test_health_counts_what_came(backend: Backend) -> None:
-    drive = started(backend)
+def test_health_counts_what_came(device: ComputeDevice) -> None:
+    drive = started(device)
     for number in range(4):
         drive.step(touched(three()["b"], number))
     record = drive.input("b")
@@ -550,9 +554,9 @@ def test_health_counts_what_came(backend: Backend) -> None:
 
 
 def test_an_input_that_memory_cannot_hold_is_named(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     far = three()["b"]
     grown = padded(far, 0, 0, 0, 3000)
     cells = grown.cells.copy()
@@ -567,17 +571,17 @@ def test_an_input_that_memory_cannot_hold_is_named(
     assert drive.accepted() == "abc"
 
 
-def test_the_extent_may_be_that_of_the_reference(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend, extent="reference"))
+def test_the_extent_may_be_that_of_the_reference(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device, extent="reference"))
     update = drive.step(*three().values())
     assert update.fused is not None
-    offline = fuse_grids(list(three().values()), fusion_config(), backend)
+    offline = fuse_grids(list(three().values()), fusion_config(), device)
     assert update.fused.cells.shape == offline.fused.cells.shape
     assert np.array_equal(update.fused.cells, offline.fused.cells)
 
 
-def test_the_newest_map_replaces_one_that_waits(backend: Backend) -> None:
-    drive = started(backend)
+def test_the_newest_map_replaces_one_that_waits(device: ComputeDevice) -> None:
+    drive = started(device)
     drive.live.put("b", littered(three()["b"], 1), drive.now_s)
     update = drive.step(three()["b"])
     assert update.fused is None

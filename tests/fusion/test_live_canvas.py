@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.fusion import live_canvas, live_limits
@@ -29,9 +29,9 @@ POSES = st.builds(
 )
 
 
-def sheet_of(grid: OccupancyGrid, backend: Backend, before: Sheet | None = None) -> Sheet:
+def sheet_of(grid: OccupancyGrid, device: ComputeDevice, before: Sheet | None = None) -> Sheet:
     lattice = None if before is None else before.lattice
-    return lay_out(grid, lattice, 0.1, RULES, backend)
+    return lay_out(grid, lattice, 0.1, RULES, device)
 
 
 @settings(max_examples=40, deadline=None)
@@ -43,8 +43,8 @@ def sheet_of(grid: OccupancyGrid, backend: Backend, before: Sheet | None = None)
     inner=st.tuples(*[st.integers(0, 30)] * 4),
 )
 def test_a_cell_is_the_same_in_whatever_box_and_however_the_map_grew(
-    backend: Backend,
-    twins: Backend,
+    device: ComputeDevice,
+    twins: ComputeDevice,
     seed: int,
     transform: Pose2,
     origin: Pose2,
@@ -52,12 +52,12 @@ def test_a_cell_is_the_same_in_whatever_box_and_however_the_map_grew(
     inner: tuple[int, int, int, int],
 ) -> None:
     grid = replace(random_grid(seed), origin=origin)
-    sheet = sheet_of(grid, backend)
-    grown = sheet_of(padded(grid, *margins), backend, sheet)
+    sheet = sheet_of(grid, device)
+    grown = sheet_of(padded(grid, *margins), device, sheet)
     assert grown.lattice == sheet.lattice
     lattice = Lattice(0.1, Pose2(2.0, -1.0, 0.3))
     box = lattice.box_of(sheet.box, sheet.lattice, transform)
-    whole = carry(sheet, transform, lattice, box, backend)
+    whole = carry(sheet, transform, lattice, box, device)
     part = CellBox(
         box.row0 + inner[0], box.col0 + inner[1], box.row1 - inner[2], box.col1 - inner[3]
     )
@@ -71,13 +71,13 @@ def test_a_cell_is_the_same_in_whatever_box_and_however_the_map_grew(
 
 @pytest.mark.parametrize("size", [0.05, 0.04, 0.2, 0.25])
 def test_cells_of_another_size_keep_their_phase_while_the_map_grows(
-    backend: Backend, size: float
+    device: ComputeDevice, size: float
 ) -> None:
     grid = OccupancyGrid(random_cells(5), size, Pose2(4.0, 2.0, 0.6))
-    first = sheet_of(grid, backend)
+    first = sheet_of(grid, device)
     assert first.lattice.resolution == 0.1
     for south, west in ((1, 0), (3, 7), (10, 5)):
-        grown = sheet_of(padded(grid, south, west, 2, 9), backend, first)
+        grown = sheet_of(padded(grid, south, west, 2, 9), device, first)
         assert grown.lattice == first.lattice
         assert np.array_equal(grown.window(first.box), first.cells)
     walls = grid.cells >= 65
@@ -92,15 +92,15 @@ def test_cells_of_another_size_keep_their_phase_while_the_map_grows(
         assert (found >= 65).all()
 
 
-def test_a_map_beside_the_lattice_begins_its_own(backend: Backend) -> None:
+def test_a_map_beside_the_lattice_begins_its_own(device: ComputeDevice) -> None:
     grid = random_grid(3)
-    first = sheet_of(grid, backend)
+    first = sheet_of(grid, device)
     beside = replace(grid, origin=Pose2(0.03, 0.0, 0.0))
-    assert sheet_of(beside, backend, first).lattice != first.lattice
+    assert sheet_of(beside, device, first).lattice != first.lattice
     turned = replace(grid, origin=Pose2(0.0, 0.0, 0.01))
-    assert sheet_of(turned, backend, first).lattice != first.lattice
+    assert sheet_of(turned, device, first).lattice != first.lattice
     whole = replace(grid, origin=Pose2(-0.3, 0.5, 0.0))
-    again = sheet_of(whole, backend, first)
+    again = sheet_of(whole, device, first)
     assert (again.row, again.col) == (5, -3)
     assert again.lattice == first.lattice
 
@@ -114,17 +114,17 @@ PLACE = """
 """
 
 
-def test_what_changed_is_boxed_and_counted(backend: Backend) -> None:
-    old = sheet_of(draw(PLACE), backend)
+def test_what_changed_is_boxed_and_counted(device: ComputeDevice) -> None:
+    old = sheet_of(draw(PLACE), device)
     walls = int((old.cells == 100).sum())
-    same = compare(old, old, walls, RULES, backend)
+    same = compare(old, old, walls, RULES, device)
     assert same.box is None
     assert same.standing == walls
 
     cells = old.cells.copy()
     cells[2, 5] = 100
     cells[0, 3:7] = 0
-    change = compare(old, Sheet(cells, old.lattice), walls, RULES, backend)
+    change = compare(old, Sheet(cells, old.lattice), walls, RULES, device)
     assert change.box == CellBox(0, 3, 3, 7)
     assert change.walls == 5
     # The two in the middle of the gap have no wall beside them; the outer two have.
@@ -132,16 +132,16 @@ def test_what_changed_is_boxed_and_counted(backend: Backend) -> None:
     assert change.standing == walls - 2
 
 
-def test_what_is_cut_off_changed_and_contradicts_nothing(backend: Backend) -> None:
+def test_what_is_cut_off_changed_and_contradicts_nothing(device: ComputeDevice) -> None:
     grid = draw(PLACE)
-    old = sheet_of(grid, backend)
+    old = sheet_of(grid, device)
     walls = int((old.cells == 100).sum())
-    cut = sheet_of(grid.crop(CellBox(0, 0, 5, 6)), backend, old)
-    change = compare(old, cut, walls, RULES, backend)
+    cut = sheet_of(grid.crop(CellBox(0, 0, 5, 6)), device, old)
+    change = compare(old, cut, walls, RULES, device)
     assert change.box == CellBox(0, 6, 5, 10)
     assert change.contradicted == 0
-    margin = sheet_of(padded(grid, 4, 4, 4, 4), backend, old)
-    assert compare(old, margin, walls, RULES, backend).box is None
+    margin = sheet_of(padded(grid, 4, 4, 4, 4), device, old)
+    assert compare(old, margin, walls, RULES, device).box is None
 
 
 BOX = st.tuples(
@@ -152,7 +152,7 @@ BOX = st.tuples(
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 999), boxes=st.lists(BOX, min_size=1, max_size=5))
 def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
-    backend: Backend, seed: int, boxes: list[CellBox]
+    device: ComputeDevice, seed: int, boxes: list[CellBox]
 ) -> None:
     rng = np.random.default_rng(seed)
     grid = replace(random_grid(seed), resolution=0.1)
@@ -161,7 +161,7 @@ def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
         # Several bands in a map of a few cells.
         patch.setattr(live_limits, "BAND_CELLS", 100)
         for box in boxes:
-            track.follow(grid, 0.1, RULES, live, backend)
+            track.follow(grid, 0.1, RULES, live, device)
             sheet, known = track.sheet, track.known
             assert sheet is not None
             assert known is not None
@@ -203,24 +203,24 @@ def test_boxes_are_joined_where_hardly_a_cell_lies_between(
     assert sum(box.area for box in out) <= sum(box.area for box in boxes) + spare * len(boxes)
 
 
-def test_a_map_on_another_lattice_is_compared_where_it_lies(backend: Backend) -> None:
+def test_a_map_on_another_lattice_is_compared_where_it_lies(device: ComputeDevice) -> None:
     grid = random_grid(11)
-    old = sheet_of(grid, backend)
+    old = sheet_of(grid, device)
     walls = int((old.cells >= 65).sum())
     turned = replace(grid, origin=Pose2(0.0, 0.0, 0.004))
-    near = compare(old, sheet_of(turned, backend, old), walls, RULES, backend)
+    near = compare(old, sheet_of(turned, device, old), walls, RULES, device)
     assert near.is_steady(0.75)
     away = replace(grid, origin=Pose2(0.83, 0.61, 0.9))
-    far = compare(old, sheet_of(away, backend, old), walls, RULES, backend)
+    far = compare(old, sheet_of(away, device, old), walls, RULES, device)
     assert not far.is_steady(0.75)
 
 
-def test_too_few_walls_say_nothing(backend: Backend) -> None:
+def test_too_few_walls_say_nothing(device: ComputeDevice) -> None:
     assert "unknown" in (unusable(draw("   \n   "), RULES) or "")
     assert "23 of the 24" in (unusable(draw("#" * 23 + "."), RULES) or "")
     assert unusable(draw("#" * 24 + "\n" + 2 * ("." * 24 + "\n")), RULES) is None
     assert "0 of the 24" in (unusable(draw("?" * 40), RULES) or "")
-    assert backend.name
+    assert device.name
 
 
 @pytest.mark.parametrize(
@@ -233,14 +233,16 @@ def test_too_few_walls_say_nothing(backend: Backend) -> None:
         ("log-odds", "auto"),
     ],
 )
-def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, mode: str, unknown: str) -> None:
+def test_boxes_voted_on_one_by_one_are_one_vote(
+    device: ComputeDevice, mode: str, unknown: str
+) -> None:
     config = FusionConfig(vote=VoteConfig(mode=mode, unknown=unknown))
     stack = [random_cells(seed, 40, 40) for seed in (1, 2, 3)]
     size = tuple(max(cells.shape[axis] for cells in stack) for axis in (0, 1))
     full = [np.full(size, -1, dtype=np.int8) for _ in stack]
     for out, cells in zip(full, stack, strict=True):
         out[: cells.shape[0], : cells.shape[1]] = cells
-    canvas = Canvas(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), config, backend)
+    canvas = Canvas(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), config, device)
     box = CellBox(0, 0, *size)
     canvas.grow(box, "all")
     for name, cells in zip("abc", full, strict=True):
@@ -252,7 +254,7 @@ def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, mode: str, unk
             canvas.vote("abc", part)
     reach = double_reach_cells(config.vote, 0.1)
     stack = [trinary_cells(cells, RULES) for cells in full]
-    wanted = vote_grids(stack, config.vote, backend, percents=full, reach_cells=reach)
+    wanted = vote_grids(stack, config.vote, device, percents=full, reach_cells=reach)
     fused, agreement = canvas.grids()
     assert np.array_equal(trinary_cells(fused.cells, RULES), wanted.fused)
     assert np.array_equal(agreement.cells, wanted.agreement)
@@ -261,9 +263,9 @@ def test_boxes_voted_on_one_by_one_are_one_vote(backend: Backend, mode: str, unk
 
 
 def test_a_canvas_grows_by_whole_cells_and_never_beyond_memory(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    canvas = Canvas(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), FusionConfig(), backend)
+    canvas = Canvas(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), FusionConfig(), device)
     sheet = Sheet(random_cells(1), canvas.lattice)
     canvas.grow(sheet.box, "a")
     canvas.lay("a", sheet, sheet.box, Pose2(), None)

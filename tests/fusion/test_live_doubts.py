@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import live_canvas
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
@@ -48,9 +48,9 @@ def wait(drive: Drive, seconds: float) -> float:
 
 @pytest.mark.parametrize(("name", "pause_s"), [("a", 0.0), ("b", 2.0)])
 def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
-    backend: Backend, name: str, pause_s: float
+    device: ComputeDevice, name: str, pause_s: float
 ) -> None:
-    drive = started(backend, search_pause_s=pause_s)
+    drive = started(device, search_pause_s=pause_s)
     first, last = drive.fused, drive.input(name).transform
     assert first is not None
     assert last is not None
@@ -70,8 +70,8 @@ def test_a_jump_is_confirmed_within_seconds_though_no_map_comes(
     assert share_standing(first, drive.fused) > 0.97
 
 
-def test_a_jump_is_confirmed_by_its_second_equal_message(backend: Backend) -> None:
-    drive = started(backend, confirm_s=1000.0)
+def test_a_jump_is_confirmed_by_its_second_equal_message(device: ComputeDevice) -> None:
+    drive = started(device, confirm_s=1000.0)
     again = moved_frame(three()["b"], AWAY)
     drive.step(again)
     drive.maybe(again)
@@ -81,9 +81,9 @@ def test_a_jump_is_confirmed_by_its_second_equal_message(backend: Backend) -> No
 
 
 def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], three()["b"])
     first = drive.fused
     drive.live.drop("a", "its producer is gone")
@@ -99,9 +99,9 @@ def test_a_jump_of_the_only_input_left_is_confirmed_by_the_last_fused_map(
 
 @pytest.mark.parametrize("others", ["abc", "ab"])
 def test_a_jump_that_a_second_search_does_not_find_is_not_believed(
-    backend: Backend, others: str
+    device: ComputeDevice, others: str
 ) -> None:
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(*(three()[name] for name in others))
     before = drive.input("b").transform
     drive.step(moved_frame(three()["b"], AWAY))
@@ -124,9 +124,9 @@ def test_a_jump_that_a_second_search_does_not_find_is_not_believed(
 
 
 def test_a_map_that_jumps_and_goes_back_within_the_time_stays_where_it_was(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     before = drive.input("b").transform
     drive.step(moved_frame(three()["b"], AWAY))
     drive.maybe()
@@ -157,9 +157,9 @@ ENDLESS = OccupancyGrid(np.tile(np.array([[0], [100]], dtype=np.int8), (8000, 4)
     ],
 )
 def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
-    backend: Backend, bad: OccupancyGrid, words: str
+    device: ComputeDevice, bad: OccupancyGrid, words: str
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     box = drive.live._canvas.box if drive.live._canvas is not None else None
     tracemalloc.start()
     update = drive.step(bad, touched(three()["a"], 1))
@@ -175,14 +175,16 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
     # From the start, beside two that are well.
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], bad, three()["c"])
     assert drive.accepted() == "ac"
     assert words in drive.input("b").reason
 
 
-def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(backend: Backend) -> None:
-    drive = started(backend)
+def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
+    device: ComputeDevice,
+) -> None:
+    drive = started(device)
     assert drive.live._canvas is not None
     first, box = drive.fused, drive.live._canvas.box
     tracemalloc.start()
@@ -199,10 +201,10 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(backend: 
 
 
 def test_the_canvas_gives_back_what_a_far_cell_took_and_the_frame_stays(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_canvas, "SHRUNK_CELLS", 1 << 16)
-    drive = started(backend)
+    drive = started(device)
     canvas, first = drive.live._canvas, drive.fused
     assert canvas is not None
     assert canvas.box is not None
@@ -227,10 +229,10 @@ def test_the_canvas_gives_back_what_a_far_cell_took_and_the_frame_stays(
 
 
 def test_an_input_that_leaves_does_not_change_the_size_of_what_is_published(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_canvas, "SHRUNK_CELLS", 1)
-    drive = started(backend)
+    drive = started(device)
     assert drive.fused is not None
     shape = drive.fused.cells.shape
     for name in "bc":
@@ -254,25 +256,25 @@ def test_an_input_that_leaves_does_not_change_the_size_of_what_is_published(
     ],
 )
 def test_a_map_that_says_nothing_is_refused_before_it_is_looked_at(
-    backend: Backend, bad: OccupancyGrid, words: str
+    device: ComputeDevice, bad: OccupancyGrid, words: str
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     for number in range(2):
         update = drive.step(bad.with_name("b"), touched(three()["a"], number))
         assert update.fused is not None
         assert words in drive.input("b").reason
         assert drive.accepted() == "ac"
         assert not update.is_full_search
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], bad.with_name("b"), three()["c"])
     assert drive.accepted() == "ac"
     assert words in drive.input("b").reason
 
 
 def test_a_long_search_is_put_off_while_maps_of_others_wait_and_ends_in_the_end(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     drive.step(moved_frame(three()["b"], AWAY))
     track = drive.live._tracks["b"]
     track.jump, track.tried, track.patience_s = None, None, 0.0
@@ -286,8 +288,8 @@ def test_a_long_search_is_put_off_while_maps_of_others_wait_and_ends_in_the_end(
     assert "jumped by" in drive.input("b").reason
 
 
-def test_searches_in_vain_leave_most_of_the_time_to_others(backend: Backend) -> None:
-    drive = started(backend, search_pause_s=2.0)
+def test_searches_in_vain_leave_most_of_the_time_to_others(device: ComputeDevice) -> None:
+    drive = started(device, search_pause_s=2.0)
     stranger = noise()
     cells = np.where(stranger.cells == 100, 0, stranger.cells)
     cells[np.random.default_rng(5).random(cells.shape) < 0.03] = 100
@@ -306,15 +308,15 @@ def test_searches_in_vain_leave_most_of_the_time_to_others(backend: Backend) -> 
 
 @pytest.mark.parametrize(("wrong", "name"), [(mirrored, "a"), (transposed, "b")])
 def test_a_map_that_is_mirrored_from_the_start_does_not_vote(
-    backend: Backend, wrong: object, name: str
+    device: ComputeDevice, wrong: object, name: str
 ) -> None:
     assert callable(wrong)
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(*(wrong(grid) if grid.name == name else grid for grid in trio().values()))
     assert drive.accepted() == "abc".replace(name, "")
     assert "mirrored or transposed" in drive.input(name).reason
     # Also when it comes to a fusion that is under way, and comes again and again.
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     well = [grid for grid in trio().values() if grid.name != name]
     drive.step(*well)
     for number in range(3):
@@ -325,8 +327,8 @@ def test_a_map_that_is_mirrored_from_the_start_does_not_vote(
     assert sorted(drive.accepted()) == ["a", "b", "c"]
 
 
-def test_of_two_maps_one_is_mirrored_and_nobody_can_say_which(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_of_two_maps_one_is_mirrored_and_nobody_can_say_which(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
     update = drive.step(trio()["a"], mirrored(trio()["b"]))
     assert update.fused is None
     assert "one of the two maps is mirrored" in update.problem
@@ -334,8 +336,8 @@ def test_of_two_maps_one_is_mirrored_and_nobody_can_say_which(backend: Backend) 
     assert drive.accepted() == "ac"
 
 
-def test_a_map_that_turns_into_its_mirror_image_loses_its_vote(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_a_map_that_turns_into_its_mirror_image_loses_its_vote(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
     drive.step(*trio().values())
     assert drive.accepted() == "abc"
     for number in range(3):
@@ -348,9 +350,9 @@ def test_a_map_that_turns_into_its_mirror_image_loses_its_vote(backend: Backend)
 
 @pytest.mark.parametrize(("share", "pause_s"), [(0.2, 1000.0), (0.3, 0.0)])
 def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
-    backend: Backend, share: float, pause_s: float
+    device: ComputeDevice, share: float, pause_s: float
 ) -> None:
-    drive = started(backend, search_pause_s=pause_s)
+    drive = started(device, search_pause_s=pause_s)
     worse = littered(three()["b"], 1, share)
     for number in range(3):
         well = (touched(three()[name], number, 0.001) for name in "ac")
@@ -364,8 +366,8 @@ def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
     assert drive.accepted() == "abc"
 
 
-def test_nothing_that_votes_says_that_its_walls_do_not_match(backend: Backend) -> None:
-    drive = started(backend)
+def test_nothing_that_votes_says_that_its_walls_do_not_match(device: ComputeDevice) -> None:
+    drive = started(device)
     for number, share in enumerate(np.linspace(0.0, 0.3, 7)):
         drive.maybe(littered(three()["b"], 1, float(share)), touched(three()["a"], number, 0.001))
         for record in drive.live.inputs(drive.now_s):
@@ -384,9 +386,9 @@ def tell(drive: Drive, stamp_s: float, **off_m: float) -> None:
 
 
 def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     for stamp in range(10):
         tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
     assert drive.maybe() is None
@@ -407,9 +409,9 @@ def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
 
 
 def test_of_two_whose_poses_contradict_neither_votes_and_the_last_map_stays(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     drive.step(three()["a"], three()["b"])
     first = drive.fused
     for stamp in range(10):

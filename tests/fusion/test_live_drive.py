@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -33,10 +33,10 @@ FRAMES = {
 
 
 @pytest.fixture(scope="module")
-def rounds(backend: Backend) -> list[dict[str, OccupancyGrid]]:
+def rounds(device: ComputeDevice) -> list[dict[str, OccupancyGrid]]:
     """The maps of the three producers as they grow, every 20 scans."""
     scans, _ = drive(SCANS, turn_bias=0.003)
-    producers = {name: make_producer(name, RunConfig(), backend) for name in FRAMES}
+    producers = {name: make_producer(name, RunConfig(), device) for name in FRAMES}
     out = []
     for number, item in enumerate(scans, start=1):
         for producer in producers.values():
@@ -53,9 +53,9 @@ def rounds(backend: Backend) -> list[dict[str, OccupancyGrid]]:
 
 
 def test_maps_grow_and_no_wall_moves(
-    backend: Backend, rounds: list[dict[str, OccupancyGrid]]
+    device: ComputeDevice, rounds: list[dict[str, OccupancyGrid]]
 ) -> None:
-    fusion = Drive(live_fusion(backend))
+    fusion = Drive(live_fusion(device))
     first = None
     for maps in rounds:
         fusion.step(*maps.values())
@@ -78,9 +78,9 @@ def test_maps_grow_and_no_wall_moves(
 
 @pytest.mark.parametrize("name", list(FRAMES))
 def test_one_is_refused_lost_and_returns_and_no_wall_moves(
-    backend: Backend, rounds: list[dict[str, OccupancyGrid]], name: str
+    device: ComputeDevice, rounds: list[dict[str, OccupancyGrid]], name: str
 ) -> None:
-    fusion = Drive(live_fusion(backend))
+    fusion = Drive(live_fusion(device))
     for maps in rounds[:3]:
         fusion.step(*maps.values())
     first = fusion.fused

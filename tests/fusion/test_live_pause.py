@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.live import LiveInput, LiveUpdate
 from slamfusion.fusion.live_pause import Pausable, PausedError
 from tests.fusion.live_maps import Drive, started, three, touched
@@ -25,9 +25,9 @@ class Doorbell:
         return self._rings_at is not None and self.asked >= self._rings_at
 
 
-def drifted(backend: Backend) -> Drive:
+def drifted(device: ComputeDevice) -> Drive:
     """Return a drive whose ``b`` has changed so much that it waits to be aligned again."""
-    drive = started(backend, track_cells=1)
+    drive = started(device, track_cells=1)
     drive.step(touched(three()["b"], 1, 0.003))
     assert drive.accepted() == "abc"
     assert not drive.input("b").is_tracked
@@ -44,14 +44,14 @@ def figures(drive: Drive) -> list[object]:
     return [(r.name, r.transform, r.score, r.overlap, r.accepted, r.reason) for r in shown]
 
 
-def test_an_alignment_that_may_wait_is_given_up_and_begun_again(backend: Backend) -> None:
-    undisturbed = drifted(backend)
+def test_an_alignment_that_may_wait_is_given_up_and_begun_again(device: ComputeDevice) -> None:
+    undisturbed = drifted(device)
     bell = Doorbell(None)
     assert rest(undisturbed, bell) is not None
     assert undisturbed.input("b").is_tracked
     assert bell.asked > 20
 
-    drive = drifted(backend)
+    drive = drifted(device)
     before = figures(drive)
     # What was looked at in its map is kept, so each later try has less to do.
     for rings_at in (1, 2, 5, 10, bell.asked // 4):
@@ -67,8 +67,8 @@ def test_an_alignment_that_may_wait_is_given_up_and_begun_again(backend: Backend
     assert drive.input("b").transform == undisturbed.input("b").transform
 
 
-def test_a_map_that_is_put_meanwhile_ends_it_too(backend: Backend) -> None:
-    drive = drifted(backend)
+def test_a_map_that_is_put_meanwhile_ends_it_too(device: ComputeDevice) -> None:
+    drive = drifted(device)
     asked = 0
 
     def put_at_fifth() -> bool:
@@ -87,11 +87,11 @@ def test_a_map_that_is_put_meanwhile_ends_it_too(backend: Backend) -> None:
 
 
 def test_what_a_device_was_told_is_done_before_it_is_asked_whether_to_go_on(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
-    monkeypatch.setattr(backend, "finish", lambda: said.append("done"), raising=False)
-    pausable = Pausable(backend)
+    monkeypatch.setattr(device, "finish", lambda: said.append("done"), raising=False)
+    pausable = Pausable(device)
     cells = pausable.upload(np.zeros((3, 4), np.uint8))
     assert not said
     bell = Doorbell(2)
@@ -102,8 +102,8 @@ def test_what_a_device_was_told_is_done_before_it_is_asked_whether_to_go_on(
     assert said == ["done", "asked"] * 2
 
 
-def test_what_changed_too_much_to_wait_is_aligned_whatever_comes(backend: Backend) -> None:
-    drive = started(backend, track_cells=1, track_share=1e-4, steady_share=0.5)
+def test_what_changed_too_much_to_wait_is_aligned_whatever_comes(device: ComputeDevice) -> None:
+    drive = started(device, track_cells=1, track_share=1e-4, steady_share=0.5)
     bell = Doorbell(1)
     drive.live.put("b", touched(three()["b"], 1, 0.05), drive.now_s)
     assert rest(drive, bell) is not None

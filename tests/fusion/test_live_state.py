@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live_canvas import Lattice
@@ -147,24 +147,24 @@ def test_cells_that_are_none_are_refused():
 # -- a restart -------------------------------------------------------------------------------------
 
 
-def restarted(drive: Drive, backend: Backend, **live: Any) -> Drive:
+def restarted(drive: Drive, device: ComputeDevice, **live: Any) -> Drive:
     """A fusion that goes on from another's state, through bytes."""
     state = drive.live.state(drive.now_s)
     assert state is not None
-    again = Drive(live_fusion(backend, **live))
+    again = Drive(live_fusion(device, **live))
     again.live.restore(LiveState.from_bytes(state.to_bytes()))
     return again
 
 
-def test_before_the_first_fusion_there_is_no_state(backend: Backend):
-    assert live_fusion(backend).state() is None
+def test_before_the_first_fusion_there_is_no_state(device: ComputeDevice):
+    assert live_fusion(device).state() is None
 
 
-def test_after_a_restart_the_lattice_and_the_cells_are_the_same(backend: Backend):
-    drive = started(backend)
+def test_after_a_restart_the_lattice_and_the_cells_are_the_same(device: ComputeDevice):
+    drive = started(device)
     drive.step(touched(three()["b"], 1))
     assert drive.fused is not None
-    again = restarted(drive, backend)
+    again = restarted(drive, device)
     # The maps of now, and not the search of everything that a new fusion needs.
     update = again.step(three()["a"], touched(three()["b"], 1), three()["c"])
     assert not update.is_full_search
@@ -178,10 +178,10 @@ def test_after_a_restart_the_lattice_and_the_cells_are_the_same(backend: Backend
         assert again.input(name).transform == drive.input(name).transform
 
 
-def test_the_last_map_is_there_before_any_input_comes(backend: Backend):
-    drive = started(backend)
+def test_the_last_map_is_there_before_any_input_comes(device: ComputeDevice):
+    drive = started(device)
     assert drive.fused is not None
-    again = restarted(drive, backend)
+    again = restarted(drive, device)
     assert again.maybe() is None
     state = again.live.state(5.0)
     assert state is not None
@@ -192,10 +192,10 @@ def test_the_last_map_is_there_before_any_input_comes(backend: Backend):
     assert {*state.transforms} == {*"abc"}
 
 
-def test_an_input_that_began_elsewhere_is_searched_and_the_frame_stays(backend: Backend):
-    drive = started(backend)
+def test_an_input_that_began_elsewhere_is_searched_and_the_frame_stays(device: ComputeDevice):
+    drive = started(device)
     assert drive.fused is not None
-    again = restarted(drive, backend)
+    again = restarted(drive, device)
     moved = {name: moved_frame(grid, AWAY) for name, grid in three().items()}
     for number in range(12):
         again.maybe(*(touched(grid, number, 0.002) for grid in moved.values()))
@@ -205,10 +205,10 @@ def test_an_input_that_began_elsewhere_is_searched_and_the_frame_stays(backend: 
     assert share_standing(drive.fused, again.fused) > 0.9
 
 
-def test_inputs_of_another_place_abstain_and_reset_takes_them(backend: Backend):
-    drive = started(backend)
+def test_inputs_of_another_place_abstain_and_reset_takes_them(device: ComputeDevice):
+    drive = started(device)
     assert drive.fused is not None
-    again = restarted(drive, backend)
+    again = restarted(drive, device)
     other = [replace(building(71, 12.0, 10.0), name=name) for name in "ab"]
     for _ in range(3):
         assert again.step(*other).fused is None
@@ -222,16 +222,16 @@ def test_inputs_of_another_place_abstain_and_reset_takes_them(backend: Backend):
     assert again.accepted() == "ab"
 
 
-def test_cells_of_another_size_than_asked_for_are_refused(backend: Backend):
-    state = started(backend).live.state()
+def test_cells_of_another_size_than_asked_for_are_refused(device: ComputeDevice):
+    state = started(device).live.state()
     assert state is not None
     config = RunConfig(fusion=FusionConfig(normalize=NormalizeConfig(resolution=0.5)))
     with pytest.raises(StateError, match=r"cells of .* resolution asks for 0.5 m"):
-        LiveFusion(config, backend).restore(state)
+        LiveFusion(config, device).restore(state)
 
 
-def test_an_input_that_was_dropped_is_recalled_with_its_last_map(backend: Backend):
-    drive = started(backend)
+def test_an_input_that_was_dropped_is_recalled_with_its_last_map(device: ComputeDevice):
+    drive = started(device)
     drive.live.drop("b", "lost: frozen")
     drive.step()
     assert drive.accepted() == "ac"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.normalize import (
@@ -62,7 +62,7 @@ def test_common_resolution_is_the_finest_or_the_given() -> None:
     assert common_resolution(grids, NormalizeConfig(resolution=0.2)) == 0.2
 
 
-def test_crop_leaves_the_known_cells_where_they_are(backend: Backend) -> None:
+def test_crop_leaves_the_known_cells_where_they_are(device: ComputeDevice) -> None:
     picture = """
 ?
    ## .
@@ -71,7 +71,7 @@ def test_crop_leaves_the_known_cells_where_they_are(backend: Backend) -> None:
       .
 ?        ?"""
     grid = draw(picture, origin=TURNED)
-    normal = normalize_grid(grid, 0.1, DEFAULTS, backend)
+    normal = normalize_grid(grid, 0.1, DEFAULTS, device)
     rows, cols = np.nonzero((grid.cells == 0) | (grid.cells == 100))
     wanted = grid.cell_centres(rows, cols)
     found = normal.grid.cell_centres(*np.nonzero(normal.cells != -1))
@@ -79,62 +79,64 @@ def test_crop_leaves_the_known_cells_where_they_are(backend: Backend) -> None:
     assert picture_of(normal.cells) == ["## .", "#   ", "    ", "   ."]
 
 
-def test_cells_between_the_thresholds_are_cropped_away_like_unknown_ones(backend: Backend) -> None:
-    normal = normalize_grid(draw("???\n?#.\n???"), 0.1, DEFAULTS, backend)
+def test_cells_between_the_thresholds_are_cropped_away_like_unknown_ones(
+    device: ComputeDevice,
+) -> None:
+    normal = normalize_grid(draw("???\n?#.\n???"), 0.1, DEFAULTS, device)
     assert picture_of(normal.cells) == ["#."]
     assert normal.grid.cells.tolist() == [[100, 0]]
 
 
-def test_all_unknown_is_refused_by_name_size_and_thresholds(backend: Backend) -> None:
+def test_all_unknown_is_refused_by_name_size_and_thresholds(device: ComputeDevice) -> None:
     grid = draw("? \n  \n ?", name="attic")
     with pytest.raises(GridError, match=r"^attic: all 3 x 2 cells are unknown .*25 %.*65 %"):
-        normalize_grid(grid, 0.1, DEFAULTS, backend)
+        normalize_grid(grid, 0.1, DEFAULTS, device)
 
 
-def test_resolution_almost_the_same_changes_no_cell(backend: Backend) -> None:
+def test_resolution_almost_the_same_changes_no_cell(device: ComputeDevice) -> None:
     grid = random_grid(3)
-    near = normalize_grid(grid, grid.resolution * (1 + 2e-8), DEFAULTS, backend)
-    same = normalize_grid(grid, grid.resolution, DEFAULTS, backend)
+    near = normalize_grid(grid, grid.resolution * (1 + 2e-8), DEFAULTS, device)
+    same = normalize_grid(grid, grid.resolution, DEFAULTS, device)
     assert np.array_equal(near.cells, same.cells)
     assert np.array_equal(near.solid, same.solid)
 
 
 @pytest.mark.parametrize("ratio", [1.25, 1.6, 2.0, 2.5, 3.0, 5.0])
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.9])
-def test_walls_survive_coarser_cells(backend: Backend, ratio: float, yaw_rad: float) -> None:
+def test_walls_survive_coarser_cells(device: ComputeDevice, ratio: float, yaw_rad: float) -> None:
     """Each thin wall cell lies in a wall cell or, by the rounding of the points, beside one."""
     grid = OccupancyGrid(building(1).cells, 0.04, Pose2(1.013, -2.007, yaw_rad))
-    normal = normalize_grid(grid, 0.04 * ratio, DEFAULTS, backend)
+    normal = normalize_grid(grid, 0.04 * ratio, DEFAULTS, device)
     thin = grid.cell_centres(*np.nonzero(grid.cells == 100))
     axes = Pose2(0.0, 0.0, -yaw_rad)
     own, coarse = axes.transform(thin), axes.transform(wall_centres(normal))
     assert nearest(own, coarse).max() <= 0.04 * (ratio / 2 + 0.5) + 1e-9
 
 
-def test_a_wall_one_cell_thick_survives_any_whole_number_of_cells(backend: Backend) -> None:
+def test_a_wall_one_cell_thick_survives_any_whole_number_of_cells(device: ComputeDevice) -> None:
     for parts in (2, 3, 4, 7):
         for at in range(parts):
             cells = np.zeros((parts, 4 * parts), dtype=np.int8)
             cells[:, parts + at] = 100
             grid = OccupancyGrid(cells, 0.05)
-            normal = normalize_grid(grid, 0.05 * parts, DEFAULTS, backend)
+            normal = normalize_grid(grid, 0.05 * parts, DEFAULTS, device)
             assert picture_of(normal.cells) == [".#.."], (parts, at)
 
 
-def test_a_coarse_cell_is_known_when_half_of_it_is(backend: Backend) -> None:
+def test_a_coarse_cell_is_known_when_half_of_it_is(device: ComputeDevice) -> None:
     grid = draw("..  ..#.\n.   ..##", 0.05)
-    normal = normalize_grid(grid, 0.1, DEFAULTS, backend)
+    normal = normalize_grid(grid, 0.1, DEFAULTS, device)
     assert picture_of(normal.cells) == [". .#"]
 
 
 @pytest.mark.parametrize("ratio", [0.8, 0.5, 0.4, 0.25])
-def test_finer_cells_keep_the_world(backend: Backend, ratio: float) -> None:
+def test_finer_cells_keep_the_world(device: ComputeDevice, ratio: float) -> None:
     """A fine cell is what the coarse cell under its centre is, yaw and offset included.
 
     Centres on the line between two coarse cells may go either way.
     """
     grid = OccupancyGrid(random_grid(5).cells, 0.1, TURNED)
-    normal = normalize_grid(grid, 0.1 * ratio, DEFAULTS, backend)
+    normal = normalize_grid(grid, 0.1 * ratio, DEFAULTS, device)
     rows, cols = np.indices(normal.shape).reshape(2, -1)
     centres = normal.grid.cell_centres(rows, cols)
     own = TURNED.inverse().transform(centres) / 0.1
@@ -160,10 +162,10 @@ def test_finer_cells_keep_the_world(backend: Backend, ratio: float) -> None:
     yaw=st.floats(-math.pi, math.pi),
 )
 def test_every_wall_has_a_wall_within_half_a_cell_after_resampling(
-    backend: Backend, seed: int, ratio: float, x: float, y: float, yaw: float
+    device: ComputeDevice, seed: int, ratio: float, x: float, y: float, yaw: float
 ) -> None:
     grid = OccupancyGrid(random_grid(seed, 12, 30).cells, 0.1, Pose2(x, y, yaw))
-    normal = normalize_grid(grid, 0.1 * ratio, DEFAULTS, backend)
+    normal = normalize_grid(grid, 0.1 * ratio, DEFAULTS, device)
     axes = Pose2(0.0, 0.0, -yaw)
     before = axes.transform(grid.cell_centres(*np.nonzero(grid.cells == 100)))
     after = axes.transform(wall_centres(normal))
@@ -172,7 +174,7 @@ def test_every_wall_has_a_wall_within_half_a_cell_after_resampling(
     assert nearest(after, before).max() <= reach
 
 
-def test_specks_count_as_cells_but_not_as_walls_to_align(backend: Backend) -> None:
+def test_specks_count_as_cells_but_not_as_walls_to_align(device: ComputeDevice) -> None:
     grid = draw(
         """
 #########
@@ -184,7 +186,7 @@ def test_specks_count_as_cells_but_not_as_walls_to_align(backend: Backend) -> No
 #########
 """
     )
-    normal = normalize_grid(grid, 0.1, DEFAULTS, backend)
+    normal = normalize_grid(grid, 0.1, DEFAULTS, device)
     assert normal.cells[4, 3] == 1
     assert normal.solid[4, 3] == 0, "a wall cell with eight free neighbours"
     assert normal.solid[2, 5:7].tolist() == [0, 0], "two wall cells with seven each"
@@ -192,46 +194,44 @@ def test_specks_count_as_cells_but_not_as_walls_to_align(backend: Backend) -> No
     assert normal.solid[:, 0].all()
 
 
-def test_where_all_walls_are_specks_all_of_them_count(backend: Backend) -> None:
-    normal = normalize_grid(draw(".....\n.#.#.\n....."), 0.1, DEFAULTS, backend)
+def test_where_all_walls_are_specks_all_of_them_count(device: ComputeDevice) -> None:
+    normal = normalize_grid(draw(".....\n.#.#.\n....."), 0.1, DEFAULTS, device)
     assert np.array_equal(normal.solid, normal.cells == 1)
 
 
-def test_specks_are_judged_before_resampling(backend: Backend) -> None:
+def test_specks_are_judged_before_resampling(device: ComputeDevice) -> None:
     """Doubling a speck makes four cells with five free neighbours each: still a speck."""
     picture = "#######\n#.....#\n#..#..#\n#.....#\n#######"
-    normal = normalize_grid(draw(picture, 0.1), 0.05, DEFAULTS, backend)
+    normal = normalize_grid(draw(picture, 0.1), 0.05, DEFAULTS, device)
     assert (normal.cells[4:6, 6:8] == 1).all()
     assert not normal.solid[4:6, 6:8].any()
     assert normal.solid.sum() == 4 * (2 * 7 + 2 * 3)
 
 
-def test_normalised_cells_are_frozen(backend: Backend) -> None:
-    normal = normalize_grid(random_grid(1), 0.1, DEFAULTS, backend)
+def test_normalised_cells_are_frozen(device: ComputeDevice) -> None:
+    normal = normalize_grid(random_grid(1), 0.1, DEFAULTS, device)
     assert not normal.cells.flags.writeable
     assert not normal.solid.flags.writeable
 
 
-def test_unknown_margins_change_nothing(backend: Backend) -> None:
+def test_unknown_margins_change_nothing(device: ComputeDevice) -> None:
     grid = OccupancyGrid(random_grid(2).cells, 0.1, TURNED)
-    plain = normalize_grid(grid, 0.1, DEFAULTS, backend)
-    grown = normalize_grid(padded(grid, 3, 40, 17, 1), 0.1, DEFAULTS, backend)
+    plain = normalize_grid(grid, 0.1, DEFAULTS, device)
+    grown = normalize_grid(padded(grid, 3, 40, 17, 1), 0.1, DEFAULTS, device)
     assert np.array_equal(plain.cells, grown.cells)
     assert np.array_equal(plain.solid, grown.solid)
     a, b = plain.grid.origin, grown.grid.origin
     assert (a.x, a.y, a.yaw_rad) == pytest.approx((b.x, b.y, b.yaw_rad), abs=1e-9)
 
 
-def test_lattice_box_of_a_grid_on_itself_is_its_own(backend: Backend) -> None:
-    normal = normalize_grid(
-        OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, backend
-    )
+def test_lattice_box_of_a_grid_on_itself_is_its_own(device: ComputeDevice) -> None:
+    normal = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
     assert lattice_box(normal, Pose2(), normal) == CellBox(0, 0, *normal.shape)
 
 
-def test_lattice_box_holds_every_corner_of_a_turned_grid(backend: Backend) -> None:
-    inner = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, backend)
-    outer = normalize_grid(random_grid(4), 0.1, DEFAULTS, backend)
+def test_lattice_box_holds_every_corner_of_a_turned_grid(device: ComputeDevice) -> None:
+    inner = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
+    outer = normalize_grid(random_grid(4), 0.1, DEFAULTS, device)
     motion = Pose2(4.0, -1.0, 1.1)
     box = lattice_box(inner, motion, outer)
     rows, cols = np.indices(inner.shape).reshape(2, -1)

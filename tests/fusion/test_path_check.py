@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.consistency import PATH_GAP
@@ -97,18 +97,20 @@ def test_fewer_than_two_have_nobody_to_disagree_with(names: tuple[str, ...]) -> 
     assert agreeing(names, (), 1.0) == (names, {})
 
 
-def test_maps_whose_paths_agree_all_vote(backend: Backend) -> None:
+def test_maps_whose_paths_agree_all_vote(device: ComputeDevice) -> None:
     grids, paths = producers()
-    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, backend)
+    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
     assert [record.name for record in result.accepted] == ["a", "b", "c"]
     assert len(gaps) == 3
     assert max(gap.max_m for gap in gaps) < 0.2
 
 
-def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(backend: Backend) -> None:
+def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(
+    device: ComputeDevice,
+) -> None:
     grids, paths = producers()
     paths["b"] = moved_path(paths["b"], Pose2(0.0, 2.0))
-    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, backend)
+    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
     assert [record.name for record in result.accepted] == ["a", "c"]
     (rejected,) = result.rejected
     assert rejected.name == "b"
@@ -119,23 +121,23 @@ def test_a_producer_that_was_elsewhere_is_left_out_though_its_walls_fit(backend:
     assert len(gaps) == 3
     assert len(result.pairs) == 3
     # The vote is that of the other two alone.
-    without, _ = fuse_with_paths([grids[0], grids[2]], paths, QUICK, 0.5, backend)
+    without, _ = fuse_with_paths([grids[0], grids[2]], paths, QUICK, 0.5, device)
     assert np.array_equal(result.fused.cells, without.fused.cells)
 
 
-def test_a_saved_map_has_no_path_and_votes(backend: Backend) -> None:
+def test_a_saved_map_has_no_path_and_votes(device: ComputeDevice) -> None:
     grids, paths = producers()
     del paths["b"]
-    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, backend)
+    result, gaps = fuse_with_paths(grids, paths, QUICK, 0.5, device)
     assert len(result.accepted) == 3
     assert [(gap.a, gap.b) for gap in gaps] == [("a", "c")]
 
 
-def test_two_producers_that_were_apart_are_not_fused(backend: Backend) -> None:
+def test_two_producers_that_were_apart_are_not_fused(device: ComputeDevice) -> None:
     grids, paths = producers()
     paths["b"] = moved_path(paths["b"], Pose2(0.0, 2.0))
     with pytest.raises(PathsApartError, match="the paths do not") as caught:
-        fuse_with_paths(grids[:2], paths, QUICK, 0.5, backend)
+        fuse_with_paths(grids[:2], paths, QUICK, 0.5, device)
     assert len(caught.value.pairs) == 1
     (gap,) = caught.value.gaps
     assert gap.median_m == pytest.approx(2.0, abs=0.2)
@@ -160,14 +162,16 @@ def square(name: str) -> OccupancyGrid:
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2])
-def test_a_map_that_walls_leave_open_is_placed_by_its_path(backend: Backend, turns: int) -> None:
+def test_a_map_that_walls_leave_open_is_placed_by_its_path(
+    device: ComputeDevice, turns: int
+) -> None:
     grids = [square("a"), square("b")]
     with pytest.raises(AlignmentError, match="ambiguous"):
-        fuse_grids(grids, QUICK, backend)
+        fuse_grids(grids, QUICK, device)
     turn = Pose2(0.0, 0.0, turns * math.pi / 2.0)
     path = moved_path(TRUE_PATH, Pose2(-4.0, -3.0))
     result, _ = fuse_with_paths(
-        grids, {"a": path, "b": moved_path(path, turn.inverse())}, QUICK, 0.5, backend
+        grids, {"a": path, "b": moved_path(path, turn.inverse())}, QUICK, 0.5, device
     )
     assert len(result.accepted) == 2
     (pair,) = result.pairs
@@ -179,11 +183,11 @@ def test_a_map_that_walls_leave_open_is_placed_by_its_path(backend: Backend, tur
     assert abs(off.yaw_rad) < 0.02
 
 
-def test_without_walls_that_meet_no_path_places_a_map(backend: Backend) -> None:
+def test_without_walls_that_meet_no_path_places_a_map(device: ComputeDevice) -> None:
     grids, _ = producers()
     stranger = building(77, 8.0, 7.5).with_name("b")
     with pytest.raises(AlignmentError, match="no two of the inputs"):
-        fuse_with_paths([grids[0], stranger], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, 1.0, backend)
+        fuse_with_paths([grids[0], stranger], {"a": TRUE_PATH, "b": TRUE_PATH}, QUICK, 1.0, device)
 
 
 def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> None:
@@ -201,11 +205,11 @@ def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> N
     assert agreeing(("a", "b"), path_gaps(paths), 1.0) == (("a", "b"), {})
 
 
-def test_the_best_founded_map_is_the_one_that_others_bear_out(backend: Backend) -> None:
+def test_the_best_founded_map_is_the_one_that_others_bear_out(device: ComputeDevice) -> None:
     grids, _ = producers()
-    pairs = fuse_grids(grids, QUICK, backend).pairs
+    pairs = fuse_grids(grids, QUICK, device).pairs
     lost = building(77, 8.0, 7.5).with_name("lost")
-    with_lost = fuse_grids([*grids[:2], lost], QUICK, backend)
+    with_lost = fuse_grids([*grids[:2], lost], QUICK, device)
     assert best_founded([lost, *grids[:2]], with_lost.pairs).name in {"a", "b"}
     assert best_founded(grids[1:2], pairs).name == "b"
     # The one that closes loops is taken where it is nearly as well borne out, and only there.
@@ -224,8 +228,8 @@ def test_the_best_founded_map_is_the_one_that_others_bear_out(backend: Backend) 
     assert best_founded([small, lost], ()) is lost
 
 
-def test_maps_of_two_places_are_told_apart_by_their_walls(backend: Backend) -> None:
+def test_maps_of_two_places_are_told_apart_by_their_walls(device: ComputeDevice) -> None:
     grids, paths = producers()
     stranger = building(77, 8.0, 7.5).with_name("b")
     with pytest.raises(AlignmentError, match="no two of the inputs"):
-        fuse_with_paths([grids[0], stranger], paths, QUICK, 0.5, backend)
+        fuse_with_paths([grids[0], stranger], paths, QUICK, 0.5, device)

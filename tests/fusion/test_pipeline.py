@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import FusionResult, fuse_grids, normalize
@@ -62,12 +62,14 @@ def stranger(name: str = "stranger") -> OccupancyGrid:
 
 
 @pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])
-def test_the_same_maps_vote_again_as_they_would_have_voted(backend: Backend, mode: str) -> None:
+def test_the_same_maps_vote_again_as_they_would_have_voted(
+    device: ComputeDevice, mode: str
+) -> None:
     grids, _ = three()
     given = [*grids, stranger()]
-    first = fuse_grids(given, QUICK, backend)
+    first = fuse_grids(given, QUICK, device)
     config = replace(QUICK, vote=replace(QUICK.vote, mode=mode))
-    again, wanted = vote_again(first, config, backend), fuse_grids(given, config, backend)
+    again, wanted = vote_again(first, config, device), fuse_grids(given, config, device)
     assert np.array_equal(again.fused.cells, wanted.fused.cells)
     assert np.array_equal(again.agreement.cells, wanted.agreement.cells)
     assert again.weights == wanted.weights
@@ -99,9 +101,9 @@ def assert_same_world(a: OccupancyGrid, b: OccupancyGrid) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_three_faulty_maps_of_one_place_all_vote(backend: Backend, seed: int) -> None:
+def test_three_faulty_maps_of_one_place_all_vote(device: ComputeDevice, seed: int) -> None:
     grids, poses = three(seed)
-    result = fuse_grids(grids, QUICK, backend)
+    result = fuse_grids(grids, QUICK, device)
     assert [record.name for record in result.accepted] == ["a", "b", "c"]
     assert result.phantom_cells == 0
     base = poses["abc".index(result.reference)]
@@ -112,23 +114,23 @@ def test_three_faulty_maps_of_one_place_all_vote(backend: Backend, seed: int) ->
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_fused_map_is_nearer_the_truth_than_any_input(backend: Backend, seed: int) -> None:
+def test_the_fused_map_is_nearer_the_truth_than_any_input(device: ComputeDevice, seed: int) -> None:
     grids, poses = three(seed)
-    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(extent="union")), backend)
+    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(extent="union")), device)
     alone = [truth_error(g, place(seed), p) for g, p in zip(grids, poses, strict=True)]
     fused = truth_error(result.fused, place(seed), poses["abc".index(result.reference)])
     assert fused < min(alone)
 
 
-def test_the_result_is_complete(backend: Backend) -> None:
+def test_the_result_is_complete(device: ComputeDevice) -> None:
     grids, _ = three()
     steps: list[tuple[str, int, int]] = []
-    result = fuse_grids(grids, QUICK, backend, lambda *step: steps.append(step))
+    result = fuse_grids(grids, QUICK, device, lambda *step: steps.append(step))
     assert [(p.reference, p.moving) for p in result.pairs if not p.accepted] == []
     assert {frozenset((p.reference, p.moving)) for p in result.pairs} == {
         frozenset(names) for names in itertools.combinations("abc", 2)
     }
-    assert result.device == backend.name
+    assert result.device == device.name
     assert result.time_s > 0
     assert result.weights == {"a": 1.0, "b": 1.0, "c": 1.0}
     assert set(np.unique(result.fused.cells).tolist()) <= {-1, 0, 100}
@@ -142,27 +144,27 @@ def test_the_result_is_complete(backend: Backend) -> None:
     assert [step[1:] for step in steps] == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
-def test_dissent_marks_where_an_input_was_outvoted(backend: Backend) -> None:
+def test_dissent_marks_where_an_input_was_outvoted(device: ComputeDevice) -> None:
     grids, _ = three()
-    result = fuse_grids(grids, QUICK, backend)
+    result = fuse_grids(grids, QUICK, device)
     fused = np.select([result.fused.cells == 100, result.fused.cells == 0], [1, 0], -1)
     for record in result.inputs:
         # Three voters under auto: unknown is a value, so any other cell is dissent.
         assert np.array_equal(record.dissent, record.aligned != fused)
 
 
-def test_the_reference_keeps_its_cells_where_they_are(backend: Backend) -> None:
+def test_the_reference_keeps_its_cells_where_they_are(device: ComputeDevice) -> None:
     """Three copies fused are the map itself, in its own frame and on its own lattice."""
     grid = with_origin(place(), Pose2(4.37, -2.11, 0.9))
     copies = [grid.with_name(name) for name in "abc"]
-    result = fuse_grids(copies, QUICK, backend)
+    result = fuse_grids(copies, QUICK, device)
     assert_same_world(result.fused, grid)
     assert result.agreement.cells[result.fused.cells >= 0].min() == 100
 
 
-def test_an_unrelated_map_is_named_and_the_others_fused(backend: Backend) -> None:
+def test_an_unrelated_map_is_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
-    result = fuse_grids([grids[0], stranger(), grids[1]], QUICK, backend)
+    result = fuse_grids([grids[0], stranger(), grids[1]], QUICK, device)
     assert [record.name for record in result.accepted] == ["a", "b"]
     (left_out,) = result.rejected
     assert left_out.name == "stranger"
@@ -174,20 +176,20 @@ def test_an_unrelated_map_is_named_and_the_others_fused(backend: Backend) -> Non
     assert result.phantom_cells == 0
     assert len(result.pairs) == 3
     assert list(result.weights) == ["a", "b"]
-    alone = fuse_grids([grids[0], grids[1]], QUICK, backend)
+    alone = fuse_grids([grids[0], grids[1]], QUICK, device)
     assert np.array_equal(result.fused.cells, alone.fused.cells)
 
 
-def test_two_unrelated_maps_fuse_to_nothing_and_both_are_named(backend: Backend) -> None:
+def test_two_unrelated_maps_fuse_to_nothing_and_both_are_named(device: ComputeDevice) -> None:
     with pytest.raises(AlignmentError, match="no two of the inputs stranger, a align") as error:
-        fuse_grids([stranger(), three()[0][0]], QUICK, backend)
+        fuse_grids([stranger(), three()[0][0]], QUICK, device)
     assert len(error.value.pairs) == 1
     assert {error.value.pairs[0].moving, error.value.pairs[0].reference} == {"stranger", "a"}
 
 
-def test_a_single_map_is_its_own_fusion(backend: Backend) -> None:
+def test_a_single_map_is_its_own_fusion(device: ComputeDevice) -> None:
     grid = padded(with_origin(place().with_name("only"), Pose2(1.0, 2.0, 0.4)), 5, 0, 7, 3)
-    result = fuse_grids([grid], QUICK, backend)
+    result = fuse_grids([grid], QUICK, device)
     assert_same_world(result.fused, grid)
     assert result.reference == "only"
     assert result.pairs == ()
@@ -198,14 +200,14 @@ def test_a_single_map_is_its_own_fusion(backend: Backend) -> None:
     assert not np.any(record.dissent)
 
 
-def test_a_single_map_without_a_known_cell_is_refused_by_name(backend: Backend) -> None:
+def test_a_single_map_without_a_known_cell_is_refused_by_name(device: ComputeDevice) -> None:
     with pytest.raises(AlignmentError, match="fog: all 1 x 2 cells are unknown"):
-        fuse_grids([draw(" ?", name="fog")], QUICK, backend)
+        fuse_grids([draw(" ?", name="fog")], QUICK, device)
 
 
-def test_an_unknown_map_among_three_is_named_and_the_others_fused(backend: Backend) -> None:
+def test_an_unknown_map_among_three_is_named_and_the_others_fused(device: ComputeDevice) -> None:
     grids, _ = three()
-    result = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2]], QUICK, backend)
+    result = fuse_grids([draw(" ?\n  ", name="fog"), *grids[:2]], QUICK, device)
     assert [record.name for record in result.accepted] == ["a", "b"]
     (fog,) = result.rejected
     assert fog.name == "fog"
@@ -214,37 +216,37 @@ def test_an_unknown_map_among_three_is_named_and_the_others_fused(backend: Backe
     assert len(result.pairs) == 1
 
 
-def test_a_map_without_walls_among_three_is_named(backend: Backend) -> None:
+def test_a_map_without_walls_among_three_is_named(device: ComputeDevice) -> None:
     grids, _ = three()
-    result = fuse_grids([*grids[:2], draw("....\n....", name="lawn")], QUICK, backend)
+    result = fuse_grids([*grids[:2], draw("....\n....", name="lawn")], QUICK, device)
     (lawn,) = result.rejected
     assert "lawn has no occupied cell" in lawn.reason
     assert len(result.accepted) == 2
 
 
-def test_nothing_to_fuse_is_refused(backend: Backend) -> None:
+def test_nothing_to_fuse_is_refused(device: ComputeDevice) -> None:
     with pytest.raises(AlignmentError, match="at least one map"):
-        fuse_grids([], QUICK, backend)
+        fuse_grids([], QUICK, device)
 
 
-def test_names_given_twice_are_refused(backend: Backend) -> None:
+def test_names_given_twice_are_refused(device: ComputeDevice) -> None:
     grids, _ = three()
     with pytest.raises(ConfigError, match=r"distinct names; given twice: a$"):
-        fuse_grids([grids[0], grids[1], grids[2].with_name("a")], QUICK, backend)
+        fuse_grids([grids[0], grids[1], grids[2].with_name("a")], QUICK, device)
 
 
-def test_order_of_the_inputs_does_not_change_the_fused_map(backend: Backend) -> None:
+def test_order_of_the_inputs_does_not_change_the_fused_map(device: ComputeDevice) -> None:
     grids, _ = three()
-    wanted = fuse_grids(grids, QUICK, backend)
+    wanted = fuse_grids(grids, QUICK, device)
     for order in itertools.permutations(grids):
-        result = fuse_grids(order, QUICK, backend)
+        result = fuse_grids(order, QUICK, device)
         assert result.reference == wanted.reference
         assert np.array_equal(result.fused.cells, wanted.fused.cells)
 
 
-def test_same_input_same_fused_map(backend: Backend) -> None:
+def test_same_input_same_fused_map(device: ComputeDevice) -> None:
     grids, _ = three()
-    first, second = (fuse_grids(grids, QUICK, backend) for _ in range(2))
+    first, second = (fuse_grids(grids, QUICK, device) for _ in range(2))
     assert first.fused.cells.tobytes() == second.fused.cells.tobytes()
     assert first.fused.origin == second.fused.origin
 
@@ -252,43 +254,43 @@ def test_same_input_same_fused_map(backend: Backend) -> None:
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(margins=st.tuples(*[st.integers(0, 60)] * 4), which=st.integers(0, 2))
 def test_growing_an_input_moves_no_fused_cell(
-    backend: Backend, margins: tuple[int, int, int, int], which: int
+    device: ComputeDevice, margins: tuple[int, int, int, int], which: int
 ) -> None:
     """Unknown cells around an input are no news; nor is cropping them off again."""
     grids, _ = three()
     config = replace(QUICK, reference="a")
-    wanted = fuse_grids(grids, config, backend)
+    wanted = fuse_grids(grids, config, device)
     grown = [padded(g, *margins) if k == which else g for k, g in enumerate(grids)]
-    result = fuse_grids(grown, config, backend)
+    result = fuse_grids(grown, config, device)
     assert_same_world(result.fused, wanted.fused)
     assert_same_world(result.agreement, wanted.agreement)
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_cropping_unknown_margins_moves_no_fused_cell(backend: Backend, which: int) -> None:
+def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, which: int) -> None:
     grids = [padded(grid, 9, 4, 13, 22) for grid in three()[0]]
     config = replace(QUICK, reference="a")
     box = grids[which].known_box()
     assert box is not None
     cropped = [g.crop(box) if k == which else g for k, g in enumerate(grids)]
-    wanted, result = (fuse_grids(some, config, backend) for some in (grids, cropped))
+    wanted, result = (fuse_grids(some, config, device) for some in (grids, cropped))
     assert_same_world(result.fused, wanted.fused)
 
 
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(x=st.floats(-600, 600), y=st.floats(-600, 600), yaw=ANGLES, which=st.integers(1, 2))
 def test_shifting_an_input_moves_no_fused_cell(
-    backend: Backend, x: float, y: float, yaw: float, which: int
+    device: ComputeDevice, x: float, y: float, yaw: float, which: int
 ) -> None:
     """Another origin of an input, its frame moved and turned anywhere: the transform makes up."""
     grids, _ = three()
     config = replace(QUICK, reference="a")
-    wanted = fuse_grids(grids, config, backend)
+    wanted = fuse_grids(grids, config, device)
     there = Pose2(x, y, yaw)
     moved = [
         with_origin(g, there.compose(g.origin)) if k == which else g for k, g in enumerate(grids)
     ]
-    result = fuse_grids(moved, config, backend)
+    result = fuse_grids(moved, config, device)
     assert_same_world(result.fused, wanted.fused)
     old, new = wanted.inputs[which].alignment, result.inputs[which].alignment
     assert old is not None
@@ -300,38 +302,38 @@ def test_shifting_an_input_moves_no_fused_cell(
 
 @pytest.mark.parametrize("place_m", [(5e5, 1e7), (-ORIGIN_MOST_M, ORIGIN_MOST_M)])
 def test_maps_as_far_from_zero_as_may_be_fuse_as_near_it(
-    backend: Backend, place_m: tuple[float, float]
+    device: ComputeDevice, place_m: tuple[float, float]
 ) -> None:
     grids, _ = three()
-    wanted = fuse_grids(grids, QUICK, backend)
+    wanted = fuse_grids(grids, QUICK, device)
     there = Pose2(*place_m)
     moved = [with_origin(grid, there.compose(grid.origin)) for grid in grids]
-    result = fuse_grids(moved, QUICK, backend)
+    result = fuse_grids(moved, QUICK, device)
     assert np.array_equal(result.fused.cells, wanted.fused.cells)
     assert result.fused.origin.x - there.x == pytest.approx(wanted.fused.origin.x, abs=1e-6)
     assert result.fused.origin.y - there.y == pytest.approx(wanted.fused.origin.y, abs=1e-6)
 
 
-def test_shifting_the_reference_moves_the_fused_map_with_it(backend: Backend) -> None:
+def test_shifting_the_reference_moves_the_fused_map_with_it(device: ComputeDevice) -> None:
     grids, _ = three()
     config = replace(QUICK, reference="a")
     there = Pose2(31.0, -7.3, 1.0)
-    wanted = fuse_grids(grids, config, backend)
+    wanted = fuse_grids(grids, config, device)
     moved = with_origin(grids[0], there.compose(grids[0].origin))
-    result = fuse_grids([moved, *grids[1:]], config, backend)
+    result = fuse_grids([moved, *grids[1:]], config, device)
     assert_same_world(result.fused, with_origin(wanted.fused, there.compose(wanted.fused.origin)))
 
 
-def test_growing_by_whole_cells_through_the_origin_is_the_same_map(backend: Backend) -> None:
+def test_growing_by_whole_cells_through_the_origin_is_the_same_map(device: ComputeDevice) -> None:
     """A map that gained rows and columns of unknown on its lower side starts farther away."""
     grid = three()[0][1]
     grown = grid.crop(CellBox(-30, -50, grid.height, grid.width))
     assert grown.origin != grid.origin
-    wanted = fuse_grids([three()[0][0], grid], QUICK, backend)
-    assert_same_world(fuse_grids([three()[0][0], grown], QUICK, backend).fused, wanted.fused)
+    wanted = fuse_grids([three()[0][0], grid], QUICK, device)
+    assert_same_world(fuse_grids([three()[0][0], grown], QUICK, device).fused, wanted.fused)
 
 
-def test_union_and_reference_share_one_lattice(backend: Backend) -> None:
+def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
     truth = place()
     parts = [
         replace(truth, cells=truth.cells[:, :75], name="west"),
@@ -340,8 +342,8 @@ def test_union_and_reference_share_one_lattice(backend: Backend) -> None:
     # Two halves of a small place: told apart only by the frame they share.
     align = replace(QUICK.align, shared_frame=True)
     config = replace(QUICK, reference="west", align=align)
-    inner = fuse_grids(parts, config, backend).fused
-    outer = fuse_grids(parts, replace(config, vote=VoteConfig(extent="union")), backend).fused
+    inner = fuse_grids(parts, config, device).fused
+    outer = fuse_grids(parts, replace(config, vote=VoteConfig(extent="union")), device).fused
     assert outer.width > inner.width
     assert inner.cells.shape == parts[0].cells.shape
     offset = outer.origin.inverse().transform((inner.origin.x, inner.origin.y)) / inner.resolution
@@ -355,10 +357,10 @@ def test_union_and_reference_share_one_lattice(backend: Backend) -> None:
 @pytest.mark.parametrize("extent", ["reference", "union"])
 @pytest.mark.parametrize("unknown", ["auto", "value", "abstain"])
 @pytest.mark.parametrize("mode", ["majority", "weighted", "log-odds"])
-def test_every_mode_fuses(backend: Backend, mode: str, unknown: str, extent: str) -> None:
+def test_every_mode_fuses(device: ComputeDevice, mode: str, unknown: str, extent: str) -> None:
     grids, poses = three()
     config = replace(QUICK, vote=VoteConfig(mode, unknown, extent))
-    result = fuse_grids(grids, config, backend)
+    result = fuse_grids(grids, config, device)
     assert len(result.accepted) == 3
     error = truth_error(result.fused, place(), poses["abc".index(result.reference)])
     assert error < 0.3
@@ -370,12 +372,12 @@ def test_every_mode_fuses(backend: Backend, mode: str, unknown: str, extent: str
 
 
 @pytest.mark.parametrize("mode", ["consensus", "log-odds"])
-def test_outer_walls_have_their_backs_beyond_the_inputs(backend: Backend, mode: str) -> None:
+def test_outer_walls_have_their_backs_beyond_the_inputs(device: ComputeDevice, mode: str) -> None:
     """Three equal maps end at their outer walls: the backs of these lie one cell further out."""
     truth = place()
     grids = [truth.with_name(name) for name in "abc"]
-    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode)), backend)
-    bare = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode, solid_walls=False)), backend)
+    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode)), device)
+    bare = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode, solid_walls=False)), device)
     assert_same_world(bare.fused, truth)
     assert bare.wall_backs == 0
     assert result.fused.cells.shape == tuple(side + 2 for side in bare.fused.cells.shape)
@@ -388,71 +390,71 @@ def test_outer_walls_have_their_backs_beyond_the_inputs(backend: Backend, mode: 
     assert not any(record.dissent[is_back].any() for record in result.inputs)
 
 
-def test_the_noisier_input_weighs_less(backend: Backend) -> None:
+def test_the_noisier_input_weighs_less(device: ComputeDevice) -> None:
     truth = place()
     made = [
         degraded(truth, index, name, flip_share=share)[0]
         for index, (name, share) in enumerate((("a", 0.01), ("b", 0.01), ("noisy", 0.08)))
     ]
-    result = fuse_grids(made, replace(QUICK, vote=VoteConfig(mode="weighted")), backend)
+    result = fuse_grids(made, replace(QUICK, vote=VoteConfig(mode="weighted")), device)
     assert result.weights["noisy"] < min(result.weights["a"], result.weights["b"])
 
 
-def test_thresholds_of_the_config_decide_the_log_odds(backend: Backend) -> None:
+def test_thresholds_of_the_config_decide_the_log_odds(device: ComputeDevice) -> None:
     """One map of 60 % walls, walls being 55 % and more: it is its own fusion in every mode."""
     truth = place()
     faint = replace(truth, cells=np.where(truth.cells == 100, np.int8(60), truth.cells), name="f")
     config = FusionConfig(
         normalize=NormalizeConfig(occupied_percent=55.0), vote=VoteConfig(mode="log-odds")
     )
-    fused = fuse_grids([faint], config, backend).fused
+    fused = fuse_grids([faint], config, device).fused
     assert_same_world(fused, truth)
 
 
-def table_of(shapes: dict[str, tuple[int, int]], backend: Backend) -> dict[str, GridFeatures]:
+def table_of(shapes: dict[str, tuple[int, int]], device: ComputeDevice) -> dict[str, GridFeatures]:
     """Features of blank rooms, rows x columns of known cells, by name."""
     return {
-        name: features_of(draw("\n".join(["#" * cols] * rows), name=name), backend)
+        name: features_of(draw("\n".join(["#" * cols] * rows), name=name), device)
         for name, (rows, cols) in shapes.items()
     }
 
 
 def test_the_reference_is_the_smallest_box_of_those_half_as_large_as_usual(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    features = table_of({"a": (40, 40), "b": (30, 40), "c": (35, 35), "new": (10, 10)}, backend)
+    features = table_of({"a": (40, 40), "b": (30, 40), "c": (35, 35), "new": (10, 10)}, device)
     names = list(features)
     assert choose_reference(names, features, None, names) == "b"
     # The median of the three known areas is 1225 cells; half of it is 612.
-    half = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 31)}, backend)
+    half = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 31)}, device)
     assert choose_reference(list(half), half, None, list(half)) == "d"
-    less = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 30)}, backend)
+    less = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 30)}, device)
     assert choose_reference(list(less), less, None, list(less)) == "c"
 
 
-def test_a_newborn_map_is_never_the_reference(backend: Backend) -> None:
-    features = table_of({"one": (1, 1), "a": (40, 40), "b": (41, 40)}, backend)
+def test_a_newborn_map_is_never_the_reference(device: ComputeDevice) -> None:
+    features = table_of({"one": (1, 1), "a": (40, 40), "b": (41, 40)}, device)
     for members in itertools.permutations(features):
         assert choose_reference(members, features, None, list(features)) == "a"
     assert choose_reference(["one", "a"], features, None, list(features)) == "a"
 
 
-def test_a_box_without_much_known_is_no_reference(backend: Backend) -> None:
+def test_a_box_without_much_known_is_no_reference(device: ComputeDevice) -> None:
     """Half the usual known area is asked for, not half the usual box."""
     hollow = draw("\n".join(["#" * 30, *["#" + " " * 28 + "#"] * 28, "#" * 30]), name="hollow")
-    features = table_of({"a": (40, 40), "b": (40, 41)}, backend)
-    features["hollow"] = features_of(hollow, backend)
+    features = table_of({"a": (40, 40), "b": (40, 41)}, device)
+    features["hollow"] = features_of(hollow, device)
     assert choose_reference(list(features), features, None, list(features)) == "a"
 
 
-def test_a_name_or_an_index_chooses_the_reference(backend: Backend) -> None:
+def test_a_name_or_an_index_chooses_the_reference(device: ComputeDevice) -> None:
     grids, _ = three()
     for wanted, name in (("c", "c"), ("1", "b"), ("0", "a")):
-        assert fuse_grids(grids, replace(QUICK, reference=wanted), backend).reference == name
+        assert fuse_grids(grids, replace(QUICK, reference=wanted), device).reference == name
 
 
-def test_a_name_comes_before_an_index(backend: Backend) -> None:
-    features = table_of({"1": (40, 40), "0": (30, 30)}, backend)
+def test_a_name_comes_before_an_index(device: ComputeDevice) -> None:
+    features = table_of({"1": (40, 40), "0": (30, 30)}, device)
     assert choose_reference(["1", "0"], features, "0", ["1", "0"]) == "0"
 
 
@@ -460,23 +462,25 @@ def test_a_name_comes_before_an_index(backend: Backend) -> None:
     ("wanted", "words"),
     [("nobody", "is none of them"), ("7", "is none of them"), ("stranger", "was rejected")],
 )
-def test_a_reference_that_cannot_be_is_refused(backend: Backend, wanted: str, words: str) -> None:
+def test_a_reference_that_cannot_be_is_refused(
+    device: ComputeDevice, wanted: str, words: str
+) -> None:
     grids = [three()[0][0], three()[0][1], stranger()]
     with pytest.raises(ConfigError, match=rf"reference '{wanted}' {words}.* a, b$"):
-        fuse_grids(grids, replace(QUICK, reference=wanted), backend)
+        fuse_grids(grids, replace(QUICK, reference=wanted), device)
 
 
 def test_work_that_would_not_fit_into_memory_is_refused(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grids, _ = three()
     monkeypatch.setattr(memory, "available_memory", lambda: 1000)
     with pytest.raises(MemoryBudgetError, match=r"^b: .*needs .* of memory"):
-        fuse_grids(grids, QUICK, backend)
+        fuse_grids(grids, QUICK, device)
 
 
 def test_memory_is_asked_for_at_the_common_resolution(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A coarse map brought to fine cells takes what the fine map takes."""
     asked: list[int] = []
@@ -485,11 +489,11 @@ def test_memory_is_asked_for_at_the_common_resolution(
     fine, _ = degraded(place(), 1, "fine", resolution=0.05)
     box = fine.known_box()
     assert box is not None
-    fuse_grids([coarse, fine], QUICK, backend)
+    fuse_grids([coarse, fine], QUICK, device)
     assert sum(asked) >= normalize.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
 
 
-def test_maps_of_three_resolutions_fuse_at_the_finest(backend: Backend) -> None:
+def test_maps_of_three_resolutions_fuse_at_the_finest(device: ComputeDevice) -> None:
     truth = building(1, 11.0, 9.0, 0.05)
     made = [
         degraded(truth, index, name, yaw_rad=yaw, resolution=size)
@@ -497,7 +501,7 @@ def test_maps_of_three_resolutions_fuse_at_the_finest(backend: Backend) -> None:
             (("a", 0.3, 0.05), ("b", -2.0, 0.04), ("c", 1.0, 0.1))
         )
     ]
-    result = fuse_grids([grid for grid, _ in made], QUICK, backend)
+    result = fuse_grids([grid for grid, _ in made], QUICK, device)
     assert len(result.accepted) == 3
     assert result.fused.resolution == 0.04
     base = made["abc".index(result.reference)][1]
@@ -506,7 +510,7 @@ def test_maps_of_three_resolutions_fuse_at_the_finest(backend: Backend) -> None:
         assert_right(record.alignment, grid, base.inverse().compose(pose), cells=1.25)
 
 
-def test_the_numpy_twins_fuse_the_same_cells(backend: Backend, twins: Backend) -> None:
+def test_the_numpy_twins_fuse_the_same_cells(device: ComputeDevice, twins: ComputeDevice) -> None:
     """On a place of 7 m with cells of 0.2 m, for the twins are slow."""
     truth = building(3, 8.0, 7.0, 0.2)
     made = [
@@ -514,7 +518,7 @@ def test_the_numpy_twins_fuse_the_same_cells(backend: Backend, twins: Backend) -
         for index, (name, yaw) in enumerate((("a", 0.0), ("b", 0.35)))
     ]
     config = fusion_config(window_m=1.2, window_yaw_rad=0.5)
-    results: list[FusionResult] = [fuse_grids(made, config, each) for each in (backend, twins)]
+    results: list[FusionResult] = [fuse_grids(made, config, each) for each in (device, twins)]
     assert np.array_equal(results[0].fused.cells, results[1].fused.cells)
     assert np.array_equal(results[0].agreement.cells, results[1].agreement.cells)
     assert results[0].reference == results[1].reference

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.proof import (
     APART,
@@ -33,14 +33,14 @@ OPEN = SearchWindow()
 
 
 def lattice_of(
-    backend: Backend,
+    device: ComputeDevice,
     reference: OccupancyGrid,
     moving: OccupancyGrid,
     window: SearchWindow = OPEN,
     config: AlignConfig = CONFIG,
 ) -> LatticeScore:
-    a, b = features_of(reference, backend), features_of(moving, backend)
-    return LatticeScore(a, b, config, window, backend)
+    a, b = features_of(reference, device), features_of(moving, device)
+    return LatticeScore(a, b, config, window, device)
 
 
 def all_scores(lattice: LatticeScore, yaws: range | None = None) -> np.ndarray:
@@ -75,40 +75,44 @@ def assert_bounds_hold(lattice: LatticeScore, scores: np.ndarray, steps: tuple[i
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(first=st.integers(0, 10_000), second=st.integers(0, 10_000))
-def test_no_member_of_a_block_exceeds_its_bound(backend: Backend, first: int, second: int) -> None:
-    lattice = lattice_of(backend, random_grid(first, 20, 36), random_grid(second, 20, 36))
+def test_no_member_of_a_block_exceeds_its_bound(
+    device: ComputeDevice, first: int, second: int
+) -> None:
+    lattice = lattice_of(device, random_grid(first, 20, 36), random_grid(second, 20, 36))
     assert_bounds_hold(lattice, all_scores(lattice), (2, 4, 8))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_bounds_hold_for_maps_of_sixty_cells_and_large_blocks(backend: Backend, seed: int) -> None:
-    lattice = lattice_of(backend, random_grid(seed, 50, 60), random_grid(seed + 70, 50, 60))
+def test_bounds_hold_for_maps_of_sixty_cells_and_large_blocks(
+    device: ComputeDevice, seed: int
+) -> None:
+    lattice = lattice_of(device, random_grid(seed, 50, 60), random_grid(seed + 70, 50, 60))
     assert_bounds_hold(lattice, all_scores(lattice), (2, 4, 16, 32))
 
 
-def test_bounds_hold_inside_a_window(backend: Backend) -> None:
+def test_bounds_hold_inside_a_window(device: ComputeDevice) -> None:
     window = SearchWindow((20.3, 17.8, 1.3), 9.0, 0.4)
-    lattice = lattice_of(backend, random_grid(5), random_grid(6), window)
+    lattice = lattice_of(device, random_grid(5), random_grid(6), window)
     assert_bounds_hold(lattice, all_scores(lattice), (2, 4, 8))
 
 
-def test_bounds_hold_for_a_sample_of_the_points(backend: Backend) -> None:
+def test_bounds_hold_for_a_sample_of_the_points(device: ComputeDevice) -> None:
     lattice = lattice_of(
-        backend, random_grid(5), random_grid(6), config=AlignConfig(proof_points=16)
+        device, random_grid(5), random_grid(6), config=AlignConfig(proof_points=16)
     )
     assert len(lattice.own) == 16
     assert_bounds_hold(lattice, all_scores(lattice), (2, 8))
 
 
 @pytest.mark.parametrize("sigma", [0.5, 1.0, 12.0])
-def test_bounds_hold_for_narrow_and_wide_walls(backend: Backend, sigma: float) -> None:
+def test_bounds_hold_for_narrow_and_wide_walls(device: ComputeDevice, sigma: float) -> None:
     config = AlignConfig(proof_sigma_cells=sigma)
-    lattice = lattice_of(backend, random_grid(8), random_grid(9), config=config)
+    lattice = lattice_of(device, random_grid(8), random_grid(9), config=config)
     assert_bounds_hold(lattice, all_scores(lattice), (4,))
 
 
-def test_bounds_of_single_members_are_their_scores(backend: Backend) -> None:
-    lattice = lattice_of(backend, random_grid(3), random_grid(4))
+def test_bounds_of_single_members_are_their_scores(device: ComputeDevice) -> None:
+    lattice = lattice_of(device, random_grid(3), random_grid(4))
     scores = all_scores(lattice)
     rng = np.random.default_rng(0)
     members = np.stack([rng.integers(0, size, 3000) for size in lattice.shape], axis=1)
@@ -116,8 +120,8 @@ def test_bounds_of_single_members_are_their_scores(backend: Backend) -> None:
     assert np.array_equal(_BlockBounds(lattice, 1, blocks).bounds(blocks), scores[tuple(members.T)])
 
 
-def test_a_bound_is_no_larger_than_all_points_on_a_wall(backend: Backend) -> None:
-    lattice = lattice_of(backend, random_grid(3), random_grid(4))
+def test_a_bound_is_no_larger_than_all_points_on_a_wall(device: ComputeDevice) -> None:
+    lattice = lattice_of(device, random_grid(3), random_grid(4))
     assert _bound_all(lattice, 4).max() <= LEVELS * len(lattice.own)
 
 
@@ -150,10 +154,10 @@ def score_by_definition(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_scores_equal_their_definition(backend: Backend, seed: int) -> None:
+def test_scores_equal_their_definition(device: ComputeDevice, seed: int) -> None:
     reference, moving = random_grid(seed), random_grid(seed + 100)
     # Away from quarter turns, where a point would lie on the line between two cells.
-    lattice = lattice_of(backend, reference, moving, SearchWindow((0.0, 0.0, 0.1234)))
+    lattice = lattice_of(device, reference, moving, SearchWindow((0.0, 0.0, 0.1234)))
     rng = np.random.default_rng(seed)
     count, height, width = lattice.shape
     for k in rng.integers(0, count, 8):
@@ -166,18 +170,18 @@ def test_scores_equal_their_definition(backend: Backend, seed: int) -> None:
         assert np.array_equal(scores[members[:, 1], members[:, 2]], wanted)
 
 
-def test_a_part_of_the_search_set_scores_as_in_the_whole(backend: Backend) -> None:
-    lattice = lattice_of(backend, random_grid(1), random_grid(2))
+def test_a_part_of_the_search_set_scores_as_in_the_whole(device: ComputeDevice) -> None:
+    lattice = lattice_of(device, random_grid(1), random_grid(2))
     whole = all_scores(lattice)
     yaws = np.array([3, 90, 17], dtype=np.int64)
     part = lattice.score_box(yaws, (5, 19), (7, 50))
     assert np.array_equal(part, whole[yaws, 5:19, 7:50])
 
 
-def test_the_twins_score_alike(backend: Backend, twins: Backend) -> None:
+def test_the_twins_score_alike(device: ComputeDevice, twins: ComputeDevice) -> None:
     window = SearchWindow((12.0, 12.0, 0.4), 4.0, 0.3)
     grids = random_grid(1, 20, 24), random_grid(2, 20, 24)
-    a, b = (lattice_of(device, *grids, window) for device in (backend, twins))
+    a, b = (lattice_of(on_device, *grids, window) for on_device in (device, twins))
     assert np.array_equal(all_scores(a), all_scores(b))
     best = int(all_scores(a).max()) - 20
     proofs = [prove(lattice, best, 60.0) for lattice in (a, b)]
@@ -187,28 +191,28 @@ def test_the_twins_score_alike(backend: Backend, twins: Backend) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_one_yaw_step_moves_the_farthest_wall_by_at_most_a_cell(
-    backend: Backend, seed: int
+    device: ComputeDevice, seed: int
 ) -> None:
     moving = building(seed)
-    lattice = lattice_of(backend, random_grid(9), moving)
+    lattice = lattice_of(device, random_grid(9), moving)
     rows, cols = np.nonzero(surface_of(moving.cells))
     far = np.hypot(cols + 0.5 - moving.width / 2, rows + 0.5 - moving.height / 2).max()
     assert lattice.yaw_step * far <= 1.0 + 1e-9
     assert lattice.yaw_step * lattice.turn == pytest.approx(2 * math.pi)
 
 
-def test_members_and_motions_are_one_to_one(backend: Backend) -> None:
+def test_members_and_motions_are_one_to_one(device: ComputeDevice) -> None:
     for window in (OPEN, SearchWindow((20.3, 17.8, 1.3), 9.0, 0.4)):
-        lattice = lattice_of(backend, random_grid(5), random_grid(6), window)
+        lattice = lattice_of(device, random_grid(5), random_grid(6), window)
         corners = itertools.product(*((0, size // 3, size - 1) for size in lattice.shape))
         for member in corners:
             motion = lattice.motions(np.array([member], dtype=np.int64))[0]
             assert lattice.member(motion) == member
 
 
-def test_a_window_holds_the_members_within_it_only(backend: Backend) -> None:
+def test_a_window_holds_the_members_within_it_only(device: ComputeDevice) -> None:
     window = SearchWindow((20.3, 17.8, 1.3), 9.0, 0.4)
-    lattice = lattice_of(backend, random_grid(5), random_grid(6), window)
+    lattice = lattice_of(device, random_grid(5), random_grid(6), window)
     ends = np.array([(0, 0, 0), np.array(lattice.shape) - 1], dtype=np.int64)
     motions = lattice.motions(ends)
     assert np.abs(motions[:, 0] - 20.3).max() <= 10.0
@@ -217,8 +221,8 @@ def test_a_window_holds_the_members_within_it_only(backend: Backend) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_best_of_all_is_proven(backend: Backend, seed: int) -> None:
-    lattice = lattice_of(backend, random_grid(seed), random_grid(seed + 20))
+def test_the_best_of_all_is_proven(device: ComputeDevice, seed: int) -> None:
+    lattice = lattice_of(device, random_grid(seed), random_grid(seed + 20))
     proof = prove(lattice, int(all_scores(lattice).max()), 60.0)
     assert proof.finished
     assert proof.bound_gap == 0.0
@@ -226,8 +230,8 @@ def test_the_best_of_all_is_proven(backend: Backend, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_better_member_is_a_rival_or_beside_one(backend: Backend, seed: int) -> None:
-    lattice = lattice_of(backend, random_grid(seed), random_grid(seed + 20))
+def test_every_better_member_is_a_rival_or_beside_one(device: ComputeDevice, seed: int) -> None:
+    lattice = lattice_of(device, random_grid(seed), random_grid(seed + 20))
     scores = all_scores(lattice)
     ordered = np.sort(scores, axis=None)[::-1]
     answer = int(ordered[200])
@@ -243,8 +247,8 @@ def test_every_better_member_is_a_rival_or_beside_one(backend: Backend, seed: in
     assert proof.finished
 
 
-def test_of_many_better_members_the_best_peaks_are_kept(backend: Backend) -> None:
-    lattice = lattice_of(backend, random_grid(1), random_grid(21))
+def test_of_many_better_members_the_best_peaks_are_kept(device: ComputeDevice) -> None:
+    lattice = lattice_of(device, random_grid(1), random_grid(21))
     scores = all_scores(lattice)
     ordered = np.sort(scores, axis=None)[::-1]
     proof = prove(lattice, int(ordered[20_000]), 60.0)
@@ -257,8 +261,8 @@ def test_of_many_better_members_the_best_peaks_are_kept(backend: Backend) -> Non
     assert (apart + np.eye(len(members)) * 99).min() > APART
 
 
-def test_a_deadline_that_has_passed_leaves_a_gap(backend: Backend) -> None:
-    lattice = lattice_of(backend, building(1), building(2))
+def test_a_deadline_that_has_passed_leaves_a_gap(device: ComputeDevice) -> None:
+    lattice = lattice_of(device, building(1), building(2))
     k, row, col = (size // 2 for size in lattice.shape)
     answer = int(lattice.score_box(np.array([k]), (row, row + 1), (col, col + 1))[0, 0, 0])
     proof = prove(lattice, answer, 0.0)
@@ -266,17 +270,17 @@ def test_a_deadline_that_has_passed_leaves_a_gap(backend: Backend) -> None:
     assert proof.bound_gap > 0
 
 
-def test_the_gap_left_by_a_deadline_covers_the_best(backend: Backend) -> None:
+def test_the_gap_left_by_a_deadline_covers_the_best(device: ComputeDevice) -> None:
     """What was not decided may be as good as the gap says, and the best of all is no better."""
-    lattice = lattice_of(backend, building(1), building(2))
+    lattice = lattice_of(device, building(1), building(2))
     answer, _ = neighbourhood_best(lattice, np.array([40.0, 30.0, 0.3]), 4)
     gap = prove(lattice, answer, 0.0).bound_gap
     yaws = range(0, lattice.shape[0], 3)
     assert all_scores(lattice, yaws).max() <= answer + gap * lattice.scale + 1e-6
 
 
-def test_the_best_of_a_neighbourhood_is_the_best_of_it(backend: Backend) -> None:
-    lattice = lattice_of(backend, random_grid(5), random_grid(6))
+def test_the_best_of_a_neighbourhood_is_the_best_of_it(device: ComputeDevice) -> None:
+    lattice = lattice_of(device, random_grid(5), random_grid(6))
     scores = all_scores(lattice)
     for member in ((40, 30, 30), (0, 20, 25), (lattice.shape[0] - 1, 0, 0)):
         motion = lattice.motions(np.array([member], dtype=np.int64))[0]
@@ -289,12 +293,12 @@ def test_the_best_of_a_neighbourhood_is_the_best_of_it(backend: Backend) -> None
 
 
 def assert_search_is_proven(
-    backend: Backend, reference: OccupancyGrid, moving: OccupancyGrid
+    device: ComputeDevice, reference: OccupancyGrid, moving: OccupancyGrid
 ) -> None:
     """The proof and brute force say the same of the search's answer."""
-    a, b = features_of(reference, backend), features_of(moving, backend)
-    _, motions, _ = search(a, b, CONFIG, OPEN, backend)
-    lattice = LatticeScore(a, b, CONFIG, OPEN, backend)
+    a, b = features_of(reference, device), features_of(moving, device)
+    _, motions, _ = search(a, b, CONFIG, OPEN, device)
+    lattice = LatticeScore(a, b, CONFIG, OPEN, device)
     answer, _ = neighbourhood_best(lattice, motions[0], 8)
     best = max(
         int(all_scores(lattice, range(k, min(k + 16, lattice.shape[0]))).max())
@@ -311,15 +315,15 @@ def assert_search_is_proven(
     assert lattice.score_box(np.array([k]), (row, row + 1), (col, col + 1))[0, 0, 0] == best
 
 
-def test_brute_force_agrees_on_maps_of_a_hundred_cells(backend: Backend) -> None:
+def test_brute_force_agrees_on_maps_of_a_hundred_cells(device: ComputeDevice) -> None:
     truth = building(7, 10.0, 9.0)
     moving, _ = degraded(truth, 3, yaw_rad=2.0, crop_share=0.8, flip_share=0.02)
-    assert_search_is_proven(backend, truth, moving)
+    assert_search_is_proven(device, truth, moving)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("seed", range(3))
-def test_brute_force_agrees_on_maps_of_two_hundred_cells(backend: Backend, seed: int) -> None:
+def test_brute_force_agrees_on_maps_of_two_hundred_cells(device: ComputeDevice, seed: int) -> None:
     truth = building(seed, 10.0, 10.0, 0.05)
     moving, _ = degraded(
         truth,
@@ -329,4 +333,4 @@ def test_brute_force_agrees_on_maps_of_two_hundred_cells(backend: Backend, seed:
         flip_share=0.03,
         wall_change_cells=seed - 1,
     )
-    assert_search_is_proven(backend, truth, moving)
+    assert_search_is_proven(device, truth, moving)

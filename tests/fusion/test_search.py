@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures, score_table, spread_sample
 from slamfusion.fusion.search import (
@@ -79,12 +79,12 @@ def parts_of(features: GridFeatures) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(("first", "second"), [(11, 12), (13, 11), (14, 14)])
 def test_coarse_scores_equal_a_direct_computation(
-    backend: Backend, first: int, second: int
+    device: ComputeDevice, first: int, second: int
 ) -> None:
-    ref = features_of(random_grid(first, 14, 22), backend)
-    mov = features_of(random_grid(second, 14, 22), backend)
+    ref = features_of(random_grid(first, 14, 22), device)
+    mov = features_of(random_grid(second, 14, 22), device)
     window = SearchWindow((8.0, 9.0, START_YAW), 6.0)
-    found = coarse_search(ref, mov, CONFIG, window, backend)
+    found = coarse_search(ref, mov, CONFIG, window, device)
     assert found.step == 1
     a, b = parts_of(ref), parts_of(mov)
     for k in range(0, len(found.yaws), 7):
@@ -99,37 +99,39 @@ def test_coarse_scores_equal_a_direct_computation(
         assert score == pytest.approx(wanted, abs=1e-12)
 
 
-def test_coarse_peaks_are_best_first_and_the_first_is_the_best_of_all(backend: Backend) -> None:
-    ref, mov = (features_of(random_grid(seed), backend) for seed in (21, 22))
-    found = coarse_search(ref, mov, CONFIG, SearchWindow(), backend)
+def test_coarse_peaks_are_best_first_and_the_first_is_the_best_of_all(
+    device: ComputeDevice,
+) -> None:
+    ref, mov = (features_of(random_grid(seed), device) for seed in (21, 22))
+    found = coarse_search(ref, mov, CONFIG, SearchWindow(), device)
     assert np.all(np.diff(found.scores) <= 0)
     assert found.scores[0] == found.best.max()
     assert len(found.motions) <= CONFIG.candidates
 
 
-def test_coarse_search_covers_the_full_turn_evenly(backend: Backend) -> None:
-    ref, mov = (features_of(random_grid(seed), backend) for seed in (21, 22))
-    yaws = coarse_search(ref, mov, CONFIG, SearchWindow((0.0, 0.0, START_YAW)), backend).yaws
+def test_coarse_search_covers_the_full_turn_evenly(device: ComputeDevice) -> None:
+    ref, mov = (features_of(random_grid(seed), device) for seed in (21, 22))
+    yaws = coarse_search(ref, mov, CONFIG, SearchWindow((0.0, 0.0, START_YAW)), device).yaws
     step = np.diff(yaws)
     assert np.allclose(step, 2 * math.pi / len(yaws))
     assert yaws[0] == START_YAW
 
 
-def test_yaw_steps_move_the_rim_by_little_more_than_a_cell(backend: Backend) -> None:
+def test_yaw_steps_move_the_rim_by_little_more_than_a_cell(device: ComputeDevice) -> None:
     for seed in range(30, 36):
-        ref, mov = (features_of(random_grid(seed + k), backend) for k in (0, 50))
-        found = coarse_search(ref, mov, CONFIG, SearchWindow(), backend)
+        ref, mov = (features_of(random_grid(seed + k), device) for k in (0, 50))
+        found = coarse_search(ref, mov, CONFIG, SearchWindow(), device)
         level = mov.level(found.step)
         own = level.points / 2 - np.array(mov.centre) / found.step
         rim = np.percentile(np.hypot(own[:, 0], own[:, 1]), 90)
         assert (found.yaws[1] - found.yaws[0]) * rim <= 1.3 + 1e-9
 
 
-def test_the_window_limits_shift_and_yaw(backend: Backend) -> None:
-    grid = features_of(building(1), backend)
+def test_the_window_limits_shift_and_yaw(device: ComputeDevice) -> None:
+    grid = features_of(building(1), device)
     start = (grid.centre[0] + 9.0, grid.centre[1] - 5.0, 0.5)
     window = SearchWindow(start, 6.0, 0.2)
-    found = coarse_search(grid, grid, CONFIG, window, backend)
+    found = coarse_search(grid, grid, CONFIG, window, device)
     assert np.abs(found.yaws - 0.5).max() == pytest.approx(0.2)
     assert np.isclose(found.yaws, 0.5).any(), "the start itself is tried"
     step = found.step
@@ -137,10 +139,10 @@ def test_the_window_limits_shift_and_yaw(backend: Backend) -> None:
     assert np.abs(found.motions[:, 2] - 0.5).max() <= 0.2 + 1e-9
 
 
-def test_a_window_without_yaw_tries_the_start_alone(backend: Backend) -> None:
-    grid = features_of(building(1), backend)
+def test_a_window_without_yaw_tries_the_start_alone(device: ComputeDevice) -> None:
+    grid = features_of(building(1), device)
     window = SearchWindow((*grid.centre, 0.25), 5.0, 0.0)
-    assert coarse_search(grid, grid, CONFIG, window, backend).yaws.tolist() == [0.25]
+    assert coarse_search(grid, grid, CONFIG, window, device).yaws.tolist() == [0.25]
 
 
 def test_an_open_window_lets_the_walls_leave_by_half_of_the_shorter_side() -> None:
@@ -150,38 +152,38 @@ def test_an_open_window_lets_the_walls_leave_by_half_of_the_shorter_side() -> No
 
 @pytest.mark.parametrize(("first", "second", "cells"), [(41, 42, 48), (43, 43, 16), (44, 41, 20)])
 def test_the_twins_find_the_same_coarse_peaks(
-    backend: Backend, twins: Backend, first: int, second: int, cells: int
+    device: ComputeDevice, twins: ComputeDevice, first: int, second: int, cells: int
 ) -> None:
     config = AlignConfig(coarse_cells=cells, prove=False)
     window = SearchWindow((12.0, 12.0, START_YAW), 8.0)
     found = []
-    for device in (backend, twins):
-        ref, mov = (features_of(random_grid(seed, 20, 32), device) for seed in (first, second))
-        found.append(coarse_search(ref, mov, config, window, device))
+    for on_device in (device, twins):
+        ref, mov = (features_of(random_grid(seed, 20, 32), on_device) for seed in (first, second))
+        found.append(coarse_search(ref, mov, config, window, on_device))
     a, b = found
     assert a.step == b.step
     for name in ("yaws", "best", "motions", "scores"):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
 
 
-def test_the_twins_find_the_same_answer(backend: Backend, twins: Backend) -> None:
+def test_the_twins_find_the_same_answer(device: ComputeDevice, twins: ComputeDevice) -> None:
     answers = []
-    for device in (backend, twins):
-        grid = features_of(random_grid(45, 24, 30), device)
+    for on_device in (device, twins):
+        grid = features_of(random_grid(45, 24, 30), on_device)
         window = SearchWindow((*grid.centre, 0.0), 6.0, 0.3)
-        answers.append(search(grid, grid, CONFIG, window, device))
+        answers.append(search(grid, grid, CONFIG, window, on_device))
     assert np.allclose(answers[0][1][0], answers[1][1][0], atol=1e-3)
     assert answers[0][2][0] == pytest.approx(answers[1][2][0], abs=2e-3)
 
 
 def test_the_coarse_step_follows_the_longest_side_and_shrinks_where_walls_fill_the_cells(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    plain = features_of(building(1), backend)
+    plain = features_of(building(1), device)
     assert coarse_step(plain, plain, 48) == math.ceil(max(plain.shape) / 48)
     striped = np.zeros((96, 96), dtype=np.int8)
     striped[::3] = 100
-    features = features_of(OccupancyGrid(striped, 0.1), backend)
+    features = features_of(OccupancyGrid(striped, 0.1), device)
     step = coarse_step(features, features, 16)
     assert step < math.ceil(max(features.shape) / 16)
 
@@ -217,22 +219,22 @@ def test_spread_sample_takes_every_part_of_the_points() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_refine_moves_to_the_known_answer(backend: Backend, seed: int) -> None:
-    grid = features_of(building(seed), backend)
+def test_refine_moves_to_the_known_answer(device: ComputeDevice, seed: int) -> None:
+    grid = features_of(building(seed), device)
     rng = np.random.default_rng(seed)
     away = np.append(rng.uniform(-4, 4, 2), rng.uniform(-0.05, 0.05))
     start = np.array([*grid.centre, 0.0]) + away
-    found = refine(grid, grid, start[None], 1, (8.0, 4.0, 2.0), backend, iterations=8)[0]
+    found = refine(grid, grid, start[None], 1, (8.0, 4.0, 2.0), device, iterations=8)[0]
     shift, turn = displacement(found, np.array([*grid.centre, 0.0]))
     assert shift < 0.05
     assert turn < 1e-3
 
 
-def test_refine_treats_each_motion_alone(backend: Backend) -> None:
-    grid = features_of(building(2), backend)
+def test_refine_treats_each_motion_alone(device: ComputeDevice) -> None:
+    grid = features_of(building(2), device)
     starts = np.array([*grid.centre, 0.0]) + np.array([[2, 1, 0.02], [-3, 0, -0.03], [0, 4, 0.0]])
-    together = refine(grid, grid, starts, 1, (8.0, 4.0), backend)
-    alone = [refine(grid, grid, start[None], 1, (8.0, 4.0), backend)[0] for start in starts]
+    together = refine(grid, grid, starts, 1, (8.0, 4.0), device)
+    alone = [refine(grid, grid, start[None], 1, (8.0, 4.0), device)[0] for start in starts]
     assert np.allclose(together, alone, atol=1e-4)
 
 
@@ -251,35 +253,35 @@ def rooms(thick: int) -> OccupancyGrid:
 @pytest.mark.parametrize("thick", [1, 2])
 @pytest.mark.parametrize("away", [(2.0, 1.5, 0.02), (-2.5, 1.0, -0.02), (0.7, -2.2, 0.01)])
 def test_settling_thick_walls_on_thin_ones_stays_centred(
-    backend: Backend, thick: int, away: tuple[float, float, float]
+    device: ComputeDevice, thick: int, away: tuple[float, float, float]
 ) -> None:
     """Locked onto one side of a room the maps would be off by ``thick`` cells along x and y."""
-    thin, fat = features_of(rooms(0), backend), features_of(rooms(thick), backend)
+    thin, fat = features_of(rooms(0), device), features_of(rooms(thick), device)
     # Each is cropped to its known cells; both crops have the same middle.
     answer = np.array([thin.shape[1] / 2, thin.shape[0] / 2, 0.0])
-    found = settle(thin, fat, (answer + away)[None], backend)[0]
+    found = settle(thin, fat, (answer + away)[None], device)[0]
     shift, turn = displacement(found, answer)
     assert shift < 0.6 * thick
     assert turn < math.radians(0.6) * thick
 
 
-def test_rank_of_a_map_on_itself_is_one_and_falls_with_distance(backend: Backend) -> None:
-    grid = features_of(building(3), backend)
+def test_rank_of_a_map_on_itself_is_one_and_falls_with_distance(device: ComputeDevice) -> None:
+    grid = features_of(building(3), device)
     away = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0], [8, 0, 0]], dtype=float)
-    scores = rank(grid, grid, np.array([*grid.centre, 0.0]) + away, 1, FINE_TABLE, backend)
+    scores = rank(grid, grid, np.array([*grid.centre, 0.0]) + away, 1, FINE_TABLE, device)
     assert scores[0] == pytest.approx(1.0)
     assert np.all(np.diff(scores) < 0)
 
 
-def test_rank_is_the_same_seen_from_either_grid(backend: Backend) -> None:
-    a, b = features_of(building(3), backend), features_of(building(4), backend)
+def test_rank_is_the_same_seen_from_either_grid(device: ComputeDevice) -> None:
+    a, b = features_of(building(3), device), features_of(building(4), device)
     motion = np.array([[40.3, 31.7, 0.4]])
     lattice = invert(to_lattice(motion, b.centre))[0]
     cos, sin = math.cos(lattice[2]), math.sin(lattice[2])
     x, y = a.centre
     back = np.array([[cos * x - sin * y + lattice[0], sin * x + cos * y + lattice[1], lattice[2]]])
-    forth = rank(a, b, motion, 1, FINE_TABLE, backend)[0]
-    assert forth == pytest.approx(rank(b, a, back, 1, FINE_TABLE, backend)[0], abs=1e-9)
+    forth = rank(a, b, motion, 1, FINE_TABLE, device)[0]
+    assert forth == pytest.approx(rank(b, a, back, 1, FINE_TABLE, device)[0], abs=1e-9)
 
 
 def test_score_tables_fall_from_walls_and_never_below_zero() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion.records import VoteResult
@@ -42,8 +42,8 @@ ABSTAINING = TRIPLES | {
 
 
 @pytest.fixture(scope="module", params=["numpy", "auto"])
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return open_backend(request.param)
+def device(request: pytest.FixtureRequest) -> ComputeDevice:
+    return open_device(request.param)
 
 
 def column(cells: tuple[int, ...]) -> list[np.ndarray]:
@@ -75,20 +75,20 @@ def same(a: VoteResult, b: VoteResult) -> bool:
     return a.phantom_cells == b.phantom_cells and all(np.array_equal(*pair) for pair in pairs)
 
 
-def test_all_27_triples(backend: Backend):
+def test_all_27_triples(device: ComputeDevice):
     assert len(TRIPLES) == 27
     combos = list(TRIPLES)
     for unknown, wanted in (("auto", TRIPLES), ("value", TRIPLES), ("abstain", ABSTAINING)):
-        result = vote_grids(table(combos), VoteConfig(unknown=unknown), backend)
+        result = vote_grids(table(combos), VoteConfig(unknown=unknown), device)
         assert result.fused[0].tolist() == list(wanted.values()), unknown
         assert result.phantom_cells == 0
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6])
 @pytest.mark.parametrize("unknown", ["value", "abstain", "auto"])
-def test_every_combination(backend: Backend, count: int, unknown: str):
+def test_every_combination(device: ComputeDevice, count: int, unknown: str):
     combos = list(itertools.product((U, F, O), repeat=count))
-    result = vote_grids(table(combos), VoteConfig(unknown=unknown), backend)
+    result = vote_grids(table(combos), VoteConfig(unknown=unknown), device)
     votes = unknown == "value" or (unknown == "auto" and count == 3)
     wanted = [plain_vote(cells, unknown_votes=votes) for cells in combos]
     assert result.fused[0].tolist() == [w[0] for w in wanted]
@@ -100,33 +100,33 @@ def test_every_combination(backend: Backend, count: int, unknown: str):
 
 @pytest.mark.parametrize("cells", [(F, O), (F, F, O, O), (O, F, F, O, U), (U, O, F), (O, U, F)])
 @pytest.mark.parametrize("mode", ["majority", "weighted"])
-def test_tie_becomes_occupied(backend: Backend, cells: tuple[int, ...], mode: str):
+def test_tie_becomes_occupied(device: ComputeDevice, cells: tuple[int, ...], mode: str):
     config = VoteConfig(mode=mode)
-    result = vote_grids(column(cells), config, backend, weights=[2.5] * len(cells))
+    result = vote_grids(column(cells), config, device, weights=[2.5] * len(cells))
     assert result.fused.item() == O
 
 
-def test_tie_of_free_and_unknown_is_a_phantom_only_where_unknown_is_a_value(backend: Backend):
+def test_tie_of_free_and_unknown_is_a_phantom_only_where_unknown_is_a_value(device: ComputeDevice):
     grids = column((F, U))
-    assert vote_grids(grids, VoteConfig(unknown="value"), backend).phantom_cells == 1
-    auto = vote_grids(grids, VoteConfig(), backend)
+    assert vote_grids(grids, VoteConfig(unknown="value"), device).phantom_cells == 1
+    auto = vote_grids(grids, VoteConfig(), device)
     assert (auto.fused.item(), auto.agreement.item(), auto.phantom_cells) == (F, 100, 0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 8, 9, 16, 17, 32])
-def test_dissent_has_a_bit_for_every_input(backend: Backend, count: int):
+def test_dissent_has_a_bit_for_every_input(device: ComputeDevice, count: int):
     cells = (O,) + (F,) * (count - 1) if count > 2 else (O,) * count
     for first in range(count):
         order = cells[-first:] + cells[:-first] if first else cells
-        result = vote_grids(column(order), VoteConfig(), backend)
+        result = vote_grids(column(order), VoteConfig(), device)
         assert result.dissent.dtype.kind == "u"
         assert result.dissent.item() == (1 << first if count > 2 else 0)
 
 
-def test_agreement_rounds_half_up(backend: Backend):
+def test_agreement_rounds_half_up(device: ComputeDevice):
     config = VoteConfig(unknown="value")
     for cells, percent in (((O, O, F), 67), ((O, F, U), 33), ((O,) * 5 + (F,) * 3, 63)):
-        assert vote_grids(column(cells), config, backend).agreement.item() == percent
+        assert vote_grids(column(cells), config, device).agreement.item() == percent
 
 
 GRIDS = st.tuples(
@@ -146,9 +146,9 @@ def draw(spec: tuple[int, tuple[int, int], int]) -> list[np.ndarray]:
 def test_order_of_inputs_does_not_matter(
     spec: tuple[int, tuple[int, int], int], unknown: str, seed: int
 ):
-    backend, grids, config = open_shared(), draw(spec), VoteConfig(unknown=unknown)
+    device, grids, config = open_shared(), draw(spec), VoteConfig(unknown=unknown)
     order = np.random.default_rng(seed).permutation(len(grids))
-    one, other = (vote_grids(g, config, backend) for g in (grids, [grids[n] for n in order]))
+    one, other = (vote_grids(g, config, device) for g in (grids, [grids[n] for n in order]))
     assert np.array_equal(one.fused, other.fused)
     assert np.array_equal(one.agreement, other.agreement)
     for place, n in enumerate(order):
@@ -200,20 +200,20 @@ def test_kernel_equals_twin(shape: tuple[int, int], count: int, mode: str):
     for unknown in ("value", "abstain", "auto"):
         config = VoteConfig(mode=mode, unknown=unknown)
         kernel = vote_grids(grids, config, open_shared(), **given_)
-        assert same(kernel, vote_grids(grids, config, NumpyBackend(), **given_))
+        assert same(kernel, vote_grids(grids, config, NumpyDevice(), **given_))
 
 
-def test_all_unknown_stays_unknown(backend: Backend):
+def test_all_unknown_stays_unknown(device: ComputeDevice):
     grids = [np.full((7, 45), -1, dtype=np.int8)] * 4
     for mode in ("majority", "weighted", "log-odds"):
         config = VoteConfig(mode=mode)
-        result = vote_grids(grids, config, backend, weights=[1.0] * 4, percents=grids)
+        result = vote_grids(grids, config, device, weights=[1.0] * 4, percents=grids)
         assert (result.fused == U).all()
         assert (result.agreement == -1).all()
         assert not result.dissent.any()
 
 
-def test_inputs_are_not_changed_and_may_be_read_only_or_strided(backend: Backend):
+def test_inputs_are_not_changed_and_may_be_read_only_or_strided(device: ComputeDevice):
     big = np.random.default_rng(0).integers(-1, 2, (40, 81)).astype(np.int8)
     views = [big[1:30, 3:44], big[2:31, 5:46], big[::-1][:29, 40:]]
     dense = [np.ascontiguousarray(view) for view in views]
@@ -221,30 +221,30 @@ def test_inputs_are_not_changed_and_may_be_read_only_or_strided(backend: Backend
         grid.flags.writeable = False
     odd = np.frombuffer(b"\0" + dense[0].tobytes(), dtype=np.int8, offset=1).reshape(29, 41)
     before = big.copy()
-    wanted = vote_grids(dense, VoteConfig(), NumpyBackend())
-    assert same(vote_grids(views, VoteConfig(), backend), wanted)
-    assert same(vote_grids(dense, VoteConfig(), backend), wanted)
-    assert same(vote_grids([odd, *dense[1:]], VoteConfig(), backend), wanted)
+    wanted = vote_grids(dense, VoteConfig(), NumpyDevice())
+    assert same(vote_grids(views, VoteConfig(), device), wanted)
+    assert same(vote_grids(dense, VoteConfig(), device), wanted)
+    assert same(vote_grids([odd, *dense[1:]], VoteConfig(), device), wanted)
     assert np.array_equal(big, before)
 
 
-def test_equal_weights_are_the_majority(backend: Backend):
+def test_equal_weights_are_the_majority(device: ComputeDevice):
     for count in (2, 3, 5):
         grids = table(list(itertools.product((U, F, O), repeat=count)))
-        weighted = vote_grids(grids, VoteConfig(mode="weighted"), backend, weights=[0.3] * count)
-        assert same(weighted, vote_grids(grids, VoteConfig(), backend))
+        weighted = vote_grids(grids, VoteConfig(mode="weighted"), device, weights=[0.3] * count)
+        assert same(weighted, vote_grids(grids, VoteConfig(), device))
 
 
-def test_heavier_input_wins(backend: Backend):
+def test_heavier_input_wins(device: ComputeDevice):
     config = VoteConfig(mode="weighted")
-    result = vote_grids(column((F, O)), config, backend, weights=[3.0, 1.0])
+    result = vote_grids(column((F, O)), config, device, weights=[3.0, 1.0])
     assert (result.fused.item(), result.agreement.item(), result.dissent.item()) == (F, 75, 2)
 
 
-def test_auto_abstains_where_one_weight_holds_the_balance(backend: Backend):
+def test_auto_abstains_where_one_weight_holds_the_balance(device: ComputeDevice):
     # Free weighs as much as the two unknown: as a value this tie would be a wall of no input.
     config = VoteConfig(mode="weighted")
-    result = vote_grids(column((F, U, U)), config, backend, weights=[2.0, 1.0, 1.0])
+    result = vote_grids(column((F, U, U)), config, device, weights=[2.0, 1.0, 1.0])
     assert (result.fused.item(), result.phantom_cells) == (F, 0)
 
 
@@ -256,35 +256,37 @@ def test_weights_become_whole_numbers():
             quantise_weights(wrong)
 
 
-def log_odds(backend: Backend, *percents: int, **thresholds: float) -> tuple[int, int, int, int]:
+def log_odds(
+    device: ComputeDevice, *percents: int, **thresholds: float
+) -> tuple[int, int, int, int]:
     """Vote one cell of these percents: winner, agreement, dissent, phantom cells."""
     cells = column(percents)
     trinary = [np.where(c < 0, -1, c >= 65).astype(np.int8) for c in cells]
     config = NormalizeConfig(**thresholds)
     result = vote_grids(
-        trinary, VoteConfig(mode="log-odds"), backend, percents=cells, thresholds=config
+        trinary, VoteConfig(mode="log-odds"), device, percents=cells, thresholds=config
     )
     parts = (result.fused, result.agreement, result.dissent)
     return (*(int(part.item()) for part in parts), result.phantom_cells)
 
 
-def test_log_odds_add(backend: Backend):
-    assert log_odds(backend, 90, 20, -1) == (O, 61, 2, 0)  # +2.20 - 1.39 is more than 65 % has
-    assert log_odds(backend, 10, 10, 90) == (F, 67, 4, 0)
-    assert log_odds(backend, 60, 60) == (O, 100, 0, 1)  # two weak hints: a wall of no single input
-    assert log_odds(backend, 60, -1) == (U, 0, 1, 0)
-    assert log_odds(backend, 50, 50, -1) == (U, -1, 0, 0)
+def test_log_odds_add(device: ComputeDevice):
+    assert log_odds(device, 90, 20, -1) == (O, 61, 2, 0)  # +2.20 - 1.39 is more than 65 % has
+    assert log_odds(device, 10, 10, 90) == (F, 67, 4, 0)
+    assert log_odds(device, 60, 60) == (O, 100, 0, 1)  # two weak hints: a wall of no single input
+    assert log_odds(device, 60, -1) == (U, 0, 1, 0)
+    assert log_odds(device, 50, 50, -1) == (U, -1, 0, 0)
 
 
-def test_log_odds_tie_becomes_occupied(backend: Backend):
-    assert log_odds(backend, 98, 2) == (O, 50, 2, 0)
-    assert log_odds(backend, 0, 100) == (O, 50, 1, 0)
-    assert log_odds(backend, 40, 60) == (U, 0, 3, 0)  # no input says wall: no evidence, no tie
+def test_log_odds_tie_becomes_occupied(device: ComputeDevice):
+    assert log_odds(device, 98, 2) == (O, 50, 2, 0)
+    assert log_odds(device, 0, 100) == (O, 50, 1, 0)
+    assert log_odds(device, 40, 60) == (U, 0, 3, 0)  # no input says wall: no evidence, no tie
 
 
 @pytest.mark.parametrize("thresholds", [(65.0, 25.0), (90.0, 10.0), (50.5, 49.5)])
 def test_log_odds_of_one_input_are_its_thresholds(
-    backend: Backend, thresholds: tuple[float, float]
+    device: ComputeDevice, thresholds: tuple[float, float]
 ):
     percent = np.arange(-1, 101, dtype=np.int8)[None]
     config = NormalizeConfig(occupied_percent=thresholds[0], free_percent=thresholds[1])
@@ -293,7 +295,7 @@ def test_log_odds_of_one_input_are_its_thresholds(
     result = vote_grids(
         [wanted.astype(np.int8)],
         VoteConfig(mode="log-odds"),
-        backend,
+        device,
         percents=[percent],
         thresholds=config,
     )
@@ -308,7 +310,7 @@ def test_log_odds_table_is_odd_and_clamped():
     assert (np.diff(odds[2:99]) > 0).all()
 
 
-def test_what_cannot_vote_is_refused(backend: Backend):
+def test_what_cannot_vote_is_refused(device: ComputeDevice):
     cell, wide = column((F,))[0], np.zeros((1, 2), dtype=np.int8)
     for wrong, words in (
         ([], "1 to 32 grids, found 0"),
@@ -318,25 +320,25 @@ def test_what_cannot_vote_is_refused(backend: Backend):
         ([np.zeros((0, 4), dtype=np.int8)], "found int8"),
     ):
         with pytest.raises(GridError, match=words):
-            vote_grids(wrong, VoteConfig(), backend)
+            vote_grids(wrong, VoteConfig(), device)
     with pytest.raises(ConfigError, match="wants 1 weights"):
-        vote_grids([cell], VoteConfig(mode="weighted"), backend)
+        vote_grids([cell], VoteConfig(mode="weighted"), device)
     with pytest.raises(ConfigError, match="wants 1 weights, one each input, found 2"):
-        vote_grids([cell], VoteConfig(mode="weighted"), backend, weights=[1.0, 1.0])
+        vote_grids([cell], VoteConfig(mode="weighted"), device, weights=[1.0, 1.0])
     with pytest.raises(ConfigError, match="occupancy in percent"):
-        vote_grids([cell], VoteConfig(mode="log-odds"), backend)
+        vote_grids([cell], VoteConfig(mode="log-odds"), device)
     with pytest.raises(ConfigError, match="occupancy in percent"):
-        vote_grids([cell], VoteConfig(mode="log-odds"), backend, percents=[wide])
+        vote_grids([cell], VoteConfig(mode="log-odds"), device, percents=[wide])
 
 
-def open_shared() -> Backend:
-    """The OpenCL backend, opened once."""
+def open_shared() -> ComputeDevice:
+    """The OpenCL device, opened once."""
     if not _SHARED:
-        _SHARED.append(open_backend())
+        _SHARED.append(open_device())
     return _SHARED[0]
 
 
-_SHARED: list[Backend] = []
+_SHARED: list[ComputeDevice] = []
 
 
 def wall_at(*cols: int, width: int = 40, beyond: int = F) -> npt.NDArray[np.int8]:
@@ -354,11 +356,11 @@ BARE_CONSENSUS = VoteConfig(mode="consensus", solid_walls=False)
 @pytest.mark.parametrize("away", [2, 5, 8])
 @pytest.mark.parametrize(("beyond", "left"), [(F, F), (U, U)])
 def test_consensus_leaves_out_the_double_of_a_wall(
-    backend: Backend, away: int, beyond: int, left: int
+    device: ComputeDevice, away: int, beyond: int, left: int
 ):
     """Two inputs have a wall at 10, the third has it ``away`` cells further on."""
     grids = [wall_at(10, beyond=beyond), wall_at(10, beyond=beyond), wall_at(10 + away)]
-    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    result = vote_grids(grids, CONSENSUS, device, reach_cells=8)
     assert (result.fused[:, 10] == O).all()
     assert (result.fused[:, 10 + away] == left).all()
     assert result.phantom_cells == 0
@@ -367,27 +369,27 @@ def test_consensus_leaves_out_the_double_of_a_wall(
 
 
 @pytest.mark.parametrize("col", [11, 19, 30])
-def test_consensus_keeps_walls_that_are_thick_or_far(backend: Backend, col: int):
+def test_consensus_keeps_walls_that_are_thick_or_far(device: ComputeDevice, col: int):
     """Where the others know nothing."""
     grids = [wall_at(10, beyond=U), wall_at(10, beyond=U), wall_at(10, col)]
-    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    result = vote_grids(grids, CONSENSUS, device, reach_cells=8)
     assert (result.fused[:, col] == O).all()
 
 
-def test_consensus_of_two_is_the_vote_of_those_that_know(backend: Backend):
+def test_consensus_of_two_is_the_vote_of_those_that_know(device: ComputeDevice):
     grids = [wall_at(10, beyond=U), wall_at(14)]
-    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
-    assert same(result, vote_grids(grids, VoteConfig(unknown="abstain"), backend))
+    result = vote_grids(grids, CONSENSUS, device, reach_cells=8)
+    assert same(result, vote_grids(grids, VoteConfig(unknown="abstain"), device))
 
 
 @given(
     cells=st.lists(st.sampled_from((U, F, O)), min_size=3 * 48, max_size=3 * 48),
     reach=st.integers(0, 6),
 )
-def test_consensus_only_takes_lone_walls_away(backend: Backend, cells: list[int], reach: int):
+def test_consensus_only_takes_lone_walls_away(device: ComputeDevice, cells: list[int], reach: int):
     grids = list(np.array(cells, dtype=np.int8).reshape(3, 6, 8))
-    result = vote_grids(grids, BARE_CONSENSUS, backend, reach_cells=reach)
-    plain = vote_grids(grids, VoteConfig(unknown="abstain"), backend)
+    result = vote_grids(grids, BARE_CONSENSUS, device, reach_cells=reach)
+    plain = vote_grids(grids, VoteConfig(unknown="abstain"), device)
     changed = result.fused != plain.fused
     assert (plain.fused[changed] == O).all()
     assert (np.sum(np.array(grids) == O, axis=0)[changed] == 1).all()
@@ -397,9 +399,9 @@ def test_consensus_only_takes_lone_walls_away(backend: Backend, cells: list[int]
         assert same(result, plain)
 
 
-def test_consensus_gives_walls_their_backs_though_nobody_voted_for_them(backend: Backend):
+def test_consensus_gives_walls_their_backs_though_nobody_voted_for_them(device: ComputeDevice):
     grids = [wall_at(10, beyond=U) for _ in range(3)]
-    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    result = vote_grids(grids, CONSENSUS, device, reach_cells=8)
     assert (result.fused[1:-1, 11] == O).all()
     assert (result.fused[:, 12:] == U).all()
     assert (result.agreement[:, 11] == -1).all()
@@ -407,20 +409,20 @@ def test_consensus_gives_walls_their_backs_though_nobody_voted_for_them(backend:
     assert result.phantom_cells == 0
 
 
-def test_consensus_cuts_what_one_denies_before_a_wall_that_stands_without_it(backend: Backend):
+def test_consensus_cuts_what_one_denies_before_a_wall_that_stands_without_it(device: ComputeDevice):
     """Two see the wall a cell nearer than the third; behind all of them is more of it."""
     grids = [wall_at(10, 11, 12, beyond=U), wall_at(10, 11, 12, beyond=U)]
     grids.append(wall_at(11, 12, beyond=U))
-    result = vote_grids(grids, CONSENSUS, backend, reach_cells=8)
+    result = vote_grids(grids, CONSENSUS, device, reach_cells=8)
     assert (result.fused[:, 10] == F).all()
     assert (result.fused[:, 11:13] == O).all()
     assert (result.agreement[:, 10] == 33).all()
     assert (result.dissent[:, 10] == 0b011).all()
-    bare = vote_grids(grids, BARE_CONSENSUS, backend, reach_cells=8)
+    bare = vote_grids(grids, BARE_CONSENSUS, device, reach_cells=8)
     assert (bare.fused[:, 10] == O).all()
 
 
-def test_log_odds_cuts_by_weight(backend: Backend):
+def test_log_odds_cuts_by_weight(device: ComputeDevice):
     """95 and 60 percent against 20: the share of the votes for free is that of their log-odds."""
     percents = [np.full((5, 20), 5, dtype=np.int8) for _ in range(3)]
     for percent, front in zip(percents, (95, 60, 20), strict=True):
@@ -432,18 +434,18 @@ def test_log_odds_cuts_by_weight(backend: Backend):
         for p in percents
     ]
     config = VoteConfig(mode="log-odds")
-    result = vote_grids(grids, config, backend, percents=percents)
+    result = vote_grids(grids, config, device, percents=percents)
     odds = np.abs(log_odds_table()[[95, 60, 20]])
     assert (result.fused[:, 10] == F).all()
     assert (result.agreement[:, 10] == int(100 * odds[2] / odds.sum() + 0.5)).all()
     assert (result.dissent[:, 10] == 0b011).all()
     assert (result.fused[1:-1, 13] == O).all()
     bare = replace(config, solid_walls=False)
-    assert (vote_grids(grids, bare, backend, percents=percents).fused[:, 10] == O).all()
+    assert (vote_grids(grids, bare, device, percents=percents).fused[:, 10] == O).all()
 
 
 @pytest.mark.parametrize("mode", ["majority", "weighted"])
-def test_the_plain_votes_leave_walls_as_they_are(backend: Backend, mode: str):
+def test_the_plain_votes_leave_walls_as_they_are(device: ComputeDevice, mode: str):
     grids = [wall_at(10, beyond=U) for _ in range(3)]
-    result = vote_grids(grids, VoteConfig(mode=mode), backend, weights=[1.0, 1.0, 1.0])
+    result = vote_grids(grids, VoteConfig(mode=mode), device, weights=[1.0, 1.0, 1.0])
     assert np.array_equal(result.fused, grids[0])

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from slamfusion.compute import Backend, list_devices, open_backend
+from slamfusion.compute import ComputeDevice, list_devices, open_device
 
 POCL = "portable computing"
 # Its kernels leave out what only threads need.
@@ -31,33 +31,33 @@ def other_devices() -> list[str]:
     scope="session",
     params=[POCL, PLAIN, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
 )
-def backend(request: pytest.FixtureRequest) -> Backend:
-    """The backend of each device in turn."""
+def device(request: pytest.FixtureRequest) -> ComputeDevice:
+    """The device of each device in turn."""
     if not WHEELS_EXIST:
         names = " ".join(f"{d.platform} {d.name}".lower() for d in list_devices())
         if request.param in {POCL, PLAIN, SIMULATOR} and request.param not in names:
             pytest.skip(f"no {request.param} on this platform")
-    return open_backend(request.param)
+    return open_device(request.param)
 
 
-def opened() -> Backend:
+def opened() -> ComputeDevice:
     """PoCL, or the first device where there is no PoCL wheel."""
-    return open_backend(POCL if WHEELS_EXIST else "auto")
+    return open_device(POCL if WHEELS_EXIST else "auto")
 
 
 @pytest.fixture(scope="session")
-def pocl() -> Backend:
+def pocl() -> ComputeDevice:
     """The device of most tests."""
     return opened()
 
 
 @pytest.fixture(scope="module")
-def fresh() -> Backend:
+def fresh() -> ComputeDevice:
     """The same device opened once more, where each operation has yet to run."""
     return opened()
 
 
 @pytest.fixture
-def is_simulated(backend: Backend) -> bool:
-    """Whether the backend runs on the simulator, which wants small sizes."""
-    return SIMULATOR in backend.name.lower()
+def is_simulated(device: ComputeDevice) -> bool:
+    """Whether the device runs on the simulator, which wants small sizes."""
+    return SIMULATOR in device.name.lower()

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pyopencl as cl  # noqa: TID251 - toy kernels
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.compute.self_test import CHECKS, Sample, differences
 
 SAMPLES = (
@@ -30,18 +30,18 @@ __kernel void sound(__global int *cells) { cells[get_global_id(0)] += 1; }
 
 def run_checks() -> int:
     """Run every operation; return how many differ from their twins."""
-    backend = open_backend("oclgrind")
-    found = [differences(name, backend, sample) for name in CHECKS for sample in SAMPLES]
+    device = open_device("oclgrind")
+    found = [differences(name, device, sample) for name in CHECKS for sample in SAMPLES]
     return sum(1 for words in found if words)
 
 
 def run_toy(name: str) -> int:
     """Run one toy kernel on 16 cells."""
-    backend = open_backend("oclgrind")
-    program = cl.Program(backend.context, TOYS).build()  # type: ignore[attr-defined]
-    cells = backend.upload(np.zeros(16, dtype=np.int32))
-    getattr(program, name)(backend.queue, (16,), (4,), cells.buffer)  # type: ignore[attr-defined]
-    backend.download(cells)
+    device = open_device("oclgrind")
+    program = cl.Program(device.context, TOYS).build()  # type: ignore[attr-defined]
+    cells = device.upload(np.zeros(16, dtype=np.int32))
+    getattr(program, name)(device.queue, (16,), (4,), cells.buffer)  # type: ignore[attr-defined]
+    device.download(cells)
     return 0
 
 

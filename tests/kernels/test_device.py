@@ -13,7 +13,7 @@ import pyopencl as cl  # noqa: TID251 - device types
 import pytest
 
 from slamfusion.compute import device as device_module
-from slamfusion.compute import list_devices, open_backend, program
+from slamfusion.compute import list_devices, open_device, program
 from slamfusion.compute.compute_device import FAMILIES
 from slamfusion.compute.device import NO_DEVICE, choose_device
 from slamfusion.errors import DeviceError
@@ -146,10 +146,10 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 def test_no_platform_at_all_is_one_line(tmp_path: Path):
     code = (
-        "from slamfusion.compute import list_devices, open_backend\n"
+        "from slamfusion.compute import list_devices, open_device\n"
         "from slamfusion.errors import DeviceError\n"
         "assert list_devices() == []\n"
-        "try: open_backend()\n"
+        "try: open_device()\n"
         "except DeviceError as error: print(error)\n"
     )
     done = run(code, OCL_ICD_VENDORS=str(tmp_path / "none"))
@@ -159,11 +159,11 @@ def test_no_platform_at_all_is_one_line(tmp_path: Path):
 def test_without_pyopencl_the_twins_remain():
     hide = "import sys; sys.modules['pyopencl'] = None\n"
     code = (
-        "from slamfusion.compute import list_devices, open_backend\n"
+        "from slamfusion.compute import list_devices, open_device\n"
         "from slamfusion.errors import DeviceError\n"
         "assert list_devices() == []\n"
-        "assert not open_backend('numpy').is_opencl\n"
-        "try: open_backend()\n"
+        "assert not open_device('numpy').is_opencl\n"
+        "try: open_device()\n"
         "except DeviceError as error: print(error)\n"
     )
     done = run(hide + code)
@@ -172,9 +172,9 @@ def test_without_pyopencl_the_twins_remain():
     assert "--device numpy" in done.stdout
 
 
-def test_numpy_backend_does_not_import_pyopencl():
+def test_numpy_device_does_not_import_pyopencl():
     code = (
-        "import sys; from slamfusion.compute import open_backend; open_backend('numpy')\n"
+        "import sys; from slamfusion.compute import open_device; open_device('numpy')\n"
         "print('pyopencl' in sys.modules)"
     )
     assert run(code).stdout.strip() == "False"
@@ -217,7 +217,7 @@ def test_source_that_does_not_build_is_one_error(tmp_path: Path, monkeypatch: py
         (tmp_path / f"{family}.cl").write_text("__kernel void broken( {", encoding="utf-8")
     monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
     with pytest.raises(DeviceError, match="does not build on") as caught:
-        open_backend(POCL)
+        open_device(POCL)
     assert "\n" not in str(caught.value)
 
 
@@ -241,10 +241,10 @@ def test_a_small_producer_gets_the_plain_device_of_the_wheel(monkeypatch: pytest
     code = (
         "from slamfusion.compute import list_devices\n"
         "from slamfusion.config import RunConfig\n"
-        "from slamfusion.slam.registry import open_producer_backend\n"
+        "from slamfusion.slam.registry import open_producer_device\n"
         "config = RunConfig()\n"
         "for name in ('tinyslam', 'gmapping', 'graph'):\n"
-        "    print(open_producer_backend(name, config).name.split('-')[0])\n"
+        "    print(open_producer_device(name, config).name.split('-')[0])\n"
         "print([one.note for one in list_devices() if one.name.startswith('basic')])\n"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend
-from slamfusion.compute.reference import cast_rays
+from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute.rays.numpy import cast_rays
 
 F32 = npt.NDArray[np.float32]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -95,13 +95,13 @@ def test_a_quarter_turn_of_everything_changes_no_distance(seed: int):
 
 @given(seed=SEEDS)
 @settings(max_examples=40, deadline=None)
-def test_a_device_gives_the_twins_bits(pocl: Backend, seed: int):
+def test_a_device_gives_the_twins_bits(pocl: ComputeDevice, seed: int):
     cells, rays = random_case(seed, 97)
     found = pocl.cast_rays(pocl.upload(cells), rays, 30.0)
     assert found.tobytes() == cast_rays(cells, rays, 30.0).tobytes()
 
 
-def test_hand_computed_hits(backend: Backend):
+def test_hand_computed_hits(device: ComputeDevice):
     cells = drawn(
         "#####",
         "#..o#",
@@ -109,7 +109,7 @@ def test_hand_computed_hits(backend: Backend):
         "#####",
     )
     rays = rays_of((1.5, 1.5, 0), (1.5, 1.5, 180), (1.5, 1.5, 90), (1.5, 2.5, 0), (1.5, 1.5, 30))
-    hits = backend.cast_rays(backend.upload(cells), rays, 100.0)
+    hits = device.cast_rays(device.upload(cells), rays, 100.0)
     cosine = math.cos(math.radians(30.0))
     wanted = [
         (2.5, 1, 1, 2.5),
@@ -121,32 +121,32 @@ def test_hand_computed_hits(backend: Backend):
     np.testing.assert_allclose(hits, wanted, rtol=1e-5)
 
 
-def test_reach_start_in_a_wall_and_the_outside(backend: Backend):
+def test_reach_start_in_a_wall_and_the_outside(device: ComputeDevice):
     cells = drawn("...", ".#.", "...")
     rays = rays_of((1.5, 1.5, 30), (-7.0, 1.5, 0), (-7.0, 1.5, 180), (0.5, 0.5, 0), (-7.0, 9.0, 90))
-    hits = backend.cast_rays(backend.upload(cells), rays, 8.0)
+    hits = device.cast_rays(device.upload(cells), rays, 8.0)
     assert hits[0].tolist() == [0.0, 1.0, 1.0, 0.0]
     assert hits[1].tolist() == [8.0, 1.0, 1.0, 8.0]
     assert np.isinf(hits[2:, [0, 3]]).all()
     assert not hits[2:, 1:3].any()
-    short = backend.cast_rays(backend.upload(cells), rays, 7.9)
+    short = device.cast_rays(device.upload(cells), rays, 7.9)
     assert np.isinf(short[1, 0])
 
 
-def test_rays_along_the_edges_of_cells(backend: Backend):
+def test_rays_along_the_edges_of_cells(device: ComputeDevice):
     cells = drawn("...#", "....", "....")
     rays = rays_of((0.0, 2.0, 0), (0.0, 1.0, 0), (3.0, 0.0, 90), (2.0, 0.0, 90))
-    hits = backend.cast_rays(backend.upload(cells), rays, 100.0)
+    hits = device.cast_rays(device.upload(cells), rays, 100.0)
     # A cell owns its lower and left edge.
     assert hits[:, 0].tolist() == [3.0, math.inf, 2.0, math.inf]
 
 
-def test_no_ray_gives_no_hit(backend: Backend):
+def test_no_ray_gives_no_hit(device: ComputeDevice):
     empty = np.empty((0, 4), dtype=np.float32)
-    assert backend.cast_rays(backend.upload(drawn("#")), empty, 5.0).shape == (0, 4)
+    assert device.cast_rays(device.upload(drawn("#")), empty, 5.0).shape == (0, 4)
 
 
-def test_many_rays_equal_the_twin(backend: Backend, is_simulated: bool):
+def test_many_rays_equal_the_twin(device: ComputeDevice, is_simulated: bool):
     rng = np.random.default_rng(3)
     size = 40 if is_simulated else 700
     cells = (rng.random((size, size)) < 0.002).astype(np.uint8)
@@ -154,5 +154,5 @@ def test_many_rays_equal_the_twin(backend: Backend, is_simulated: bool):
     angles = rng.uniform(-math.pi, math.pi, count)
     places = rng.uniform(0.0, size, (count, 2))
     rays = np.column_stack((places, np.cos(angles), np.sin(angles))).astype(np.float32)
-    found = backend.cast_rays(backend.upload(cells), rays, 600.0)
-    assert found.tobytes() == NumpyBackend.cast_rays(cells, rays, 600.0).tobytes()
+    found = device.cast_rays(device.upload(cells), rays, 600.0)
+    assert found.tobytes() == NumpyDevice.cast_rays(cells, rays, 600.0).tobytes()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.self_test import CHECKS, Sample, differences, self_test
 from slamfusion.errors import DeviceError
 
@@ -24,9 +24,9 @@ LARGE = {"odd and large": Sample((131, 203), seed=9), "long": Sample((3, 1030), 
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_operation_equals_its_twin(backend: Backend, is_simulated: bool, name: str):
+def test_operation_equals_its_twin(device: ComputeDevice, is_simulated: bool, name: str):
     for words, sample in (SMALL if is_simulated else SMALL | LARGE).items():
-        assert not differences(name, backend, sample), words
+        assert not differences(name, device, sample), words
 
 
 @pytest.mark.parametrize("name", CHECKS)
@@ -39,25 +39,25 @@ def test_operation_equals_its_twin(backend: Backend, is_simulated: bool, name: s
     known_share=st.sampled_from((0.0, 0.3, 0.9, 1.0)),
 )
 def test_operation_equals_its_twin_at_any_size(
-    pocl: Backend, name: str, shape: tuple[int, int], seed: int, known_share: float
+    pocl: ComputeDevice, name: str, shape: tuple[int, int], seed: int, known_share: float
 ):
     assert not differences(name, pocl, Sample(shape, seed=seed, known_share=known_share))
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_repeated_runs_give_the_same_bytes(pocl: Backend, fresh: Backend, name: str):
+def test_repeated_runs_give_the_same_bytes(pocl: ComputeDevice, fresh: ComputeDevice, name: str):
     sample = Sample((61, 83), seed=11)
     first = [array.tobytes() for array in CHECKS[name](pocl, sample)]
     for other in (pocl, pocl, fresh):
         assert [array.tobytes() for array in CHECKS[name](other, sample)] == first
 
 
-def test_self_test_passes(backend: Backend):
-    assert all(passed for _, passed, _ in self_test(backend))
+def test_self_test_passes(device: ComputeDevice):
+    assert all(passed for _, passed, _ in self_test(device))
 
 
 def test_self_test_names_a_wrong_kernel(monkeypatch: pytest.MonkeyPatch):
-    wrong = NumpyBackend()
+    wrong = NumpyDevice()
     confusion, surface_walls = wrong.confusion, wrong.surface_walls
     monkeypatch.setattr(
         wrong, "confusion", lambda a, b: confusion(a, b) + np.eye(3, dtype=np.int64)
@@ -70,13 +70,13 @@ def test_self_test_names_a_wrong_kernel(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_tolerance_of_float_kernels_is_not_slack(monkeypatch: pytest.MonkeyPatch):
-    loose = NumpyBackend()
+    loose = NumpyDevice()
     exact = loose.refine_terms
     monkeypatch.setattr(loose, "refine_terms", lambda *a, **k: 1.001 * exact(*a, **k))
     assert "values differ" in differences("refine_terms", loose, Sample((40, 60)))
 
 
-def test_tables_and_shifts_of_the_wrong_size_are_refused(pocl: Backend):
+def test_tables_and_shifts_of_the_wrong_size_are_refused(pocl: ComputeDevice):
     d2 = pocl.upload(np.zeros((4, 4), dtype=np.uint16))
     share = pocl.upload(np.zeros((4, 4), dtype=np.uint8))
     short = np.zeros(9, dtype=np.uint16)

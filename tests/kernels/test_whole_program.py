@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend, NumpyBackend
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.grid import OccupancyGrid
@@ -33,9 +33,9 @@ def maps() -> list[OccupancyGrid]:
     ]
 
 
-def test_alignment_is_the_same(pocl: Backend, maps: list[OccupancyGrid]):
+def test_alignment_is_the_same(pocl: ComputeDevice, maps: list[OccupancyGrid]):
     device = align_grids(maps[0], maps[1], CONFIG, pocl)
-    twins = align_grids(maps[0], maps[1], CONFIG, NumpyBackend())
+    twins = align_grids(maps[0], maps[1], CONFIG, NumpyDevice())
     assert device.accepted
     assert (device.accepted, device.reason) == (twins.accepted, twins.reason)
     a, b = device.transform, twins.transform
@@ -45,9 +45,9 @@ def test_alignment_is_the_same(pocl: Backend, maps: list[OccupancyGrid]):
     assert device.error == pytest.approx(twins.error, rel=1e-2)
 
 
-def test_fusion_is_the_same(pocl: Backend, maps: list[OccupancyGrid]):
+def test_fusion_is_the_same(pocl: ComputeDevice, maps: list[OccupancyGrid]):
     device = fuse_grids(maps, CONFIG, pocl)
-    twins = fuse_grids(maps, CONFIG, NumpyBackend())
+    twins = fuse_grids(maps, CONFIG, NumpyDevice())
     assert [r.accepted for r in device.inputs] == [r.accepted for r in twins.inputs] == [True] * 3
     assert device.reference == twins.reference
     # The refined poses differ in the last bits, so a cell centre on a border may change sides.
@@ -55,7 +55,7 @@ def test_fusion_is_the_same(pocl: Backend, maps: list[OccupancyGrid]):
     assert same.mean() > 0.999
 
 
-def test_repeated_alignment_gives_the_same_bits(pocl: Backend, maps: list[OccupancyGrid]):
+def test_repeated_alignment_gives_the_same_bits(pocl: ComputeDevice, maps: list[OccupancyGrid]):
     first, second = (align_grids(maps[0], maps[2], CONFIG, pocl) for _ in range(2))
     assert (first.transform, first.score, first.error) == (
         second.transform,

@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
@@ -74,7 +74,7 @@ def offline(kind: str, items: Iterable[LogScan], **settings: Any) -> OccupancyGr
     config = RunConfig()
     section = dataclasses.replace(getattr(config, kind), **settings)
     producer = make_producer(
-        kind, dataclasses.replace(config, **{kind: section}), open_backend("auto")
+        kind, dataclasses.replace(config, **{kind: section}), open_device("auto")
     )
     for item in items:
         producer.feed(item.scan, item.odometry)

@@ -10,7 +10,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
@@ -114,7 +114,7 @@ def start_fusion(processes: Processes, *ros_arguments: str, **parameters: Any) -
 
 def fused_without_ros(grids: Mapping[str, Grid] | None = None) -> Grid:
     """Return what the live fusion makes of the maps in one update."""
-    live = live_fusion(open_backend())
+    live = live_fusion(open_device())
     for grid in (grids or three()).values():
         live.put(grid.name, grid, 0.0)
     update = live.update(0.0)

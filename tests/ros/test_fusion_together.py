@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import AlignConfig, FusionConfig, VoteConfig
 from slamfusion.fusion import fuse_grids
 from slamfusion.ros import messages, qos
@@ -78,7 +78,7 @@ def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
     config = FusionConfig(
         align=AlignConfig(prove=False), vote=VoteConfig(extent="union"), reference="graph"
     )
-    wanted = fuse_grids(wanted_maps, config, open_backend())
+    wanted = fuse_grids(wanted_maps, config, open_device())
     assert len(wanted.accepted) == 3
     cell_m = wanted.fused.resolution
     for record in wanted.inputs:

@@ -18,7 +18,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import GraphConfig, RunConfig
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
@@ -41,16 +41,16 @@ def there_and_back(count: int) -> list[LogScan]:
 
 
 def test_only_the_graph_lets_its_map_be_drawn_aside():
-    backend = open_backend()
-    kinds = {k for k in PRODUCERS if isinstance(make_producer(k, RunConfig(), backend), DrawsAside)}
+    device = open_device()
+    kinds = {k for k in PRODUCERS if isinstance(make_producer(k, RunConfig(), device), DrawsAside)}
     assert kinds == {"graph"}
 
 
 def test_what_a_settled_map_is_drawn_from_gives_the_map():
-    backend = open_backend()
-    graph = make_producer("graph", RunConfig(), backend)
+    device = open_device()
+    graph = make_producer("graph", RunConfig(), device)
     assert isinstance(graph, DrawsAside)
-    aside = NodeMap(GraphConfig(), open_backend())
+    aside = NodeMap(GraphConfig(), open_device())
     unsettled = 0
     for index, item in enumerate(there_and_back(60)):
         graph.feed(item.scan, item.odometry)

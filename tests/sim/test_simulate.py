@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.config import SimulateConfig
 from slamfusion.errors import MapFileError, SimulationError
 from slamfusion.geometry import Pose2
@@ -33,8 +33,8 @@ EACH_WORLD = [
 
 
 @cache
-def backend() -> Backend:
-    return open_backend("auto")
+def device() -> ComputeDevice:
+    return open_device("auto")
 
 
 def short(name: str, seed: int = 1) -> Course:
@@ -45,7 +45,7 @@ def short(name: str, seed: int = 1) -> Course:
 
 @cache
 def recorded(name: str) -> Recording:
-    return simulate(short(name), backend())
+    return simulate(short(name), device())
 
 
 def bare(grid_folder: Path, *waypoints: tuple[float, float], name: str = "drive") -> Course:
@@ -128,7 +128,7 @@ def test_scans_at_true_poses_lie_on_true_walls(name: str) -> None:
     course = short(name)
     clean = replace(course.lidar, outlier_share=0.0, mixed_share=0.0)
     clear = replace(course.world, glass_share=0.0)
-    recording = simulate(replace(course, people=0, world=clear, lidar=clean), backend())
+    recording = simulate(replace(course, people=0, world=clear, lidar=clean), device())
     away = wall_distances(recording, range(0, len(recording.scans), 20))
     assert np.mean(away < 0.15) > 0.98
 
@@ -137,7 +137,7 @@ def test_scans_at_true_poses_lie_on_true_walls(name: str) -> None:
 def test_people_are_seen_by_the_laser_and_absent_from_the_truth() -> None:
     empty = replace(short("hall"), people=0)
     crowded = replace(short("hall"), people=6)
-    without, with_people = (simulate(course, backend()) for course in (empty, crowded))
+    without, with_people = (simulate(course, device()) for course in (empty, crowded))
     assert with_people.world.grid.cells.tobytes() == without.world.grid.cells.tobytes()
     assert with_people.truth.poses.tobytes() == without.truth.poses.tobytes()
     nearer = sum(
@@ -151,8 +151,8 @@ def test_people_are_seen_by_the_laser_and_absent_from_the_truth() -> None:
 def test_the_recording_says_where_the_people_were() -> None:
     course = replace(named_course("hall", 1), people=2)
     lidar = replace(course.lidar, beams=181, outlier_share=0.0, mixed_share=0.0)
-    with_people = simulate(replace(course, lidar=lidar), backend())
-    without = simulate(replace(course, lidar=lidar, people=0), backend())
+    with_people = simulate(replace(course, lidar=lidar), device())
+    without = simulate(replace(course, lidar=lidar, people=0), device())
     assert with_people.people.shape == (len(with_people.scans), 2, 2)
     assert without.people.shape == (len(without.scans), 0, 2)
     away = []
@@ -183,14 +183,14 @@ def test_a_track_that_slips_turns_the_robot_unseen_by_its_odometry() -> None:
 
 @pytest.mark.once
 def test_an_rplidar_misses_far_returns() -> None:
-    recording = simulate(with_overrides(short("hall"), SimulateConfig(lidar="rplidar")), backend())
+    recording = simulate(with_overrides(short("hall"), SimulateConfig(lidar="rplidar")), device())
     perfect = replace(
         recording.course,
         lidar=replace(
             recording.course.lidar, dropout_share=0.0, dropout_far_share=0.0, noise_per_m=0.0
         ),
     )
-    true = simulate(perfect, backend())
+    true = simulate(perfect, device())
     read = np.stack([item.scan.ranges for item in recording.scans])
     there = np.stack([item.scan.ranges for item in true.scans])
     missing = [
@@ -218,14 +218,14 @@ def test_f16_turns_drives_over_the_obstacle_and_turns() -> None:
 
 def test_without_the_obstacle_f16_drives_its_five_metres() -> None:
     course = with_overrides(short("f16"), SimulateConfig(obstacle=False))
-    recording = simulate(course, backend())
+    recording = simulate(course, device())
     assert recording.world.obstacles == ()
     assert recording.truth.poses[-1] == pytest.approx([5.0, 0.0, 0.0], abs=1e-6)
 
 
 def test_the_obstacle_spoils_scans_only_while_it_is_crossed() -> None:
     course = with_overrides(named_course("f16", 0), SimulateConfig(lidar="hokuyo"))
-    recording = simulate(course, backend())
+    recording = simulate(course, device())
     tilt = tilt_of(recording.world, recording.truth.poses)
     shares = [
         np.mean(wall_distances(recording, some) < 0.15)
@@ -238,7 +238,7 @@ def test_the_obstacle_spoils_scans_only_while_it_is_crossed() -> None:
 @pytest.mark.once
 def test_same_seed_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
     for seed, folder in ((1, "a"), (1, "b"), (2, "c")):
-        write(simulate(short("yard", seed), backend()), tmp_path / folder)
+        write(simulate(short("yard", seed), device()), tmp_path / folder)
     names = sorted(path.name for path in (tmp_path / "a").iterdir())
     assert names == ["course.yaml", "truth.pgm", "truth.tum", "truth.yaml", "yard.log.gz"]
     for name in names:
@@ -251,17 +251,17 @@ def test_same_seed_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["f16", "atrium"])
 def test_the_written_course_gives_the_same_files_again(tmp_path: Path, name: str) -> None:
     course = with_overrides(short(name), SimulateConfig(people=1, glass_share=0.1))
-    files = write(simulate(course, backend()), tmp_path / "first")
-    again = simulate(load_course(tmp_path / "first" / "course.yaml"), backend())
+    files = write(simulate(course, device()), tmp_path / "first")
+    again = simulate(load_course(tmp_path / "first" / "course.yaml"), device())
     for path, other in zip(files, write(again, tmp_path / "second"), strict=True):
         assert path.read_bytes() == other.read_bytes(), path.name
 
 
 def test_a_map_course_travels_with_its_map(tmp_path: Path) -> None:
     course = bare(tmp_path, (2.0, 2.0), (2.0, -2.0))
-    files = write(simulate(course, backend()), tmp_path / "first")
+    files = write(simulate(course, device()), tmp_path / "first")
     (tmp_path / "room.yaml").unlink()
-    again = simulate(load_course(tmp_path / "first" / "course.yaml"), backend())
+    again = simulate(load_course(tmp_path / "first" / "course.yaml"), device())
     for path, other in zip(files, write(again, tmp_path / "second"), strict=True):
         assert path.read_bytes() == other.read_bytes(), path.name
     truth = load_map(tmp_path / "first" / "truth.yaml")
@@ -270,24 +270,24 @@ def test_a_map_course_travels_with_its_map(tmp_path: Path) -> None:
 
 def test_a_map_without_waypoints_is_toured_from_a_place_of_the_seed(tmp_path: Path) -> None:
     course = replace(bare(tmp_path), waypoints=None, start=None)
-    recording = simulate(course, backend())
+    recording = simulate(course, device())
     assert len(recording.course.waypoints) > 3
     assert clearance_m(recording.world.grid, recording.truth.poses[:, :2]) >= 0.2
-    other = simulate(replace(course, seed=5), backend())
+    other = simulate(replace(course, seed=5), device())
     assert other.course.start != recording.course.start
 
 
 @pytest.mark.datasets
 def test_a_recorded_map_is_toured() -> None:
     changes = SimulateConfig(world=str(MAPS / "multi-slam" / "mit-csail" / "karto.yaml"))
-    recording = simulate(with_overrides(short("atrium"), changes), backend())
+    recording = simulate(with_overrides(short("atrium"), changes), device())
     assert recording.course.name == "karto"
     assert recording.truth.path_length_m() > 100.0
     assert clearance_m(recording.world.grid, recording.truth.poses[::10, :2]) >= 0.2 - 1e-9
 
 
 def test_the_log_reads_back_as_what_was_simulated(tmp_path: Path) -> None:
-    recording = simulate(short("yard"), backend())
+    recording = simulate(short("yard"), device())
     log, *_ = write(recording, tmp_path)
     found = list(open_log(log))
     assert len(found) == len(recording.scans)
@@ -304,45 +304,45 @@ def test_the_log_reads_back_as_what_was_simulated(tmp_path: Path) -> None:
 
 def test_a_device_and_the_twins_give_the_same_recording(tmp_path: Path) -> None:
     course = bare(tmp_path, (2.0, 2.0))
-    device, twins = (simulate(course, some) for some in (backend(), NumpyBackend()))
-    for a, b in zip(device.scans, twins.scans, strict=True):
+    on_device, twins = (simulate(course, some) for some in (device(), NumpyDevice()))
+    for a, b in zip(on_device.scans, twins.scans, strict=True):
         assert a.scan.ranges.tobytes() == b.scan.ranges.tobytes()
 
 
 def test_changing_the_laser_leaves_drive_and_odometry_as_they_were(tmp_path: Path) -> None:
     course = bare(tmp_path, (2.0, 2.0))
     other = replace(course, lidar=replace(course.lidar, noise_m=0.2))
-    first, second = (simulate(some, backend()) for some in (course, other))
+    first, second = (simulate(some, device()) for some in (course, other))
     assert first.truth.poses.tobytes() == second.truth.poses.tobytes()
     assert first.odometry().poses.tobytes() == second.odometry().poses.tobytes()
 
 
 def test_nothing_to_drive_is_one_scan(tmp_path: Path) -> None:
-    recording = simulate(bare(tmp_path), backend())
+    recording = simulate(bare(tmp_path), device())
     assert len(recording.scans) == 1
     assert recording.truth.pose(0) == Pose2(-3.0, 0.0, 0.0)
 
 
 def test_an_obstacle_on_no_way_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="no obstacle lies on its way"):
-        simulate(replace(bare(tmp_path), obstacles=True), backend())
+        simulate(replace(bare(tmp_path), obstacles=True), device())
 
 
 def test_a_waypoint_in_a_wall_is_refused_by_number(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="waypoint 2 at"):
-        simulate(bare(tmp_path, (1.0, 1.0), (4.0, 0.0)), backend())
+        simulate(bare(tmp_path, (1.0, 1.0), (4.0, 0.0)), device())
 
 
 @pytest.mark.once
 def test_a_bicycle_leaves_out_only_planned_waypoints_that_it_cannot_reach() -> None:
     course = with_overrides(short("office", 1), SimulateConfig(drive="bicycle"))
-    recording = simulate(course, backend())
+    recording = simulate(course, device())
     assert 0 < len(recording.left_out) < len(recording.course.waypoints)
     assert not set(recording.left_out) & set(recording.course.waypoints)
 
 
 def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
-    recording = simulate(bare(tmp_path, (1.0, 1.0)), backend())
+    recording = simulate(bare(tmp_path, (1.0, 1.0)), device())
     folder = tmp_path / "out"
     (folder / "truth.tum").mkdir(parents=True)
     with pytest.raises(MapFileError, match=r"truth\.tum: cannot write"):

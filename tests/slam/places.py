@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute import Backend, NumpyBackend
+from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
@@ -35,8 +35,8 @@ def feed(slam: GraphSlam, scans: list[LogScan]) -> GraphSlam:
     return slam
 
 
-def run(backend: Backend, scans: list[LogScan], seed: int = 0, **settings: Any) -> GraphSlam:
-    return feed(GraphSlam(GraphConfig(**settings), backend, seed), scans)
+def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: Any) -> GraphSlam:
+    return feed(GraphSlam(GraphConfig(**settings), device, seed), scans)
 
 
 def away(path: Trajectory, truth: list[Pose2]) -> F64:
@@ -126,7 +126,7 @@ def read(
     turned = np.concatenate([angles + pose.yaw_rad for pose in poses])
     places = np.repeat([[pose.x, pose.y] for pose in poses], beams, axis=0) / CELL_M
     rays = np.column_stack((places, np.cos(turned), np.sin(turned))).astype(np.float32)
-    ranges = NumpyBackend.cast_rays(cells, rays, reach_m / CELL_M)[:, 0] * CELL_M
+    ranges = NumpyDevice.cast_rays(cells, rays, reach_m / CELL_M)[:, 0] * CELL_M
     noise = np.random.default_rng(0).normal(0.0, noise_m, ranges.shape)
     ranges = np.where(ranges < reach_m - 1e-3, ranges + noise, ranges).reshape(-1, beams)
     return [
@@ -230,7 +230,7 @@ def draw_corridor() -> U8:
 class Place:
     """A submap of a drawn place, in the map frame, and where it lives."""
 
-    backend: Backend
+    device: ComputeDevice
     submap: Submap
     cells: U8
 
@@ -248,14 +248,14 @@ class Place:
     def information(self, pose: Pose2, points: F64) -> F64:
         """Return (3, 3) what a match tells."""
         at = np.array([pose.x, pose.y, pose.yaw_rad])
-        scan = ScanOnTiles(self.backend, self.submap.walls(), points, 180)
+        scan = ScanOnTiles(self.device, self.submap.walls(), points, 180)
         return response_information(scan, at)
 
 
-def place_of(backend: Backend, cells: U8, poses: list[Pose2]) -> Place:
+def place_of(device: ComputeDevice, cells: U8, poses: list[Pose2]) -> Place:
     """Return a place that was seen from some poses."""
-    submap = Submap(backend, 0, CELL_M, 0.1)
-    place = Place(backend, submap, cells)
+    submap = Submap(device, 0, CELL_M, 0.1)
+    place = Place(device, submap, cells)
     for index, pose in enumerate(poses):
         submap.insert(place.points(pose, index, 0.015), NO_LASER, pose)
     return place

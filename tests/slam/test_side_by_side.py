@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import RunConfig, SideBySideConfig
 from slamfusion.errors import ConfigError, LogError
 from slamfusion.io import open_log, write_carmen
@@ -73,7 +73,7 @@ def test_each_makes_what_it_makes_alone(log: Path) -> None:
     for outcome in outcomes:
         source = open_log(log)
         wanted = run_producer(
-            make_producer(outcome.name, CONFIG, open_backend()), source, log=source
+            make_producer(outcome.name, CONFIG, open_device()), source, log=source
         )
         assert outcome.run is not None
         assert outcome.reason == ""

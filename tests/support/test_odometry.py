@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import ActionConfig
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.log import LogScan
@@ -27,7 +27,7 @@ def driven(*actions: ActionConfig) -> Recording:
     course = named_course("f16", 2)
     lidar = replace(course.lidar, beams=11)
     return simulate(
-        replace(course, script=actions, obstacles=False, lidar=lidar), open_backend("auto")
+        replace(course, script=actions, obstacles=False, lidar=lidar), open_device("auto")
     )
 
 
@@ -78,7 +78,7 @@ def test_a_robot_that_stands_in_a_whole_part_is_never_under_way() -> None:
 def test_drives_are_joined_without_a_jump() -> None:
     first = driven(FORWARD, TURN)
     second = replace(first.course, seed=7, start=first.truth.pose(-1), script=(WAIT,))
-    stand = simulate(second, open_backend("auto"))
+    stand = simulate(second, open_device("auto"))
     scans, truth = joined((first, stand, stand))
     count, more = len(first.scans), len(stand.scans)
     assert len(scans) == len(truth) == count + 2 * more

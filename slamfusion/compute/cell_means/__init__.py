@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray
 
-__all__ = ["BeamRule", "CellMeanDevice", "SmearRule"]
+__all__ = ["CellMeanDevice", "LikelihoodRule", "ScanRule"]
 
 U8 = npt.NDArray[np.uint8]
 
 
-class BeamRule(NamedTuple):
+class ScanRule(NamedTuple):
     """How beams of one scan write into the map.
 
     Attributes:
@@ -45,7 +45,7 @@ class BeamRule(NamedTuple):
     wall_gain: int
 
 
-class SmearRule(NamedTuple):
+class LikelihoodRule(NamedTuple):
     """How the hits of one scan spread into the cells around them.
 
     Attributes:
@@ -68,17 +68,17 @@ class CellMeanDevice(ArrayDevice, Protocol):
     ``cell_means.numpy`` says what each operation does.
     """
 
-    def tiny_mark(
+    def mark_scan(
         self,
         observed: DeviceArray[np.uint32],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: BeamRule,
+        rule: ScanRule,
         wanted: DeviceArray[np.int32],
     ) -> bool:
-        """See ``cell_means.numpy.tiny_mark``."""
+        """See ``cell_means.numpy.mark_scan``."""
 
-    def tiny_fold(
+    def integrate_scan(
         self,
         observed: DeviceArray[np.uint32],
         valley: DeviceArray[np.uint32],
@@ -86,27 +86,27 @@ class CellMeanDevice(ArrayDevice, Protocol):
         field: DeviceArray[np.uint8],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: BeamRule,
+        rule: ScanRule,
     ) -> None:
-        """See ``cell_means.numpy.tiny_fold``."""
+        """See ``cell_means.numpy.integrate_scan``."""
 
-    def smear_mark(
+    def mark_likelihood(
         self,
         observed: DeviceArray[np.uint32],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: SmearRule,
+        rule: LikelihoodRule,
         wanted: DeviceArray[np.int32],
     ) -> bool:
-        """See ``cell_means.numpy.smear_mark``."""
+        """See ``cell_means.numpy.mark_likelihood``."""
 
-    def smear_fold(
+    def update_likelihood(
         self,
         observed: DeviceArray[np.uint32],
         states: DeviceArray[np.uint32],
         field: DeviceArray[np.uint8],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: SmearRule,
+        rule: LikelihoodRule,
     ) -> None:
-        """See ``cell_means.numpy.smear_fold``."""
+        """See ``cell_means.numpy.update_likelihood``."""

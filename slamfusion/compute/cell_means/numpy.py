@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.cell_means import BeamRule, SmearRule
+from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.layout import (
     BEAM_HALF,
     BEAM_SHIFT,
@@ -33,10 +33,10 @@ from slamfusion.compute.layout import (
 )
 
 __all__ = [
-    "smear_fold",
-    "smear_mark",
-    "tiny_fold",
-    "tiny_mark",
+    "integrate_scan",
+    "mark_likelihood",
+    "mark_scan",
+    "update_likelihood",
 ]
 
 U8 = npt.NDArray[np.uint8]
@@ -73,7 +73,7 @@ def _walks(beams: I32, half_blur: int) -> _Walks:
     return _Walks(beam, i, col, row, step[beam])
 
 
-def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32) -> bool:
+def mark_scan(observed: U32, pages: I32, beams: I32, rule: ScanRule, wanted: I32) -> bool:
     """Write into ``observed``, in place, what the beams of a scan say of their cells.
 
     Args:
@@ -82,7 +82,7 @@ def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32
         pages: (PH, PW) int32.
         beams: (B, 6) int32: x, y of the hit and of the laser and the length between them in 1/1024
             cell, the value at the ridge of the valley, 0 to 4095. All inside the window.
-        rule: see ``BeamRule``.
+        rule: see ``ScanRule``.
         wanted: (1 + PH * PW,) int32, set to 1 in place at 0 and at 1 + page where a page has no
             tile yet; those cells are left out.
 
@@ -109,7 +109,7 @@ def tiny_mark(observed: U32, pages: I32, beams: I32, rule: BeamRule, wanted: I32
     return bool(wanted[0])
 
 
-def _joined(state: I64, value: I64, rule: BeamRule) -> I64:
+def _joined(state: I64, value: I64, rule: ScanRule) -> I64:
     """Join observations (0 to 4095) to the states of cells, by the cell model."""
     mean, seen = state >> MEAN_SHIFT, state & MOST_OBSERVATIONS
     told = value << VALUE_TO_MEAN_SHIFT
@@ -121,25 +121,25 @@ def _joined(state: I64, value: I64, rule: BeamRule) -> I64:
     return np.asarray(following << MEAN_SHIFT | np.minimum(seen + 1, MOST_OBSERVATIONS))
 
 
-def tiny_fold(
+def integrate_scan(
     observed: U32,
     valley: U32,
     published: U32,
     field: U8,
     pages: I32,
     beams: I32,
-    rule: BeamRule,
+    rule: ScanRule,
 ) -> None:
     """Fold, in place, what a scan marked into the cells; each cell learns once a scan.
 
     Args:
-        observed: (T, TILE, TILE) uint32, as ``tiny_mark`` left it; becomes 0.
+        observed: (T, TILE, TILE) uint32, as ``mark_scan`` left it; becomes 0.
         valley: (T, TILE, TILE) uint32 states with the blur, for the matcher.
         published: the same without the blur and without what lies behind hits.
         field: (T, TILE, TILE) uint8: how much of a wall the valley is, 0 to 255.
         pages: (PH, PW) int32.
-        beams: as for ``tiny_mark``.
-        rule: as for ``tiny_mark``.
+        beams: as for ``mark_scan``.
+        rule: as for ``mark_scan``.
     """
     w = _walks(beams, rule.half_blur)
     places = np.stack((pages[w.row // TILE, w.col // TILE], w.row % TILE, w.col % TILE), axis=-1)
@@ -159,7 +159,7 @@ def tiny_fold(
     published[at] = _joined(published[at].astype(np.int64), told, rule).astype(np.uint32)
 
 
-def _smears(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
+def _near_cells(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
     """Return beam, column and row of every cell that beams speak of, and whether it is passed."""
     flat = np.column_stack((beams, np.zeros((len(beams), 2), dtype=np.int32)))
     w = _walks(flat, 0)
@@ -178,7 +178,9 @@ def _smears(beams: I32, reach: int) -> tuple[I64, I64, I64, I64]:
     )
 
 
-def smear_mark(observed: U32, pages: I32, beams: I32, rule: SmearRule, wanted: I32) -> bool:
+def mark_likelihood(
+    observed: U32, pages: I32, beams: I32, rule: LikelihoodRule, wanted: I32
+) -> bool:
     """Write into ``observed``, in place, how near the hits of a scan come to the cells.
 
     Args:
@@ -186,13 +188,13 @@ def smear_mark(observed: U32, pages: I32, beams: I32, rule: SmearRule, wanted: I
         pages: (PH, PW) int32.
         beams: (B, 4) int32: x, y of the hit and of the laser in 1/1024 cell; all that they come
             near to inside the window.
-        rule: see ``SmearRule``.
-        wanted: as for ``tiny_mark``.
+        rule: see ``LikelihoodRule``.
+        wanted: as for ``mark_scan``.
 
     Returns:
         Whether a page was missing: provide tiles and mark again, which changes nothing twice.
     """
-    beam, col, row, passed = _smears(beams, rule.reach)
+    beam, col, row, passed = _near_cells(beams, rule.reach)
     hit_x, hit_y = beams[beam, 0].astype(np.int64), beams[beam, 1].astype(np.int64)
     dx, dy = hit_x - (col << BEAM_SHIFT) - BEAM_HALF, hit_y - (row << BEAM_SHIFT) - BEAM_HALF
     step = np.minimum((dx * dx + dy * dy) >> rule.shift, TABLE_LAST)
@@ -207,20 +209,20 @@ def smear_mark(observed: U32, pages: I32, beams: I32, rule: SmearRule, wanted: I
     return bool(wanted[0])
 
 
-def smear_fold(
-    observed: U32, states: U32, field: U8, pages: I32, beams: I32, rule: SmearRule
+def update_likelihood(
+    observed: U32, states: U32, field: U8, pages: I32, beams: I32, rule: LikelihoodRule
 ) -> None:
     """Fold, in place, what a scan marked into the cells' means; each cell learns once a scan.
 
     Args:
-        observed: (T, TILE, TILE) uint32, as ``smear_mark`` left it; becomes 0.
+        observed: (T, TILE, TILE) uint32, as ``mark_likelihood`` left it; becomes 0.
         states: (T, TILE, TILE) uint32: mean in 1/2^20 of 255 above 12 bits of observations.
         field: (T, TILE, TILE) uint8: the mean.
         pages: (PH, PW) int32.
-        beams: as for ``smear_mark``.
-        rule: as for ``smear_mark``.
+        beams: as for ``mark_likelihood``.
+        rule: as for ``mark_likelihood``.
     """
-    _, col, row, _ = _smears(beams, rule.reach)
+    _, col, row, _ = _near_cells(beams, rule.reach)
     places = np.stack((pages[row // TILE, col // TILE], row % TILE, col % TILE), axis=-1)
     places = np.unique(places, axis=0)
     words = observed[tuple(places.T)].astype(np.int64)

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.cell_means import BeamRule, SmearRule
+from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.opencl_queue import OpenCLQueue
 
 __all__ = ["OpenCLCellMeans"]
@@ -15,15 +15,15 @@ __all__ = ["OpenCLCellMeans"]
 class OpenCLCellMeans(OpenCLQueue):
     """The operations of ``CellMeanDevice`` on one OpenCL device."""
 
-    def tiny_mark(
+    def mark_scan(
         self,
         observed: DeviceArray[np.uint32],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: BeamRule,
+        rule: ScanRule,
         wanted: DeviceArray[np.int32],
     ) -> bool:
-        """See ``cell_means.numpy.tiny_mark``."""
+        """See ``cell_means.numpy.mark_scan``."""
         height, width = pages.shape
         count = beams.shape[0]
         numbers = (rule.half_blur, rule.behind, rule.free)
@@ -43,7 +43,7 @@ class OpenCLCellMeans(OpenCLQueue):
         cl.enqueue_copy(self.queue, missing, self._buffer(wanted))
         return bool(missing[0])
 
-    def tiny_fold(
+    def integrate_scan(
         self,
         observed: DeviceArray[np.uint32],
         valley: DeviceArray[np.uint32],
@@ -51,9 +51,9 @@ class OpenCLCellMeans(OpenCLQueue):
         field: DeviceArray[np.uint8],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: BeamRule,
+        rule: ScanRule,
     ) -> None:
-        """See ``cell_means.numpy.tiny_fold``."""
+        """See ``cell_means.numpy.integrate_scan``."""
         height, width = pages.shape
         count = beams.shape[0]
         numbers = (
@@ -79,15 +79,15 @@ class OpenCLCellMeans(OpenCLQueue):
             *(np.int32(number) for number in numbers),
         )
 
-    def smear_mark(
+    def mark_likelihood(
         self,
         observed: DeviceArray[np.uint32],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: SmearRule,
+        rule: LikelihoodRule,
         wanted: DeviceArray[np.int32],
     ) -> bool:
-        """See ``cell_means.numpy.smear_mark``."""
+        """See ``cell_means.numpy.mark_likelihood``."""
         height, width = pages.shape
         count = beams.shape[0]
         self._launch(
@@ -108,16 +108,16 @@ class OpenCLCellMeans(OpenCLQueue):
         cl.enqueue_copy(self.queue, missing, self._buffer(wanted))
         return bool(missing[0])
 
-    def smear_fold(
+    def update_likelihood(
         self,
         observed: DeviceArray[np.uint32],
         states: DeviceArray[np.uint32],
         field: DeviceArray[np.uint8],
         pages: DeviceArray[np.int32],
         beams: DeviceArray[np.int32],
-        rule: SmearRule,
+        rule: LikelihoodRule,
     ) -> None:
-        """See ``cell_means.numpy.smear_fold``."""
+        """See ``cell_means.numpy.update_likelihood``."""
         height, width = pages.shape
         count = beams.shape[0]
         self._launch(

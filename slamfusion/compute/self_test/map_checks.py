@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.cell_means import BeamRule, SmearRule
+from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan, FieldRule
 from slamfusion.compute.layout import BEAM_ONE, CLIMBERS, FULL_HITS, FULL_VISITS, TILE, UNSEEN
@@ -135,7 +135,7 @@ def _beams(sample: Sample) -> npt.NDArray[np.int32]:
     )
 
 
-def _tiny_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
+def _scan_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
     """Mark and fold a few scans, with both cell models, with blur and without."""
     results: Arrays = []
     for is_mean, half_blur in ((True, 3000), (False, 3000), (True, 0)):
@@ -148,20 +148,20 @@ def _tiny_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
         table = device.upload(pages)
         wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
         for seed, quality in ((1, 1024), (2, 300), (3, 700)):
-            rule = BeamRule(
+            rule = ScanRule(
                 half_blur, 2048, 819, 41, quality, is_mean, wall_floor=367002, wall_gain=425
             )
             beams = device.upload(_beams(replace(sample, seed=sample.seed + seed)))
-            missing = device.tiny_mark(observed, table, beams, rule, wanted)
+            missing = device.mark_scan(observed, table, beams, rule, wanted)
             if fold:
-                device.tiny_fold(observed, valley, published, field, table, beams, rule)
+                device.integrate_scan(observed, valley, published, field, table, beams, rule)
             else:
                 results.append(np.array([missing]))
         results += fetch(device, [observed, wanted, valley, published, field])
     return results
 
 
-def _smear_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
+def _likelihood_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
     """Mark and fold a few scans, near and far around their hits."""
     results: Arrays = []
     table = np.linspace(255.0, 0.0, 256).astype(np.uint8)
@@ -173,33 +173,33 @@ def _smear_map(device: ComputeDevice, sample: Sample, *, fold: bool) -> Arrays:
         field = device.upload(np.full(shape, 20, dtype=np.uint8))
         page_table = device.upload(pages)
         wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
-        rule = SmearRule(table, 15, reach, most)
+        rule = LikelihoodRule(table, 15, reach, most)
         for seed in range(4):
             beams = _beams(replace(sample, seed=sample.seed + seed))[:, :4]
             handle = device.upload(np.ascontiguousarray(beams))
-            missing = device.smear_mark(observed, page_table, handle, rule, wanted)
+            missing = device.mark_likelihood(observed, page_table, handle, rule, wanted)
             if fold:
-                device.smear_fold(observed, states, field, page_table, handle, rule)
+                device.update_likelihood(observed, states, field, page_table, handle, rule)
             else:
                 results.append(np.array([missing]))
         results += fetch(device, [observed, wanted, states, field])
     return results
 
 
-def _smear_mark(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _smear_map(device, sample, fold=False)
+def _mark_likelihood(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _likelihood_map(device, sample, fold=False)
 
 
-def _smear_fold(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _smear_map(device, sample, fold=True)
+def _update_likelihood(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _likelihood_map(device, sample, fold=True)
 
 
-def _tiny_mark(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _tiny_map(device, sample, fold=False)
+def _mark_scan(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _scan_map(device, sample, fold=False)
 
 
-def _tiny_fold(device: ComputeDevice, sample: Sample) -> Arrays:
-    return _tiny_map(device, sample, fold=True)
+def _integrate_scan(device: ComputeDevice, sample: Sample) -> Arrays:
+    return _scan_map(device, sample, fold=True)
 
 
 def _hit_pools(sample: Sample, tiles: int) -> list[npt.NDArray[Any]]:
@@ -308,10 +308,10 @@ MAP_CHECKS: dict[str, Check] = {
     "climb": _climb,
     "climb_maps": _climb_maps,
     "score_maps": _score_maps,
-    "tiny_mark": _tiny_mark,
-    "tiny_fold": _tiny_fold,
-    "smear_mark": _smear_mark,
-    "smear_fold": _smear_fold,
+    "mark_scan": _mark_scan,
+    "integrate_scan": _integrate_scan,
+    "mark_likelihood": _mark_likelihood,
+    "update_likelihood": _update_likelihood,
     "touch_pages": _touch_pages,
     "copy_tiles": _copy_tiles,
     "take_tiles": _take_tiles,

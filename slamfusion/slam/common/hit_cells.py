@@ -1,15 +1,18 @@
 """Cells that count hits and visits: kept from overflowing, and shown as occupancy.
 
-See ``slamfusion.compute.hit_map_reference`` for their words.
+See ``slamfusion.compute.hit_counts`` for their words.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend, Handle
-from slamfusion.compute.hit_map_reference import FULL_HITS, FULL_VISITS
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import FULL_HITS, FULL_VISITS
 from slamfusion.grid import UNKNOWN
 
 __all__ = ["halve_counts", "percent_of_counts"]
@@ -20,29 +23,29 @@ ROWS_AT_ONCE = 256
 FREE_PERCENT, OCCUPIED_PERCENT = 25.0, 65.0
 
 
-def halve_counts(backend: Backend, pools: dict[str, Handle]) -> None:
+def halve_counts(device: ComputeDevice, pools: dict[str, DeviceArray[Any]]) -> None:
     """Halve the counts of every busy cell before they overflow; means and shares stay.
 
     Of few counts the halves would be something else: those of other cells are left.
 
     Args:
-        backend: where the pools live.
+        device: where the pools live.
         pools: with ``counts`` and ``sums``; both are replaced.
     """
-    counts = backend.download(pools["counts"])
+    counts = device.download(pools["counts"])
     is_busy = (counts >= FULL_HITS // 2 << 16) | (counts & 0xFFFF >= FULL_VISITS // 2)
     busy = np.nonzero(is_busy)
     hits, visits = counts[busy] >> 16, counts[busy] & 0xFFFF
     fewer = (hits + 1) >> 1
     counts[busy] = fewer << 16 | (visits + 1) >> 1
-    pools["counts"] = backend.upload(counts)
-    sums = backend.download(pools["sums"])
+    pools["counts"] = device.upload(counts)
+    sums = device.download(pools["sums"])
     some = np.maximum(hits, 1)
     sum_x, sum_y = (
         (half * fewer + some // 2) // some for half in (sums[busy] >> 16, sums[busy] & 0xFFFF)
     )
     sums[busy] = sum_x << 16 | sum_y
-    pools["sums"] = backend.upload(sums)
+    pools["sums"] = device.upload(sums)
 
 
 def percent_of_counts(

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend, Handle
-from slamfusion.compute.slam_reference import CLIMBERS
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import CLIMBERS
+from slamfusion.compute.scan_match import ScanMatchDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import wrap_angles
 
@@ -114,8 +115,8 @@ class FieldMap(NamedTuple):
         resolution: metres per cell.
     """
 
-    field: Handle
-    pages: Handle
+    field: DeviceArray[Any]
+    pages: DeviceArray[Any]
     corner: F64
     resolution: float
 
@@ -127,25 +128,27 @@ class ScanOnTiles:
         cells: different cells that the hits fall into: how much the scan can tell.
     """
 
-    def __init__(self, backend: Backend, walls: FieldMap, points: F64, most_points: int) -> None:
+    def __init__(
+        self, device: ScanMatchDevice, walls: FieldMap, points: F64, most_points: int
+    ) -> None:
         """Bring the hits to the device.
 
         Args:
-            backend: where the map lives.
+            device: where the map lives.
             walls: the map.
             points: (P, 2) hits in the robot's frame, metres.
             most_points: if there are more, every second (third, ...) counts.
         """
-        self._backend = backend
+        self._device = device
         self._map = (walls.field, walls.pages)
         self._cell = resolution = walls.resolution
         self._corner = walls.corner
         hits = points / resolution
         every = -(-len(points) // most_points)
         looked_at = hits[::every].astype(np.float32)
-        self._points = backend.upload(looked_at)
+        self._points = device.upload(looked_at)
         # The first, wide look takes every second of them.
-        self._few_points = backend.upload(looked_at[::2])
+        self._few_points = device.upload(looked_at[::2])
         col, row = np.floor(hits).astype(np.int64).T
         self.cells = len(np.unique(col * _ROW_STRIDE + row))
         self._reach = max(1, round(WIDE_REACH_M / resolution))
@@ -163,7 +166,7 @@ class ScanOnTiles:
         table = np.zeros(256, dtype=np.int32)
         table[unseen] = 1
         field, pages = self._map
-        sums = self._backend.score_maps(
+        sums = self._device.score_maps(
             field,
             pages.reshape((1, *pages.shape)),
             self._points,
@@ -201,7 +204,7 @@ class ScanOnTiles:
         table = np.empty((*steps.shape[:3], 5), dtype=np.float32)
         table[..., :2], table[..., 2] = steps[..., :2] / cell, steps[..., 2]
         table[..., 3], table[..., 4] = np.cos(steps[..., 2]), np.sin(steps[..., 2])
-        found = self._backend.climb(
+        found = self._device.climb(
             *self._map,
             self._points,
             losses,
@@ -213,9 +216,9 @@ class ScanOnTiles:
             ((found[:, :2] + self._corner) * cell, wrap_angles(found[:, 2] + yaw0), found[:, 5])
         )
 
-    def _means(self, points: Handle, poses: F64, reach: int = 0) -> F64:
+    def _means(self, points: DeviceArray[Any], poses: F64, reach: int = 0) -> F64:
         table = pose_table(poses, self._cell, self._corner)
-        sums = self._backend.score_poses(*self._map, points, table, reach=reach)
+        sums = self._device.score_poses(*self._map, points, table, reach=reach)
         return np.asarray(sums * _scale(points))
 
 
@@ -233,7 +236,7 @@ def pose_table(poses: F64, cell: float, corner: F64) -> npt.NDArray[np.float32]:
     return table
 
 
-def _scale(points: Handle) -> float:
+def _scale(points: DeviceArray[Any]) -> float:
     """From a sum over points (P, 2) to a mean of 0 to 1."""
     return 1.0 / (255.0 * int(points.shape[0]))
 

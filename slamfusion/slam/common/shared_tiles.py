@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend, Handle
-from slamfusion.compute.slam_reference import TILE
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import TILE
+from slamfusion.compute.tiles import TileDevice
 from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN, grown_window, joined_tiles
 
 __all__ = ["SharedTileMaps"]
@@ -36,18 +37,18 @@ class SharedTileMaps:
         page_tables: ``pages`` on the device.
     """
 
-    def __init__(self, backend: Backend, count: int, pools: Mapping[str, npt.DTypeLike]) -> None:
+    def __init__(self, device: TileDevice, count: int, pools: Mapping[str, npt.DTypeLike]) -> None:
         """Make empty maps.
 
         Args:
-            backend: where they live.
+            device: where they live.
             count: how many.
             pools: by name, the dtype of a cell.
         """
-        self._backend = backend
+        self._device = device
         self._cell_bytes = sum(np.dtype(kind).itemsize for kind in pools.values())
-        self.pools: dict[str, Handle] = {
-            name: backend.upload(np.zeros((FIRST_TILES, TILE, TILE), dtype=kind))
+        self.pools: dict[str, DeviceArray[Any]] = {
+            name: device.upload(np.zeros((FIRST_TILES, TILE, TILE), dtype=kind))
             for name, kind in pools.items()
         }
         # Maps that use each tile; the empty tile is nobody's and never free.
@@ -55,8 +56,8 @@ class SharedTileMaps:
         size = 2 * MARGIN + 1
         self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
         self.pages = np.zeros((count, size, size), dtype=np.int32)
-        self.page_tables: Handle = None
-        self._one: tuple[int, Handle] | None = None
+        self.page_tables: DeviceArray[Any]
+        self._one: tuple[int, DeviceArray[Any]] | None = None
         self._send()
 
     @property
@@ -84,17 +85,17 @@ class SharedTileMaps:
         """Lower-left corner of the window from the anchor, (2,) x and y in cells."""
         return np.asarray(self.corner * TILE, dtype=np.float64)
 
-    def page_table(self, index: int) -> Handle:
+    def page_table(self, index: int) -> DeviceArray[Any]:
         """Return one map's pages on the device."""
         if self._one is None or self._one[0] != index:
-            self._one = (index, self._backend.upload(self.pages[index]))
+            self._one = (index, self._device.upload(self.pages[index]))
         return self._one[1]
 
-    def page_tables_of(self, indices: npt.NDArray[np.int64]) -> Handle:
+    def page_tables_of(self, indices: npt.NDArray[np.int64]) -> DeviceArray[Any]:
         """Return some maps' pages, (M, PH, PW), on the device."""
         if len(indices) == len(self.pages):
             return self.page_tables
-        return self._backend.upload(self.pages[indices])
+        return self._device.upload(self.pages[indices])
 
     def cover(self, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> None:
         """Move and grow the window until it holds a box of cells; see ``grown_window``."""
@@ -140,7 +141,7 @@ class SharedTileMaps:
         sources = tiles[changed]
         targets = self._take(len(changed))
         pairs = np.column_stack((sources, targets)).astype(np.int32)
-        self._backend.copy_tiles(tuple(self.pools.values()), pairs)
+        self._device.copy_tiles(tuple(self.pools.values()), pairs)
         self._users -= np.bincount(sources, minlength=len(self._users)).astype(np.int32)
         self._users[0] = 0
         self._users[targets] = 1
@@ -153,13 +154,13 @@ class SharedTileMaps:
         Returns:
             (H, W) values, and (2,) column and row of its first cell from the anchor.
         """
-        return joined_tiles(self._backend, self.pools[name], self.pages[index], self.corner)
+        return joined_tiles(self._device, self.pools[name], self.pages[index], self.corner)
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return everything as arrays, for saving; tiles keep their numbers."""
         used = int(np.flatnonzero(self._users).max(initial=0)) + 1
         pools = {
-            f"pool_{name}": self._backend.download(pool)[:used] for name, pool in self.pools.items()
+            f"pool_{name}": self._device.download(pool)[:used] for name, pool in self.pools.items()
         }
         return {
             "pages": self.pages,
@@ -177,7 +178,7 @@ class SharedTileMaps:
         self._users[: len(arrays["users"])] = arrays["users"]
         for name in self.pools:
             saved = arrays[f"pool_{name}"]
-            self.pools[name] = self._backend.extend(self._backend.upload(saved), capacity, 0)
+            self.pools[name] = self._device.extend(self._device.upload(saved), capacity, 0)
         self._send()
 
     def _take(self, count: int) -> npt.NDArray[np.int64]:
@@ -189,11 +190,11 @@ class SharedTileMaps:
             growth = LARGE_GROWTH if held > LARGE_TILES else GROWTH
             capacity = max(held + missing, int(held * growth))
             for name in self.pools:  # no old pool outlives its turn
-                self.pools[name] = self._backend.extend(self.pools[name], capacity, 0)
+                self.pools[name] = self._device.extend(self.pools[name], capacity, 0)
             self._users = np.append(self._users, np.zeros(capacity - held, dtype=np.int32))
             free = np.append(free, np.arange(held, held + missing))
         return free
 
     def _send(self) -> None:
-        self.page_tables = self._backend.upload(self.pages)
+        self.page_tables = self._device.upload(self.pages)
         self._one = None

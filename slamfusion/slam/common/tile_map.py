@@ -1,7 +1,7 @@
 """A map of tiles that grows where the robot goes: page table and allocation, on the host.
 
 Cells are counted from the map's anchor; the window of pages is the part of the plane that has a
-page table, and moves and grows with the map. See ``slamfusion.compute.slam_reference``.
+page table, and moves and grows with the map. See ``slamfusion.compute.tiles``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend, Handle
-from slamfusion.compute.slam_reference import TILE
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import TILE
+from slamfusion.compute.tiles import TileDevice
 from slamfusion.errors import MemoryBudgetError
 
 __all__ = ["TileMap", "grown_window", "joined_tiles"]
@@ -72,14 +73,17 @@ def grown_window(
 
 
 def joined_tiles(
-    backend: Backend, pool: Handle, pages: npt.NDArray[np.int32], corner: npt.NDArray[np.int64]
+    device: TileDevice,
+    pool: DeviceArray[Any],
+    pages: npt.NDArray[np.int32],
+    corner: npt.NDArray[np.int64],
 ) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.int64]]:
     """Return the tiles of a window as one array, cut to the pages in use.
 
     Of a pool that many maps share only these tiles are fetched.
 
     Args:
-        backend: where the pool lives.
+        device: where the pool lives.
         pool: (T, TILE, TILE) handle.
         pages: (PH, PW) int32.
         corner: (2,) column and row of the window's lower-left page, counted from the anchor.
@@ -94,7 +98,7 @@ def joined_tiles(
     height, width = int(rows.max()) + 1 - row0, int(cols.max()) + 1 - col0
     cut = pages[row0 : row0 + height, col0 : col0 + width]
     numbers, places = np.unique(cut, return_inverse=True)
-    tiles = backend.take_tiles(pool, numbers)
+    tiles = device.take_tiles(pool, numbers)
     values = np.empty((height, TILE, width, TILE), dtype=tiles.dtype)
     for row, own in zip(values, places.reshape(cut.shape), strict=True):
         row[:] = tiles[own].transpose(1, 0, 2)
@@ -111,18 +115,18 @@ class TileMap:
         corner: (2,) int64, column and row of the window's lower-left page, counted from the anchor.
     """
 
-    def __init__(self, backend: Backend, pools: Mapping[str, tuple[npt.DTypeLike, int]]) -> None:
+    def __init__(self, device: TileDevice, pools: Mapping[str, tuple[npt.DTypeLike, int]]) -> None:
         """Make pools with their empty tile.
 
         Args:
-            backend: where they live.
+            device: where they live.
             pools: by name, the dtype and the value of an unseen cell.
         """
-        self._backend = backend
+        self._device = device
         self._fills = {name: fill for name, (_, fill) in pools.items()}
         self._cell_bytes = {name: np.dtype(kind).itemsize for name, (kind, _) in pools.items()}
-        self.pools: dict[str, Handle] = {
-            name: backend.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
+        self.pools: dict[str, DeviceArray[Any]] = {
+            name: device.upload(np.full((FIRST_TILES, TILE, TILE), fill, dtype=kind))
             for name, (kind, fill) in pools.items()
         }
         self._capacity = FIRST_TILES
@@ -130,8 +134,8 @@ class TileMap:
         size = 2 * MARGIN + 1
         self.corner = np.array([-(size // 2), -(size // 2)], dtype=np.int64)
         self.pages = np.zeros((size, size), dtype=np.int32)
-        self.page_table: Handle = None
-        self.wanted: Handle = None
+        self.page_table: DeviceArray[Any]
+        self.wanted: Any = None
         self._send_pages()
 
     @property
@@ -167,12 +171,12 @@ class TileMap:
 
     def provide_wanted(self) -> None:
         """Give a tile to every page that ``wanted`` names, and clear it."""
-        missing = np.flatnonzero(self._backend.download(self.wanted)[1:])
+        missing = np.flatnonzero(self._device.download(self.wanted)[1:])
         needed = self.tiles + len(missing)
         if needed > self._capacity:
             self._capacity = max(needed, int(self._capacity * GROWTH))
             for name in self.pools:  # no old pool outlives its turn
-                self.pools[name] = self._backend.extend(
+                self.pools[name] = self._device.extend(
                     self.pools[name], self._capacity, self._fills[name]
                 )
         self.pages.flat[missing] = np.arange(self.tiles, needed)
@@ -185,11 +189,11 @@ class TileMap:
         Returns:
             (H, W) values, and (2,) column and row of its first cell from the anchor.
         """
-        return joined_tiles(self._backend, self.pools[name], self.pages, self.corner)
+        return joined_tiles(self._device, self.pools[name], self.pages, self.corner)
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return everything as arrays, for saving."""
-        pools = {f"pool_{name}": self._backend.download(p) for name, p in self.pools.items()}
+        pools = {f"pool_{name}": self._device.download(p) for name, p in self.pools.items()}
         tiles = np.array(self.tiles)
         return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
 
@@ -198,7 +202,7 @@ class TileMap:
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self.tiles = int(arrays["tiles"])
         names = [name for name in self.pools if f"pool_{name}" in arrays]
-        self.pools = {name: self._backend.upload(arrays[f"pool_{name}"]) for name in names}
+        self.pools = {name: self._device.upload(arrays[f"pool_{name}"]) for name in names}
         self._capacity = len(arrays[f"pool_{names[0]}"])
         self._send_pages()
 
@@ -208,5 +212,5 @@ class TileMap:
         self.wanted = None
 
     def _send_pages(self) -> None:
-        self.page_table = self._backend.upload(self.pages)
-        self.wanted = self._backend.upload(np.zeros(1 + self.pages.size, dtype=np.int32))
+        self.page_table = self._device.upload(self.pages)
+        self.wanted = self._device.upload(np.zeros(1 + self.pages.size, dtype=np.int32))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
@@ -70,7 +70,7 @@ class Tracker:
 
     Attributes:
         config: of the search.
-        backend: where the maps live.
+        device: where the maps live.
         rng: of the search's draws.
         health: the producer's record; match scores and disbelieved odometry are written there.
         searches_again: search again, wider, where little fits; False leaves that to the producer.
@@ -88,7 +88,7 @@ class Tracker:
     """
 
     config: MatcherConfig
-    backend: Backend
+    device: ComputeDevice
     rng: np.random.Generator
     health: Health
     expects_standstill: bool = False
@@ -134,7 +134,7 @@ class Tracker:
             hypotheses: at least one.
         """
         config = self.config
-        scan = ScanOnTiles(self.backend, walls, points, config.beams)
+        scan = ScanOnTiles(self.device, walls, points, config.beams)
         match = search_pose(scan, hypotheses, config, self.rng)
         mean = self.running_mean_score
         is_low = mean is not None and match.score < LOW_SHARE * mean

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend, Handle
-from slamfusion.compute.hit_map_reference import MOST_BEAMS, BeamScan, FieldRule
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.hit_counts import BeamScan, FieldRule
+from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
@@ -45,23 +47,23 @@ class ParticleMaps:
         tiles: counts of hits and visits, sums of the hits' places, and the score field.
     """
 
-    def __init__(self, config: Any, backend: Backend, count: int) -> None:
+    def __init__(self, config: Any, device: ComputeDevice, count: int) -> None:
         """Start empty.
 
         Args:
             config: a ``GmappingConfig`` with nothing left open.
-            backend: where the maps live.
+            device: where the maps live.
             count: N.
         """
         self.anchor = np.zeros(2)
         pools = {"counts": np.uint32, "sums": np.uint32, "field": np.uint8}
-        self.tiles = SharedTileMaps(backend, count, pools)
+        self.tiles = SharedTileMaps(device, count, pools)
         self._config = config
-        self._backend = backend
+        self._device = device
         self._field_rule = self._make_field_rule()
 
     @property
-    def field(self) -> Handle:
+    def field(self) -> DeviceArray[Any]:
         """Score field of all maps, on the device."""
         return self.tiles.pools["field"]
 
@@ -104,7 +106,7 @@ class ParticleMaps:
             poses: (N, 3) of all particles.
             alive: indices of those that write.
         """
-        config, maps, backend = self._config, self.tiles, self._backend
+        config, maps, device = self._config, self.tiles, self._device
         cell = config.delta
         every = -(-len(beams.ends) // MOST_MAPPED)
         ends, is_hit, laser = beams.ends[::every], beams.is_hit[::every], beams.laser
@@ -117,12 +119,12 @@ class ParticleMaps:
         )
         pages = maps.page_tables_of(alive)
         written = np.zeros(maps.pages.shape, dtype=np.bool_)
-        written[alive] = backend.touch_pages(pages, scan, config.kernelSize)
+        written[alive] = device.touch_pages(pages, scan, config.kernelSize)
         maps.make_writable(written)
         pages, pools = maps.page_tables_of(alive), maps.pools
-        if backend.count_beams(pools["counts"], pools["sums"], pages, scan):
-            halve_counts(backend, pools)
-        backend.settle_field(
+        if device.count_beams(pools["counts"], pools["sums"], pages, scan):
+            halve_counts(device, pools)
+        device.settle_field(
             pools["counts"], pools["sums"], pools["field"], pages, scan, self._field_rule
         )
 

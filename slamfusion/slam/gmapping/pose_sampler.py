@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import wrap_angles
 from slamfusion.slam.common.matcher import pose_table
 from slamfusion.slam.gmapping.particle_maps import ParticleMaps
@@ -52,16 +52,16 @@ class Sampled:
 class PoseSampler:
     """Samples the particles' poses."""
 
-    def __init__(self, config: Any, backend: Backend, maps: ParticleMaps) -> None:
+    def __init__(self, config: Any, device: ComputeDevice, maps: ParticleMaps) -> None:
         """Make the tables.
 
         Args:
             config: a ``GmappingConfig`` with nothing left open.
-            backend: where the maps live.
+            device: where the maps live.
             maps: of the particles.
         """
         self._config = config
-        self._backend = backend
+        self._device = device
         self._maps = maps
         self._likelihood_table = _likelihood_table(config)
         self._climb_sizes = _climb_sizes(config)
@@ -120,7 +120,7 @@ class PoseSampler:
             sigmas: (3,) of the motion model.
         """
         config, cell, corner = self._config, self._config.delta, self._maps.corner
-        looked_at = self._backend.upload(hits)
+        looked_at = self._device.upload(hits)
 
         def rows(poses: F64) -> F64:
             """In cells of the window, headings near 0: float32 is to carry them."""
@@ -131,7 +131,7 @@ class PoseSampler:
         losses = np.zeros((len(drawn), 7), dtype=np.float32)
         losses[:, :3] = rows(expected)
         losses[:, 3:6] = config.climb_loss * (np.array([cell, cell, 1.0]) / sigmas) ** 2
-        found = self._backend.climb_maps(
+        found = self._device.climb_maps(
             self._maps.field,
             self._maps.tiles.page_tables,
             looked_at,
@@ -151,9 +151,9 @@ class PoseSampler:
         """Return (N, K) of hits (P, 2), in cells, at samples (N, K, 3) on the particles' maps."""
         maps = self._maps
         table = pose_table(samples, self._config.delta, maps.corner)
-        looked_at = self._backend.upload(hits)
+        looked_at = self._device.upload(hits)
         pages = maps.tiles.page_tables
-        sums = self._backend.score_maps(maps.field, pages, looked_at, table, self._likelihood_table)
+        sums = self._device.score_maps(maps.field, pages, looked_at, table, self._likelihood_table)
         return np.asarray(sums / LOG_ONE)
 
 

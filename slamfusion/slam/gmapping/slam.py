@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GmappingConfig, to_mapping
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
@@ -61,12 +61,12 @@ class Gmapping:
 
     name = NAME
 
-    def __init__(self, config: GmappingConfig, backend: Backend, seed: int = 0) -> None:
+    def __init__(self, config: GmappingConfig, device: ComputeDevice, seed: int = 0) -> None:
         """Start with empty maps.
 
         Args:
             config: see ``GmappingConfig``.
-            backend: where the maps live.
+            device: where the maps live.
             seed: of every draw.
         """
         self.health: FilterHealth = FilterHealth()
@@ -78,16 +78,16 @@ class Gmapping:
         self._rng = np.random.default_rng(seed)
         self._tracker = Tracker(
             config.matcher,
-            backend,
+            device,
             self._rng,
             self.health,
             expects_standstill=config.expectation == "pose",
         )
         count = self._config.particles
         self._particles = Particles.of(count)
-        self._maps = ParticleMaps(self._config, backend, count)
+        self._maps = ParticleMaps(self._config, device, count)
         self._motion = make_motion_model(self._config)
-        self._sampler = PoseSampler(self._config, backend, self._maps)
+        self._sampler = PoseSampler(self._config, device, self._maps)
         self._paths = ParticlePaths(count)
         # What the robot has done since the last filter step, and when that was.
         self._moved = IDENTITY
@@ -271,14 +271,14 @@ class Gmapping:
 
     @classmethod
     def load_state(
-        cls, path: Path, config: GmappingConfig, backend: Backend, seed: int = 0
+        cls, path: Path, config: GmappingConfig, device: ComputeDevice, seed: int = 0
     ) -> Gmapping:
         """Return the filter that ``save_state`` has written.
 
         Args:
             path: the file.
             config: must be what the state was made with.
-            backend: where the maps are to live.
+            device: where the maps are to live.
             seed: likewise.
 
         Raises:
@@ -290,7 +290,7 @@ class Gmapping:
         if state.chosen != to_mapping(config.chosen()):
             message = f"{path}: was made with other defaults of its profile; start from the log"
             raise SlamFusionError(message)
-        made = cls(config, backend, seed)
+        made = cls(config, device, seed)
         restore_health(made.health, state.health)
         made.last_stamp_s = state.last_stamp_s
         made._tracker.restore(state.tracker)

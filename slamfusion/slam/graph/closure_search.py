@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import wrap_angle
 from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
@@ -101,10 +101,12 @@ class _Window:
 class ClosureSearch:
     """Searches scans in old submaps."""
 
-    def __init__(self, config: GraphConfig, backend: Backend, rng: np.random.Generator) -> None:
+    def __init__(
+        self, config: GraphConfig, device: ComputeDevice, rng: np.random.Generator
+    ) -> None:
         """Take the settings, the place of the maps, and where the search draws from."""
         self._config = config
-        self._backend = backend
+        self._device = device
         self._rng = rng
         # A window search ends within a cell of the place: half of the climbers find it from there.
         climbers = max(1, config.matcher.climbers // 2)
@@ -216,7 +218,7 @@ class ClosureSearch:
     ) -> Found | str:
         """Search around a hypothesis, of a window search or not, and judge what is found."""
         config = self._config
-        scan = ScanOnTiles(self._backend, submap.walls(), points, config.matcher.beams)
+        scan = ScanOnTiles(self._device, submap.walls(), points, config.matcher.beams)
         matcher = self._after_window if by_window else config.matcher
         match = search_pose(scan, [hypothesis], matcher, self._rng)
         unseen = scan.unseen_share(match.pose, UNSEEN_WALL)
@@ -241,7 +243,7 @@ class ClosureSearch:
         """Return the best of a window, not ``beside`` a pose (3,); None where nothing fits."""
         every = -(-len(points) // self._config.matcher.beams)
         return search_window(
-            self._backend,
+            self._device,
             submap.pyramid(),
             points[::every],
             window.centre,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
@@ -48,12 +48,12 @@ class LocalMap:
         node_pose: pose of the last node in that frame.
     """
 
-    def __init__(self, config: GraphConfig, backend: Backend, health: GraphHealth) -> None:
+    def __init__(self, config: GraphConfig, device: ComputeDevice, health: GraphHealth) -> None:
         """Start empty.
 
         Args:
             config: cell size, and how many nodes a submap holds.
-            backend: where the submaps live.
+            device: where the submaps live.
             health: where submaps and map components are counted.
         """
         self.submaps: list[Submap] = []
@@ -61,7 +61,7 @@ class LocalMap:
         self.active = 0
         self.node_pose = IDENTITY
         self._config = config
-        self._backend = backend
+        self._device = device
         self._health = health
         # Of the finished submaps, which change no more.
         self._boxes = _Boxes.of([])
@@ -244,7 +244,7 @@ class LocalMap:
     def _append(self, anchor: int, component: int) -> Submap:
         config = self._config
         sigma_m = config.correlation_search_space_smear_deviation
-        submap = Submap(self._backend, anchor, config.resolution, sigma_m)
+        submap = Submap(self._device, anchor, config.resolution, sigma_m)
         self.submaps.append(submap)
         self.components.append(component)
         self._health.submaps = len(self.submaps)
@@ -254,7 +254,7 @@ class LocalMap:
     def _scan(self, points: F64) -> ScanOnTiles:
         """Return a scan over the active submap."""
         walls = self.active_submap.walls()
-        return ScanOnTiles(self._backend, walls, points, self._config.matcher.beams)
+        return ScanOnTiles(self._device, walls, points, self._config.matcher.beams)
 
     def _walls_of(self, node: Node) -> tuple[F64, F64]:
         """Return a node's walls and laser as a submap takes them."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
@@ -70,7 +70,7 @@ class Localizer:
     def __init__(
         self,
         config: GraphConfig,
-        backend: Backend,
+        device: ComputeDevice,
         rng: np.random.Generator,
         local_map: LocalMap,
         search: ClosureSearch,
@@ -80,7 +80,7 @@ class Localizer:
 
         Args:
             config: of the matcher.
-            backend: where the maps live.
+            device: where the maps live.
             rng: of the matcher's draws.
             local_map: that scans are matched on.
             search: of a robot that the matcher may have lost.
@@ -90,7 +90,7 @@ class Localizer:
         self._search = search
         self._health = health
         self._tracker = Tracker(
-            config.matcher, backend, rng, health, searches_again=False, resolves_degeneracy=True
+            config.matcher, device, rng, health, searches_again=False, resolves_degeneracy=True
         )
         self._quality = TrackingQuality()
 

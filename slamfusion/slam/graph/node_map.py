@@ -15,8 +15,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
-from slamfusion.compute.hit_map_reference import MOST_BEAMS, BeamScan
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.hit_counts import BeamScan
+from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
@@ -90,15 +91,15 @@ class DrawsAside(Mapper, Protocol):
 class NodeMap:
     """Draws maps of one graph, one after another."""
 
-    def __init__(self, config: GraphConfig, backend: Backend) -> None:
+    def __init__(self, config: GraphConfig, device: ComputeDevice) -> None:
         """Start with nothing drawn.
 
         Args:
             config: cell size and what makes a wall.
-            backend: where the map lives.
+            device: where the map lives.
         """
         self._config = config
-        self._backend = backend
+        self._device = device
         self._maps = self._empty()
         # Poses in parts of a cell and of a radian, from the cell of the first node.
         self._drawn: F64 = np.zeros((0, 3))
@@ -148,7 +149,7 @@ class NodeMap:
         return OccupancyGrid(percent, cell, origin, job.name)
 
     def _empty(self) -> SharedTileMaps:
-        return SharedTileMaps(self._backend, 1, {"counts": np.uint32, "sums": np.uint32})
+        return SharedTileMaps(self._device, 1, {"counts": np.uint32, "sums": np.uint32})
 
     def _count(self, node: Node, rounded: F64, *, take_back: bool = False) -> None:
         """Count a node's beams at a rounded pose (3,), or take them back."""
@@ -165,10 +166,10 @@ class NodeMap:
         here = np.array([[0.0, 0.0, 1.0, 0.0]], dtype=np.float32)
         beams = BeamScan(inside[1:], np.ones(len(inside) - 1, dtype=np.uint8), inside[0], here)
         pages = maps.page_tables
-        maps.make_writable(self._backend.touch_pages(pages, beams, 0).astype(np.bool_))
+        maps.make_writable(self._device.touch_pages(pages, beams, 0).astype(np.bool_))
         pools = maps.pools
-        if self._backend.count_beams(
+        if self._device.count_beams(
             pools["counts"], pools["sums"], maps.page_tables, beams, take_back=take_back
         ):
-            halve_counts(self._backend, pools)
+            halve_counts(self._device, pools)
             self._is_exact = False

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
@@ -56,12 +56,12 @@ class GraphSlam:
 
     name = NAME
 
-    def __init__(self, config: GraphConfig, backend: Backend, seed: int = 0) -> None:
+    def __init__(self, config: GraphConfig, device: ComputeDevice, seed: int = 0) -> None:
         """Start with an empty graph.
 
         Args:
             config: see ``GraphConfig``.
-            backend: where the maps live.
+            device: where the maps live.
             seed: of the matcher's draws.
         """
         self.health: GraphHealth = GraphHealth()
@@ -69,13 +69,13 @@ class GraphSlam:
         self._config = config
         self._seed = seed
         rng = np.random.default_rng(seed)
-        search = ClosureSearch(config, backend, rng)
-        self._local_map = LocalMap(config, backend, self.health)
-        self._localizer = Localizer(config, backend, rng, self._local_map, search, self.health)
+        search = ClosureSearch(config, device, rng)
+        self._local_map = LocalMap(config, device, self.health)
+        self._localizer = Localizer(config, device, rng, self._local_map, search, self.health)
         self._graph = MapGraph(self.health)
         self._loops = LoopClosure(config, self._graph, self._local_map, search, self.health)
         self._path = DrivenPath()
-        self._map = NodeMap(config, backend)
+        self._map = NodeMap(config, device)
 
     # -- from a scan to the graph --------------------------------------------------------------
 
@@ -225,7 +225,7 @@ class GraphSlam:
         return self._map.draw(self.map_job(is_settled=True))
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
-        """Return what a ``NodeMap`` on another backend draws the map from, in another thread.
+        """Return what a ``NodeMap`` on another device draws the map from, in another thread.
 
         Args:
             is_settled: as for ``grid``, by all closures, which may take a solution; else those
@@ -268,14 +268,14 @@ class GraphSlam:
 
     @classmethod
     def load_state(
-        cls, path: Path, config: GraphConfig, backend: Backend, seed: int = 0
+        cls, path: Path, config: GraphConfig, device: ComputeDevice, seed: int = 0
     ) -> GraphSlam:
         """Return the graph that ``save_state`` has written.
 
         Args:
             path: the file.
             config: must be what the state was made with.
-            backend: where the submaps are to live.
+            device: where the submaps are to live.
             seed: likewise.
 
         Raises:
@@ -284,7 +284,7 @@ class GraphSlam:
         state = read_state(
             path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed, kind=GraphState
         )
-        made = cls(config, backend, seed)
+        made = cls(config, device, seed)
         restore_health(made.health, state.health)
         made.last_stamp_s = state.last_stamp_s
         made._localizer.restore(state.localizer)

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend, Handle
-from slamfusion.compute.slam_reference import BEAM_ONE, SmearRule
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.cell_means import LikelihoodRule
+from slamfusion.compute.layout import BEAM_ONE
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import FieldMap
 from slamfusion.slam.common.tile_map import TileMap
@@ -50,11 +52,11 @@ class Pyramid:
 
     windows = (16, 8, 4, 2, 1)
 
-    def __init__(self, backend: Backend, values: npt.NDArray[np.uint8], corner: F64) -> None:
+    def __init__(self, device: ComputeDevice, values: npt.NDArray[np.uint8], corner: F64) -> None:
         """Pool the field of a submap; what lies beyond it is no wall.
 
         Args:
-            backend: where the fields are to live.
+            device: where the fields are to live.
             values: (H, W) uint8.
             corner: of its first cell.
         """
@@ -62,12 +64,12 @@ class Pyramid:
         padded = np.pad(values, ((pad, 0), (pad, 0)))
         self.corner = corner - pad
         shape = (1, *padded.shape)
-        field = backend.upload(padded)
-        self.fields: list[Handle] = []
+        field = device.upload(padded)
+        self.fields: list[DeviceArray[Any]] = []
         for window in self.windows:
             pooled = field
             for along_rows in (True, False):
-                pooled = backend.max_window(pooled, window, along_rows=along_rows, fill=0)
+                pooled = device.max_window(pooled, window, along_rows=along_rows, fill=0)
             self.fields.append(pooled.reshape(shape))
 
 
@@ -81,11 +83,13 @@ class Submap:
         high: (2,) the other corner.
     """
 
-    def __init__(self, backend: Backend, anchor: int, resolution: float, sigma_m: float) -> None:
+    def __init__(
+        self, device: ComputeDevice, anchor: int, resolution: float, sigma_m: float
+    ) -> None:
         """Start empty.
 
         Args:
-            backend: where it lives.
+            device: where it lives.
             anchor: see above.
             resolution: metres per cell.
             sigma_m: standard deviation of the likelihood around a hit, metres, above 0.
@@ -94,11 +98,11 @@ class Submap:
         self.scans = 0
         self.low = np.zeros(2)
         self.high = np.zeros(2)
-        self._backend = backend
+        self._device = device
         self._cell = resolution
         self._rule = likelihood_rule(sigma_m / resolution)
         self._tiles = TileMap(
-            backend,
+            device,
             {
                 "observed": (np.uint32, 0),
                 "states": (np.uint32, 0),
@@ -139,16 +143,16 @@ class Submap:
         beams = np.empty((len(hits), 4), dtype=np.int32)
         beams[:, 0:2] = (hits - tiles.origin) * BEAM_ONE
         beams[:, 2:4] = (start - tiles.origin) * BEAM_ONE
-        handle = self._backend.upload(beams)
+        handle = self._device.upload(beams)
         pools = tiles.pools
         marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
-        if self._backend.smear_mark(*marked):
+        if self._device.mark_likelihood(*marked):
             tiles.provide_wanted()
             pools = tiles.pools
-            self._backend.smear_mark(
+            self._device.mark_likelihood(
                 pools["observed"], tiles.page_table, handle, rule, tiles.wanted
             )
-        self._backend.smear_fold(
+        self._device.update_likelihood(
             pools["observed"], pools["states"], pools["field"], tiles.page_table, handle, rule
         )
         place = np.array([pose.x, pose.y])
@@ -180,7 +184,7 @@ class Submap:
         values, first = self._tiles.cells("field")
         field = values.astype(np.uint8)
         field[field == UNSEEN_WALL] = 0
-        pyramid = Pyramid(self._backend, field, first.astype(np.float64))
+        pyramid = Pyramid(self._device, field, first.astype(np.float64))
         if self._is_finished:
             self._pyramid = pyramid
         return pyramid
@@ -196,11 +200,11 @@ def seen_score(score: float, unseen_share: float) -> float:
     return (score - unseen_share * UNSEEN_WALL / 255.0) / (1.0 - unseen_share)
 
 
-def likelihood_rule(deviation_cells: float) -> SmearRule:
+def likelihood_rule(deviation_cells: float) -> LikelihoodRule:
     """Return how hits spread by a Gaussian likelihood of a deviation in cells."""
     reach = min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation_cells)))
     farthest = 2.0 * ((reach + 0.5) * BEAM_ONE) ** 2
     shift = max(0, math.ceil(math.log2(farthest / TABLE_STEPS)))
     squared = np.arange(TABLE_STEPS) * 2.0**shift / BEAM_ONE**2
     likelihood = np.exp(-0.5 * squared / deviation_cells**2)
-    return SmearRule(np.rint(255.0 * likelihood).astype(np.uint8), shift, reach, MEMORY)
+    return LikelihoodRule(np.rint(255.0 * likelihood).astype(np.uint8), shift, reach, MEMORY)

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import wrap_angles
 from slamfusion.slam.graph.submap import Pyramid
 
@@ -51,7 +51,7 @@ class WindowMatch:
 
 
 def search_window(
-    backend: Backend,
+    device: ComputeDevice,
     pyramid: Pyramid,
     points: F64,
     centre: F64,
@@ -65,7 +65,7 @@ def search_window(
     """Search a window for the pose at which a scan's hits lie on the greatest sum of the field.
 
     Args:
-        backend: where the pyramid lives.
+        device: where the pyramid lives.
         pyramid: of the submap.
         points: (P, 2) hits in the robot's frame, metres; at least one.
         centre: (3,) middle of the window in the submap's frame.
@@ -89,7 +89,7 @@ def search_window(
     x = start[0] + cos * cells[:, 0] - sin * cells[:, 1]
     y = start[1] + sin * cells[:, 0] + cos * cells[:, 1]
     starts = np.floor(np.stack((y, x), axis=1)).astype(np.int32)
-    handle = backend.upload(starts)
+    handle = device.upload(starts)
     classes = np.zeros(len(points), dtype=np.uint8)
     span = 2 * half + 1
 
@@ -98,7 +98,7 @@ def search_window(
 
     def bounds(blocks: I32, level: int) -> npt.NDArray[np.int32]:
         field = pyramid.fields[level]
-        return backend.bound_blocks(blocks, handle, classes, field, 0, least=best_sum)
+        return device.bound_blocks(blocks, handle, classes, field, 0, least=best_sum)
 
     window = pyramid.windows[0]
     firsts = -(-span // window)

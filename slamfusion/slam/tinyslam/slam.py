@@ -12,15 +12,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.backend import Backend
-from slamfusion.compute.slam_reference import (
-    BEAM_ONE,
-    HALF,
-    MOST_OBSERVATIONS,
-    UNSEEN,
-    VALUE_ONE,
-    BeamRule,
-)
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.cell_means import ScanRule
+from slamfusion.compute.layout import BEAM_ONE, MEAN_HALF, MOST_OBSERVATIONS, UNSEEN, VALUE_ONE
 from slamfusion.config import TinySlamConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
@@ -72,21 +66,21 @@ class TinySlam:
 
     name = NAME
 
-    def __init__(self, config: TinySlamConfig, backend: Backend, seed: int = 0) -> None:
+    def __init__(self, config: TinySlamConfig, device: ComputeDevice, seed: int = 0) -> None:
         """Start with an empty map.
 
         Args:
             config: see ``TinySlamConfig``.
-            backend: where the map lives.
+            device: where the map lives.
             seed: of the matcher's draws.
         """
         self.health = Health()
         self._config = config
-        self._backend = backend
+        self._device = device
         rng = np.random.default_rng(seed)
-        self._tracker = Tracker(config.matcher, backend, rng, self.health)
+        self._tracker = Tracker(config.matcher, device, rng, self.health)
         self._map = TileMap(
-            backend,
+            device,
             {
                 "observed": (np.uint32, 0),
                 "valley": (np.uint32, UNSEEN),
@@ -205,7 +199,7 @@ class TinySlam:
         free = config.matcher_free_value
         peak = max(FREE_VALUE + share * (OCCUPIED_VALUE - FREE_VALUE), free + LEAST_CONTRAST)
         floor = free + FLOOR_SHARE * (peak - free)
-        rule = BeamRule(
+        rule = ScanRule(
             half_blur=round(0.5 * config.hole_width_m / cell * BEAM_ONE),
             behind=(VALUE_ONE + 1) // 2,
             free=round(config.matcher_free_value * VALUE_ONE),
@@ -215,13 +209,13 @@ class TinySlam:
             wall_floor=round(floor * (1 << 20)),
             wall_gain=round(255.0 / (peak - floor)),
         )
-        pools, handle = tiles.pools, self._backend.upload(beams)
+        pools, handle = tiles.pools, self._device.upload(beams)
         marked = (pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
-        if self._backend.tiny_mark(*marked):
+        if self._device.mark_scan(*marked):
             tiles.provide_wanted()
             pools = tiles.pools
-            self._backend.tiny_mark(pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
-        self._backend.tiny_fold(
+            self._device.mark_scan(pools["observed"], tiles.page_table, handle, rule, tiles.wanted)
+        self._device.integrate_scan(
             pools["observed"],
             pools["valley"],
             pools["published"],
@@ -257,7 +251,7 @@ def _percent(states: npt.NDArray[np.uint32], occupied_share: float) -> npt.NDArr
     The percent rises with the cell's mean so that ``occupied_share`` comes to lie at 65 and half of
     it at 25, the limits of the map servers: a wall that some beams grazed stays a wall.
     """
-    mean = (states >> 12).astype(np.float64) / (2 * HALF)
+    mean = (states >> 12).astype(np.float64) / (2 * MEAN_HALF)
     limits = (0.0, FREE_SHARE * occupied_share, occupied_share, 1.0)
     percent = np.rint(np.interp(mean, limits, PERCENTS)).astype(np.int8)
     percent[states & MOST_OBSERVATIONS == 0] = UNKNOWN

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import (
     MapError,
@@ -67,7 +67,7 @@ class Bench:
     Attributes:
         producer: which one is measured.
         config: its settings; parts change what they are about.
-        backend: where it runs.
+        device: where it runs.
         seeds: of the runs, and of the simulated courses.
         maps: folder for the first seed's maps; None: none are written.
         console: where tables go.
@@ -75,7 +75,7 @@ class Bench:
 
     producer: str
     config: RunConfig
-    backend: Backend
+    device: ComputeDevice
     seeds: tuple[int, ...]
     maps: Path | None
     console: Console
@@ -94,7 +94,7 @@ class Bench:
     ) -> ProducerRun:
         """Run a fresh producer."""
         settings = replace(config or self.config, seed=seed)
-        return run_producer(make_producer(self.producer, settings, self.backend), scans)
+        return run_producer(make_producer(self.producer, settings, self.device), scans)
 
     def run_without_odometry(self, scans: Sequence[LogScan], seed: int) -> ProducerRun:
         """Run on the laser alone: by the setting, or on scans without odometry."""
@@ -124,7 +124,7 @@ class Bench:
     def table(self, title: str, *columns: str) -> Table:
         """Return an empty table that says what is measured and on what."""
         seeds = f"seeds {self.seeds[0]} to {self.seeds[-1]}"
-        table = Table(title=f"{title}; {self.producer}, {seeds}, {self.backend.name}")
+        table = Table(title=f"{title}; {self.producer}, {seeds}, {self.device.name}")
         for column in columns:
             table.add_column(column, no_wrap=column == columns[0])
         return table

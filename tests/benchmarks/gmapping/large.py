@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.config import RunConfig, WorldConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -100,19 +100,19 @@ def drive_grounds(bench: Bench, seed: int) -> Recording:
             waypoints=tuple(stops),
             folder=Path(folder),
         )
-        return simulate(course, bench.backend)
+        return simulate(course, bench.device)
 
 
-def run_alone(producer: str, config: RunConfig, device: str, scans: Sequence[LogScan]) -> Large:
+def run_alone(producer: str, config: RunConfig, on_device: str, scans: Sequence[LogScan]) -> Large:
     """Run a producer; called in a process that holds nothing else."""
-    backend = make_producer(producer, config, open_backend(device))
+    device = make_producer(producer, config, open_device(on_device))
     peaks = [process_peak()]
 
     def note(done: int) -> None:
         if done == len(scans):
             peaks.append(process_peak())
 
-    run = run_producer(backend, scans, progress=note)
+    run = run_producer(device, scans, progress=note)
     return Large(run, run.health.to_json().get("filter"), (*peaks, process_peak()))
 
 

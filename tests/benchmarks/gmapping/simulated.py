@@ -44,7 +44,7 @@ def path_figures(judged: Sequence[Judged]) -> list[str]:
 
 def drive_course(bench: Bench, course: Course) -> Recording:
     """Simulate a course, and keep its truth to be looked at."""
-    recording = simulate(course, bench.backend)
+    recording = simulate(course, bench.device)
     bench.keep_map(recording.world.grid, course.seed, course.name, "truth")
     return recording
 
@@ -250,10 +250,10 @@ def half_an_office(bench: Bench, seed: int) -> tuple[Recording, Course]:
     """
     course = replace(named_course("office", seed), people=0)
     course = replace(course, world=replace(course.world, seed=seed))
-    stops = simulate(replace(course, lidar=replace(course.lidar, beams=1)), bench.backend)
+    stops = simulate(replace(course, lidar=replace(course.lidar, beams=1)), bench.device)
     waypoints = stops.course.waypoints or ()
     half = len(waypoints) // 2
-    there = simulate(replace(course, waypoints=waypoints[:half]), bench.backend)
+    there = simulate(replace(course, waypoints=waypoints[:half]), bench.device)
     return there, replace(course, start=there.truth.pose(-1), waypoints=waypoints[half:])
 
 
@@ -262,5 +262,5 @@ def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording
     there, rest = half_an_office(bench, seed)
     wait = (ActionConfig(wait_s=STAND_S),)
     standing = replace(rest, seed=seed + 1_000_000, waypoints=None, script=wait)
-    stand = simulate(standing, bench.backend)
-    return there, stand, simulate(replace(rest, seed=seed + 2_000_000), bench.backend)
+    stand = simulate(standing, bench.device)
+    return there, stand, simulate(replace(rest, seed=seed + 2_000_000), bench.device)

@@ -177,7 +177,7 @@ def _log_row(bench: Bench, item: CorrectedLog, seed: int) -> list[str]:
     if item.odometry is None:
         config = replace(config, graph=replace(config.graph, odometry="none"))
     log = open_log(item.log, config.log, item.odometry)
-    slam = GraphSlam(config.graph, bench.backend, seed)
+    slam = GraphSlam(config.graph, bench.device, seed)
     run = run_producer(slam, log, log=log)
     corrected = read_trajectory(item.log, config.log)
     bench.keep_map(run.grid, seed, item.name)

@@ -81,7 +81,7 @@ class Loops:
 
 def run_graph(bench: Bench, drive: Drive, seed: int) -> tuple[ProducerRun, Loops]:
     """Run a fresh graph on a drive, and judge its closures."""
-    slam = GraphSlam(bench.config.graph, bench.backend, seed)
+    slam = GraphSlam(bench.config.graph, bench.device, seed)
     scans, truth = drive
     return run_producer(slam, scans), Loops.of(slam, truth)
 
@@ -188,13 +188,13 @@ def _events(bench: Bench, seed: int) -> Iterator[_Event]:
 def _stretches(bench: Bench, seed: int) -> tuple[Recording, Recording, Recording]:
     """Simulate half an office drive, and the other half from its end or from another room."""
     there, rest = half_an_office(bench, seed)
-    back = simulate(replace(rest, seed=seed + 1_000_000), bench.backend)
+    back = simulate(replace(rest, seed=seed + 1_000_000), bench.device)
     # The room that was seen first and lies farthest away.
     end, waypoints = there.truth.pose(-1), there.course.waypoints or ()
     seen = waypoints[: len(waypoints) // 2 + 1]
     x, y = max(seen, key=lambda stop: float(np.hypot(stop[0] - end.x, stop[1] - end.y)))
     start = Pose2(x, y, end.yaw_rad + 2.0)
-    elsewhere = simulate(replace(rest, seed=seed + 2_000_000, start=start), bench.backend)
+    elsewhere = simulate(replace(rest, seed=seed + 2_000_000, start=start), bench.device)
     return there, back, elsewhere
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig, TinySlamConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
@@ -21,10 +21,10 @@ POSE = true_poses(1)[0]
 def mapped() -> ScanOnTiles:
     """A scan over the map that it has made itself."""
     config = TinySlamConfig()
-    slam = TinySlam(config, NumpyBackend())
+    slam = TinySlam(config, NumpyDevice())
     scan = scan_at(POSE, 0.0)
     slam.feed(scan, POSE)
-    return ScanOnTiles(NumpyBackend(), slam._walls(), scan.points(), config.matcher.beams)
+    return ScanOnTiles(NumpyDevice(), slam._walls(), scan.points(), config.matcher.beams)
 
 
 def at(x: float, y: float, yaw: float, loss: float = 0.0, wide: float = 1.0) -> PoseHypothesis:

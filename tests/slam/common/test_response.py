@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import PoseHypothesis, ScanOnTiles, Spread, search_pose
@@ -35,28 +35,28 @@ F64 = npt.NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 @pytest.fixture(scope="module")
-def corridor(backend: Backend) -> Place:
+def corridor(device: ComputeDevice) -> Place:
     """The middle of the corridor, far from its features and its end."""
-    return place_of(backend, draw_corridor(), [Pose2(9.0 + 0.3 * i, 1.5) for i in range(30)])
+    return place_of(device, draw_corridor(), [Pose2(9.0 + 0.3 * i, 1.5) for i in range(30)])
 
 
 @pytest.fixture(scope="module")
-def flat(backend: Backend) -> Place:
-    return place_of(backend, draw_flat(), true_poses(120)[30:90:4])
+def flat(device: ComputeDevice) -> Place:
+    return place_of(device, draw_flat(), true_poses(120)[30:90:4])
 
 
 @pytest.mark.parametrize(("yaw_rad", "most"), [(0.0, 4.2), (0.4, 80.0), (math.pi / 2, 4.2)])
-def test_two_even_walls_tell_nothing_along_them(backend: Backend, yaw_rad: float, most: float):
+def test_two_even_walls_tell_nothing_along_them(device: ComputeDevice, yaw_rad: float, most: float):
     """Walls of a hit at every centimetre, 6 m of them seen, turned in the submap's frame.
 
     Oblique to the cells the score changes by a thousandth from place to place, which is told.
     """
-    submap = Submap(backend, 0, CELL_M, 0.1)
+    submap = Submap(device, 0, CELL_M, 0.1)
     frame, walls = Pose2(0.4, -0.3, yaw_rad), {}
     for half_m in (3.0, 6.0):
         along = np.arange(-half_m, half_m, 0.01)
@@ -64,7 +64,7 @@ def test_two_even_walls_tell_nothing_along_them(backend: Backend, yaw_rad: float
         walls[half_m] = np.concatenate(both)
     submap.insert(walls[6.0], NO_LASER, frame)
     at = np.array([frame.x, frame.y, yaw_rad])
-    scan = ScanOnTiles(backend, submap.walls(), walls[3.0], 180)
+    scan = ScanOnTiles(device, submap.walls(), walls[3.0], 180)
     found = turned(response_information(scan, at), -yaw_rad)
     assert 0.99 * MOST_SIGMA**-2.0 < found[0, 0] < most
     assert found[1, 1] > 1000.0
@@ -140,7 +140,7 @@ def spread_of_matches(place: Place, index: int) -> tuple[F64, F64]:
     found, told = [], []
     for seed in range(100):
         points = place.points(pose, 1000 + seed, 0.015)
-        scan = ScanOnTiles(place.backend, place.submap.walls(), points, config.beams)
+        scan = ScanOnTiles(place.device, place.submap.walls(), points, config.beams)
         hypothesis = PoseHypothesis(truth + rng.normal(0.0, (0.05, 0.05, 0.02)), Spread(0.1, 0.05))
         pose_found = search_pose(scan, [hypothesis], config, rng).pose
         found.append(pose_found)
@@ -175,11 +175,11 @@ def two_walls(half_m: float) -> F64:
     return np.concatenate([np.column_stack((along, np.full_like(along, y))) for y in (-1.0, 1.0)])
 
 
-def scan_of(backend: Backend, frame: Pose2, written: F64, points: F64) -> ScanOnTiles:
+def scan_of(device: ComputeDevice, frame: Pose2, written: F64, points: F64) -> ScanOnTiles:
     """Return hits over a submap of others, written at a pose."""
-    submap = Submap(backend, 0, CELL_M, 0.1)
+    submap = Submap(device, 0, CELL_M, 0.1)
     submap.insert(written, NO_LASER, frame)
-    return ScanOnTiles(backend, submap.walls(), points, 100_000)
+    return ScanOnTiles(device, submap.walls(), points, 100_000)
 
 
 def keep_prior(scan: ScanOnTiles, match: F64, expected: F64) -> F64:
@@ -195,11 +195,11 @@ def vector(pose: Pose2) -> F64:
 @pytest.mark.parametrize("ahead_m", [-0.4, 0.07, 1.5])
 @pytest.mark.parametrize("aside_m", [-0.3, 0.0, 0.2])
 def test_along_bare_walls_odometry_has_its_way(
-    backend: Backend, yaw_rad: float, ahead_m: float, aside_m: float
+    device: ComputeDevice, yaw_rad: float, ahead_m: float, aside_m: float
 ):
     """A match in the middle of two walls; odometry is ahead of it, aside, and turned."""
     frame = Pose2(0.4, -0.3, yaw_rad)
-    scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
+    scan = scan_of(device, frame, two_walls(6.0), two_walls(3.0))
     match = vector(frame)
     expected = vector(frame.compose(Pose2(ahead_m, aside_m, 0.1)))
     before = match.copy()
@@ -211,9 +211,9 @@ def test_along_bare_walls_odometry_has_its_way(
 
 
 @pytest.mark.parametrize("yaw_rad", [0.3, -0.2, 1.35])
-def test_along_walls_a_little_oblique_to_the_cells_too(backend: Backend, yaw_rad: float):
+def test_along_walls_a_little_oblique_to_the_cells_too(device: ComputeDevice, yaw_rad: float):
     frame = Pose2(0.4, -0.3, yaw_rad)
-    scan = scan_of(backend, frame, two_walls(6.0), two_walls(3.0))
+    scan = scan_of(device, frame, two_walls(6.0), two_walls(3.0))
     expected = frame.compose(Pose2(1.0, 0.2, 0.1))
     kept = Pose2(*(float(v) for v in keep_prior(scan, vector(frame), vector(expected))))
     moved = frame.inverse().compose(kept)
@@ -228,7 +228,7 @@ def test_in_a_drawn_corridor_odometry_decides_along_it(corridor: Place):
     for index in range(20):
         pose = Pose2(12.0 + 0.1 * index, 1.5, 0.0)
         points = corridor.points(pose, 100 + index, 0.015)
-        scan = ScanOnTiles(corridor.backend, corridor.submap.walls(), points, 180)
+        scan = ScanOnTiles(corridor.device, corridor.submap.walls(), points, 180)
         match = vector(pose)
         kept = keep_prior(scan, match, match + np.array([0.2, 0.2, 0.1]))
         moved.append(kept - match)
@@ -243,17 +243,17 @@ def test_in_a_room_a_match_stays_where_it_is(flat: Place, index: int):
     pose = true_poses(120)[index]
     for seed in range(5):
         points = flat.points(pose, seed, 0.015)
-        scan = ScanOnTiles(flat.backend, flat.submap.walls(), points, 180)
+        scan = ScanOnTiles(flat.device, flat.submap.walls(), points, 180)
         match = vector(pose)
         kept = keep_prior(scan, match, match + np.array([1.0, -2.0, 0.5]))
         assert kept.tobytes() == vector(pose).tobytes()
 
 
-def test_one_wall_across_closes_a_corridor(backend: Backend):
+def test_one_wall_across_closes_a_corridor(device: ComputeDevice):
     """The same two walls, and the end of the corridor in sight."""
     end = np.column_stack((np.full(200, 2.5), np.arange(-1.0, 1.0, 0.01)))
     points = np.concatenate((two_walls(2.5), end))
-    scan = scan_of(backend, Pose2(), points, points)
+    scan = scan_of(device, Pose2(), points, points)
     match, expected = np.zeros(3), np.array([-0.3, 0.1, 0.0])
     assert keep_prior(scan, match, expected).tobytes() == match.tobytes()
     information = response_information(scan, match)
@@ -272,7 +272,7 @@ def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
 ):
     """At any place, also outside and within walls, where a response bends any way."""
     points = scan_at(true_poses(120)[60], 0.0).points()
-    scan = ScanOnTiles(flat.backend, flat.submap.walls(), points, 180)
+    scan = ScanOnTiles(flat.device, flat.submap.walls(), points, 180)
     match = np.array([x, y, yaw_rad])
     expected = match + np.array([*ahead, 0.3])
     kept = keep_prior(scan, match, expected)
@@ -285,22 +285,22 @@ def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
 # -- limits ----------------------------------------------------------------------------------------
 
 
-def test_where_nothing_is_seen_a_match_tells_the_least(backend: Backend):
+def test_where_nothing_is_seen_a_match_tells_the_least(device: ComputeDevice):
     """A level response: the least in every direction, the heading's at 5 m."""
-    scan = scan_of(backend, Pose2(), two_walls(3.0), np.array([(100.0, 100.0), (101.0, 100.0)]))
+    scan = scan_of(device, Pose2(), two_walls(3.0), np.array([(100.0, 100.0), (101.0, 100.0)]))
     least = MOST_SIGMA**-2.0
     np.testing.assert_allclose(
         response_information(scan, np.zeros(3)), np.diag([least, least, 25.0 * least]), atol=1e-9
     )
 
 
-def test_a_sharp_response_tells_no_more_than_the_most(backend: Backend):
+def test_a_sharp_response_tells_no_more_than_the_most(device: ComputeDevice):
     """Hits of a fine map in one cell each and a heading seen 25 m away."""
     rng = np.random.default_rng(0)
     points = rng.uniform(-25.0, 25.0, (400, 2))
-    submap = Submap(backend, 0, CELL_M, 0.02)
+    submap = Submap(device, 0, CELL_M, 0.02)
     submap.insert(points, NO_LASER, Pose2())
-    scan = ScanOnTiles(backend, submap.walls(), points, 1000)
+    scan = ScanOnTiles(device, submap.walls(), points, 1000)
     values = np.linalg.eigvalsh(
         response_information(scan, np.zeros(3)) / np.outer([1.0, 1.0, 5.0], [1.0, 1.0, 5.0])
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamfusion.cli.slam import NAMES, RESUMABLE
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
@@ -74,9 +74,9 @@ def test_the_path_as_first_reported_is_found_where_it_is_kept() -> None:
 
 
 def test_the_graph_keeps_the_path_that_it_first_reported() -> None:
-    backend = make_producer("graph", RunConfig(), NumpyBackend())
+    backend = make_producer("graph", RunConfig(), NumpyDevice())
     told = [backend.feed(item.scan, item.odometry).pose_map_base for item in room_drive(6)]
-    backend = make_producer("graph", RunConfig(), NumpyBackend())
+    backend = make_producer("graph", RunConfig(), NumpyDevice())
     online = run_producer(backend, room_drive(6)).online_path()
     assert online is not None
     assert [online.pose(k) for k in range(6)] == told
@@ -173,18 +173,18 @@ def test_a_resumed_producer_is_fed_only_what_is_new(tmp_path: Path) -> None:
 
 
 def test_a_limit_counts_only_what_is_fed_in_this_run() -> None:
-    backend = ResumableReckoning()
-    run_producer(backend, room_drive(20), limit=3)
-    run = run_producer(backend, room_drive(20), limit=4)
+    device = ResumableReckoning()
+    run_producer(device, room_drive(20), limit=3)
+    run = run_producer(device, room_drive(20), limit=4)
     assert (run.known_scans, len(run.feed_s), run.scans) == (3, 4, 7)
 
 
 def test_a_log_that_is_known_already_is_one_line() -> None:
-    backend = ResumableReckoning()
-    run_producer(backend, room_drive(6))
+    device = ResumableReckoning()
+    run_producer(device, room_drive(6))
     log = ListLog(room_drive(5))
     with pytest.raises(SlamFusionError) as caught:
-        run_producer(backend, log, log=log)
+        run_producer(device, log, log=log)
     assert str(caught.value) == (
         "drive.log: dead-reckoning knows every one of the 5 scans: its state goes up to 0.500 s; "
         "give a log that goes on from there"
@@ -192,10 +192,10 @@ def test_a_log_that_is_known_already_is_one_line() -> None:
 
 
 def test_a_resumed_producer_without_any_scan_makes_no_map() -> None:
-    backend = ResumableReckoning()
-    run_producer(backend, room_drive(6))
+    device = ResumableReckoning()
+    run_producer(device, room_drive(6))
     with pytest.raises(SlamFusionError, match="none of 0 scans; give"):
-        run_producer(backend, [])
+        run_producer(device, [])
 
 
 def test_many_blind_scans_are_a_doubt() -> None:
@@ -221,8 +221,8 @@ def test_many_bad_matches_or_many_in_a_row_are_a_doubt(
 ) -> None:
     # Long enough that what comes in a row is a small share.
     count = 100 if in_a_row == 1 else 200
-    backend = DeadReckoning(dict.fromkeys(low, 0.3))
-    run = run_producer(backend, room_drive(count))
+    device = DeadReckoning(dict.fromkeys(low, 0.3))
+    run = run_producer(device, room_drive(count))
     assert run.low_in_a_row == in_a_row
     assert bool(run.doubts()) == is_doubted
     if is_doubted:
@@ -244,22 +244,22 @@ def test_the_command_line_resumes_every_producer_that_can() -> None:
     able = tuple(name for name, producer in PRODUCERS.items() if producer.resume is not None)
     assert able == RESUMABLE
     for name in PRODUCERS:
-        made = make_producer(name, RunConfig(), NumpyBackend())
+        made = make_producer(name, RunConfig(), NumpyDevice())
         assert isinstance(made, Resumable) == (name in RESUMABLE)
 
 
 def test_a_producer_that_cannot_go_on_is_named(tmp_path: Path) -> None:
     with pytest.raises(SlamFusionError, match="tinyslam cannot go on from a saved state"):
-        resume_producer("tinyslam", tmp_path / "state", RunConfig(), NumpyBackend())
+        resume_producer("tinyslam", tmp_path / "state", RunConfig(), NumpyDevice())
 
 
 def test_an_unknown_producer_is_named() -> None:
     with pytest.raises(SlamFusionError, match=r"'hector'.*tinyslam"):
-        make_producer("hector", RunConfig(), NumpyBackend())
+        make_producer("hector", RunConfig(), NumpyDevice())
 
 
 def test_tinyslam_makes_a_map_of_the_room() -> None:
-    run = run_producer(make_producer("tinyslam", RunConfig(), NumpyBackend()), room_drive(6))
+    run = run_producer(make_producer("tinyslam", RunConfig(), NumpyDevice()), room_drive(6))
     assert run.scans_used == 6
     truth = np.array([0.05 * 5 - 0.5, 0.1, 0.1])
     np.testing.assert_allclose(run.trajectory.poses[-1], truth, atol=0.1)

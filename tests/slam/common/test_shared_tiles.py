@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, open_backend
-from slamfusion.compute.slam_reference import TILE
+from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute.layout import TILE
 from slamfusion.slam.common.shared_tiles import GROWTH, SharedTileMaps
 from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN
 
@@ -23,27 +23,27 @@ HALF_PAGES = 5
 SIDE = 2 * HALF_PAGES * TILE
 
 
-class CountingBackend:
-    """A real backend, and how often each of its operations was asked for."""
+class CountingDevice:
+    """A real device, and how often each of its operations was asked for."""
 
-    def __init__(self, backend: Backend) -> None:
-        self._backend = backend
+    def __init__(self, device: ComputeDevice) -> None:
+        self._device = device
         self.calls: Counter[str] = Counter()
         self.tiles_copied = 0
 
     def __getattr__(self, name: str) -> Any:
         self.calls[name] += 1
-        return getattr(self._backend, name)
+        return getattr(self._device, name)
 
     def copy_tiles(self, pools: tuple[Any, ...], pairs: npt.NDArray[np.int32]) -> None:
         self.calls["copy_tiles"] += 1
         self.tiles_copied += len(pairs)
-        self._backend.copy_tiles(pools, pairs)
+        self._device.copy_tiles(pools, pairs)
 
 
 @pytest.fixture(scope="module", params=["numpy", "auto"])
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return open_backend(request.param)
+def device(request: pytest.FixtureRequest) -> ComputeDevice:
+    return open_device(request.param)
 
 
 class Full:
@@ -59,9 +59,9 @@ class Full:
 class Pair:
     """Shared maps and full copies that get the same orders."""
 
-    def __init__(self, backend: Backend, count: int = MAPS) -> None:
-        self.backend = CountingBackend(backend)
-        self.shared = SharedTileMaps(self.backend, count, POOLS)  # type: ignore[arg-type]
+    def __init__(self, device: ComputeDevice, count: int = MAPS) -> None:
+        self.device = CountingDevice(device)
+        self.shared = SharedTileMaps(self.device, count, POOLS)  # type: ignore[arg-type]
         self.full = Full(count)
 
     def cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
@@ -82,7 +82,7 @@ class Pair:
         cells = rng.integers(0, TILE, (len(pages), 2))
         values = rng.integers(1, 256, len(pages))
         for name in POOLS:
-            pool = self.backend.download(shared.pools[name]).copy()
+            pool = self.device.download(shared.pools[name]).copy()
             for (index, col, row), place, (up, right), value in zip(
                 pages, places, cells, values, strict=True
             ):
@@ -90,7 +90,7 @@ class Pair:
                 pool[tile, up, right] = value.astype(pool.dtype)
                 at = ((row + HALF_PAGES) * TILE + up, (col + HALF_PAGES) * TILE + right)
                 self.full.cells[name][(index, *at)] = value.astype(pool.dtype)
-            shared.pools[name] = self.backend.upload(pool)
+            shared.pools[name] = self.device.upload(pool)
 
     def take_over(self, parents: list[int]) -> None:
         chosen = np.array(parents)
@@ -108,15 +108,15 @@ class Pair:
                 at = rows + int(row) + HALF_PAGES * TILE, cols + int(col) + HALF_PAGES * TILE
                 found[at] = values[rows, cols]
                 np.testing.assert_array_equal(found, wanted)
-            assert not self.backend.download(shared.pools[name])[0].any()
+            assert not self.device.download(shared.pools[name])[0].any()
         users = np.bincount(shared.pages.ravel(), minlength=len(shared._users))
         np.testing.assert_array_equal(shared._users[1:], users[1:])
         assert shared._users[0] == 0
         assert shared.tiles_owned == (users[1:] == 1).sum()
         assert shared.tiles_shared == (users[1:] > 1).sum()
-        np.testing.assert_array_equal(self.backend.download(shared.page_tables), shared.pages)
+        np.testing.assert_array_equal(self.device.download(shared.page_tables), shared.pages)
         for index, pages in enumerate(shared.pages):
-            np.testing.assert_array_equal(self.backend.download(shared.page_table(index)), pages)
+            np.testing.assert_array_equal(self.device.download(shared.page_table(index)), pages)
 
 
 # Pages that a program may write to, so that the window's margin stays inside the full copies.
@@ -137,9 +137,9 @@ steps = st.one_of(
 )
 @given(program=st.lists(steps, max_size=10), seed=st.integers(0, 2**32 - 1))
 def test_any_program_leaves_what_full_copies_hold(
-    backend: Backend, program: list[tuple[Any, ...]], seed: int
+    device: ComputeDevice, program: list[tuple[Any, ...]], seed: int
 ):
-    pair, rng = Pair(backend), np.random.default_rng(seed)
+    pair, rng = Pair(device), np.random.default_rng(seed)
     for order, *what in program:
         if order == "cover":
             first, second = what
@@ -162,9 +162,9 @@ def random_pages(rng: np.random.Generator, count: int) -> list[tuple[int, int, i
     return [tuple(row) for row in np.unique(drawn, axis=0).tolist()]
 
 
-def test_a_long_life_of_writing_and_taking_over(backend: Backend):
+def test_a_long_life_of_writing_and_taking_over(device: ComputeDevice):
     """As a filter lives; the pool grows beyond its first size, and later no more."""
-    pair, rng = Pair(backend), np.random.default_rng(5)
+    pair, rng = Pair(device), np.random.default_rng(5)
     pair.cover((-3, -3), (2, 2))
     pages = (2 * (HALF_PAGES - MARGIN)) ** 2
     for step in range(60):
@@ -175,12 +175,12 @@ def test_a_long_life_of_writing_and_taking_over(backend: Backend):
             pair.check()
     # No more tiles than all pages of all maps, and what one last growth may have been too much.
     assert FIRST_TILES < len(pair.shared._users) <= GROWTH * (1 + MAPS * pages)
-    assert len(pair.backend.download(pair.shared.pools["field"])) == len(pair.shared._users)
+    assert len(pair.device.download(pair.shared.pools["field"])) == len(pair.shared._users)
 
 
-def test_freed_tiles_are_used_again(backend: Backend):
+def test_freed_tiles_are_used_again(device: ComputeDevice):
     """All maps write everywhere, then follow one of them: the others' tiles are free again."""
-    pair, rng = Pair(backend), np.random.default_rng(0)
+    pair, rng = Pair(device), np.random.default_rng(0)
     pair.cover((-2, -2), (1, 1))
     everywhere = [(i, x, y) for i in range(MAPS) for x in range(-2, 2) for y in range(-2, 2)]
     pair.write(everywhere, rng)
@@ -194,8 +194,8 @@ def test_freed_tiles_are_used_again(backend: Backend):
     pair.check()
 
 
-def test_a_reused_tile_of_a_new_page_begins_empty(backend: Backend):
-    pair, rng = Pair(backend, 2), np.random.default_rng(1)
+def test_a_reused_tile_of_a_new_page_begins_empty(device: ComputeDevice):
+    pair, rng = Pair(device, 2), np.random.default_rng(1)
     pair.cover((-2, -2), (1, 1))
     pair.write([(1, -2, -2), (1, 0, 0)], rng)
     freed = set(pair.shared.pages[1][pair.shared.pages[1] > 0].tolist())
@@ -205,29 +205,29 @@ def test_a_reused_tile_of_a_new_page_begins_empty(backend: Backend):
     pair.check()
 
 
-def test_taking_over_copies_no_cell(backend: Backend):
-    pair, rng = Pair(backend), np.random.default_rng(2)
+def test_taking_over_copies_no_cell(device: ComputeDevice):
+    pair, rng = Pair(device), np.random.default_rng(2)
     pair.cover((-2, -2), (1, 1))
     pair.write([(i, x, 0) for i in range(MAPS) for x in range(-2, 2)], rng)
-    pair.backend.calls.clear()
-    pair.backend.tiles_copied = 0
+    pair.device.calls.clear()
+    pair.device.tiles_copied = 0
     for parents in ([0, 0, 2, 3], [2, 2, 2, 2], [3, 2, 1, 0]):
         pair.take_over(parents)
     # The page tables are sent, and nothing else happens.
-    assert pair.backend.calls == {"upload": 3}
+    assert pair.device.calls == {"upload": 3}
     pair.check()
 
 
-def test_a_write_copies_only_what_others_use(backend: Backend):
-    pair, rng = Pair(backend), np.random.default_rng(3)
+def test_a_write_copies_only_what_others_use(device: ComputeDevice):
+    pair, rng = Pair(device), np.random.default_rng(3)
     pair.cover((-2, -2), (1, 1))
     pair.write([(0, 0, 0), (0, 1, 0)], rng)
 
     def copied(pages: list[tuple[int, int, int]]) -> int:
-        pair.backend.tiles_copied = 0
+        pair.device.tiles_copied = 0
         pair.write(pages, rng)
         pair.check()
-        return pair.backend.tiles_copied
+        return pair.device.tiles_copied
 
     assert copied([(0, 0, 0), (0, 1, 0)]) == 0  # its own
     pair.take_over([0, 0, 0, 0])
@@ -241,32 +241,32 @@ def test_a_write_copies_only_what_others_use(backend: Backend):
     assert copied([(1, 1, 0)]) == 0
 
 
-def test_nothing_written_changes_nothing(backend: Backend):
-    pair = Pair(backend)
-    before = dict(pair.backend.calls)
+def test_nothing_written_changes_nothing(device: ComputeDevice):
+    pair = Pair(device)
+    before = dict(pair.device.calls)
     pair.shared.make_writable(np.zeros(pair.shared.pages.shape, dtype=np.bool_))
-    assert dict(pair.backend.calls) == before
+    assert dict(pair.device.calls) == before
     assert pair.shared.cells("counts", 2)[0].max() == 0
     pair.check()
 
 
-def test_page_tables_of_some_maps(backend: Backend):
-    pair, rng = Pair(backend), np.random.default_rng(4)
+def test_page_tables_of_some_maps(device: ComputeDevice):
+    pair, rng = Pair(device), np.random.default_rng(4)
     pair.write([(i, 0, 0) for i in range(MAPS)], rng)
     for chosen in ([2], [0, 3], [1, 2, 3], list(range(MAPS))):
-        found = pair.backend.download(pair.shared.page_tables_of(np.array(chosen)))
+        found = pair.device.download(pair.shared.page_tables_of(np.array(chosen)))
         np.testing.assert_array_equal(found, pair.shared.pages[chosen])
 
 
-def test_saved_and_restored_maps_go_on_alike(backend: Backend):
+def test_saved_and_restored_maps_go_on_alike(device: ComputeDevice):
     """The same cells, and the same choice of free tiles ever after."""
-    pair, rng = Pair(backend), np.random.default_rng(6)
+    pair, rng = Pair(device), np.random.default_rng(6)
     pair.cover((-3, -3), (2, 2))
     for _ in range(6):
         pair.write(random_pages(rng, 60), rng)
         pair.take_over(rng.integers(0, MAPS, MAPS).tolist())
     arrays = {name: array.copy() for name, array in pair.shared.to_arrays().items()}
-    again = Pair(backend)
+    again = Pair(device)
     again.shared.restore(arrays)
     again.full.cells = {name: cells.copy() for name, cells in pair.full.cells.items()}
     again.check()
@@ -281,10 +281,10 @@ def test_saved_and_restored_maps_go_on_alike(backend: Backend):
         np.testing.assert_array_equal(again.shared._users, pair.shared._users)
 
 
-def test_memory_counts_pools_and_page_tables(backend: Backend):
-    pair, rng = Pair(backend), np.random.default_rng(7)
+def test_memory_counts_pools_and_page_tables(device: ComputeDevice):
+    pair, rng = Pair(device), np.random.default_rng(7)
     pair.cover((-2, -2), (1, 1))
     for _ in range(3):
         pair.write(random_pages(rng, 200), rng)
-    held = sum(pair.backend.download(pool).nbytes for pool in pair.shared.pools.values())
+    held = sum(pair.device.download(pool).nbytes for pool in pair.shared.pools.values())
     assert pair.shared.memory_bytes == held + 2 * pair.shared.pages.nbytes

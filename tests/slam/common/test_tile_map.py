@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
-from slamfusion.compute.slam_reference import BEAM_ONE, TILE, UNSEEN, BeamRule
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute.cell_means import ScanRule
+from slamfusion.compute.layout import BEAM_ONE, TILE, UNSEEN
 from slamfusion.errors import MemoryBudgetError
 from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN, TileMap, joined_tiles
 from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
@@ -21,7 +22,7 @@ POOLS = {
     "published": (np.uint32, UNSEEN),
     "field": (np.uint8, 7),
 }
-RULE = BeamRule(
+RULE = ScanRule(
     half_blur=0,
     behind=2048,
     free=41,
@@ -34,25 +35,25 @@ RULE = BeamRule(
 
 
 @pytest.fixture(params=["numpy", "auto"])
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return open_backend(request.param)
+def device(request: pytest.FixtureRequest) -> ComputeDevice:
+    return open_device(request.param)
 
 
 def write(
-    tiles: TileMap, backend: Backend, hit: tuple[float, float], rule: BeamRule = RULE
+    tiles: TileMap, device: ComputeDevice, hit: tuple[float, float], rule: ScanRule = RULE
 ) -> None:
     """Write one beam from the anchor's cell to a hit, in cells from the anchor."""
     ends = np.array([[hit[0] + 0.5, hit[1] + 0.5], [0.5, 0.5]])
     tiles.cover(ends.min(axis=0), ends.max(axis=0))
     (hit_x, hit_y), (laser_x, laser_y) = ((ends - tiles.origin) * BEAM_ONE).astype(int)
     length = np.hypot(hit_x - laser_x, hit_y - laser_y)
-    beams = backend.upload(
+    beams = device.upload(
         np.array([[hit_x, hit_y, laser_x, laser_y, length, 3890]], dtype=np.int32)
     )
-    while backend.tiny_mark(tiles.pools["observed"], tiles.page_table, beams, rule, tiles.wanted):
+    while device.mark_scan(tiles.pools["observed"], tiles.page_table, beams, rule, tiles.wanted):
         tiles.provide_wanted()
     p = tiles.pools
-    backend.tiny_fold(
+    device.integrate_scan(
         p["observed"], p["valley"], p["published"], p["field"], tiles.page_table, beams, rule
     )
 
@@ -64,79 +65,79 @@ def seen(tiles: TileMap) -> set[tuple[int, int]]:
     return set(zip((cols + first[0]).tolist(), (rows + first[1]).tolist(), strict=True))
 
 
-def test_a_new_map_is_empty(backend: Backend):
-    tiles = TileMap(backend, POOLS)
+def test_a_new_map_is_empty(device: ComputeDevice):
+    tiles = TileMap(device, POOLS)
     assert (tiles.tiles, tiles.pages.max()) == (1, 0)
     assert seen(tiles) == set()
-    assert (backend.download(tiles.pools["field"]) == 7).all()
+    assert (device.download(tiles.pools["field"]) == 7).all()
 
 
-def test_cells_stay_where_they_are_while_the_window_grows(backend: Backend):
-    tiles = TileMap(backend, POOLS)
+def test_cells_stay_where_they_are_while_the_window_grows(device: ComputeDevice):
+    tiles = TileMap(device, POOLS)
     wanted: set[tuple[int, int]] = set()
     for hit in ((9, 0), (-200, 0), (0, 333), (0, -1000), (5000, 0)):
-        write(tiles, backend, hit)
+        write(tiles, device, hit)
         x, y = (np.linspace(0, end, max(map(abs, hit)) + 1).astype(int) for end in hit)
         wanted |= set(zip(x.tolist(), y.tolist(), strict=True))
         assert seen(tiles) == wanted
 
 
-def test_memory_follows_the_beams_and_not_the_box(backend: Backend):
-    tiles = TileMap(backend, POOLS)
-    write(tiles, backend, (3200, 0))
-    write(tiles, backend, (0, 3200))
+def test_memory_follows_the_beams_and_not_the_box(device: ComputeDevice):
+    tiles = TileMap(device, POOLS)
+    write(tiles, device, (3200, 0))
+    write(tiles, device, (0, 3200))
     assert tiles.tiles == 1 + 2 * (3200 // TILE) + 1
     assert tiles.memory_bytes < 3e6  # the box would take 133 MB
 
 
-def test_pools_grow_beyond_their_first_size(backend: Backend):
-    tiles = TileMap(backend, POOLS)
-    write(tiles, backend, (TILE * (FIRST_TILES + 10), 0))
-    assert len(backend.download(tiles.pools["field"])) > FIRST_TILES
+def test_pools_grow_beyond_their_first_size(device: ComputeDevice):
+    tiles = TileMap(device, POOLS)
+    write(tiles, device, (TILE * (FIRST_TILES + 10), 0))
+    assert len(device.download(tiles.pools["field"])) > FIRST_TILES
     assert len(seen(tiles)) == TILE * (FIRST_TILES + 10) + 1
 
 
 def test_a_pool_that_has_grown_is_let_go_before_the_next(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ):
     left: list[weakref.ref[Any]] = []
-    extend = backend.extend
+    extend = device.extend
 
     def checked(pool: Any, count: int, fill: int) -> Any:
         assert all(old() is None for old in left)
         left.append(weakref.ref(pool))
         return extend(pool, count, fill)
 
-    monkeypatch.setattr(backend, "extend", checked)
-    tiles = TileMap(backend, POOLS)
-    write(tiles, backend, (TILE * (FIRST_TILES + 10), 0))
+    monkeypatch.setattr(device, "extend", checked)
+    tiles = TileMap(device, POOLS)
+    write(tiles, device, (TILE * (FIRST_TILES + 10), 0))
     assert len(left) == len(POOLS)
     assert all(old() is None for old in left)
 
 
-def test_tiles_are_joined_where_their_pages_are(backend: Backend):
+def test_tiles_are_joined_where_their_pages_are(device: ComputeDevice):
     pool = np.random.default_rng(3).integers(1, 256, (9, TILE, TILE)).astype(np.uint8)
     pool[0] = 7
     pages = np.zeros((5, 6), dtype=np.int32)
     pages[1:4, 2:4] = [[8, 0], [2, 5], [0, 4]]
-    values, first = joined_tiles(backend, backend.upload(pool), pages, np.array([-3, 10]))
+    values, first = joined_tiles(device, device.upload(pool), pages, np.array([-3, 10]))
     assert first.tolist() == [-TILE, 11 * TILE]
     np.testing.assert_array_equal(
         values, np.block([[pool[8], pool[0]], [pool[2], pool[5]], [pool[0], pool[4]]])
     )
-    nothing, first = joined_tiles(backend, backend.upload(pool), 0 * pages, np.array([-3, 10]))
+    nothing, first = joined_tiles(device, device.upload(pool), 0 * pages, np.array([-3, 10]))
     assert first.tolist() == [-3 * TILE, 10 * TILE]
     np.testing.assert_array_equal(nothing, pool[0])
 
 
-def test_fetching_a_map_takes_no_memory_for_the_tiles_of_others(backend: Backend):
+def test_fetching_a_map_takes_no_memory_for_the_tiles_of_others(device: ComputeDevice):
     pool = np.zeros((4000, TILE, TILE), dtype=np.uint32)
-    handle, corner = backend.upload(pool), np.zeros(2, dtype=np.int64)
+    handle, corner = device.upload(pool), np.zeros(2, dtype=np.int64)
     pages = np.array([[0, 3999], [17, 2048]], dtype=np.int32)
-    joined_tiles(backend, handle, pages, corner)  # what is only made once is there now
+    joined_tiles(device, handle, pages, corner)  # what is only made once is there now
     tracemalloc.start()
     try:
-        values, _ = joined_tiles(backend, handle, pages, corner)
+        values, _ = joined_tiles(device, handle, pages, corner)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -144,10 +145,10 @@ def test_fetching_a_map_takes_no_memory_for_the_tiles_of_others(backend: Backend
 
 
 def test_the_border_stays_empty():
-    tiles = TileMap(NumpyBackend(), POOLS)
+    tiles = TileMap(NumpyDevice(), POOLS)
     rng = np.random.default_rng(0)
     for hit in rng.integers(-900, 900, (20, 2)):
-        write(tiles, NumpyBackend(), (float(hit[0]), float(hit[1])))
+        write(tiles, NumpyDevice(), (float(hit[0]), float(hit[1])))
         rows, cols = np.nonzero(tiles.pages)
         height, width = tiles.pages.shape
         assert rows.min() >= MARGIN
@@ -157,28 +158,28 @@ def test_the_border_stays_empty():
 
 
 def test_an_absurd_size_is_refused_in_words():
-    tiles = TileMap(NumpyBackend(), POOLS)
+    tiles = TileMap(NumpyDevice(), POOLS)
     with pytest.raises(MemoryBudgetError, match="use a coarser cell"):
         tiles.cover(np.array([0.0, 0.0]), np.array([1e7, 1e7]))
 
 
 @pytest.mark.parametrize(("model", "quality"), [("base", 0.2), ("mean", 1.0), ("mean", 0.3)])
-def test_cells_follow_the_paper_s_models(backend: Backend, model: str, quality: float):
+def test_cells_follow_the_paper_s_models(device: ComputeDevice, model: str, quality: float):
     """A cell that is hit and passed in turns holds what [H16]'s formulas say."""
-    tiles = TileMap(backend, POOLS)
+    tiles = TileMap(device, POOLS)
     rule = RULE._replace(quality=round(1024 * quality), is_mean=model == "mean")
     told = []
     for hit in (True, True, False, True, False, False, False, True, False):
-        write(tiles, backend, (6, 0) if hit else (20, 0), rule)
+        write(tiles, device, (6, 0) if hit else (20, 0), rule)
         told.append(0.95 if hit else 0.01)
         states, first = tiles.cells("published")
         found = int(states[-first[1], 6 - first[0]] >> 12) / 2**20
         assert found == pytest.approx(CELL_MODELS[model](told, quality)[-1], abs=1e-3)
 
 
-def test_a_valley_slopes_to_both_sides_of_a_hit(backend: Backend):
-    tiles = TileMap(backend, POOLS)
-    write(tiles, backend, (20, 0), RULE._replace(half_blur=6 * BEAM_ONE, free=800))
+def test_a_valley_slopes_to_both_sides_of_a_hit(device: ComputeDevice):
+    tiles = TileMap(device, POOLS)
+    write(tiles, device, (20, 0), RULE._replace(half_blur=6 * BEAM_ONE, free=800))
     states, first = tiles.cells("valley")
     row = (states[-first[1], -first[0] :] >> 12).astype(float) / 2**20
     peak, free = 3890 / 4096, 800 / 4096

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, chi2, multivariate_normal
 
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GmappingConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.gmapping.beams import beams_of
@@ -224,11 +224,11 @@ AHEAD = Pose2(1.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
-def mapped(backend: Backend, count: int, **samples: float) -> Gmapping:
+def mapped(device: ComputeDevice, count: int, **samples: float) -> Gmapping:
     """Return a filter whose particles have one scan on their maps."""
     config = GmappingConfig(
         particles=count,
@@ -244,7 +244,7 @@ def mapped(backend: Backend, count: int, **samples: float) -> Gmapping:
         stt=0.0,
         **{"minimumScore": 0.0, **samples},  # type: ignore[arg-type]
     )
-    slam = Gmapping(config, backend)
+    slam = Gmapping(config, device)
     slam.feed(scan_at(POSE, 0.0), POSE)
     return slam
 
@@ -303,14 +303,14 @@ BOX = np.array([0.02, 0.02, 0.01])
 
 
 def test_weights_are_the_integral_of_likelihood_and_prior_on_each_particle_s_map(
-    backend: Backend,
+    device: ComputeDevice,
 ):
     """Every particle has a map, an expectation and a drawn pose of its own.
 
     Tolerance 0.05 in the logarithm: the score field counts in sixteenths of a cell.
     """
     slam = mapped(
-        backend, 4, llsamplerange=0.2, llsamplestep=0.02, lasamplerange=0.12, lasamplestep=0.01
+        device, 4, llsamplerange=0.2, llsamplestep=0.02, lasamplerange=0.12, lasamplestep=0.01
     )
     own = np.array([POSE.x, POSE.y, POSE.yaw_rad])
     around = [(0.05, 0.0, 0.0), (-0.06, 0.1, 0.05), (0.0, -0.2, -0.2), (1.0, 0.5, 1.0)]
@@ -328,11 +328,11 @@ def test_weights_are_the_integral_of_likelihood_and_prior_on_each_particle_s_map
     np.testing.assert_array_equal(slam._particles.path_weights, slam._particles.log_weights)
 
 
-def test_poses_are_drawn_from_likelihood_times_prior(backend: Backend):
+def test_poses_are_drawn_from_likelihood_times_prior(device: ComputeDevice):
     """600 particles of one map: their mean to 4 standard errors and 2 mm, deviations to 15 %."""
     count = 600
     slam = mapped(
-        backend,
+        device,
         count,
         llsamplerange=0.15,
         llsamplestep=0.05,
@@ -350,8 +350,10 @@ def test_poses_are_drawn_from_likelihood_times_prior(backend: Backend):
     np.testing.assert_allclose(slam._particles.poses.std(axis=0), deviations, rtol=0.15)
 
 
-def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(backend: Backend):
-    slam = mapped(backend, 3, minimumScore=1e5, llsamplerange=0.0, lasamplerange=0.0)
+def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(
+    device: ComputeDevice,
+):
+    slam = mapped(device, 3, minimumScore=1e5, llsamplerange=0.0, lasamplerange=0.0)
     points = scan_at(POSE, 0.0).points()[::6]
     expected = np.tile([POSE.x, POSE.y, POSE.yaw_rad], (3, 1))
     drawn = expected + np.array([(0.0, 0.0, 0.0), (0.07, -0.05, 0.03), (-0.1, 0.1, -0.08)])

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
-from slamfusion.compute.hit_map_reference import FULL_HITS, FULL_VISITS, MOST_BEAMS, full_field
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute.hit_counts.numpy import full_field
+from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS
 from slamfusion.config import GmappingConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
@@ -81,8 +82,8 @@ BLIND = "no reading within the usable range"
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 def config(**settings: Any) -> GmappingConfig:
@@ -95,8 +96,8 @@ def feed(slam: Gmapping, scans: list[LogScan]) -> Gmapping:
     return slam
 
 
-def run(backend: Backend, scans: list[LogScan], seed: int = 0, **settings: Any) -> Gmapping:
-    return feed(Gmapping(config(**settings), backend, seed), scans)
+def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: Any) -> Gmapping:
+    return feed(Gmapping(config(**settings), device, seed), scans)
 
 
 def write(slam: Gmapping, scan: LaserScan, alive: npt.NDArray[np.int64]) -> None:
@@ -164,11 +165,11 @@ def everything(slam: Gmapping) -> list[Any]:
 # -- settings --------------------------------------------------------------------------------------
 
 
-def test_the_published_profile_holds_the_published_values(backend: Backend):
+def test_the_published_profile_holds_the_published_values(device: ComputeDevice):
     chosen = GmappingConfig(profile="published").chosen()
     assert {name: getattr(chosen, name) for name in PUBLISHED} == PUBLISHED
     scans, truth = drive(120, turn_bias=0.01)
-    slam = feed(Gmapping(GmappingConfig(profile="published"), backend), scans)
+    slam = feed(Gmapping(GmappingConfig(profile="published"), device), scans)
     assert slam.health.filter_steps > 5
     assert len(slam.other_paths()) == 29
     last = scans[-1].odometry
@@ -194,9 +195,9 @@ def test_a_filter_without_particles_is_refused_by_name(count: int):
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_a_filter_of_hardly_any_particles_works(backend: Backend, count: int):
+def test_a_filter_of_hardly_any_particles_works(device: ComputeDevice, count: int):
     scans, truth = drive(60, turn_bias=0.01)
-    slam = run(backend, scans, particles=count, **OFTEN)
+    slam = run(device, scans, particles=count, **OFTEN)
     assert errors(slam, truth)[0] < 0.2
     assert len(slam.other_paths()) == count - 1
     assert (slam.health.resamplings > 0) == (count > 1)  # one alone is always effective
@@ -204,10 +205,10 @@ def test_a_filter_of_hardly_any_particles_works(backend: Backend, count: int):
     assert 1.0 - 1e-9 <= slam.health.n_eff <= count + 1e-9
 
 
-def test_a_thousand_particles(backend: Backend):
+def test_a_thousand_particles(device: ComputeDevice):
     """Five scans, two filter steps of coarse cells."""
     scans = drive(13)[0][::3]
-    slam = run(backend, scans, particles=1000, delta=0.1, linearUpdate=0.3, resampleThreshold=1.0)
+    slam = run(device, scans, particles=1000, delta=0.1, linearUpdate=0.3, resampleThreshold=1.0)
     assert slam.health.filter_steps == 2
     assert len(slam.other_paths()) == 999
     assert slam.health.n_eff is not None
@@ -219,12 +220,12 @@ def test_a_thousand_particles(backend: Backend):
 # -- where the robot is ----------------------------------------------------------------------------
 
 
-def test_biased_odometry_is_corrected(backend: Backend):
+def test_biased_odometry_is_corrected(device: ComputeDevice):
     scans, truth = drive(120, turn_bias=0.01)
     last = scans[-1].odometry
     assert last is not None
     assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) > 1.0
-    slam = run(backend, scans)
+    slam = run(device, scans)
     metres, radians = errors(slam, truth)
     assert metres < 0.2
     assert radians < 0.06
@@ -235,28 +236,28 @@ def test_biased_odometry_is_corrected(backend: Backend):
 
 @pytest.mark.parametrize("motion_model", ["differential", "bicycle"])
 @pytest.mark.parametrize("expectation", ["motion", "pose"])
-def test_without_odometry(backend: Backend, expectation: str, motion_model: str):
+def test_without_odometry(device: ComputeDevice, expectation: str, motion_model: str):
     scans, truth = drive(120, turn_bias=0.01)
     settings = {"expectation": expectation, "motion_model": motion_model, "odometry": "none"}
-    slam = run(backend, scans, **settings)
+    slam = run(device, scans, **settings)
     assert max(errors(slam, from_start(truth))) < 0.2
 
 
 @pytest.mark.parametrize("expectation", ["motion", "pose"])
-def test_odometry_that_is_not_to_be_used_is_not_used(backend: Backend, expectation: str):
+def test_odometry_that_is_not_to_be_used_is_not_used(device: ComputeDevice, expectation: str):
     scans, _ = drive(30, turn_bias=0.3)
     bare = [replace(item, odometry=None) for item in scans]
-    asked = run(backend, scans, odometry="none", expectation=expectation)
-    assert everything(asked) == everything(run(backend, bare, expectation=expectation))
+    asked = run(device, scans, odometry="none", expectation=expectation)
+    assert everything(asked) == everything(run(device, bare, expectation=expectation))
 
 
 @pytest.mark.parametrize(("expectation", "onward"), [("motion", 1.0), ("pose", 0.0)])
 def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
-    backend: Backend, expectation: str, onward: float
+    device: ComputeDevice, expectation: str, onward: float
 ):
     """The robot goes on by as much as it went between the last two scans, or it stands."""
     scans, truth = drive(30)
-    slam = run(backend, scans, odometry="none", expectation=expectation, linearUpdate=100.0)
+    slam = run(device, scans, odometry="none", expectation=expectation, linearUpdate=100.0)
     before, last = (slam.trajectory().pose(index) for index in (28, 29))
     found = slam.feed(blind_scan(scans[-1].scan.stamp_s + 0.1)).pose_map_base
     step = before.inverse().compose(last)
@@ -266,18 +267,18 @@ def test_what_is_expected_where_neither_odometry_nor_the_scan_tells(
     assert math.hypot(found.x - last.x, found.y - last.y) == pytest.approx(onward * went, abs=0.03)
 
 
-def test_without_odometry_the_published_profile_follows_the_robot(backend: Backend):
+def test_without_odometry_the_published_profile_follows_the_robot(device: ComputeDevice):
     scans, truth = drive(60)
-    slam = run(backend, scans, odometry="none", match_every_scan=False)
+    slam = run(device, scans, odometry="none", match_every_scan=False)
     assert errors(slam, from_start(truth))[0] < 1.0
 
 
-def test_odometry_that_stalls_and_catches_up(backend: Backend):
+def test_odometry_that_stalls_and_catches_up(device: ComputeDevice):
     scans, truth = drive(120)
-    assert errors(run(backend, stalled(scans)), truth)[0] < 0.25
+    assert errors(run(device, stalled(scans)), truth)[0] < 0.25
 
 
-def test_odometry_that_goes_the_wrong_way_for_some_scans(backend: Backend):
+def test_odometry_that_goes_the_wrong_way_for_some_scans(device: ComputeDevice):
     """From scan 60 to 65 the wheels say backwards and a turn, 0.7 m beside the truth in all."""
     scans, truth = drive(120)
     wrong, odometry = [], scans[0].odometry or Pose2()
@@ -292,21 +293,21 @@ def test_odometry_that_goes_the_wrong_way_for_some_scans(backend: Backend):
     last = wrong[65].odometry
     assert last is not None
     assert math.hypot(last.x - truth[65].x, last.y - truth[65].y) > 0.6
-    assert errors(run(backend, wrong), truth)[0] < 0.25
+    assert errors(run(device, wrong), truth)[0] < 0.25
 
 
-def test_an_odometry_jump_is_named_and_not_believed(backend: Backend):
+def test_an_odometry_jump_is_named_and_not_believed(device: ComputeDevice):
     scans, truth = drive(60)
-    slam = run(backend, jumped(scans))
+    slam = run(device, jumped(scans))
     assert errors(slam, truth)[0] < 0.2
     assert slam.health.skips.to_json() == ONE_JUMP
 
 
-def test_a_start_far_from_zero_costs_nothing(backend: Backend):
+def test_a_start_far_from_zero_costs_nothing(device: ComputeDevice):
     near, truth = drive(40)
     far_start = Pose2(512_345.6, -98_765.4, 2.0)
     far, far_truth = drive(40, start=far_start)
-    slam, away = run(backend, near), run(backend, far)
+    slam, away = run(device, near), run(device, far)
     assert away.memory_bytes() == pytest.approx(slam.memory_bytes(), rel=0.3)
     assert errors(away, far_truth)[0] < 0.1
     assert errors(slam, truth)[0] < 0.1
@@ -315,14 +316,14 @@ def test_a_start_far_from_zero_costs_nothing(backend: Backend):
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
-def test_a_mounted_laser_draws_the_same_flat(backend: Backend, *, clockwise: bool):
+def test_a_mounted_laser_draws_the_same_flat(device: ComputeDevice, *, clockwise: bool):
     scans, truth = drive(60, mount=Pose2(0.3, -0.1, 0.7), clockwise=clockwise, turn_bias=0.005)
-    slam = run(backend, scans)
+    slam = run(device, scans)
     assert errors(slam, truth)[0] < 0.1
     assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
 
 
-def test_scans_of_changing_beam_count(backend: Backend):
+def test_scans_of_changing_beam_count(device: ComputeDevice):
     """Every second, every third, then all beams again; one scan has a single reading."""
     scans, truth = drive(60, turn_bias=0.01)
     changed = []
@@ -334,17 +335,17 @@ def test_scans_of_changing_beam_count(backend: Backend):
         increment = every * scan.angle_increment_rad
         thinned = replace(scan, ranges=ranges, angle_increment_rad=increment)
         changed.append(replace(item, scan=thinned))
-    slam = run(backend, changed)
+    slam = run(device, changed)
     assert errors(slam, truth)[0] < 0.15
     assert slam.health.scans_used == 60
 
 
-def test_a_scan_of_100_000_beams(backend: Backend):
+def test_a_scan_of_100_000_beams(device: ComputeDevice):
     ranges = 3.0 + 0.5 * np.sin(np.linspace(0.0, 40.0, 100_000))
     stamps = (0.0, 0.1, 0.2)
     scans = [LaserScan(t, ranges, -math.pi, 2e-5 * math.pi, 0.0, 8.0) for t in stamps]
     slam = feed(
-        Gmapping(config(temporalUpdate=0.0), backend),
+        Gmapping(config(temporalUpdate=0.0), device),
         [LogScan(scan, Pose2(), 1) for scan in scans],
     )
     assert slam.health.filter_steps == 2
@@ -358,9 +359,9 @@ def blind_scan(stamp_s: float, value: float = np.inf) -> LaserScan:
     return LaserScan(stamp_s, np.full(7, value), 0.0, 0.1, 0.0, 8.0)
 
 
-def test_blind_scans_are_counted_and_dead_reckoned(backend: Backend):
+def test_blind_scans_are_counted_and_dead_reckoned(device: ComputeDevice):
     scans, truth = drive(40)
-    slam = feed(Gmapping(config(), backend), scans[:11])
+    slam = feed(Gmapping(config(), device), scans[:11])
     for number, value in ((12, np.inf), (13, np.nan)):
         step = slam.feed(blind_scan(1.0 + 0.001 * number, value), scans[10].odometry)
         assert not step.used
@@ -375,9 +376,9 @@ def test_blind_scans_are_counted_and_dead_reckoned(backend: Backend):
     assert math.hypot(last.x - truth[-1].x, last.y - truth[-1].y) < 0.1
 
 
-def test_a_robot_that_is_blind_at_first_is_where_its_odometry_says(backend: Backend):
+def test_a_robot_that_is_blind_at_first_is_where_its_odometry_says(device: ComputeDevice):
     scans, truth = drive(40)
-    slam = Gmapping(config(), backend)
+    slam = Gmapping(config(), device)
     for item in scans[:20]:
         step = slam.feed(blind_scan(item.scan.stamp_s), item.odometry)
         assert not step.used
@@ -393,8 +394,8 @@ def test_a_robot_that_is_blind_at_first_is_where_its_odometry_says(backend: Back
     assert occupied_share_on_truth(slam.grid(), Pose2()) > 0.95
 
 
-def test_no_scan_at_all_has_no_map(backend: Backend):
-    slam = Gmapping(config(), backend)
+def test_no_scan_at_all_has_no_map(device: ComputeDevice):
+    slam = Gmapping(config(), device)
     with pytest.raises(SlamFusionError, match="no scan could be used, so there is no map"):
         slam.grid()
     slam.feed(blind_scan(0.0), None)
@@ -404,11 +405,11 @@ def test_no_scan_at_all_has_no_map(backend: Backend):
     assert slam.health.n_eff is None
 
 
-def test_a_match_below_the_least_score_is_not_believed(backend: Backend):
+def test_a_match_below_the_least_score_is_not_believed(device: ComputeDevice):
     """Nothing is ever good enough: the robot goes as the odometry says, errors and all."""
     scans, _ = drive(60, turn_bias=0.01)
     exact = {"srr": 0.0, "srt": 0.0, "str": 0.0, "stt": 0.0}
-    slam = run(backend, scans, minimumScore=1e5, **exact)
+    slam = run(device, scans, minimumScore=1e5, **exact)
     found = slam.trajectory().poses
     wanted = np.array([(o.x, o.y) for o in (item.odometry or Pose2() for item in scans)])
     np.testing.assert_allclose(found[:, :2], wanted, atol=1e-9)
@@ -416,14 +417,14 @@ def test_a_match_below_the_least_score_is_not_believed(backend: Backend):
     assert steps >= 5
     assert slam.health.rejected == 6 * steps
     assert slam.health.to_json()["filter"]["rejected"] == 6 * steps
-    believed = run(backend, scans, minimumScore=0.0)
+    believed = run(device, scans, minimumScore=0.0)
     assert believed.health.rejected == 0
 
 
-def test_rejected_particles_are_drawn_from_the_motion_model(backend: Backend):
+def test_rejected_particles_are_drawn_from_the_motion_model(device: ComputeDevice):
     """Without a believed match they spread as odometry errs, and no two are alike."""
     scans, _ = drive(30)
-    slam = run(backend, scans, minimumScore=1e5, particles=200, linearUpdate=1.0, stt=0.0, srt=0.0)
+    slam = run(device, scans, minimumScore=1e5, particles=200, linearUpdate=1.0, stt=0.0, srt=0.0)
     assert slam.health.filter_steps == 1
     spread = slam._particles.poses[:, :2].std(axis=0)
     np.testing.assert_allclose(spread, 0.1 * 1.03, rtol=0.2)  # srr for one step of 1 m
@@ -433,7 +434,7 @@ def test_rejected_particles_are_drawn_from_the_motion_model(backend: Backend):
 # -- when the filter steps -------------------------------------------------------------------------
 
 
-def test_the_filter_steps_after_way_and_turn(backend: Backend):
+def test_the_filter_steps_after_way_and_turn(device: ComputeDevice):
     """A robot that goes 3 m straight, then turns by 2 rad on the spot."""
     poses = [Pose2(1.2 + 0.05 * i, 1.0, 0.0) for i in range(61)]
     poses += [Pose2(4.2, 1.0, 0.05 * i) for i in range(1, 41)]
@@ -442,14 +443,14 @@ def test_the_filter_steps_after_way_and_turn(backend: Backend):
     for linear, angular, wanted in ((0.49, 9.0, 6), (9.0, 0.39, 5), (0.49, 0.39, 11), (9, 9, 0)):
         exact = {"match_every_scan": False, "srr": 0.0, "srt": 0.0, "str": 0.0, "stt": 0.0}
         slam = run(
-            backend, scans, linearUpdate=linear, angularUpdate=angular, minimumScore=1e5, **exact
+            device, scans, linearUpdate=linear, angularUpdate=angular, minimumScore=1e5, **exact
         )
         assert slam.health.filter_steps == wanted, (linear, angular)
 
 
-def test_scans_that_are_not_matched_are_told_as_such(backend: Backend):
+def test_scans_that_are_not_matched_are_told_as_such(device: ComputeDevice):
     scans, _ = drive(60)
-    slam = Gmapping(config(match_every_scan=False, linearUpdate=1.0), backend)
+    slam = Gmapping(config(match_every_scan=False, linearUpdate=1.0), device)
     steps = [slam.feed(item.scan, item.odometry) for item in scans]
     used = [step.used for step in steps]
     assert sum(used) == 1 + slam.health.filter_steps == slam.health.scans_used == 4
@@ -458,14 +459,12 @@ def test_scans_that_are_not_matched_are_told_as_such(backend: Backend):
     assert {step.reason for step in steps if step.used} == {""}
 
 
-def test_a_robot_that_stands_leaves_its_map_alone(backend: Backend):
+def test_a_robot_that_stands_leaves_its_map_alone(device: ComputeDevice):
     """600 scans by the published gates, and 100 that are matched too: not a bit changes."""
     gates = {name: PUBLISHED[name] for name in ("linearUpdate", "angularUpdate", "temporalUpdate")}
     for count, match_every_scan in ((600, False), (100, True)):
         scans = standing(count)
-        slam = feed(
-            Gmapping(config(**gates, match_every_scan=match_every_scan), backend), scans[:1]
-        )
+        slam = feed(Gmapping(config(**gates, match_every_scan=match_every_scan), device), scans[:1])
         first, counts = slam.grid(), all_counts(slam)
         feed(slam, scans[1:])
         assert slam.grid().cells.tobytes() == first.cells.tobytes()
@@ -478,16 +477,16 @@ def test_a_robot_that_stands_leaves_its_map_alone(backend: Backend):
 
 @pytest.mark.parametrize(("every_s", "wanted"), [(0.0, 39), (0.99, 3), (-1.0, 0), (-0.5, 0)])
 def test_time_alone_makes_a_step_where_it_is_asked_to(
-    backend: Backend, every_s: float, wanted: int
+    device: ComputeDevice, every_s: float, wanted: int
 ):
-    slam = run(backend, standing(40), temporalUpdate=every_s, match_every_scan=False)
+    slam = run(device, standing(40), temporalUpdate=every_s, match_every_scan=False)
     assert slam.health.filter_steps == wanted
     assert slam.trajectory().poses[-1] == pytest.approx(slam.trajectory().poses[0], abs=0.05)
 
 
-def test_a_step_after_every_scan(backend: Backend):
+def test_a_step_after_every_scan(device: ComputeDevice):
     scans, truth = drive(30)
-    slam = run(backend, scans, linearUpdate=0.0, particles=3, match_every_scan=False)
+    slam = run(device, scans, linearUpdate=0.0, particles=3, match_every_scan=False)
     assert slam.health.filter_steps == 29
     assert errors(slam, truth)[0] < 0.15
 
@@ -504,11 +503,11 @@ class FullCopies(SharedTileMaps):
         assert self.tiles_shared == 0
 
 
-def test_shared_tiles_change_no_bit(backend: Backend, monkeypatch: pytest.MonkeyPatch):
+def test_shared_tiles_change_no_bit(device: ComputeDevice, monkeypatch: pytest.MonkeyPatch):
     scans, _ = drive(40, turn_bias=0.01)
-    shared = run(backend, scans, **OFTEN)
+    shared = run(device, scans, **OFTEN)
     monkeypatch.setattr(particle_maps, "SharedTileMaps", FullCopies)
-    copied = run(backend, scans, **OFTEN)
+    copied = run(device, scans, **OFTEN)
     assert shared.health.resamplings == copied.health.resamplings > 5
     assert shared.health.tiles_shared > 0
     assert shared._particles.poses.tobytes() == copied._particles.poses.tobytes()
@@ -520,10 +519,10 @@ def test_shared_tiles_change_no_bit(backend: Backend, monkeypatch: pytest.Monkey
             )
 
 
-def test_every_particle_s_map_is_what_its_own_path_draws(backend: Backend):
+def test_every_particle_s_map_is_what_its_own_path_draws(device: ComputeDevice):
     """Along each particle's path, back through its parents, the same scans make the same map."""
     scans, _ = drive(30, turn_bias=0.01)
-    slam = Gmapping(config(**OFTEN), backend)
+    slam = Gmapping(config(**OFTEN), device)
     mapped = []
     for item in scans:
         before = slam.health.filter_steps
@@ -533,7 +532,7 @@ def test_every_particle_s_map_is_what_its_own_path_draws(backend: Backend):
     assert slam.health.resamplings > 3
     for index in range(6):
         path = slam._paths.path(index, "")
-        alone = Gmapping(config(particles=1), backend)
+        alone = Gmapping(config(particles=1), device)
         alone._maps.anchor = slam._maps.anchor
         for item in mapped:
             alone._particles.poses = path.poses[path.nearest([item.scan.stamp_s])]
@@ -554,10 +553,10 @@ def check_field(slam: Gmapping, index: int) -> None:
     np.testing.assert_array_equal(full_field(counts, sums, slam._maps._field_rule), field)
 
 
-def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(backend: Backend):
+def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(device: ComputeDevice):
     """After a resampling siblings have their parent's weight, and all are equally likely."""
     scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(linearUpdate=0.15, ogain=0.2), backend)
+    slam = Gmapping(config(linearUpdate=0.15, ogain=0.2), device)
     steps = resamplings = siblings = 0
     for item in scans:
         slam.feed(item.scan, item.odometry)
@@ -580,17 +579,17 @@ def test_weights_of_a_step_begin_anew_and_those_of_a_path_go_on(backend: Backend
     assert siblings > 1
 
 
-def test_the_score_field_follows_from_the_counts_of_each_map(backend: Backend):
+def test_the_score_field_follows_from_the_counts_of_each_map(device: ComputeDevice):
     scans, _ = drive(30, turn_bias=0.01)
-    slam = run(backend, scans, **OFTEN)
+    slam = run(device, scans, **OFTEN)
     for index in range(6):
         assert slam._maps.tiles.cells("field", index)[0].max() > 200
         check_field(slam, index)
 
 
-def test_what_it_offers_beside_the_best_path(backend: Backend):
+def test_what_it_offers_beside_the_best_path(device: ComputeDevice):
     scans, truth = drive(60, turn_bias=0.01)
-    slam = run(backend, scans, **OFTEN)
+    slam = run(device, scans, **OFTEN)
     others = slam.other_paths()
     assert [len(path) for path in others] == [60] * 5
     weights = [slam._particles.path_weights[int(path.name.split()[1])] for path in others]
@@ -610,10 +609,12 @@ def test_what_it_offers_beside_the_best_path(backend: Backend):
     assert slam.health.path_entropy == slam._paths.entropy()
 
 
-def test_the_trajectory_is_what_each_step_has_said_where_nothing_was_drawn_anew(backend: Backend):
+def test_the_trajectory_is_what_each_step_has_said_where_nothing_was_drawn_anew(
+    device: ComputeDevice,
+):
     """One particle has one past: what was said then is what is said now."""
     scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(particles=1), backend)
+    slam = Gmapping(config(particles=1), device)
     said = [slam.feed(item.scan, item.odometry).pose_map_base for item in scans]
     assert slam.health.filter_steps > 3
     rows = np.array([(pose.x, pose.y, wrap_angle(pose.yaw_rad)) for pose in said])
@@ -623,22 +624,22 @@ def test_the_trajectory_is_what_each_step_has_said_where_nothing_was_drawn_anew(
 # -- equal bytes -----------------------------------------------------------------------------------
 
 
-def test_same_seed_same_bytes_and_another_seed_agrees(backend: Backend):
+def test_same_seed_same_bytes_and_another_seed_agrees(device: ComputeDevice):
     scans, truth = drive(40, turn_bias=0.005)
-    first, again, other = (run(backend, scans, seed, **OFTEN) for seed in (3, 3, 4))
+    first, again, other = (run(device, scans, seed, **OFTEN) for seed in (3, 3, 4))
     assert everything(first) == everything(again)
     assert other.trajectory().poses.tobytes() != first.trajectory().poses.tobytes()
     assert errors(other, truth)[0] < 0.1
 
 
 @pytest.mark.parametrize("match_every_scan", [True, False])
-def test_the_twins_find_the_same_way(backend: Backend, *, match_every_scan: bool):
+def test_the_twins_find_the_same_way(device: ComputeDevice, *, match_every_scan: bool):
     scans, _ = drive(12, turn_bias=0.005)
     settings = {**OFTEN, "particles": 3, "match_every_scan": match_every_scan}
-    plain = run(NumpyBackend(), scans, **settings)
-    device = run(backend, scans, **settings)
+    plain = run(NumpyDevice(), scans, **settings)
+    on_device = run(device, scans, **settings)
     assert plain.health.filter_steps >= 3
-    assert everything(plain) == everything(device)
+    assert everything(plain) == everything(on_device)
 
 
 # -- what a beam draws -----------------------------------------------------------------------------
@@ -659,14 +660,14 @@ def along(slam: Gmapping, beam: int, metres: float) -> int:
     return int(grid.cells[rows[0], cols[0]])
 
 
-def drawn(backend: Backend, scan: LaserScan, **settings: Any) -> Gmapping:
-    slam = Gmapping(config(**settings), backend)
+def drawn(device: ComputeDevice, scan: LaserScan, **settings: Any) -> Gmapping:
+    slam = Gmapping(config(**settings), device)
     slam.feed(scan, Pose2(0.01, 0.01, 0.0))
     return slam
 
 
-def test_a_hit_is_a_wall_and_its_beam_is_free(backend: Backend):
-    slam = drawn(backend, reading(2.0, 3.0, 7.0))
+def test_a_hit_is_a_wall_and_its_beam_is_free(device: ComputeDevice):
+    slam = drawn(device, reading(2.0, 3.0, 7.0))
     for beam, metres in enumerate((2.0, 3.0, 7.0)):
         assert along(slam, beam, metres) == 100
         assert along(slam, beam, metres + 0.1) == -1
@@ -674,8 +675,8 @@ def test_a_hit_is_a_wall_and_its_beam_is_free(backend: Backend):
             assert 0 <= along(slam, beam, way) <= 25
 
 
-def test_beyond_max_urange_a_beam_clears_and_draws_no_wall(backend: Backend):
-    slam = drawn(backend, reading(2.0, 6.0), maxUrange=4.0)
+def test_beyond_max_urange_a_beam_clears_and_draws_no_wall(device: ComputeDevice):
+    slam = drawn(device, reading(2.0, 6.0), maxUrange=4.0)
     assert along(slam, 0, 2.0) == 100
     assert along(slam, 1, 3.9) == 0
     assert along(slam, 1, 4.2) == -1
@@ -683,8 +684,8 @@ def test_beyond_max_urange_a_beam_clears_and_draws_no_wall(backend: Backend):
     assert (slam.grid().cells >= 65).sum() == 1
 
 
-def test_beyond_max_range_a_beam_is_left_out(backend: Backend):
-    slam = drawn(backend, reading(2.0, 6.0, 4.5), maxUrange=4.0, maxRange=5.0)
+def test_beyond_max_range_a_beam_is_left_out(device: ComputeDevice):
+    slam = drawn(device, reading(2.0, 6.0, 4.5), maxUrange=4.0, maxRange=5.0)
     assert along(slam, 0, 2.0) == 100
     assert along(slam, 1, 2.0) == -1  # reads 6 m: not believed at all
     assert along(slam, 2, 3.9) == 0  # reads 4.5 m: free as far as is used
@@ -692,39 +693,41 @@ def test_beyond_max_range_a_beam_is_left_out(backend: Backend):
 
 
 @pytest.mark.parametrize("far", [np.inf, 8.0, 9.0])
-def test_no_return_is_free_only_where_max_range_lies_beyond_the_laser(backend: Backend, far: float):
+def test_no_return_is_free_only_where_max_range_lies_beyond_the_laser(
+    device: ComputeDevice, far: float
+):
     scan = reading(2.0, far)
-    assert along(drawn(backend, scan), 1, 1.0) == -1
-    clears = drawn(backend, scan, maxRange=8.1, maxUrange=4.0)
+    assert along(drawn(device, scan), 1, 1.0) == -1
+    clears = drawn(device, scan, maxRange=8.1, maxUrange=4.0)
     assert along(clears, 1, 3.9) == 0
     assert along(clears, 1, 4.2) == -1
     assert (clears.grid().cells >= 65).sum() == 1
 
 
 @pytest.mark.parametrize("failed", [np.nan, 0.0, 0.01, -1.0])
-def test_a_failed_reading_clears_nothing(backend: Backend, failed: float):
-    slam = drawn(backend, reading(2.0, failed), maxRange=20.0, maxUrange=4.0)
+def test_a_failed_reading_clears_nothing(device: ComputeDevice, failed: float):
+    slam = drawn(device, reading(2.0, failed), maxRange=20.0, maxUrange=4.0)
     assert along(slam, 1, 1.0) == -1
 
 
-def test_max_range_holds_for_hits_too(backend: Backend):
-    slam = drawn(backend, reading(2.0, 6.0), maxRange=5.0)
+def test_max_range_holds_for_hits_too(device: ComputeDevice):
+    slam = drawn(device, reading(2.0, 6.0), maxRange=5.0)
     assert along(slam, 0, 2.0) == 100
     assert along(slam, 1, 2.0) == -1
 
 
-def test_max_urange_beyond_the_laser_adds_nothing(backend: Backend):
+def test_max_urange_beyond_the_laser_adds_nothing(device: ComputeDevice):
     """By default the last 2 % of the laser's reach are not trusted; what is asked for is used."""
     scan = reading(2.0, 7.95)
-    assert along(drawn(backend, scan), 1, 7.95) == -1
-    assert along(drawn(backend, scan), 1, 7.7) == 0
+    assert along(drawn(device, scan), 1, 7.95) == -1
+    assert along(drawn(device, scan), 1, 7.7) == 0
     for metres in (8.0, 50.0):
-        assert along(drawn(backend, scan, maxUrange=metres), 1, 7.95) == 100
+        assert along(drawn(device, scan, maxUrange=metres), 1, 7.95) == 100
 
 
-def test_only_walls_that_may_be_used_are_matched(backend: Backend):
+def test_only_walls_that_may_be_used_are_matched(device: ComputeDevice):
     """Nothing within ``maxUrange``: the scan tells nothing."""
-    slam = drawn(backend, reading(6.0, 7.0), maxUrange=4.0)
+    slam = drawn(device, reading(6.0, 7.0), maxUrange=4.0)
     assert slam.health.skips.counts == {BLIND: 1}
     with pytest.raises(SlamFusionError, match="no map"):
         slam.grid()
@@ -746,11 +749,11 @@ def test_a_wall_is_what_was_hit_more_often_than_the_threshold(occ_thresh: float)
     )
 
 
-def test_the_threshold_decides_the_map(backend: Backend):
+def test_the_threshold_decides_the_map(device: ComputeDevice):
     """A cell hit by one of three scans."""
     scans = [reading(2.0, 3.0), reading(2.0, 4.0), reading(2.0, 5.0)]
     for occ_thresh, is_wall in ((0.3, True), (0.4, False)):
-        slam = drawn(backend, scans[0], occ_thresh=occ_thresh)
+        slam = drawn(device, scans[0], occ_thresh=occ_thresh)
         for scan in scans[1:]:
             write(slam, scan, np.zeros(1, dtype=np.int64))
         assert along(slam, 0, 2.0) == 100
@@ -763,20 +766,20 @@ def counts_of(slam: Gmapping) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int
     return counts >> 16, counts & 0xFFFF
 
 
-def test_busy_cells_are_halved_and_nothing_else_changes(backend: Backend):
+def test_busy_cells_are_halved_and_nothing_else_changes(device: ComputeDevice):
     """Counts near their end: shares and mean hits stay, and what was seen once is still seen."""
-    slam = drawn(backend, scan_at(true_poses(1)[0], 0.0), particles=1)
+    slam = drawn(device, scan_at(true_poses(1)[0], 0.0), particles=1)
     pools, rng = slam._maps.tiles.pools, np.random.default_rng(0)
-    shape = backend.download(pools["counts"]).shape
+    shape = device.download(pools["counts"]).shape
     visits = rng.choice([0, 1, 2, 3, 100, 1500, 20_000, FULL_VISITS - 1 + MOST_BEAMS], shape)
     most = np.minimum(visits, FULL_HITS - 1 + MOST_BEAMS)
     hits = np.rint(most * rng.random(shape)).astype(np.int64)
     east, north = (hits * rng.integers(0, 16, shape) for _ in range(2))
-    pools["counts"] = backend.upload((hits << 16 | visits).astype(np.uint32))
-    pools["sums"] = backend.upload((east << 16 | north).astype(np.uint32))
-    halve_counts(backend, slam._maps.tiles.pools)
+    pools["counts"] = device.upload((hits << 16 | visits).astype(np.uint32))
+    pools["sums"] = device.upload((east << 16 | north).astype(np.uint32))
+    halve_counts(device, slam._maps.tiles.pools)
     pools = slam._maps.tiles.pools
-    counts, sums = (backend.download(pools[name]).astype(np.int64) for name in ("counts", "sums"))
+    counts, sums = (device.download(pools[name]).astype(np.int64) for name in ("counts", "sums"))
     fewer_hits, fewer_visits = counts >> 16, counts & 0xFFFF
     assert fewer_visits.max() < FULL_VISITS
     assert fewer_hits.max() < FULL_HITS
@@ -793,15 +796,15 @@ def test_busy_cells_are_halved_and_nothing_else_changes(backend: Backend):
     np.testing.assert_array_equal(counts[idle], (hits << 16 | visits)[idle])
 
 
-def test_a_scan_over_full_cells_halves_them_and_goes_on(backend: Backend):
+def test_a_scan_over_full_cells_halves_them_and_goes_on(device: ComputeDevice):
     """The pools are set near their end: the same scan once more brings them there."""
     scan = scan_at(true_poses(1)[0], 0.0)
-    slam = drawn(backend, scan, particles=2)
+    slam = drawn(device, scan, particles=2)
     hits, visits = counts_of(slam)
     times = (FULL_VISITS - 1) // visits.max()
     for name in ("counts", "sums"):
-        values = backend.download(slam._maps.tiles.pools[name])
-        slam._maps.tiles.pools[name] = backend.upload(values * np.uint32(times))
+        values = device.download(slam._maps.tiles.pools[name])
+        slam._maps.tiles.pools[name] = device.upload(values * np.uint32(times))
     before = slam.grid()
     for number in range(3):
         write(slam, scan, np.arange(2))
@@ -814,7 +817,7 @@ def test_a_scan_over_full_cells_halves_them_and_goes_on(backend: Backend):
         np.testing.assert_array_equal(slam.grid().cells, before.cells)
 
 
-def test_counts_that_overflow_again_and_again_keep_the_map(backend: Backend):
+def test_counts_that_overflow_again_and_again_keep_the_map(device: ComputeDevice):
     """A robot that stands while 2000 beams cross the cell under it at every step.
 
     A cell holds 32768 visits, so they are halved several times in 60 steps. A place that was seen
@@ -824,7 +827,7 @@ def test_counts_that_overflow_again_and_again_keep_the_map(backend: Backend):
     elsewhere = scan_at(Pose2(6.0, 1.0, 0.0), 0.0)
     angles = np.linspace(-0.2, 0.2, 2000)
     ranges = (2.0 / np.cos(angles)).astype(np.float32)
-    slam = Gmapping(config(particles=1, temporalUpdate=0.0, match_every_scan=False), backend)
+    slam = Gmapping(config(particles=1, temporalUpdate=0.0, match_every_scan=False), device)
     slam.feed(elsewhere, Pose2(6.0, 1.0, 0.0))
     first = slam.grid()
     rows, cols = np.nonzero(first.cells >= 0)
@@ -853,32 +856,32 @@ def test_counts_that_overflow_again_and_again_keep_the_map(backend: Backend):
 # -- going on from a file --------------------------------------------------------------------------
 
 
-def stopped_at(backend: Backend, scans: list[LogScan], count: int, path: Path) -> Gmapping:
+def stopped_at(device: ComputeDevice, scans: list[LogScan], count: int, path: Path) -> Gmapping:
     """Return a filter that was stopped, written, read, and went on."""
     settings = config(**OFTEN)
-    feed(Gmapping(settings, backend, 5), scans[:count]).save_state(path)
-    return feed(Gmapping.load_state(path, settings, backend, 5), scans[count:])
+    feed(Gmapping(settings, device, 5), scans[:count]).save_state(path)
+    return feed(Gmapping.load_state(path, settings, device, 5), scans[count:])
 
 
 @pytest.fixture(scope="module")
-def whole(backend: Backend) -> Gmapping:
-    return run(backend, drive(40, turn_bias=0.01)[0], 5, **OFTEN)
+def whole(device: ComputeDevice) -> Gmapping:
+    return run(device, drive(40, turn_bias=0.01)[0], 5, **OFTEN)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 17, 40])
 def test_a_filter_that_was_interrupted_goes_on_to_the_bit(
-    backend: Backend, whole: Gmapping, tmp_path: Path, count: int
+    device: ComputeDevice, whole: Gmapping, tmp_path: Path, count: int
 ):
     scans, _ = drive(40, turn_bias=0.01)
-    resumed = stopped_at(backend, scans, count, tmp_path / "state")
+    resumed = stopped_at(device, scans, count, tmp_path / "state")
     assert everything(resumed) == everything(whole)
 
 
 @pytest.mark.parametrize("count", [2, 17, 40])
-def test_a_state_holds_all_that_decides(backend: Backend, tmp_path: Path, count: int):
-    slam = run(backend, drive(40, turn_bias=0.01)[0][:count], 5, **OFTEN)
+def test_a_state_holds_all_that_decides(device: ComputeDevice, tmp_path: Path, count: int):
+    slam = run(device, drive(40, turn_bias=0.01)[0][:count], 5, **OFTEN)
     slam.save_state(tmp_path / "state")
-    again = Gmapping.load_state(tmp_path / "state", config(**OFTEN), backend, 5)
+    again = Gmapping.load_state(tmp_path / "state", config(**OFTEN), device, 5)
     for one, other in (
         (slam, again),
         (slam._tracker, again._tracker),
@@ -893,10 +896,10 @@ def test_a_state_holds_all_that_decides(backend: Backend, tmp_path: Path, count:
 
 
 def test_it_goes_on_right_after_a_resampling_and_right_before(
-    backend: Backend, whole: Gmapping, tmp_path: Path
+    device: ComputeDevice, whole: Gmapping, tmp_path: Path
 ):
     scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(**OFTEN), backend, 5)
+    slam = Gmapping(config(**OFTEN), device, 5)
     resampled = []
     for index, item in enumerate(scans):
         before = slam.health.resamplings
@@ -905,40 +908,42 @@ def test_it_goes_on_right_after_a_resampling_and_right_before(
             resampled.append(index)
     assert len(resampled) > 3
     for count in (resampled[2], resampled[2] + 1):
-        resumed = stopped_at(backend, scans, count, tmp_path / f"state{count}")
+        resumed = stopped_at(device, scans, count, tmp_path / f"state{count}")
         assert everything(resumed) == everything(whole)
 
 
-def test_it_goes_on_after_blind_scans_a_jump_and_without_odometry(backend: Backend, tmp_path: Path):
+def test_it_goes_on_after_blind_scans_a_jump_and_without_odometry(
+    device: ComputeDevice, tmp_path: Path
+):
     scans, _ = drive(30)
     far = [replace(item, odometry=Pose2(90.0, 0.0, 1.0)) for item in scans[20:22]]
     blind = [replace(item, scan=blind_scan(item.scan.stamp_s)) for item in scans[:3]]
     bare = [replace(item, odometry=None) for item in scans[22:]]
     odd = [*blind, *scans[3:20], *far, *bare]
-    plain = run(backend, odd, 5, **OFTEN)
+    plain = run(device, odd, 5, **OFTEN)
     assert plain.health.skips.total == 4
     for count in (2, 3, 21, 25):
-        assert everything(stopped_at(backend, odd, count, tmp_path / "state")) == everything(plain)
+        assert everything(stopped_at(device, odd, count, tmp_path / "state")) == everything(plain)
 
 
-def test_a_state_may_move_to_the_twins(backend: Backend, tmp_path: Path):
+def test_a_state_may_move_to_the_twins(device: ComputeDevice, tmp_path: Path):
     scans, _ = drive(12)
     settings = config(particles=2, **OFTEN)
-    feed(Gmapping(settings, backend), scans[:8]).save_state(tmp_path / "state")
-    resumed = feed(Gmapping.load_state(tmp_path / "state", settings, NumpyBackend()), scans[8:])
-    assert everything(resumed) == everything(run(backend, scans, particles=2, **OFTEN))
+    feed(Gmapping(settings, device), scans[:8]).save_state(tmp_path / "state")
+    resumed = feed(Gmapping.load_state(tmp_path / "state", settings, NumpyDevice()), scans[8:])
+    assert everything(resumed) == everything(run(device, scans, particles=2, **OFTEN))
 
 
 @pytest.fixture(scope="module")
-def state(backend: Backend, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def state(device: ComputeDevice, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("state") / "drive.state"
-    run(backend, drive(5)[0]).save_state(path)
+    run(device, drive(5)[0]).save_state(path)
     return path
 
 
-def refused(path: Path, backend: Backend, seed: int = 0, **settings: Any) -> str:
+def refused(path: Path, device: ComputeDevice, seed: int = 0, **settings: Any) -> str:
     with pytest.raises(SlamFusionError) as caught:
-        Gmapping.load_state(path, config(**settings), backend, seed)
+        Gmapping.load_state(path, config(**settings), device, seed)
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith(f"{path}: ")
@@ -957,22 +962,24 @@ def refused(path: Path, backend: Backend, seed: int = 0, **settings: Any) -> str
     ],
 )
 def test_a_state_of_other_settings_is_refused(
-    backend: Backend, state: Path, settings: dict[str, Any], words: str
+    device: ComputeDevice, state: Path, settings: dict[str, Any], words: str
 ):
-    message = refused(state, backend, **settings)
+    message = refused(state, device, **settings)
     assert message == f"was made with {words}; resume with the same settings"
 
 
-def test_a_state_of_another_matcher_or_seed_is_refused(backend: Backend, state: Path):
+def test_a_state_of_another_matcher_or_seed_is_refused(device: ComputeDevice, state: Path):
     matcher = config().matcher
     other = replace(matcher, first_poses=matcher.first_poses + 1)
-    message = refused(state, backend, matcher=other)
+    message = refused(state, device, matcher=other)
     assert f"matcher.first_poses = {matcher.first_poses}" in message
-    message = refused(state, backend, seed=1)
+    message = refused(state, device, seed=1)
     assert message == "was made with seed = 0, found 1; resume with the same settings"
 
 
-def test_what_is_no_state_is_refused_in_one_line(backend: Backend, state: Path, tmp_path: Path):
+def test_what_is_no_state_is_refused_in_one_line(
+    device: ComputeDevice, state: Path, tmp_path: Path
+):
     good = state.read_bytes()
     array, other = tmp_path / "array.npy", tmp_path / "other.npz"
     np.save(array, np.arange(5))
@@ -992,12 +999,12 @@ def test_what_is_no_state_is_refused_in_one_line(backend: Backend, state: Path, 
     for name, content in junk.items():
         path = tmp_path / name
         path.write_bytes(content)
-        assert refused(path, backend).endswith("state that `--save-state` has written")
+        assert refused(path, device).endswith("state that `--save-state` has written")
 
 
 @pytest.mark.parametrize(("place", "value"), [(8, 1), (10, 99)])
 def test_a_zip_of_another_kind_is_refused_in_one_line(
-    backend: Backend, state: Path, tmp_path: Path, place: int, value: int
+    device: ComputeDevice, state: Path, tmp_path: Path, place: int, value: int
 ):
     """Its directory says that a part is encrypted, or packed by an unknown method."""
     changed = bytearray(state.read_bytes())
@@ -1005,14 +1012,14 @@ def test_a_zip_of_another_kind_is_refused_in_one_line(
     changed[entry + place] = value
     path = tmp_path / "changed"
     path.write_bytes(changed)
-    assert refused(path, backend).endswith("state that `--save-state` has written")
+    assert refused(path, device).endswith("state that `--save-state` has written")
 
 
 @pytest.mark.parametrize(
     "name", ["particles.poses", "maps.tiles.pages", "maps.tiles.pool_counts", "paths.node_poses"]
 )
 def test_a_state_that_lacks_a_part_is_refused(
-    backend: Backend, state: Path, tmp_path: Path, name: str
+    device: ComputeDevice, state: Path, tmp_path: Path, name: str
 ):
     with np.load(state) as file:
         arrays = dict(file)
@@ -1020,28 +1027,28 @@ def test_a_state_that_lacks_a_part_is_refused(
     path = tmp_path / "less"
     with path.open("wb") as less:
         np.savez(less, **arrays)
-    assert refused(path, backend) == f"not a whole state, '{name}' is missing"
+    assert refused(path, device) == f"not a whole state, '{name}' is missing"
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
 def test_a_damaged_state_is_refused_in_one_line(
-    backend: Backend, state: Path, tmp_path: Path, share: float
+    device: ComputeDevice, state: Path, tmp_path: Path, share: float
 ):
     damaged = bytearray(state.read_bytes())
     start = int(share * len(damaged))
     damaged[start : start + 64] = bytes(value ^ 0xFF for value in damaged[start : start + 64])
     path = tmp_path / "damaged"
     path.write_bytes(damaged)
-    assert refused(path, backend).endswith("state that `--save-state` has written")
+    assert refused(path, device).endswith("state that `--save-state` has written")
 
 
-def test_a_state_that_cannot_be_read_is_named(backend: Backend, tmp_path: Path):
-    assert "No such file" in refused(tmp_path / "nowhere", backend)
-    assert "Is a directory" in refused(tmp_path, backend)
+def test_a_state_that_cannot_be_read_is_named(device: ComputeDevice, tmp_path: Path):
+    assert "No such file" in refused(tmp_path / "nowhere", device)
+    assert "Is a directory" in refused(tmp_path, device)
 
 
 def test_a_state_of_another_producer_or_format_is_refused(
-    backend: Backend, state: Path, tmp_path: Path
+    device: ComputeDevice, state: Path, tmp_path: Path
 ):
     with np.load(state) as file:
         arrays = dict(file)
@@ -1051,15 +1058,15 @@ def test_a_state_of_another_producer_or_format_is_refused(
         path = tmp_path / "other"
         with path.open("wb") as file:
             np.savez(file, **{**arrays, "record": np.frombuffer(changed, dtype=np.uint8)})
-        message = refused(path, backend)
+        message = refused(path, device)
         assert message.startswith(f"wanted a state of gmapping, format {STATE_FORMAT}, found ")
         assert str(next(iter(change.values()))) in message
 
 
-def test_a_state_is_written_whole_or_not_at_all(backend: Backend, tmp_path: Path):
+def test_a_state_is_written_whole_or_not_at_all(device: ComputeDevice, tmp_path: Path):
     """A failed save leaves what was there, and no trace of its own."""
     scans, _ = drive(10)
-    slam = run(backend, scans[:5])
+    slam = run(device, scans[:5])
     path = tmp_path / "state"
     slam.save_state(path)
     good = path.read_bytes()
@@ -1074,12 +1081,12 @@ def test_a_state_is_written_whole_or_not_at_all(backend: Backend, tmp_path: Path
     assert [item.name for item in tmp_path.iterdir()] == ["state"]
     slam.save_state(path)
     assert path.read_bytes() != good
-    assert everything(Gmapping.load_state(path, config(), backend)) == everything(slam)
+    assert everything(Gmapping.load_state(path, config(), device)) == everything(slam)
 
 
-def test_saving_changes_nothing(backend: Backend, whole: Gmapping, tmp_path: Path):
+def test_saving_changes_nothing(device: ComputeDevice, whole: Gmapping, tmp_path: Path):
     scans, _ = drive(40, turn_bias=0.01)
-    slam = Gmapping(config(**OFTEN), backend, 5)
+    slam = Gmapping(config(**OFTEN), device, 5)
     for item in scans:
         slam.feed(item.scan, item.odometry)
         slam.save_state(tmp_path / "state")

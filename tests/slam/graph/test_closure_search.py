@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.common.response import LEAST_SIGMA, MOST_SIGMA
@@ -31,13 +31,13 @@ MEAN_SCORE = 0.75
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 @pytest.fixture(scope="module")
-def search(backend: Backend) -> ClosureSearch:
-    return ClosureSearch(GraphConfig(), backend, np.random.default_rng(0))
+def search(device: ComputeDevice) -> ClosureSearch:
+    return ClosureSearch(GraphConfig(), device, np.random.default_rng(0))
 
 
 def vector(pose: Pose2) -> F64:
@@ -49,9 +49,9 @@ def hits(cells: U8, pose: Pose2, reach_m: float = 8.0) -> F64:
     return read(cells, [pose], reach_m, beams=181)[0].points()
 
 
-def seen(backend: Backend, cells: U8, poses: list[Pose2], reach_m: float = 8.0) -> Submap:
+def seen(device: ComputeDevice, cells: U8, poses: list[Pose2], reach_m: float = 8.0) -> Submap:
     """Return a finished submap, in the map frame."""
-    submap = Submap(backend, 0, CELL_M, 0.1)
+    submap = Submap(device, 0, CELL_M, 0.1)
     for scan, pose in zip(read(cells, poses, reach_m, beams=361), poses, strict=True):
         submap.insert(scan.points(), NO_LASER, pose)
     submap.finish()
@@ -59,16 +59,16 @@ def seen(backend: Backend, cells: U8, poses: list[Pose2], reach_m: float = 8.0) 
 
 
 @pytest.fixture(scope="module")
-def flat(backend: Backend) -> Submap:
-    return seen(backend, draw_flat(), true_poses(120)[::8])
+def flat(device: ComputeDevice) -> Submap:
+    return seen(device, draw_flat(), true_poses(120)[::8])
 
 
 @pytest.fixture(scope="module")
-def two_rooms(backend: Backend) -> Submap:
+def two_rooms(device: ComputeDevice) -> Submap:
     """Two rooms that are the same, seen from within, in one submap; of the corridor nothing."""
     inside = [Pose2(x, y, yaw) for x, y in ((1.5, 3.3), (3.2, 4.2)) for yaw in (-2.0, 0.0, 2.0)]
     poses = [*inside, *(Pose2(pose.x + 5.0, pose.y, pose.yaw_rad) for pose in inside)]
-    return seen(backend, draw_two_rooms(), poses, 2.2)
+    return seen(device, draw_two_rooms(), poses, 2.2)
 
 
 def is_at(found: Found | str, truth: Pose2, *, most_m: float = 0.1, most_rad: float = 0.03) -> bool:
@@ -160,21 +160,23 @@ def test_what_is_usual_decides_what_fits_badly(search: ClosureSearch, flat: Subm
     assert search.near(flat, points, expected, 0.4, 0.1) == "low response"
 
 
-def test_where_nothing_was_seen_there_is_little_in_common(backend: Backend, search: ClosureSearch):
+def test_where_nothing_was_seen_there_is_little_in_common(
+    device: ComputeDevice, search: ClosureSearch
+):
     """A submap of one end of the flat, and a robot at its other end."""
-    end = seen(backend, draw_flat(), [Pose2(1.2, 1.0 + 0.2 * i, 2.5) for i in range(6)], 2.0)
+    end = seen(device, draw_flat(), [Pose2(1.2, 1.0 + 0.2 * i, 2.5) for i in range(6)], 2.0)
     truth = Pose2(7.0, 2.2, 0.3)
     points = hits(draw_flat(), truth, 3.0)
     assert search.near(end, points, vector(truth), 0.5, MEAN_SCORE) == "little in common"
 
 
-def test_a_share_that_is_not_seen_is_allowed(backend: Backend, search: ClosureSearch):
+def test_a_share_that_is_not_seen_is_allowed(device: ComputeDevice, search: ClosureSearch):
     """A submap without a share of what the scan hits, from behind the robot on: no hit there."""
     truth = true_poses(120)[60]
     points = hits(draw_flat(), truth)
     order = np.argsort(points[:, 0], kind="stable")
     for share, is_found in ((0.25, True), (MOST_UNSEEN - 0.1, True), (MOST_UNSEEN + 0.1, False)):
-        submap = Submap(backend, 0, CELL_M, 0.1)
+        submap = Submap(device, 0, CELL_M, 0.1)
         submap.insert(points[order[int(share * len(points)) :]], NO_LASER, truth)
         submap.finish()
         found = search.near(submap, points, vector(truth), 0.3, MEAN_SCORE)
@@ -186,10 +188,10 @@ def test_a_share_that_is_not_seen_is_allowed(backend: Backend, search: ClosureSe
 
 @pytest.mark.parametrize("drift_m", [0.3, 0.7])
 def test_a_bare_corridor_leaves_the_place_open(
-    backend: Backend, search: ClosureSearch, drift_m: float
+    device: ComputeDevice, search: ClosureSearch, drift_m: float
 ):
     cells = draw_corridor()
-    submap = seen(backend, cells, [Pose2(9.0 + 0.3 * index, 1.5) for index in range(30)])
+    submap = seen(device, cells, [Pose2(9.0 + 0.3 * index, 1.5) for index in range(30)])
     reasons = []
     for index in range(10):
         truth = Pose2(12.0 + 0.2 * index, 1.5)
@@ -197,15 +199,15 @@ def test_a_bare_corridor_leaves_the_place_open(
         reasons.append(found if isinstance(found, str) else "found")
     assert reasons.count("place left open") >= 8
     # The end of the same corridor is told.
-    submap = seen(backend, cells, [Pose2(0.8 + 0.2 * index, 1.5) for index in range(12)])
+    submap = seen(device, cells, [Pose2(0.8 + 0.2 * index, 1.5) for index in range(12)])
     truth = Pose2(1.5, 1.5, 3.0)
     assert is_at(search.near(submap, hits(cells, truth), vector(truth), drift_m, MEAN_SCORE), truth)
 
 
-def test_pillars_at_every_metre_fit_twice(backend: Backend, search: ClosureSearch):
+def test_pillars_at_every_metre_fit_twice(device: ComputeDevice, search: ClosureSearch):
     """A robot that may have drifted by more than from one to the next."""
     cells = draw_regular_ring()
-    submap = seen(backend, cells, [Pose2(3.0 + 0.4 * i, 1.5) for i in range(16)], 3.0)
+    submap = seen(device, cells, [Pose2(3.0 + 0.4 * i, 1.5) for i in range(16)], 3.0)
     for index in range(5):
         truth = Pose2(6.0 + 0.17 * index, 1.5)
         points = hits(cells, truth, 3.0)
@@ -240,13 +242,13 @@ def test_a_rival_just_beyond_what_is_expected_counts(search: ClosureSearch, two_
 
 
 def test_a_room_that_looks_the_same_turned_around_fits_twice(
-    backend: Backend, search: ClosureSearch
+    device: ComputeDevice, search: ClosureSearch
 ):
     """A bare oblong: half a turn away everything is the same."""
     cells = np.ones((100, 140), dtype=np.uint8)
     cells[10:90, 10:130] = 0
     poses = [Pose2(3.5 + 0.2 * i, 2.5 + 0.1 * i, 1.2 * i) for i in range(-5, 6)]
-    submap = seen(backend, cells, poses)
+    submap = seen(device, cells, poses)
     truth = Pose2(2.2, 3.1, 0.3)
     points = hits(cells, truth)
     assert search.anywhere(submap, points, MEAN_SCORE) == "two places fit"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend, open_backend
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
@@ -41,8 +41,8 @@ NOTICED_SCANS = 15
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 @functools.cache
@@ -125,9 +125,9 @@ def false_ties(slam: GraphSlam, truth: list[Pose2]) -> list[tuple[int, int]]:
     return [(start, end) for start, end in false_closures(slam, truth) if end != start + 1]
 
 
-def nodes_of(state: Path, backend: Backend, count: int | None = None) -> MapJob:
+def nodes_of(state: Path, device: ComputeDevice, count: int | None = None) -> MapJob:
     """Return what the map of a saved graph, or of its first nodes, is drawn from."""
-    job = GraphSlam.load_state(state, GraphConfig(), backend).map_job()
+    job = GraphSlam.load_state(state, GraphConfig(), device).map_job()
     return replace(job, nodes=job.nodes[:count], poses=job.poses[:count])
 
 
@@ -142,10 +142,10 @@ def back_to_a() -> Drive:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_robot_that_is_carried_to_another_room_is_found_there(backend: Backend, seed: int):
+def test_a_robot_that_is_carried_to_another_room_is_found_there(device: ComputeDevice, seed: int):
     """Its odometry has not noticed: by it the robot is still in B."""
     drive = back_to_a()
-    slam = run(backend, drive.log, seed)
+    slam = run(device, drive.log, seed)
     assert (slam.health.kidnappings, slam.health.relocalizations, slam.health.map_components) == (
         1,
         1,
@@ -195,11 +195,11 @@ class Trip:
 
 
 @pytest.fixture(scope="module")
-def trip(backend: Backend, tmp_path_factory: pytest.TempPathFactory) -> Trip:
+def trip(device: ComputeDevice, tmp_path_factory: pytest.TempPathFactory) -> Trip:
     drive, folder = to_c(), tmp_path_factory.mktemp("lost")
     cut, out = drive.cuts[0], drive.first(0, below_m=2.5)
     before, state = folder / "before.npz", folder / "state.npz"
-    slam = run(backend, drive.log[:cut])
+    slam = run(device, drive.log[:cut])
     slam._graph.solve()  # what waits to be solved does not move the old map later
     slam.save_state(before)
     feed(slam, drive.log[cut:out])
@@ -216,12 +216,12 @@ def test_a_robot_that_is_carried_to_a_new_place_begins_a_part_of_its_own(trip: T
     assert reasons["the robot is lost: a new submap begins, placed by odometry alone"] == 1
 
 
-def test_the_old_map_stays_as_it_was_while_a_robot_is_lost(backend: Backend, trip: Trip):
+def test_the_old_map_stays_as_it_was_while_a_robot_is_lost(device: ComputeDevice, trip: Trip):
     """What is new lies over it, by odometry; the old nodes have not moved for it."""
-    before = nodes_of(trip.before, backend)
-    after = nodes_of(trip.state, backend, len(before.nodes))
+    before = nodes_of(trip.before, device)
+    after = nodes_of(trip.state, device, len(before.nodes))
     np.testing.assert_allclose(after.poses, before.poses, atol=1e-5)
-    one, other = (NodeMap(GraphConfig(), backend).draw(job) for job in (before, after))
+    one, other = (NodeMap(GraphConfig(), device).draw(job) for job in (before, after))
     assert one.cells.shape == other.cells.shape
     # A pose that moves by next to nothing may still be rounded the other way.
     assert (one.cells != other.cells).mean() < 0.01
@@ -244,19 +244,19 @@ def test_the_way_back_to_the_old_map_joins_both(trip: Trip):
     assert found > 0.7
 
 
-def test_a_state_saved_while_lost_goes_on_as_if_nothing_had_been(backend: Backend, trip: Trip):
+def test_a_state_saved_while_lost_goes_on_as_if_nothing_had_been(device: ComputeDevice, trip: Trip):
     drive = to_c()
-    loaded = GraphSlam.load_state(trip.state, GraphConfig(), backend)
+    loaded = GraphSlam.load_state(trip.state, GraphConfig(), device)
     assert loaded.health.map_components == 2
     feed(loaded, drive.log[drive.first(0, below_m=2.5) :])
     assert everything(loaded)[:4] == everything(trip.slam)[:4]
 
 
-def test_an_hour_standing_where_it_was_carried_adds_nothing(backend: Backend):
+def test_an_hour_standing_where_it_was_carried_adds_nothing(device: ComputeDevice):
     """It is lost once, not again and again; then a scan every five seconds, with noise."""
     drive = to_c()
     cut = drive.cuts[0]
-    slam = run(backend, drive.log[: cut + 25])
+    slam = run(device, drive.log[: cut + 25])
     assert (slam.health.kidnappings, slam.health.map_components) == (1, 2)
     nodes, memory = slam.health.nodes, slam.memory_bytes()
     rng, still, before = np.random.default_rng(0), drive.log[cut + 24], slam.trajectory().pose(-1)
@@ -278,24 +278,24 @@ def test_an_hour_standing_where_it_was_carried_adds_nothing(backend: Backend):
 @pytest.mark.parametrize(
     "jump", [Pose2(0.8, 0.5, 0.2), Pose2(-3.0, 2.0, 0.0), Pose2(0.0, 4.9, -1.0), Pose2(80.0, 0, 3)]
 )
-def test_odometry_that_jumps_loses_no_robot(backend: Backend, jump: Pose2):
+def test_odometry_that_jumps_loses_no_robot(device: ComputeDevice, jump: Pose2):
     """In A the robot drives on; its odometry is suddenly elsewhere."""
     drive = carried(draw_building(), IN_A)
     jumped = [
         replace(item, odometry=jump.compose(item.odometry or Pose2())) if index >= 25 else item
         for index, item in enumerate(drive.log)
     ]
-    slam = run(backend, jumped)
+    slam = run(device, jumped)
     assert (slam.health.kidnappings, slam.health.map_components) == (0, 1)
     assert away(slam.trajectory(), drive.truth).max() < 0.15
     assert on_truth(slam.grid(), drive.cells)[0] > 0.98
 
 
 @pytest.mark.parametrize("first", [45, 120])
-def test_a_log_that_starts_in_the_middle_of_a_loop(backend: Backend, first: int):
+def test_a_log_that_starts_in_the_middle_of_a_loop(device: ComputeDevice, first: int):
     """The loop closes where the log began, in the odometry's frame of then."""
     log, truth = ring()
-    slam = run(backend, log[first:])
+    slam = run(device, log[first:])
     begin = (log[first].odometry or Pose2()).compose(truth[first].inverse())
     moved = [begin.compose(pose) for pose in truth[first:]]
     assert slam.health.kidnappings == 0
@@ -310,7 +310,7 @@ def test_a_log_that_starts_in_the_middle_of_a_loop(backend: Backend, first: int)
 
 @pytest.mark.parametrize("room", [0, 1])
 def test_a_robot_carried_into_one_of_two_equal_rooms_is_never_put_into_the_other(
-    backend: Backend, room: int
+    device: ComputeDevice, room: int
 ):
     """Both are mapped; it is carried from the corridor into one, drives there, and goes out."""
     inside = [(1.5, 3.3), (1.2, 5.6), (2.6, 5.5), (3.2, 4.0), (1.6, 3.2), (3.0, 3.2)]
@@ -319,7 +319,7 @@ def test_a_robot_carried_into_one_of_two_equal_rooms_is_never_put_into_the_other
     first = [*rooms[0], *out[0], *out[1][::-1], *rooms[1], *out[1], (6.0, 1.15)]
     back = [*rooms[room][1:], *out[room], (1.0 + 8.0 * (1 - room), 1.15), (1.0 + 8.0 * room, 1.15)]
     drive = carried(draw_two_rooms(), first, back)
-    slam = run(backend, drive.log)
+    slam = run(device, drive.log)
     assert slam.health.kidnappings >= 1
     assert false_ties(slam, drive.truth) == []
     away_m = away(slam.trajectory(), drive.truth)

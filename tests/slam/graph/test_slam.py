@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
-from slamfusion.compute.hit_map_reference import MOST_BEAMS
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute.layout import MOST_BEAMS
 from slamfusion.config import GraphConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
@@ -59,8 +59,8 @@ BLIND = "no reading within the usable range"
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 def from_start(truth: list[Pose2]) -> list[Pose2]:
@@ -78,10 +78,10 @@ def bare_scan(ranges: F64, stamp_s: float = 0.0) -> LaserScan:
 # -- where the robot is ----------------------------------------------------------------------------
 
 
-def test_biased_odometry_is_corrected(backend: Backend):
+def test_biased_odometry_is_corrected(device: ComputeDevice):
     scans, truth = drive(120, turn_bias=0.01)
     assert odometry_error(scans, truth) > 1.0
-    slam = run(backend, scans)
+    slam = run(device, scans)
     metres, radians = errors(slam, truth)
     assert metres < 0.1
     assert radians < 0.03
@@ -91,38 +91,38 @@ def test_biased_odometry_is_corrected(backend: Backend):
     assert slam.name == slam.grid().name == slam.trajectory().name == "graph"
 
 
-def test_without_odometry(backend: Backend):
+def test_without_odometry(device: ComputeDevice):
     scans, truth = drive(120)
     bare = [replace(item, odometry=None) for item in scans]
-    slam = run(backend, bare)
+    slam = run(device, bare)
     assert max(errors(slam, from_start(truth))) < 0.1
 
 
-def test_odometry_that_is_not_to_be_used_is_not_used(backend: Backend):
+def test_odometry_that_is_not_to_be_used_is_not_used(device: ComputeDevice):
     scans, _ = drive(30, turn_bias=0.3)
     bare = [replace(item, odometry=None) for item in scans]
-    assert everything(run(backend, scans, odometry="none")) == everything(run(backend, bare))
+    assert everything(run(device, scans, odometry="none")) == everything(run(device, bare))
 
 
-def test_odometry_that_stalls_and_catches_up(backend: Backend):
+def test_odometry_that_stalls_and_catches_up(device: ComputeDevice):
     scans, truth = drive(120)
-    assert errors(run(backend, stalled(scans)), truth)[0] < 0.1
+    assert errors(run(device, stalled(scans)), truth)[0] < 0.1
 
 
-def test_an_odometry_jump_is_named_and_not_believed(backend: Backend):
+def test_an_odometry_jump_is_named_and_not_believed(device: ComputeDevice):
     scans, truth = drive(60)
-    slam = run(backend, jumped(scans))
+    slam = run(device, jumped(scans))
     assert errors(slam, truth)[0] < 0.1
     assert slam.health.skips.to_json() == ONE_JUMP
     slam._graph.solve()  # nor does the graph believe it
     assert errors(slam, truth)[0] < 0.1
 
 
-def test_a_start_far_from_zero_costs_nothing(backend: Backend):
+def test_a_start_far_from_zero_costs_nothing(device: ComputeDevice):
     near_by, truth = drive(40)
     far_start = Pose2(512_345.6, -98_765.4, 2.0)
     far, far_truth = drive(40, start=far_start)
-    slam, off = run(backend, near_by), run(backend, far)
+    slam, off = run(device, near_by), run(device, far)
     assert off.memory_bytes() == pytest.approx(slam.memory_bytes(), rel=0.1)
     assert errors(slam, truth)[0] < 0.1
     assert errors(off, far_truth)[0] < 0.1
@@ -131,14 +131,14 @@ def test_a_start_far_from_zero_costs_nothing(backend: Backend):
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
-def test_a_mounted_laser_draws_the_same_flat(backend: Backend, *, clockwise: bool):
+def test_a_mounted_laser_draws_the_same_flat(device: ComputeDevice, *, clockwise: bool):
     scans, truth = drive(60, mount=Pose2(0.3, -0.1, 0.7), clockwise=clockwise, turn_bias=0.005)
-    slam = run(backend, scans)
+    slam = run(device, scans)
     assert errors(slam, truth)[0] < 0.1
     assert on_truth(slam.grid(), draw_flat())[0] > 0.95
 
 
-def test_scans_of_changing_beam_count(backend: Backend):
+def test_scans_of_changing_beam_count(device: ComputeDevice):
     """Every second, every third, then all beams again; one scan has a single reading."""
     scans, truth = drive(60, turn_bias=0.01)
     changed = []
@@ -151,13 +151,13 @@ def test_scans_of_changing_beam_count(backend: Backend):
         changed.append(
             replace(item, scan=replace(scan, ranges=ranges, angle_increment_rad=increment))
         )
-    slam = run(backend, changed)
+    slam = run(device, changed)
     assert errors(slam, truth)[0] < 0.1
     assert slam.health.scans_used == 60
 
 
 @pytest.mark.parametrize("count", [MOST_BEAMS, MOST_BEAMS + 1, 12_000])
-def test_more_beams_than_a_cell_can_count(backend: Backend, count: int):
+def test_more_beams_than_a_cell_can_count(device: ComputeDevice, count: int):
     """All over a quarter of the view, at a wall that bends; the robot drives 2 m."""
     angles = np.linspace(-0.8, 0.8, count)
     scans = []
@@ -168,14 +168,14 @@ def test_more_beams_than_a_cell_can_count(backend: Backend, count: int):
         scans.append(
             LogScan(LaserScan(0.1 * index, ranges, -0.8, step, 0.02, 8.0), Pose2(x), index)
         )
-    slam = run(backend, scans)
+    slam = run(device, scans)
     assert slam.health.scans_used == 11
     grid = slam.grid()
     assert (grid.cells >= 65).sum() > 40
     assert slam.memory_bytes() < 5e6 + slam.health.nodes * (200_000 + 8 * count)
 
 
-def test_blind_scans_at_the_start_and_in_the_middle(backend: Backend):
+def test_blind_scans_at_the_start_and_in_the_middle(device: ComputeDevice):
     scans, truth = drive(40)
     nothing, failed = np.full(7, np.inf), np.full(7, np.nan)
     log = [
@@ -185,7 +185,7 @@ def test_blind_scans_at_the_start_and_in_the_middle(backend: Backend):
         LogScan(bare_scan(failed, 1.05), scans[10].odometry, 14),
         *scans[11:],
     ]
-    slam = GraphSlam(GraphConfig(), backend)
+    slam = GraphSlam(GraphConfig(), device)
     steps = [slam.feed(item.scan, item.odometry) for item in log]
     unused = [index for index, step in enumerate(steps) if not step.used]
     assert unused == [0, 1, 13]
@@ -199,9 +199,9 @@ def test_blind_scans_at_the_start_and_in_the_middle(backend: Backend):
     np.testing.assert_array_equal(path.stamps_s, [item.scan.stamp_s for item in log])
 
 
-def test_an_odometry_jump_at_the_first_scan_that_sees_is_counted_once(backend: Backend):
+def test_an_odometry_jump_at_the_first_scan_that_sees_is_counted_once(device: ComputeDevice):
     """A blind scan came before it, and the jump is between both."""
-    slam = GraphSlam(GraphConfig(), backend)
+    slam = GraphSlam(GraphConfig(), device)
     slam.feed(bare_scan(np.full(7, np.inf), -0.1), Pose2(90.0, 0.0, 0.0))
     pose = true_poses(1)[0]
     slam.feed(scan_at(pose, 0.0), pose)
@@ -209,22 +209,22 @@ def test_an_odometry_jump_at_the_first_scan_that_sees_is_counted_once(backend: B
     assert slam.health.skips.counts == {BLIND: 1, ONE_JUMP[0]["reason"]: 1}
 
 
-def test_readings_beyond_the_usable_range_are_none(backend: Backend):
+def test_readings_beyond_the_usable_range_are_none(device: ComputeDevice):
     scans, _ = drive(10)
     far = bare_scan(np.full(181, 4.0), 0.45)
     log = [*scans[:5], LogScan(far, scans[4].odometry, 6), *scans[5:]]
-    slam = run(backend, log, usable_range_m=3.99)
+    slam = run(device, log, usable_range_m=3.99)
     assert slam.health.skips.counts == {BLIND: 1}
     assert slam.health.scans_used == 10
-    assert run(backend, log, usable_range_m=4.01).health.skips.counts == {}
+    assert run(device, log, usable_range_m=4.01).health.skips.counts == {}
     grid = slam.grid()
     x, y = true_poses(1)[0].x, true_poses(1)[0].y
     rows, cols = np.nonzero(grid.cells >= 65)
     assert np.hypot(*(grid.cell_centres(rows, cols) - (x, y)).T).max() < 4.8
 
 
-def test_no_scan_at_all_has_no_map(backend: Backend):
-    slam = GraphSlam(GraphConfig(), backend)
+def test_no_scan_at_all_has_no_map(device: ComputeDevice):
+    slam = GraphSlam(GraphConfig(), device)
     assert len(slam.trajectory()) == 0
     assert slam.series() == ()
     with pytest.raises(SlamFusionError, match="no scan could be used, so there is no map"):
@@ -234,8 +234,8 @@ def test_no_scan_at_all_has_no_map(backend: Backend):
         slam.grid()
 
 
-def test_before_there_is_a_map_the_path_is_that_of_the_odometry(backend: Backend):
-    slam, start = GraphSlam(GraphConfig(), backend), Pose2(3.0, 4.0, 1.0)
+def test_before_there_is_a_map_the_path_is_that_of_the_odometry(device: ComputeDevice):
+    slam, start = GraphSlam(GraphConfig(), device), Pose2(3.0, 4.0, 1.0)
     for index in range(3):
         odometry = start.compose(Pose2(0.1 * index))
         told = slam.feed(bare_scan(np.full(3, np.inf), 0.1 * index), odometry).pose_map_base
@@ -245,9 +245,9 @@ def test_before_there_is_a_map_the_path_is_that_of_the_odometry(backend: Backend
     assert (last.x, last.y, last.yaw_rad) == pytest.approx((wanted.x, wanted.y, wanted.yaw_rad))
 
 
-def test_one_scan(backend: Backend):
+def test_one_scan(device: ComputeDevice):
     pose = Pose2(-3.0, 7.0, 2.5)
-    slam = GraphSlam(GraphConfig(), backend)
+    slam = GraphSlam(GraphConfig(), device)
     step = slam.feed(scan_at(true_poses(1)[0], 5.0), pose)
     assert (step.used, step.match_score, step.reason) == (True, None, "")
     assert slam.health.nodes == slam.health.submaps == slam.health.scans_used == 1
@@ -257,17 +257,17 @@ def test_one_scan(backend: Backend):
     assert slam.last_stamp_s == 5.0
 
 
-def test_scan_with_one_hit(backend: Backend):
+def test_scan_with_one_hit(device: ComputeDevice):
     ranges = np.full(181, np.inf)
     ranges[90] = 2.0
-    slam = GraphSlam(GraphConfig(), backend)
+    slam = GraphSlam(GraphConfig(), device)
     for index in range(3):
         slam.feed(bare_scan(ranges, 0.1 * index), Pose2())
     assert slam.health.scans_used == 3
     assert np.abs(slam.trajectory().poses).max() < 0.3
 
 
-def test_an_hour_without_scans_is_survived(backend: Backend):
+def test_an_hour_without_scans_is_survived(device: ComputeDevice):
     scans, truth = drive(40)
     late = [
         replace(item, scan=replace(item.scan, stamp_s=item.scan.stamp_s + 3600.0))
@@ -275,31 +275,31 @@ def test_an_hour_without_scans_is_survived(backend: Backend):
         else item
         for index, item in enumerate(scans)
     ]
-    assert errors(run(backend, late), truth)[0] < 0.1
+    assert errors(run(device, late), truth)[0] < 0.1
 
 
-def test_same_seed_same_bytes_and_another_seed_agrees(backend: Backend):
+def test_same_seed_same_bytes_and_another_seed_agrees(device: ComputeDevice):
     scans, truth = ring()
-    first, again = (run(backend, scans[:120], 3) for _ in range(2))
+    first, again = (run(device, scans[:120], 3) for _ in range(2))
     assert everything(first) == everything(again)
-    other = run(backend, scans[:120], 4)
+    other = run(device, scans[:120], 4)
     assert other.trajectory().poses.tobytes() != first.trajectory().poses.tobytes()
     assert errors(other, truth[:120])[0] < 1.0
 
 
-def test_the_twins_find_the_same_way(backend: Backend):
+def test_the_twins_find_the_same_way(device: ComputeDevice):
     scans = drive(60, turn_bias=0.005)[0][::6]
-    plain, device = (
+    plain, on_device = (
         run(place, scans, scan_buffer_size=4, minimum_travel_distance=0.2)
-        for place in (NumpyBackend(), backend)
+        for place in (NumpyDevice(), device)
     )
-    assert device.health.submaps > 1
-    assert everything(plain)[:4] == everything(device)[:4]
+    assert on_device.health.submaps > 1
+    assert everything(plain)[:4] == everything(on_device)[:4]
 
 
-def test_standing_adds_no_node_and_leaves_the_map_as_it_is(backend: Backend):
+def test_standing_adds_no_node_and_leaves_the_map_as_it_is(device: ComputeDevice):
     scans, truth = drive(30)
-    slam = run(backend, scans)
+    slam = run(device, scans)
     before, nodes, memory = slam.grid(), slam.health.nodes, slam.memory_bytes()
     rng = np.random.default_rng(0)
     still = scans[-1]
@@ -318,22 +318,22 @@ def test_standing_adds_no_node_and_leaves_the_map_as_it_is(backend: Backend):
     assert math.hypot(pose.x - truth[-1].x, pose.y - truth[-1].y) < 0.1
 
 
-def test_a_robot_that_is_carried_on_is_found_or_the_loss_is_named(backend: Backend):
+def test_a_robot_that_is_carried_on_is_found_or_the_loss_is_named(device: ComputeDevice):
     """After 50 scans someone moves it by 1.6 m; its odometry has not noticed."""
     log, truth = drive(120)
     carried, lifted = log[:50], log[49].odometry or Pose2()
     for item, pose in zip(log[75:], truth[75:], strict=True):
         since = truth[75].inverse().compose(pose)
         carried.append(replace(item, odometry=lifted.compose(since)))
-    slam = run(backend, carried)
+    slam = run(device, carried)
     found = away(slam.trajectory(), [*truth[:50], *truth[75:]])
     assert found[:50].max() < 0.1
     assert found[60:].max() < 0.15 or slam.health.kidnappings > 0
 
 
-def test_where_nothing_tells_the_way_odometry_decides(backend: Backend):
+def test_where_nothing_tells_the_way_odometry_decides(device: ComputeDevice):
     truth = [Pose2(1.5 + 0.15 * index, 1.5) for index in range(95)]
-    slam = run(backend, log_of(read(draw_corridor(), truth, 8.0), truth))
+    slam = run(device, log_of(read(draw_corridor(), truth, 8.0), truth))
     assert errors(slam, truth)[0] < 0.35
 
 
@@ -341,7 +341,7 @@ def test_where_nothing_tells_the_way_odometry_decides(backend: Backend):
 
 
 def test_information_is_handed_on_in_the_frame_that_it_is_told_in(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ):
     """A robot that turns in the corridor: what it does not know lies along the map's x axis."""
     handed: list[PoseGraph] = []
@@ -353,7 +353,7 @@ def test_information_is_handed_on_in_the_frame_that_it_is_told_in(
 
     monkeypatch.setattr(constraints, "optimize", record)
     truth = [Pose2(10.0 + 0.1 * i, 1.5, 0.1 * i) for i in range(17)]
-    slam = run(backend, log_of(read(draw_corridor(), truth, 8.0), truth), scan_buffer_size=4)
+    slam = run(device, log_of(read(draw_corridor(), truth, 8.0), truth), scan_buffer_size=4)
     slam._graph.solve()
     told = handed[0]
     checked = 0
@@ -371,15 +371,15 @@ def test_information_is_handed_on_in_the_frame_that_it_is_told_in(
 
 
 @pytest.fixture(scope="module")
-def closed(backend: Backend) -> GraphSlam:
+def closed(device: ComputeDevice) -> GraphSlam:
     """The ring with its loop closed."""
-    return run(backend, ring()[0])
+    return run(device, ring()[0])
 
 
 @pytest.fixture(scope="module")
-def left_open(backend: Backend) -> GraphSlam:
+def left_open(device: ComputeDevice) -> GraphSlam:
     """The ring with no closure looked for."""
-    return run(backend, ring()[0], do_loop_closing=False)
+    return run(device, ring()[0], do_loop_closing=False)
 
 
 def test_a_loop_closes(closed: GraphSlam):
@@ -405,23 +405,23 @@ def test_without_closures_it_stays_open(closed: GraphSlam, left_open: GraphSlam)
     assert np.square(other).mean() > 2.0 * np.square(one).mean()
 
 
-def test_a_loop_closes_whose_one_side_is_smooth(backend: Backend):
+def test_a_loop_closes_whose_one_side_is_smooth(device: ComputeDevice):
     """With odometry that is right."""
     truth = around(1.5, 1.5, 12.5, 7.5)
-    slam = run(backend, log_of(read(draw_ring(is_smooth=True), truth, 4.0), truth))
+    slam = run(device, log_of(read(draw_ring(is_smooth=True), truth, 4.0), truth))
     assert slam.health.closures_accepted > 20
     assert away(slam.trajectory(), truth)[-1] < 0.4
 
 
-def test_no_closure_is_one_pillar_off(backend: Backend):
+def test_no_closure_is_one_pillar_off(device: ComputeDevice):
     """A ring that looks the same at every metre, and a robot that has drifted by one."""
     truth = around(1.5, 1.5, 11.5, 8.5)
     scans = read(draw_regular_ring(), truth, 3.0)
-    slam = run(backend, log_of(scans, truth, turn_bias=0.01, longer=1.05))
+    slam = run(device, log_of(scans, truth, turn_bias=0.01, longer=1.05))
     assert false_closures(slam, truth) == []
 
 
-def test_the_path_as_first_reported_is_kept(backend: Backend, closed: GraphSlam):
+def test_the_path_as_first_reported_is_kept(device: ComputeDevice, closed: GraphSlam):
     truth, log = ring()[1], ring()[0]
     online, last = closed.other_paths()[0], closed.trajectory()
     assert online.name == "as first reported"
@@ -430,7 +430,7 @@ def test_the_path_as_first_reported_is_kept(backend: Backend, closed: GraphSlam)
     assert np.abs(online.poses - last.poses)[:, :2].max() > 0.1
     first, final = (float(np.square(away(path, truth)).mean()) for path in (online, last))
     assert final < first
-    slam = GraphSlam(GraphConfig(), backend)
+    slam = GraphSlam(GraphConfig(), device)
     told = [slam.feed(item.scan, item.odometry).pose_map_base for item in log[:60]]
     np.testing.assert_array_equal(
         slam.other_paths()[0].poses, [(pose.x, pose.y, pose.yaw_rad) for pose in told]
@@ -466,8 +466,8 @@ def test_asking_does_not_change_the_answer(closed: GraphSlam):
     assert everything(closed) == first
 
 
-def test_asking_on_the_way_changes_nothing(backend: Backend, closed: GraphSlam):
-    slam = GraphSlam(GraphConfig(), backend)
+def test_asking_on_the_way_changes_nothing(device: ComputeDevice, closed: GraphSlam):
+    slam = GraphSlam(GraphConfig(), device)
     for index, item in enumerate(ring()[0]):
         slam.feed(item.scan, item.odometry)
         if index in {90, 160, 230}:
@@ -477,10 +477,12 @@ def test_asking_on_the_way_changes_nothing(backend: Backend, closed: GraphSlam):
 
 
 @pytest.mark.parametrize(("turn_bias", "longer"), [(0.01, 1.1), (-0.02, 1.15)])
-def test_two_rooms_that_look_the_same_stay_two(backend: Backend, turn_bias: float, longer: float):
+def test_two_rooms_that_look_the_same_stay_two(
+    device: ComputeDevice, turn_bias: float, longer: float
+):
     truth = through_two_rooms()
     log = log_of(read(draw_two_rooms(), truth, 6.0), truth, turn_bias=turn_bias, longer=longer)
-    slam = run(backend, log)
+    slam = run(device, log)
     assert slam.health.closures_accepted > 20
     assert false_closures(slam, truth) == []
     path = slam.trajectory()
@@ -492,9 +494,9 @@ def test_two_rooms_that_look_the_same_stay_two(backend: Backend, turn_bias: floa
 # -- the map ---------------------------------------------------------------------------------------
 
 
-def test_walls_are_where_the_truth_has_walls(backend: Backend):
+def test_walls_are_where_the_truth_has_walls(device: ComputeDevice):
     scans, _ = drive(120, turn_bias=0.01)
-    grid = run(backend, scans).grid()
+    grid = run(device, scans).grid()
     correct, found = on_truth(grid, draw_flat())
     assert correct > 0.95
     assert found > 0.6
@@ -502,9 +504,9 @@ def test_walls_are_where_the_truth_has_walls(backend: Backend):
     assert grid.resolution == 0.05
 
 
-def test_free_space_is_free_and_behind_walls_is_unknown(backend: Backend):
+def test_free_space_is_free_and_behind_walls_is_unknown(device: ComputeDevice):
     scans, truth = drive(120)
-    grid = run(backend, scans).grid()
+    grid = run(device, scans).grid()
     rows, cols = grid.cell_indices(np.array([(pose.x, pose.y) for pose in truth]))
     assert ((grid.cells[rows, cols] >= 0) & (grid.cells[rows, cols] <= 25)).all()
     own = np.full((140, 180), -1, dtype=np.int8)
@@ -526,8 +528,8 @@ def fan(lengths: list[float]) -> LaserScan:
 
 
 @pytest.mark.parametrize(("least", "known"), [(1, True), (10, True), (11, False)])
-def test_min_pass_through_is_honoured(backend: Backend, least: int, known: bool):
-    slam = GraphSlam(GraphConfig(min_pass_through=least), backend)
+def test_min_pass_through_is_honoured(device: ComputeDevice, least: int, known: bool):
+    slam = GraphSlam(GraphConfig(min_pass_through=least), device)
     slam.feed(fan([3.025] * 10), Pose2(0.025, 0.025))
     grid = slam.grid()
     assert (grid.cells != -1).any() == known
@@ -540,9 +542,9 @@ def test_min_pass_through_is_honoured(backend: Backend, least: int, known: bool)
 @pytest.mark.parametrize(
     ("threshold", "is_wall"), [(0.05, True), (0.19, True), (0.21, False), (0.9, False)]
 )
-def test_occupancy_threshold_is_honoured(backend: Backend, threshold: float, is_wall: bool):
+def test_occupancy_threshold_is_honoured(device: ComputeDevice, threshold: float, is_wall: bool):
     """Of ten beams two end 2 m away and eight go on: a share of a fifth."""
-    slam = GraphSlam(GraphConfig(occupancy_threshold=threshold), backend)
+    slam = GraphSlam(GraphConfig(occupancy_threshold=threshold), device)
     slam.feed(fan([2.025] * 2 + [3.025] * 8), Pose2(0.025, 0.025))
     row = slam.grid().cells[0]
     assert (row[40] >= 65) == is_wall
@@ -552,9 +554,9 @@ def test_occupancy_threshold_is_honoured(backend: Backend, threshold: float, is_
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.2])
-def test_other_cell_sizes(backend: Backend, resolution: float):
+def test_other_cell_sizes(device: ComputeDevice, resolution: float):
     scans, truth = drive(60, turn_bias=0.005)
-    slam = run(backend, scans, resolution=resolution)
+    slam = run(device, scans, resolution=resolution)
     assert slam.grid().resolution == resolution
     assert errors(slam, truth)[0] < 0.15
 
@@ -563,34 +565,34 @@ def test_other_cell_sizes(backend: Backend, resolution: float):
 
 
 @pytest.fixture(scope="module")
-def unbroken(backend: Backend) -> list[Any]:
+def unbroken(device: ComputeDevice) -> list[Any]:
     """What a run shows at its end that no one has stopped."""
-    return everything(run(backend, ring()[0][:210]))
+    return everything(run(device, ring()[0][:210]))
 
 
-def went_on(backend: Backend, log: list[LogScan], at: int, path: Path) -> GraphSlam:
+def went_on(device: ComputeDevice, log: list[LogScan], at: int, path: Path) -> GraphSlam:
     """Save after some scans, load, and go on."""
-    half = run(backend, log[:at])
+    half = run(device, log[:at])
     half.save_state(path)
-    loaded = GraphSlam.load_state(path, GraphConfig(), backend)
+    loaded = GraphSlam.load_state(path, GraphConfig(), device)
     assert loaded.health.to_json() == half.health.to_json()
     return feed(loaded, log[at:])
 
 
 @pytest.mark.parametrize("at", [60, 180])
 def test_a_saved_graph_goes_on_as_if_nothing_had_been(
-    backend: Backend, tmp_path: Path, unbroken: list[Any], at: int
+    device: ComputeDevice, tmp_path: Path, unbroken: list[Any], at: int
 ):
-    slam = went_on(backend, ring()[0][:210], at, tmp_path / "state.npz")
+    slam = went_on(device, ring()[0][:210], at, tmp_path / "state.npz")
     assert slam.health.closures_accepted > 20
     assert everything(slam)[:4] == unbroken[:4]  # a pyramid that no one has asked for is not there
 
 
 @pytest.mark.parametrize("at", [0, 1, 2, 5])
-def test_a_graph_of_little_can_be_saved(backend: Backend, tmp_path: Path, at: int):
+def test_a_graph_of_little_can_be_saved(device: ComputeDevice, tmp_path: Path, at: int):
     log = [
         LogScan(bare_scan(np.full(9, np.inf), -0.1), Pose2(1.0, 2.0, 3.0), 0),
         *drive(12, start=Pose2(1.0, 2.0, 3.0))[0],
     ]
-    slam = went_on(backend, log, at, tmp_path / "state.npz")
-    assert everything(slam) == everything(run(backend, log))
+    slam = went_on(device, log, at, tmp_path / "state.npz")
+    assert everything(slam) == everything(run(device, log))

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
-from slamfusion.compute.slam_reference import BEAM_ONE, SmearRule
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute.cell_means import LikelihoodRule
+from slamfusion.compute.layout import BEAM_ONE
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import ScanOnTiles
 from slamfusion.slam.graph.submap import (
@@ -33,8 +34,8 @@ LASER = np.zeros(2)
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 def field_of(submap: Submap) -> tuple[I64, I64]:
@@ -44,7 +45,7 @@ def field_of(submap: Submap) -> tuple[I64, I64]:
 
 
 def words_of_scan(
-    points: F64, laser: F64, pose: Pose2, shape: tuple[int, int], first: I64, rule: SmearRule
+    points: F64, laser: F64, pose: Pose2, shape: tuple[int, int], first: I64, rule: LikelihoodRule
 ) -> F64:
     """Return (H, W) what a scan tells the cells, 0 to 255; NaN where it tells nothing."""
     told = np.full(shape, np.nan)
@@ -96,8 +97,8 @@ def scans_of_the_flat(noise_m: float = 0.0, every: int = 20) -> list[tuple[F64, 
 
 
 @pytest.mark.parametrize("smear_m", [0.1, 0.06])
-def test_field_is_the_mean_of_what_scans_told(backend: Backend, smear_m: float):
-    submap = Submap(backend, 0, CELL_M, smear_m)
+def test_field_is_the_mean_of_what_scans_told(device: ComputeDevice, smear_m: float):
+    submap = Submap(device, 0, CELL_M, smear_m)
     scans = scans_of_the_flat(0.02)
     for points, pose in scans:
         submap.insert(points, LASER, pose)
@@ -114,8 +115,8 @@ def test_field_is_the_mean_of_what_scans_told(backend: Backend, smear_m: float):
     assert submap.scans == len(scans)
 
 
-def test_a_mounted_laser_clears_from_where_it_stands(backend: Backend):
-    submap, laser = Submap(backend, 0, CELL_M, SMEAR_M), np.array([0.7, -0.4])
+def test_a_mounted_laser_clears_from_where_it_stands(device: ComputeDevice):
+    submap, laser = Submap(device, 0, CELL_M, SMEAR_M), np.array([0.7, -0.4])
     points, pose = scans_of_the_flat(0.02)[1]
     submap.insert(points, laser, pose)
     found, first = field_of(submap)
@@ -126,9 +127,9 @@ def test_a_mounted_laser_clears_from_where_it_stands(backend: Backend):
     assert np.count_nonzero(~right) <= 3
 
 
-def test_what_a_cell_was_told_long_ago_is_forgotten(backend: Backend):
+def test_what_a_cell_was_told_long_ago_is_forgotten(device: ComputeDevice):
     """A wall is seen as often as a cell remembers; then it is gone, and beams go through."""
-    submap = Submap(backend, 0, CELL_M, SMEAR_M)
+    submap = Submap(device, 0, CELL_M, SMEAR_M)
     wall, past = np.array([[2.025, 0.025]]), np.array([[4.025, 0.025]])
     for _ in range(MEMORY):
         submap.insert(wall, np.array([0.025, 0.025]), Pose2())
@@ -142,10 +143,10 @@ def test_what_a_cell_was_told_long_ago_is_forgotten(backend: Backend):
     assert values[-1] < 15
 
 
-def test_walls_do_not_grow_with_the_number_of_scans(backend: Backend):
+def test_walls_do_not_grow_with_the_number_of_scans(device: ComputeDevice):
     """A wall across the view, its readings noisy by 2 cm: as wide after 200 scans as after 10."""
     rng = np.random.default_rng(1)
-    submap = Submap(backend, 0, CELL_M, SMEAR_M)
+    submap = Submap(device, 0, CELL_M, SMEAR_M)
     across = np.linspace(-1.0, 1.0, 81)
     widths, peaks = {}, {}
     for number in range(1, 201):
@@ -162,18 +163,18 @@ def test_walls_do_not_grow_with_the_number_of_scans(backend: Backend):
     assert peaks[200] > peaks[10] - 20
 
 
-def test_order_of_the_beams_does_not_matter(backend: Backend):
+def test_order_of_the_beams_does_not_matter(device: ComputeDevice):
     points, pose = scans_of_the_flat(0.02)[0]
     fields = []
     for order in (np.arange(len(points)), np.random.default_rng(0).permutation(len(points))):
-        submap = Submap(backend, 0, CELL_M, SMEAR_M)
+        submap = Submap(device, 0, CELL_M, SMEAR_M)
         submap.insert(points[order], LASER, pose)
         fields.append(field_of(submap)[0].tobytes())
     assert fields[0] == fields[1]
 
 
-def test_the_same_place_again_changes_nothing(backend: Backend):
-    submap = Submap(backend, 0, CELL_M, SMEAR_M)
+def test_the_same_place_again_changes_nothing(device: ComputeDevice):
+    submap = Submap(device, 0, CELL_M, SMEAR_M)
     points, pose = scans_of_the_flat()[0]
     submap.insert(points, LASER, pose)
     first = field_of(submap)[0]
@@ -182,16 +183,16 @@ def test_the_same_place_again_changes_nothing(backend: Backend):
     np.testing.assert_array_equal(field_of(submap)[0], first)
 
 
-def test_one_hit_in_the_cell_of_the_laser(backend: Backend):
-    submap = Submap(backend, 0, CELL_M, SMEAR_M)
+def test_one_hit_in_the_cell_of_the_laser(device: ComputeDevice):
+    submap = Submap(device, 0, CELL_M, SMEAR_M)
     submap.insert(np.array([[0.01, 0.01]]), LASER, Pose2())
     field, first = field_of(submap)
     assert field[-first[1], -first[0]] > 200
     assert np.count_nonzero(field != UNSEEN_WALL) == 81
 
 
-def test_places_of_the_robot_are_boxed(backend: Backend):
-    submap = Submap(backend, 3, CELL_M, SMEAR_M)
+def test_places_of_the_robot_are_boxed(device: ComputeDevice):
+    submap = Submap(device, 3, CELL_M, SMEAR_M)
     scan = scan_at(true_poses(1)[0], 0.0).points()
     for x, y in ((0.0, 0.0), (1.5, -0.25), (0.5, 2.0)):
         submap.insert(scan, LASER, Pose2(x, y, 1.0))
@@ -200,8 +201,8 @@ def test_places_of_the_robot_are_boxed(backend: Backend):
     assert (submap.anchor, submap.scans) == (3, 3)
 
 
-def test_twins_write_the_same_field(backend: Backend):
-    ours, twin = (Submap(place, 0, CELL_M, SMEAR_M) for place in (backend, NumpyBackend()))
+def test_twins_write_the_same_field(device: ComputeDevice):
+    ours, twin = (Submap(place, 0, CELL_M, SMEAR_M) for place in (device, NumpyDevice()))
     for points, pose in scans_of_the_flat(0.02):
         for submap in (ours, twin):
             submap.insert(points, LASER, pose)
@@ -241,26 +242,26 @@ def test_rule_is_the_gaussian_of_the_deviation(deviation: float):
 # -- a finished submap -----------------------------------------------------------------------------
 
 
-def test_finishing_lets_go_of_memory_and_answers_as_before(backend: Backend):
-    submap = Submap(backend, 0, CELL_M, SMEAR_M)
+def test_finishing_lets_go_of_memory_and_answers_as_before(device: ComputeDevice):
+    submap = Submap(device, 0, CELL_M, SMEAR_M)
     for points, pose in scans_of_the_flat(0.02):
         submap.insert(points, LASER, pose)
     points = scan_at(true_poses(120)[50], 0.0).points()
     poses = np.random.default_rng(5).normal((3.0, 1.0, 0.0), 0.5, (40, 3))
-    scores = ScanOnTiles(backend, submap.walls(), points, 120).scores(poses)
+    scores = ScanOnTiles(device, submap.walls(), points, 120).scores(poses)
     before, bytes_before = submap.walls(), submap.memory_bytes
     submap.finish()
     after = submap.walls()
-    np.testing.assert_array_equal(backend.download(after.field), backend.download(before.field))
-    np.testing.assert_array_equal(backend.download(after.pages), backend.download(before.pages))
+    np.testing.assert_array_equal(device.download(after.field), device.download(before.field))
+    np.testing.assert_array_equal(device.download(after.pages), device.download(before.pages))
     assert after.corner.tolist() == before.corner.tolist()
     assert after.resolution == before.resolution == CELL_M
-    np.testing.assert_array_equal(ScanOnTiles(backend, after, points, 120).scores(poses), scores)
+    np.testing.assert_array_equal(ScanOnTiles(device, after, points, 120).scores(poses), scores)
     assert submap.memory_bytes < 0.3 * bytes_before
 
 
-def test_pyramid_is_made_once_of_what_has_been_seen(backend: Backend):
-    submap = Submap(backend, 0, CELL_M, SMEAR_M)
+def test_pyramid_is_made_once_of_what_has_been_seen(device: ComputeDevice):
+    submap = Submap(device, 0, CELL_M, SMEAR_M)
     for points, pose in scans_of_the_flat(0.02):
         submap.insert(points, LASER, pose)
     submap.finish()
@@ -270,7 +271,7 @@ def test_pyramid_is_made_once_of_what_has_been_seen(backend: Backend):
     assert submap.memory_bytes > bare
     field, first = field_of(submap)
     pad = Pyramid.windows[0] - 1
-    finest = backend.download(pyramid.fields[-1])[0]
+    finest = device.download(pyramid.fields[-1])[0]
     np.testing.assert_array_equal(pyramid.corner, first - pad)
     np.testing.assert_array_equal(finest[pad:, pad:], np.where(field == UNSEEN_WALL, 0, field))
     assert not finest[:pad].any()
@@ -280,17 +281,17 @@ def test_pyramid_is_made_once_of_what_has_been_seen(backend: Backend):
 @given(seed=st.integers(0, 2**32 - 1), height=st.integers(1, 70), width=st.integers(1, 70))
 @settings(max_examples=25, deadline=None)
 def test_pyramid_fields_are_the_greatest_of_their_squares(
-    backend: Backend, seed: int, height: int, width: int
+    device: ComputeDevice, seed: int, height: int, width: int
 ):
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 256, (height, width)) * (rng.random((height, width)) < 0.1)
     corner = rng.integers(-99, 99, 2).astype(np.float64)
-    pyramid = Pyramid(backend, values.astype(np.uint8), corner)
+    pyramid = Pyramid(device, values.astype(np.uint8), corner)
     pad = Pyramid.windows[0] - 1
     assert Pyramid.windows == tuple(sorted(Pyramid.windows, reverse=True))
     assert Pyramid.windows[-1] == 1
     for window, handle in zip(Pyramid.windows, pyramid.fields, strict=True):
-        found = backend.download(handle)
+        found = device.download(handle)
         assert found.dtype == np.uint8
         # Every square that touches the field starts within the padded one.
         assert found.shape == (1, height + pad, width + pad)
@@ -304,9 +305,9 @@ def test_pyramid_fields_are_the_greatest_of_their_squares(
 # -- far away --------------------------------------------------------------------------------------
 
 
-def test_a_submap_far_from_its_anchor_is_the_same_map(backend: Backend):
+def test_a_submap_far_from_its_anchor_is_the_same_map(device: ComputeDevice):
     """200 m away, a whole number of cells: the same field, no more tiles, a larger page table."""
-    near, far = (Submap(backend, 0, CELL_M, SMEAR_M) for _ in range(2))
+    near, far = (Submap(device, 0, CELL_M, SMEAR_M) for _ in range(2))
     away = 4096 * CELL_M
     for points, pose in scans_of_the_flat(0.013):
         near.insert(points, LASER, pose)

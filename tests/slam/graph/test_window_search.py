@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend, open_backend
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.graph.submap import Pyramid, Submap
 from slamfusion.slam.graph.window_search import (
@@ -29,8 +29,8 @@ U8 = npt.NDArray[np.uint8]
 
 
 @pytest.fixture(scope="module")
-def backend() -> Backend:
-    return open_backend()
+def device() -> ComputeDevice:
+    return open_device()
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,12 @@ class Case:
     resolution: float
 
     def search(
-        self, backend: Backend, least: float = 0.0, beside: F64 | None = None
+        self, device: ComputeDevice, least: float = 0.0, beside: F64 | None = None
     ) -> WindowMatch | None:
         """Search it."""
         return search_window(
-            backend,
-            Pyramid(backend, self.field, self.corner),
+            device,
+            Pyramid(device, self.field, self.corner),
             self.points,
             self.centre,
             half_m=self.half_m,
@@ -133,9 +133,9 @@ CASES = st.builds(
 
 @given(case=CASES)
 @settings(max_examples=120, deadline=None)
-def test_finds_the_best_of_every_pose(backend: Backend, case: Case):
+def test_finds_the_best_of_every_pose(device: ComputeDevice, case: Case):
     everything = case.scores(case.poses())
-    found = case.search(backend)
+    found = case.search(device)
     if everything.max() == 0.0:
         assert found is None
         return
@@ -148,9 +148,9 @@ def test_finds_the_best_of_every_pose(backend: Backend, case: Case):
 
 @given(case=CASES, share=st.floats(0.5, 1.5))
 @settings(max_examples=60, deadline=None)
-def test_nothing_at_or_below_the_least_is_found(backend: Backend, case: Case, share: float):
+def test_nothing_at_or_below_the_least_is_found(device: ComputeDevice, case: Case, share: float):
     best = float(case.scores(case.poses()).max())
-    found = case.search(backend, least=share * best)
+    found = case.search(device, least=share * best)
     if share * best < best - 1e-9:
         assert found is not None
         assert found.score == pytest.approx(best, abs=1e-12)
@@ -160,24 +160,24 @@ def test_nothing_at_or_below_the_least_is_found(backend: Backend, case: Case, sh
 
 @given(case=CASES)
 @settings(max_examples=60, deadline=None)
-def test_the_best_score_itself_as_least_is_not_found_again(backend: Backend, case: Case):
-    found = case.search(backend)
+def test_the_best_score_itself_as_least_is_not_found_again(device: ComputeDevice, case: Case):
+    found = case.search(device)
     if found is not None:
-        assert case.search(backend, least=found.score) is None
+        assert case.search(device, least=found.score) is None
 
 
 @given(seed=st.integers(0, 2**32 - 1), half_cells=st.sampled_from((0.0, 2.6, 17.0)))
 @settings(max_examples=15, deadline=None)
-def test_twins_find_the_same_pose_of_equals(backend: Backend, seed: int, half_cells: float):
+def test_twins_find_the_same_pose_of_equals(device: ComputeDevice, seed: int, half_cells: float):
     case = random_case(seed, half_cells, 0.05, 7)
-    device, plain = case.search(backend), case.search(NumpyBackend())
-    again = case.search(backend)
-    if device is None or plain is None or again is None:
-        assert device is plain is again is None
+    on_device, plain = case.search(device), case.search(NumpyDevice())
+    again = case.search(device)
+    if on_device is None or plain is None or again is None:
+        assert on_device is plain is again is None
         return
     for other in (plain, again):
-        assert other.pose.tobytes() == device.pose.tobytes()
-        assert (other.score, other.opened) == (device.score, device.opened)
+        assert other.pose.tobytes() == on_device.pose.tobytes()
+        assert (other.score, other.opened) == (on_device.score, on_device.opened)
 
 
 BESIDE_CASES = st.builds(
@@ -191,14 +191,16 @@ BESIDE_CASES = st.builds(
 
 @given(case=BESIDE_CASES, seed=st.integers(0, 2**32 - 1), turns=st.sampled_from((0, 1, -2)))
 @settings(max_examples=120, deadline=None)
-def test_finds_the_best_of_every_other_place(backend: Backend, case: Case, seed: int, turns: int):
+def test_finds_the_best_of_every_other_place(
+    device: ComputeDevice, case: Case, seed: int, turns: int
+):
     """What lies beside one pose is passed over; whole turns of its heading change nothing."""
     poses = case.poses()
     chosen = np.random.default_rng(seed).integers(len(poses))
     # Off the search set's lattice, so that no pose lies on the limit.
     beside = poses[chosen] + (0.00123, 0.00217, 0.00031 + turns * math.tau)
     allowed = poses[is_elsewhere(poses, beside)]
-    found = case.search(backend, beside=beside)
+    found = case.search(device, beside=beside)
     best = case.scores(allowed).max() if len(allowed) else 0.0
     if best == 0.0:
         assert found is None
@@ -217,51 +219,51 @@ def test_finds_the_best_of_every_other_place(backend: Backend, case: Case, seed:
 )
 @settings(max_examples=60, deadline=None)
 def test_another_place_must_still_be_better_than_the_least(
-    backend: Backend, case: Case, place: tuple[float, ...], share: float
+    device: ComputeDevice, case: Case, place: tuple[float, ...], share: float
 ):
     beside = case.centre + np.array(place) * (0.2, 0.2, 0.1)
-    other = case.search(backend, beside=beside)
+    other = case.search(device, beside=beside)
     if other is None:
-        assert case.search(backend, share, beside=beside) is None
+        assert case.search(device, share, beside=beside) is None
         return
-    again = case.search(backend, share * other.score, beside=beside)
+    again = case.search(device, share * other.score, beside=beside)
     if share < 1.0 - 1e-9:
         assert again is not None
         assert again.score == other.score
-    assert case.search(backend, other.score, beside=beside) is None
+    assert case.search(device, other.score, beside=beside) is None
 
 
-def test_twins_find_the_same_other_place(backend: Backend):
+def test_twins_find_the_same_other_place(device: ComputeDevice):
     """Also among many equals: a field that is the same everywhere but in one corner."""
     field = np.full((80, 80), 200, dtype=np.uint8)
     field[:20, :20] = 210
     points, corner = np.array([(0.1, 0.2), (0.4, -0.3)]), np.array([-40.0, -40.0])
     for beside in ((0.0, 0.0, 0.0), (-1.5, -1.5, 0.3), (0.6, -0.6, 0.3 + math.tau)):
         case = Case(field, corner, points, np.array([0.0, 0.0, 0.3]), *(0.9, 0.5, 0.05))
-        device, plain = (
-            case.search(place, beside=np.array(beside)) for place in (backend, NumpyBackend())
+        on_device, plain = (
+            case.search(place, beside=np.array(beside)) for place in (device, NumpyDevice())
         )
-        assert device is not None
+        assert on_device is not None
         assert plain is not None
-        assert device.pose.tobytes() == plain.pose.tobytes()
-        assert device.opened == plain.opened
-        assert is_elsewhere(device.pose[None], np.array(beside)).all()
+        assert on_device.pose.tobytes() == plain.pose.tobytes()
+        assert on_device.opened == plain.opened
+        assert is_elsewhere(on_device.pose[None], np.array(beside)).all()
 
 
-def test_a_field_that_one_place_fits_has_no_other(backend: Backend):
+def test_a_field_that_one_place_fits_has_no_other(device: ComputeDevice):
     """A single wall cell: every pose that hits it with the only point lies in one place."""
     field = np.zeros((60, 60), dtype=np.uint8)
     field[30, 30] = 255
     case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([1.5, 1.5, 0.0]), 1.0, 0.15, 0.05)
-    found = case.search(backend)
+    found = case.search(device)
     assert found is not None
-    assert case.search(backend, beside=found.pose) is None
+    assert case.search(device, beside=found.pose) is None
     # There with another heading is another place.
     turned = np.array([*found.pose[:2], 0.15 + BESIDE_RAD + 0.01])
-    assert case.search(backend, beside=turned) is not None
+    assert case.search(device, beside=turned) is not None
 
 
-def test_many_equals_give_one_pose(backend: Backend):
+def test_many_equals_give_one_pose(device: ComputeDevice):
     """A field that is the same everywhere."""
     case = Case(
         np.full((60, 60), 200, dtype=np.uint8),
@@ -270,31 +272,31 @@ def test_many_equals_give_one_pose(backend: Backend):
         np.array([0.0, 0.0, 0.3]),
         *(0.6, 0.1, 0.05),
     )
-    first, second = case.search(backend), case.search(NumpyBackend())
+    first, second = case.search(device), case.search(NumpyDevice())
     assert first is not None
     assert second is not None
     assert first.pose.tobytes() == second.pose.tobytes()
     assert first.score == 200 / 255
 
 
-def test_a_window_off_the_field_has_nothing(backend: Backend):
+def test_a_window_off_the_field_has_nothing(device: ComputeDevice):
     field = np.full((20, 20), 255, dtype=np.uint8)
     points = np.array([(0.5, 0.0), (0.0, 0.5)])
     for centre in ((5.0, 0.5, 0.0), (-3.0, -3.0, 1.0), (1e6, -1e6, 0.0)):
         case = Case(field, np.zeros(2), points, np.array(centre), 0.8, 0.3, 0.05)
-        assert case.search(backend) is None
+        assert case.search(device) is None
     # And one that reaches over its corner finds the one cell that is left of it.
     case = Case(field, np.zeros(2), np.zeros((1, 2)), np.array([-0.52, 1.47, 0.0]), 0.55, 0.0, 0.05)
-    found = case.search(backend)
+    found = case.search(device)
     assert found is not None
     assert found.score == 1.0
     assert 0.0 <= found.pose[0] < 0.05
 
 
 @pytest.fixture(scope="module")
-def flat(backend: Backend) -> Submap:
+def flat(device: ComputeDevice) -> Submap:
     """A submap of the drawn flat, in the map frame."""
-    submap = Submap(backend, 0, CELL_M, 0.1)
+    submap = Submap(device, 0, CELL_M, 0.1)
     for index, pose in enumerate(true_poses(120)[::8]):
         scan = scan_at(pose, 0.1 * index)
         submap.insert(scan.points(), np.zeros(2), pose)
@@ -306,12 +308,12 @@ def flat(backend: Backend) -> Submap:
     "wrong", [(0.0, 0.0, 0.0), (2.9, -2.7, 0.3), (-3.0, 3.0, -0.34), (-4.0, 0.5, math.pi - 0.3)]
 )
 def test_a_true_pose_far_from_the_centre_is_found(
-    backend: Backend, flat: Submap, wrong: tuple[float, float, float]
+    device: ComputeDevice, flat: Submap, wrong: tuple[float, float, float]
 ):
     truth = true_poses(120)[60]
     points = scan_at(truth, 0.0).points()
     found = search_window(
-        backend,
+        device,
         flat.pyramid(),
         points[::2],
         np.array([truth.x, truth.y, truth.yaw_rad]) + wrong,
@@ -326,47 +328,47 @@ def test_a_true_pose_far_from_the_centre_is_found(
     assert found.score > 0.7
 
 
-def test_of_a_clear_match_few_blocks_are_opened(backend: Backend, flat: Submap):
+def test_of_a_clear_match_few_blocks_are_opened(device: ComputeDevice, flat: Submap):
     truth = true_poses(120)[60]
     points = scan_at(truth, 0.0).points()[::2]
     window = {"half_m": 4.0, "half_rad": 0.349, "resolution": CELL_M}
     centre = np.array([truth.x + 1.0, truth.y - 1.5, truth.yaw_rad + 0.2])
-    found = search_window(backend, flat.pyramid(), points, centre, **window)
+    found = search_window(device, flat.pyramid(), points, centre, **window)
     assert found is not None
     yaws = 2 * math.ceil(0.349 * np.hypot(*points.T).max() / CELL_M) + 1
     assert found.opened < 0.05 * yaws * 161**2
     # What is known to be of no use is not opened.
     better = search_window(
-        backend, flat.pyramid(), points, centre, **window, least=found.score - 0.01
+        device, flat.pyramid(), points, centre, **window, least=found.score - 0.01
     )
     assert better is not None
     assert better.pose.tobytes() == found.pose.tobytes()
     assert better.opened <= found.opened
-    assert search_window(backend, flat.pyramid(), points, centre, **window, least=0.99) is None
+    assert search_window(device, flat.pyramid(), points, centre, **window, least=0.99) is None
 
 
-def test_another_place_than_the_submap_matches_little(backend: Backend, flat: Submap):
+def test_another_place_than_the_submap_matches_little(device: ComputeDevice, flat: Submap):
     """A ring of hits fits nowhere in an L of straight walls."""
     angles = np.linspace(0.0, 2.0 * math.pi, 90, endpoint=False)
     ring = 1.4 * np.column_stack((np.cos(angles), np.sin(angles)))
     centre = np.array([4.0, 3.0, 0.0])
     window = {"half_m": 4.0, "half_rad": 0.349, "resolution": CELL_M}
-    found = search_window(backend, flat.pyramid(), ring, centre, **window)
+    found = search_window(device, flat.pyramid(), ring, centre, **window)
     assert found is not None
     assert found.score < 0.5
-    assert search_window(backend, flat.pyramid(), ring, centre, **window, least=0.5) is None
+    assert search_window(device, flat.pyramid(), ring, centre, **window, least=0.5) is None
 
 
-def test_turned_submap_and_scan_find_the_same_place(backend: Backend):
+def test_turned_submap_and_scan_find_the_same_place(device: ComputeDevice):
     """The anchor's frame is free: a submap turned by 2 rad finds the pose in its own frame."""
     frame, poses = Pose2(3.0, -40.0, 2.0), true_poses(120)
-    submap = Submap(backend, 0, CELL_M, 0.1)
+    submap = Submap(device, 0, CELL_M, 0.1)
     for index, pose in enumerate(poses[::8]):
         local = frame.inverse().compose(pose)
         submap.insert(scan_at(pose, 0.1 * index).points(), np.zeros(2), local)
     truth = frame.inverse().compose(poses[60])
     found = search_window(
-        backend,
+        device,
         submap.pyramid(),
         scan_at(poses[60], 0.0).points()[::2],
         np.array([truth.x - 2.0, truth.y + 1.0, truth.yaw_rad + 0.1]),

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend
-from slamfusion.compute.slam_reference import BEAM_ONE, MOST_OBSERVATIONS, TILE, SmearRule
+from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute.cell_means import LikelihoodRule
+from slamfusion.compute.layout import BEAM_ONE, MOST_OBSERVATIONS, TILE
 
 I32 = npt.NDArray[np.int32]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -20,36 +21,38 @@ UNSEEN = 20
 MEAN_ONE = 4112
 # Squared distances of up to 255 * 2^14 / 2^20 = 4 square cells are told apart.
 SHIFT = 14
-ROOM = SmearRule(FALLING, SHIFT, 1, 64)
+ROOM = LikelihoodRule(FALLING, SHIFT, 1, 64)
 KINDS = ("observed", "states", "field")
 
 
 class Map:
-    """A map of one window of pages on a backend."""
+    """A map of one window of pages on a device."""
 
-    def __init__(self, backend: Backend, pages: I32) -> None:
-        self.backend, self.pages = backend, pages
+    def __init__(self, device: ComputeDevice, pages: I32) -> None:
+        self.device, self.pages = device, pages
         shape = (int(pages.max()) + 1, TILE, TILE)
-        self.observed = backend.upload(np.zeros(shape, dtype=np.uint32))
-        self.states = backend.upload(np.zeros(shape, dtype=np.uint32))
-        self.field = backend.upload(np.full(shape, UNSEEN, dtype=np.uint8))
-        self.table = backend.upload(pages)
-        self.wanted = backend.upload(np.zeros(1 + pages.size, dtype=np.int32))
+        self.observed = device.upload(np.zeros(shape, dtype=np.uint32))
+        self.states = device.upload(np.zeros(shape, dtype=np.uint32))
+        self.field = device.upload(np.full(shape, UNSEEN, dtype=np.uint8))
+        self.table = device.upload(pages)
+        self.wanted = device.upload(np.zeros(1 + pages.size, dtype=np.int32))
 
-    def mark(self, beams: I32, rule: SmearRule = ROOM) -> bool:
+    def mark(self, beams: I32, rule: LikelihoodRule = ROOM) -> bool:
         """Mark a scan; whether a page was missing."""
-        handle = self.backend.upload(beams)
-        return self.backend.smear_mark(self.observed, self.table, handle, rule, self.wanted)
+        handle = self.device.upload(beams)
+        return self.device.mark_likelihood(self.observed, self.table, handle, rule, self.wanted)
 
-    def fold(self, beams: I32, rule: SmearRule = ROOM) -> None:
+    def fold(self, beams: I32, rule: LikelihoodRule = ROOM) -> None:
         """Fold what was marked."""
-        handle = self.backend.upload(beams)
-        self.backend.smear_fold(self.observed, self.states, self.field, self.table, handle, rule)
+        handle = self.device.upload(beams)
+        self.device.update_likelihood(
+            self.observed, self.states, self.field, self.table, handle, rule
+        )
 
     def cells(self, name: str) -> npt.NDArray[np.int64]:
         """Return a pool as one array."""
         height, width = self.pages.shape
-        pool = self.backend.download(getattr(self, name))[self.pages]
+        pool = self.device.download(getattr(self, name))[self.pages]
         return np.asarray(
             pool.transpose(0, 2, 1, 3).reshape(height * TILE, width * TILE), dtype=np.int64
         )
@@ -57,7 +60,7 @@ class Map:
     def pools(self) -> list[npt.NDArray[Any]]:
         """Return all that there is."""
         names = (*KINDS, "wanted")
-        return [self.backend.download(getattr(self, name)) for name in names]
+        return [self.device.download(getattr(self, name)) for name in names]
 
 
 def own_pages(height: int, width: int) -> I32:
@@ -88,9 +91,9 @@ def value_at(squared_cells: float) -> int:
     return 255 - min(255, int(squared_cells * BEAM_ONE**2) >> SHIFT)
 
 
-def test_one_beam_by_hand(backend: Backend):
+def test_one_beam_by_hand(device: ComputeDevice):
     """From the laser in column 26 to a hit in the middle of column 34 of row 9, over two pages."""
-    built = Map(backend, own_pages(1, 2))
+    built = Map(device, own_pages(1, 2))
     beams = beams_of((34.5, 9.5, 26.5, 9.5))
     assert not built.mark(beams)
     words = np.zeros((TILE, 2 * TILE), dtype=np.int64)
@@ -107,8 +110,8 @@ def test_one_beam_by_hand(backend: Backend):
     assert not built.cells("observed").any()
 
 
-def test_distance_counts_from_the_hit_and_not_from_its_cell(backend: Backend):
-    built = Map(backend, own_pages(1, 1))
+def test_distance_counts_from_the_hit_and_not_from_its_cell(device: ComputeDevice):
+    built = Map(device, own_pages(1, 1))
     built.mark(beams_of((10.75, 10.0, 10.75, 10.0)))
     told = built.cells("observed")
     for row, col in ((9, 9), (9, 10), (9, 11), (10, 10), (10, 11), (11, 11)):
@@ -118,12 +121,12 @@ def test_distance_counts_from_the_hit_and_not_from_its_cell(backend: Backend):
     assert np.count_nonzero(told) == 9
 
 
-def test_strongest_word_about_a_cell_wins_whatever_the_order(backend: Backend):
+def test_strongest_word_about_a_cell_wins_whatever_the_order(device: ComputeDevice):
     """The second beam passes the first one's hit; the third ends beside it."""
     beams = beams_of((10.5, 9.5, 4.5, 9.5), (20.5, 9.5, 4.5, 9.5), (12.5, 9.75, 4.5, 9.5))
     found = []
     for order in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
-        built = Map(backend, own_pages(1, 1))
+        built = Map(device, own_pages(1, 1))
         built.mark(beams[order])
         found.append(built.cells("observed"))
         np.testing.assert_array_equal(found[-1], found[0])
@@ -136,8 +139,8 @@ def test_strongest_word_about_a_cell_wins_whatever_the_order(backend: Backend):
     assert found[0][9, 15] == 1
 
 
-def test_laser_in_the_cell_of_the_hit(backend: Backend):
-    built = Map(backend, own_pages(1, 1))
+def test_laser_in_the_cell_of_the_hit(device: ComputeDevice):
+    built = Map(device, own_pages(1, 1))
     beams = beams_of((10.25, 10.75, 10.75, 10.25), (10.5, 10.5, 10.5, 10.5))
     built.mark(beams)
     told = built.cells("observed")
@@ -146,16 +149,16 @@ def test_laser_in_the_cell_of_the_hit(backend: Backend):
     assert np.count_nonzero(told) == 9
 
 
-def test_reach_of_none_tells_the_own_cell_only(backend: Backend):
-    built = Map(backend, own_pages(1, 1))
+def test_reach_of_none_tells_the_own_cell_only(device: ComputeDevice):
+    built = Map(device, own_pages(1, 1))
     built.mark(beams_of((12.5, 9.5, 9.5, 9.5)), ROOM._replace(reach=0))
     assert [tuple(at) for at in np.argwhere(built.cells("observed"))] == [
         (9, col) for col in (9, 10, 11, 12)
     ]
 
 
-def test_many_beams_in_one_cell_are_one_observation(backend: Backend):
-    built = Map(backend, own_pages(1, 1))
+def test_many_beams_in_one_cell_are_one_observation(device: ComputeDevice):
+    built = Map(device, own_pages(1, 1))
     beams = beams_of(*[(10.5, 9.5, 4.5, 9.5)] * 50, *[(10.5, 9.75, 4.5, 9.5)] * 50)
     built.mark(beams)
     built.fold(beams)
@@ -164,42 +167,42 @@ def test_many_beams_in_one_cell_are_one_observation(backend: Backend):
     assert states[9, 10] == (255 * MEAN_ONE) << 12 | 1
 
 
-def test_missing_pages_are_wanted_and_marking_again_changes_nothing_twice(backend: Backend):
+def test_missing_pages_are_wanted_and_marking_again_changes_nothing_twice(device: ComputeDevice):
     pages = np.array([[1, 0, 2], [0, 0, 3]], dtype=np.int32)
     # Along the top row of the lower pages: the hit's square reaches into the upper ones.
     beams = beams_of((69.5, 31.5, 20.5, 31.5))
-    built = Map(backend, pages)
+    built = Map(device, pages)
     assert built.mark(beams)
-    wanted = backend.download(built.wanted)
+    wanted = device.download(built.wanted)
     assert wanted.tolist() == [1, 0, 1, 0, 0, 0, 0]
     words = built.cells("observed")
-    assert not backend.download(built.observed)[0].any()
+    assert not device.download(built.observed)[0].any()
     assert np.flatnonzero(words[31]).tolist() == [*range(20, 32), *range(64, 71)]
     assert np.count_nonzero(words[32]) == 3
     # The twin of a map that had the page from the start.
-    whole = Map(NumpyBackend(), np.array([[1, 4, 2], [0, 0, 3]], dtype=np.int32))
+    whole = Map(NumpyDevice(), np.array([[1, 4, 2], [0, 0, 3]], dtype=np.int32))
     assert not whole.mark(beams)
-    later = Map(backend, whole.pages)
+    later = Map(device, whole.pages)
     for _ in range(2):
         assert not later.mark(beams)
         np.testing.assert_array_equal(later.cells("observed"), whole.cells("observed"))
 
 
-def test_square_of_a_hit_wants_the_pages_that_it_touches(backend: Backend):
+def test_square_of_a_hit_wants_the_pages_that_it_touches(device: ComputeDevice):
     pages = np.zeros((2, 2), dtype=np.int32)
     pages[0, 0] = 1
-    built = Map(backend, pages)
+    built = Map(device, pages)
     assert built.mark(beams_of((31.5, 31.5, 31.5, 31.5)))
-    assert backend.download(built.wanted).tolist() == [1, 0, 1, 1, 1]
+    assert device.download(built.wanted).tolist() == [1, 0, 1, 1, 1]
     words = built.cells("observed")
     assert [tuple(at) for at in np.argwhere(words)] == [(30, 30), (30, 31), (31, 30), (31, 31)]
 
 
-def test_fold_means_what_scans_told_and_forgets_the_oldest(backend: Backend):
+def test_fold_means_what_scans_told_and_forgets_the_oldest(device: ComputeDevice):
     """A cell is hit twice and then passed: 255, 255, 170, and with a memory of two 128."""
     hit, past = beams_of((12.5, 9.5, 4.5, 9.5)), beams_of((20.5, 9.5, 4.5, 9.5))
     for most, wanted in ((64, [255, 255, 170, 127]), (2, [255, 255, 127, 63]), (1, [255, 255, 0])):
-        built, rule = Map(backend, own_pages(1, 1)), ROOM._replace(reach=0, most=most)
+        built, rule = Map(device, own_pages(1, 1)), ROOM._replace(reach=0, most=most)
         for number, (scan, value) in enumerate(
             zip([hit, hit, past, past], wanted, strict=False), 1
         ):
@@ -209,29 +212,29 @@ def test_fold_means_what_scans_told_and_forgets_the_oldest(backend: Backend):
             assert built.cells("states")[9, 12] & MOST_OBSERVATIONS == min(most, number)
 
 
-def test_what_a_scan_does_not_reach_stays(backend: Backend):
+def test_what_a_scan_does_not_reach_stays(device: ComputeDevice):
     rng = np.random.default_rng(3)
-    built = Map(backend, own_pages(1, 2))
+    built = Map(device, own_pages(1, 2))
     shape = (3, TILE, TILE)
     before = rng.integers(1 << 12, 1 << 32, shape, dtype=np.uint32)
-    built.states = backend.upload(before)
+    built.states = device.upload(before)
     beams = beams_of((12.5, 9.5, 4.5, 9.5))
     built.mark(beams)
-    touched = backend.download(built.observed) > 0
+    touched = device.download(built.observed) > 0
     assert touched.any()
     built.fold(beams)
-    states = backend.download(built.states)
+    states = device.download(built.states)
     np.testing.assert_array_equal(states[~touched], before[~touched])
     assert (states[touched] != before[touched]).all()
 
 
-def test_values_go_to_both_ends_without_flowing_over(backend: Backend):
+def test_values_go_to_both_ends_without_flowing_over(device: ComputeDevice):
     """A cell of the longest memory and the greatest mean, and one of the least."""
-    built = Map(backend, own_pages(1, 1))
+    built = Map(device, own_pages(1, 1))
     rule = ROOM._replace(reach=0, most=MOST_OBSERVATIONS)
     full = np.zeros((2, TILE, TILE), dtype=np.uint32)
     full[1] = (255 * MEAN_ONE) << 12 | MOST_OBSERVATIONS
-    built.states = backend.upload(full)
+    built.states = device.upload(full)
     hit, past = beams_of((12.5, 9.5, 12.5, 9.5)), beams_of((20.5, 9.5, 4.5, 9.5))
     built.mark(hit, rule)
     built.fold(hit, rule)
@@ -240,19 +243,21 @@ def test_values_go_to_both_ends_without_flowing_over(backend: Backend):
     built.fold(past, rule)
     away = 255 * MEAN_ONE // MOST_OBSERVATIONS
     assert built.cells("states")[9, 12] == (255 * MEAN_ONE - away) << 12 | MOST_OBSERVATIONS
-    built.states = backend.upload(np.where(full > 0, np.uint32(MOST_OBSERVATIONS), full))
+    built.states = device.upload(np.where(full > 0, np.uint32(MOST_OBSERVATIONS), full))
     built.mark(hit, rule)
     built.fold(hit, rule)
     assert built.cells("states")[9, 12] == away << 12 | MOST_OBSERVATIONS
 
 
-def follow_both(backend: Backend, seed: int, rule: SmearRule, count: int, scans: int) -> None:
-    """Write scans on a backend and with the twins, and compare all there is after each step."""
+def follow_both(
+    device: ComputeDevice, seed: int, rule: LikelihoodRule, count: int, scans: int
+) -> None:
+    """Write scans on a device and with the twins, and compare all there is after each step."""
     rng = np.random.default_rng(seed)
     shape = tuple(int(side) for side in rng.integers(1, 5, 2))
     pages = np.where(rng.random(shape) < 0.8, own_pages(*shape), 0).astype(np.int32)
     pages.flat[0] = pages.size
-    ours, twin = Map(backend, pages), Map(NumpyBackend(), pages)
+    ours, twin = Map(device, pages), Map(NumpyDevice(), pages)
     for _ in range(scans):
         beams = random_beams(rng, pages, count, rule.reach + 1)
         assert ours.mark(beams, rule) is twin.mark(beams, rule)
@@ -274,15 +279,15 @@ def follow_both(backend: Backend, seed: int, rule: SmearRule, count: int, scans:
 )
 @settings(max_examples=40, deadline=None)
 def test_kernels_equal_their_twins(
-    pocl: Backend, seed: int, shift: int, reach: int, most: int, count: int
+    pocl: ComputeDevice, seed: int, shift: int, reach: int, most: int, count: int
 ):
-    follow_both(pocl, seed, SmearRule(FALLING, shift, reach, most), count, 3)
+    follow_both(pocl, seed, LikelihoodRule(FALLING, shift, reach, most), count, 3)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_kernels_equal_their_twins_on_every_device(backend: Backend, seed: int):
-    follow_both(backend, seed, SmearRule(FALLING, 15, 1 + seed, 2 + seed), 12, 2)
+def test_kernels_equal_their_twins_on_every_device(device: ComputeDevice, seed: int):
+    follow_both(device, seed, LikelihoodRule(FALLING, 15, 1 + seed, 2 + seed), 12, 2)
 
 
-def test_a_large_scan_equals_the_twin(pocl: Backend):
-    follow_both(pocl, 6, SmearRule(FALLING, 16, 4, 64), 5000, 2)
+def test_a_large_scan_equals_the_twin(pocl: ComputeDevice):
+    follow_both(pocl, 6, LikelihoodRule(FALLING, 16, 4, 64), 5000, 2)

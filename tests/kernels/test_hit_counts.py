@@ -12,17 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.compute import Backend, NumpyBackend
-from slamfusion.compute.hit_map_reference import (
-    FULL_HITS,
-    FULL_VISITS,
-    MOST_BEAMS,
-    MOST_REACH,
-    BeamScan,
-    FieldRule,
-    full_field,
-)
-from slamfusion.compute.slam_reference import TILE
+from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.compute.hit_counts import BeamScan, FieldRule
+from slamfusion.compute.hit_counts.numpy import full_field
+from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS, MOST_REACH, TILE
 from slamfusion.errors import DeviceError
 
 I32 = npt.NDArray[np.int32]
@@ -49,9 +42,9 @@ def scan_of(
     )
 
 
-def pools_of(backend: Backend, tiles: int) -> Pools:
+def pools_of(device: ComputeDevice, tiles: int) -> Pools:
     """Counts, sums and field of unseen tiles."""
-    return [backend.upload(np.zeros((tiles, TILE, TILE), dtype=kind)) for kind in KINDS]
+    return [device.upload(np.zeros((tiles, TILE, TILE), dtype=kind)) for kind in KINDS]
 
 
 def own_pages(maps: int, height: int, width: int) -> I32:
@@ -66,36 +59,36 @@ def joined(pool: npt.NDArray[Any], pages: I32) -> npt.NDArray[Any]:
 
 
 def count_into(
-    backend: Backend, pages: I32, *scans: BeamScan
+    device: ComputeDevice, pages: I32, *scans: BeamScan
 ) -> tuple[list[npt.NDArray[Any]], list[bool]]:
     """Count scans in unseen maps; the pools, and what each count returned."""
-    pools = pools_of(backend, int(pages.max()) + 1)
-    table = backend.upload(pages)
-    full = [backend.count_beams(pools[0], pools[1], table, scan) for scan in scans]
-    return [backend.download(pool) for pool in pools[:2]], full
+    pools = pools_of(device, int(pages.max()) + 1)
+    table = device.upload(pages)
+    full = [device.count_beams(pools[0], pools[1], table, scan) for scan in scans]
+    return [device.download(pool) for pool in pools[:2]], full
 
 
 class CopiedTiles:
     """Maps that share tiles until one writes: what a user of these operations does between them."""
 
-    def __init__(self, backend: Backend, pages: I32, tiles: int) -> None:
-        self.backend, self.pages = backend, pages
-        self.pools = pools_of(backend, tiles)
+    def __init__(self, device: ComputeDevice, pages: I32, tiles: int) -> None:
+        self.device, self.pages = device, pages
+        self.pools = pools_of(device, tiles)
         self.used = int(pages.max()) + 1
 
     def write(self, scan: BeamScan, rule: FieldRule) -> None:
         """Give every touched page a fresh tile, count, and settle."""
-        backend = self.backend
-        touched = backend.touch_pages(backend.upload(self.pages), scan, rule.reach) != 0
+        device = self.device
+        touched = device.touch_pages(device.upload(self.pages), scan, rule.reach) != 0
         targets = self.used + np.arange(touched.sum())
         pairs = np.column_stack((self.pages[touched], targets)).astype(np.int32)
-        backend.copy_tiles(tuple(self.pools), pairs)
+        device.copy_tiles(tuple(self.pools), pairs)
         self.pages[touched] = targets
         self.used += len(targets)
-        table = backend.upload(self.pages)
+        table = device.upload(self.pages)
         counts, sums, field = self.pools
-        assert not backend.count_beams(counts, sums, table, scan)
-        backend.settle_field(counts, sums, field, table, scan, rule)
+        assert not device.count_beams(counts, sums, table, scan)
+        device.settle_field(counts, sums, field, table, scan, rule)
 
 
 def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> BeamScan:
@@ -113,10 +106,10 @@ def random_scan(rng: np.random.Generator, size: int, beams: int, maps: int) -> B
     )
 
 
-def test_one_beam_by_hand(backend: Backend):
+def test_one_beam_by_hand(device: ComputeDevice):
     # Turned by 90 degrees: laser (1, 0) stands at (40.5, 11.5), end (5, 2) at (38.5, 15.5).
     scan = scan_of((5.0, 2.0), laser=(1.0, 0.0), poses=[(40.5, 10.5, math.pi / 2)])
-    (counts, sums), full = count_into(backend, own_pages(1, 1, 2), scan)
+    (counts, sums), full = count_into(device, own_pages(1, 1, 2), scan)
     cells = joined(counts, own_pages(1, 1, 2)[0])
     # A row down is half a column to the right, and a cell owns its left edge.
     wanted = np.zeros_like(cells)
@@ -127,27 +120,27 @@ def test_one_beam_by_hand(backend: Backend):
     assert sums[2, 15, 38 - TILE] == sums.sum() == 8 << 16 | 8
 
 
-def test_beam_that_met_nothing_visits_its_end_only(backend: Backend):
+def test_beam_that_met_nothing_visits_its_end_only(device: ComputeDevice):
     scan = scan_of((9.9, 4.1), poses=[(3.2, 3.3, 0.0)], is_hit=False)
-    (counts, sums), _ = count_into(backend, own_pages(1, 1, 1), scan)
+    (counts, sums), _ = count_into(device, own_pages(1, 1, 1), scan)
     assert counts[1, 7, 13] == 1
     assert counts[1, 3, 4] == 1
     assert counts.sum() == 10
     assert not sums.any()
 
 
-def test_beam_without_length_hits_and_visits_one_cell(backend: Backend):
+def test_beam_without_length_hits_and_visits_one_cell(device: ComputeDevice):
     scan = scan_of((0.25, 0.75), laser=(0.25, 0.75), poses=[(20.0, 20.0, 0.0)])
-    (counts, sums), _ = count_into(backend, own_pages(1, 1, 1), scan, scan, scan)
+    (counts, sums), _ = count_into(device, own_pages(1, 1, 1), scan, scan, scan)
     assert counts[1, 20, 20] == counts.sum() == 3 << 16 | 3
     assert sums[1, 20, 20] == sums.sum() == 3 * 4 << 16 | 3 * 12
 
 
-def test_what_leaves_the_window_stays_on_its_border(backend: Backend):
+def test_what_leaves_the_window_stays_on_its_border(device: ComputeDevice):
     ends = [(1e30, 0.0), (-5.0, 0.0), (0.0, math.nan)]
     for end, (row, col, sum_of_x) in zip(ends, [(20, 31, 15), (20, 0, 0), (0, 0, 0)], strict=True):
         (counts, sums), _ = count_into(
-            backend, own_pages(1, 1, 1), scan_of(end, poses=[(4.5, 20.5, 0.0)])
+            device, own_pages(1, 1, 1), scan_of(end, poses=[(4.5, 20.5, 0.0)])
         )
         assert counts[1, row, col] >> 16 == 1
         assert (counts >> 16).sum() == 1
@@ -156,103 +149,103 @@ def test_what_leaves_the_window_stays_on_its_border(backend: Backend):
         assert not counts[0].any()
 
 
-def test_every_map_counts_at_its_own_pose(backend: Backend):
+def test_every_map_counts_at_its_own_pose(device: ComputeDevice):
     pages = own_pages(2, 1, 1)
     scan = scan_of((2.0, 0.0), poses=[(4.5, 4.5, 0.0), (9.5, 4.5, math.pi / 2)])
-    (counts, _), _ = count_into(backend, pages, scan)
+    (counts, _), _ = count_into(device, pages, scan)
     assert [tuple(place) for place in np.argwhere(counts)] == [
         *((1, 4, col) for col in (4, 5, 6)),
         *((2, row, 9) for row in (4, 5, 6)),
     ]
 
 
-def test_pages_without_a_tile_are_left_out(backend: Backend):
+def test_pages_without_a_tile_are_left_out(device: ComputeDevice):
     pages = np.array([[[1, 0, 2]]], dtype=np.int32)
     scan = scan_of((80.0, 0.0), (50.0, 0.0), poses=[(4.5, 4.5, 0.0)])
-    (counts, sums), _ = count_into(backend, pages, scan)
+    (counts, sums), _ = count_into(device, pages, scan)
     visits = joined(counts, pages[0])[4] & 0xFFFF
     assert visits.tolist() == [0] * 4 + [2] * 28 + [0] * 32 + [1] * 21 + [0] * 11
     assert not counts[0].any()
     assert np.count_nonzero(sums) == 1
 
 
-def test_a_cell_with_too_many_visits_is_told(backend: Backend):
+def test_a_cell_with_too_many_visits_is_told(device: ComputeDevice):
     pages = own_pages(1, 1, 1)
-    table = backend.upload(pages)
+    table = device.upload(pages)
     scan = scan_of((3.0, 0.0), (0.0, 3.0), poses=[(4.5, 4.5, 0.0)])
     for before, is_full in ((FULL_VISITS - 3, False), (FULL_VISITS - 2, True)):
         counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
         counts[1, 4, 4] = 7 << 16 | before  # both beams pass here
         counts[1, 20, 20] = FULL_VISITS - 1  # and none here
-        pools = [backend.upload(pool) for pool in (counts, 0 * counts)]
-        assert backend.count_beams(pools[0], pools[1], table, scan) is is_full
-        assert backend.download(pools[0])[1, 4, 4] == 7 << 16 | before + 2
+        pools = [device.upload(pool) for pool in (counts, 0 * counts)]
+        assert device.count_beams(pools[0], pools[1], table, scan) is is_full
+        assert device.download(pools[0])[1, 4, 4] == 7 << 16 | before + 2
 
 
-def test_a_cell_with_too_many_hits_is_told(backend: Backend):
-    table = backend.upload(own_pages(1, 1, 1))
+def test_a_cell_with_too_many_hits_is_told(device: ComputeDevice):
+    table = device.upload(own_pages(1, 1, 1))
     scan = scan_of((3.0, 0.0), (3.0, 0.0), poses=[(4.5, 4.5, 0.0)])
     for before, is_full in ((FULL_HITS - 3, False), (FULL_HITS - 2, True)):
         counts = np.zeros((2, TILE, TILE), dtype=np.uint32)
         counts[1, 4, 7] = before << 16 | before + 5  # both beams end here
         counts[1, 4, 5] = 3 << 16 | 9  # pass here
         counts[1, 20, 20] = FULL_HITS - 1 << 16  # and do not come here
-        pools = [backend.upload(pool) for pool in (counts, 0 * counts)]
-        assert backend.count_beams(pools[0], pools[1], table, scan) is is_full
+        pools = [device.upload(pool) for pool in (counts, 0 * counts)]
+        assert device.count_beams(pools[0], pools[1], table, scan) is is_full
         counts[1, 4, 7] += 2 << 16 | 2
         counts[1, 4, 4:7] += 2
-        np.testing.assert_array_equal(backend.download(pools[0]), counts)
+        np.testing.assert_array_equal(device.download(pools[0]), counts)
 
 
-def test_nothing_flows_over_where_all_beams_of_two_scans_end(backend: Backend):
+def test_nothing_flows_over_where_all_beams_of_two_scans_end(device: ComputeDevice):
     """A cell that is nearly full gets the largest scan, with the greatest offsets there are."""
-    table = backend.upload(own_pages(1, 1, 1))
+    table = device.upload(own_pages(1, 1, 1))
     scan = scan_of(*[(0.49, 0.49)] * MOST_BEAMS, poses=[(20.5, 20.5, 0.0)])
-    pools = pools_of(backend, 2)
+    pools = pools_of(device, 2)
     hits = 0
     for is_full in (False, True):
-        assert backend.count_beams(pools[0], pools[1], table, scan) is is_full
+        assert device.count_beams(pools[0], pools[1], table, scan) is is_full
         hits += MOST_BEAMS
-        counts, sums = (backend.download(pool) for pool in pools[:2])
+        counts, sums = (device.download(pool) for pool in pools[:2])
         assert counts[1, 20, 20] == counts.sum() == hits << 16 | hits
         assert sums[1, 20, 20] == sums.sum() == 15 * hits << 16 | 15 * hits
     # And its mean is still the middle of the last sixteenth of the cell: 8 + 240 of 256.
     rule = FieldRule(FALLING, shift=8, reach=1, occupied=16384, least_hits=1)
-    backend.settle_field(*pools, table, scan, rule)
-    assert backend.download(pools[2])[1, 20, 20] == 255 - 2 * 120 * 120 // 256
+    device.settle_field(*pools, table, scan, rule)
+    assert device.download(pools[2])[1, 20, 20] == 255 - 2 * 120 * 120 // 256
 
 
-def test_too_many_beams_are_refused(backend: Backend):
-    table = backend.upload(own_pages(1, 1, 1))
+def test_too_many_beams_are_refused(device: ComputeDevice):
+    table = device.upload(own_pages(1, 1, 1))
     scan = scan_of(*[(3.0, 0.0)] * (MOST_BEAMS + 1), poses=[(4.5, 4.5, 0.0)])
-    pools = pools_of(backend, 2)
+    pools = pools_of(device, 2)
     with pytest.raises(DeviceError, match="up to 2047 beams, found 2048"):
-        backend.count_beams(pools[0], pools[1], table, scan)
-    assert not backend.download(pools[0]).any()
+        device.count_beams(pools[0], pools[1], table, scan)
+    assert not device.download(pools[0]).any()
 
 
 @pytest.mark.parametrize("corner", [(3, 4), (31, 31)])
-def test_mean_hit_is_unbiased(backend: Backend, corner: tuple[int, int]):
+def test_mean_hit_is_unbiased(device: ComputeDevice, corner: tuple[int, int]):
     """Hits all over a cell in even steps: their mean is its centre, to 1/256."""
     steps = (np.arange(32) + 0.5) / 32.0
     x, y = (axis.ravel() for axis in np.meshgrid(corner[0] + steps, corner[1] + steps))
     ends = list(zip(x.tolist(), y.tolist(), strict=True))
     scan = scan_of(*ends, laser=(corner[0] + 0.5, corner[1] + 0.5))
-    table = backend.upload(own_pages(1, 1, 1))
-    pools = pools_of(backend, 2)
-    backend.count_beams(pools[0], pools[1], table, scan)
+    table = device.upload(own_pages(1, 1, 1))
+    pools = pools_of(device, 2)
+    device.count_beams(pools[0], pools[1], table, scan)
     # Only the table's first entry is 255: for no distance.
     rule = FieldRule(FALLING, shift=0, reach=0, occupied=0, least_hits=1)
-    backend.settle_field(*pools, table, scan, rule)
-    assert backend.download(pools[2])[1, corner[1], corner[0]] == 255
+    device.settle_field(*pools, table, scan, rule)
+    assert device.download(pools[2])[1, corner[1], corner[0]] == 255
 
 
-def test_touched_pages_by_hand(backend: Backend):
+def test_touched_pages_by_hand(device: ComputeDevice):
     # Along row 52 from column 40 to column 60: in the middle one of nine pages.
     pages = np.zeros((2, 3, 3), dtype=np.int32)
     scan = scan_of((20.0, 0.0), poses=[(40.5, 52.5, 0.0), (90.5, 94.5, math.pi)])
-    table = backend.upload(pages)
-    found = {reach: backend.touch_pages(table, scan, reach) for reach in (0, 3, 8, 9, 12)}
+    table = device.upload(pages)
+    found = {reach: device.touch_pages(table, scan, reach) for reach in (0, 3, 8, 9, 12)}
     assert np.argwhere(found[0]).tolist() == [[0, 1, 1], [1, 2, 2]]
     np.testing.assert_array_equal(found[3], found[0])
     assert np.argwhere(found[8][0]).tolist() == [[1, 1], [1, 2]]
@@ -265,12 +258,12 @@ def test_touched_pages_by_hand(backend: Backend):
 @given(seed=SEEDS, reach=st.integers(0, 16))
 @settings(max_examples=25, deadline=None)
 def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
-    pocl: Backend, seed: int, reach: int
+    pocl: ComputeDevice, seed: int, reach: int
 ):
     rng = np.random.default_rng(seed)
     pages = own_pages(2, 6, 6)
     scan = random_scan(rng, 6 * TILE, 3, 2)
-    (counts, _), _ = count_into(NumpyBackend(), pages, scan)
+    (counts, _), _ = count_into(NumpyDevice(), pages, scan)
     wanted = np.zeros(pages.shape, dtype=np.uint8)
     for own, out in zip(pages, wanted, strict=True):
         for row, col in np.argwhere(joined(counts, own)):
@@ -279,42 +272,42 @@ def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
     np.testing.assert_array_equal(pocl.touch_pages(pocl.upload(pages), scan, reach), wanted)
 
 
-def test_copied_tiles_equal_their_sources_and_all_others_stay(backend: Backend):
+def test_copied_tiles_equal_their_sources_and_all_others_stay(device: ComputeDevice):
     rng = np.random.default_rng(4)
     before = [rng.integers(1, 200, (7, TILE, TILE)).astype(kind) for kind in KINDS]
     for pool in before:
         pool[0] = 0
-    pools = tuple(backend.upload(pool) for pool in before)
-    backend.copy_tiles(pools, np.array([[2, 5], [0, 3], [2, 6]], dtype=np.int32))
+    pools = tuple(device.upload(pool) for pool in before)
+    device.copy_tiles(pools, np.array([[2, 5], [0, 3], [2, 6]], dtype=np.int32))
     for pool, was in zip(pools, before, strict=True):
-        now = backend.download(pool)
+        now = device.download(pool)
         assert now.dtype == was.dtype
         np.testing.assert_array_equal(now[[0, 1, 2, 4]], was[[0, 1, 2, 4]])
         np.testing.assert_array_equal(now[[5, 6]], was[[2, 2]])
         assert not now[3].any()
 
 
-def test_taken_tiles_are_those_of_the_pool_in_the_order_asked_for(backend: Backend):
+def test_taken_tiles_are_those_of_the_pool_in_the_order_asked_for(device: ComputeDevice):
     rng = np.random.default_rng(5)
     for kind in KINDS:
         pool = rng.integers(0, 200, (9, TILE, TILE)).astype(kind)
-        handle = backend.upload(pool)
+        handle = device.upload(pool)
         for numbers in ([7, 0, 3, 3, 8], [4], list(range(9)), []):
-            found = backend.take_tiles(handle, np.array(numbers, dtype=np.int32))
+            found = device.take_tiles(handle, np.array(numbers, dtype=np.int32))
             assert found.dtype == kind
             np.testing.assert_array_equal(found, pool[numbers].reshape(-1, TILE, TILE))
-        np.testing.assert_array_equal(backend.download(handle), pool)
+        np.testing.assert_array_equal(device.download(handle), pool)
 
 
-def settled(backend: Backend, rule: FieldRule, *scans: BeamScan) -> npt.NDArray[Any]:
+def settled(device: ComputeDevice, rule: FieldRule, *scans: BeamScan) -> npt.NDArray[Any]:
     """Count and settle scans in one map of two pages; its field."""
-    maps = CopiedTiles(backend, np.zeros((1, 1, 2), dtype=np.int32), 40)
+    maps = CopiedTiles(device, np.zeros((1, 1, 2), dtype=np.int32), 40)
     for scan in scans:
         maps.write(scan, rule)
-    return joined(backend.download(maps.pools[2]), maps.pages[0])
+    return joined(device.download(maps.pools[2]), maps.pages[0])
 
 
-def test_field_of_one_hit_by_hand(backend: Backend):
+def test_field_of_one_hit_by_hand(device: ComputeDevice):
     # The mean of the hits lies a quarter of a cell left of the middle of cell (row 9, col 32); on
     # both axes a hit counts as in the middle of its sixteenth.
     rule = FieldRule(FALLING, shift=11, reach=1, occupied=16384, least_hits=2)
@@ -327,29 +320,29 @@ def test_field_of_one_hit_by_hand(backend: Backend):
             along, across = 256 * (9 - row) + 8, 256 * (32 - col) - 64 + 8
             wanted[row, col] = 255 - (along * along + across * across) // 2048
     assert wanted.max() == 254
-    np.testing.assert_array_equal(settled(backend, rule, *scans), wanted)
+    np.testing.assert_array_equal(settled(device, rule, *scans), wanted)
     # One hit is too few.
-    assert not settled(backend, rule, scans[0]).any()
+    assert not settled(device, rule, scans[0]).any()
 
 
-def test_field_ends_where_a_page_has_no_tile(backend: Backend):
+def test_field_ends_where_a_page_has_no_tile(device: ComputeDevice):
     rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
-    pools, pages = pools_of(backend, 2), np.array([[[1, 0], [0, 0]]], dtype=np.int32)
-    table, scan = backend.upload(pages), scan_of((11.0, 11.0), poses=[(20.5, 20.5, 0.0)])
+    pools, pages = pools_of(device, 2), np.array([[[1, 0], [0, 0]]], dtype=np.int32)
+    table, scan = device.upload(pages), scan_of((11.0, 11.0), poses=[(20.5, 20.5, 0.0)])
     counts, sums, field = pools
-    backend.count_beams(counts, sums, table, scan)
-    backend.settle_field(counts, sums, field, table, scan, rule)
-    tiles = backend.download(field)
+    device.count_beams(counts, sums, table, scan)
+    device.settle_field(counts, sums, field, table, scan, rule)
+    tiles = device.download(field)
     assert np.count_nonzero(tiles[1, 29:, 29:]) == np.count_nonzero(tiles) == 9
 
 
-def test_field_of_a_cell_that_was_seen_through_is_gone(backend: Backend):
+def test_field_of_a_cell_that_was_seen_through_is_gone(device: ComputeDevice):
     rule = FieldRule(FALLING, shift=12, reach=2, occupied=16384, least_hits=1)
     pose = [(20.5, 9.5, 0.0)]
     hit, past = scan_of((12.0, 0.0), poses=pose), scan_of((16.0, 0.0), poses=pose, is_hit=False)
-    assert np.count_nonzero(settled(backend, rule, hit, past, past)) == 25  # 1 hit in 3 visits
+    assert np.count_nonzero(settled(device, rule, hit, past, past)) == 25  # 1 hit in 3 visits
     assert not settled(
-        backend, rule, hit, past, past, past
+        device, rule, hit, past, past, past
     ).any()  # 1 in 4 is no more than a quarter
 
 
@@ -361,13 +354,13 @@ def test_field_of_a_cell_that_was_seen_through_is_gone(backend: Backend):
 )
 @settings(max_examples=20, deadline=None)
 def test_field_is_that_of_the_counts_everywhere(
-    pocl: Backend, seed: int, reach: int, occupied: int, least_hits: int
+    pocl: ComputeDevice, seed: int, reach: int, occupied: int, least_hits: int
 ):
     rng = np.random.default_rng(seed)
     rule = FieldRule(FALLING, 12, reach, occupied, least_hits)
     maps, side = 3, 6
     tiles = CopiedTiles(pocl, np.zeros((maps, side, side), dtype=np.int32), 1200)
-    twin = CopiedTiles(NumpyBackend(), np.zeros((maps, side, side), dtype=np.int32), 1200)
+    twin = CopiedTiles(NumpyDevice(), np.zeros((maps, side, side), dtype=np.int32), 1200)
     for _ in range(6):
         scan = random_scan(rng, side * TILE, 60, maps)
         tiles.write(scan, rule)
@@ -384,44 +377,44 @@ def test_field_is_that_of_the_counts_everywhere(
         np.testing.assert_array_equal(field, full_field(counts, sums, rule))
 
 
-def test_tiles_of_other_maps_are_untouched(backend: Backend):
+def test_tiles_of_other_maps_are_untouched(device: ComputeDevice):
     rng = np.random.default_rng(8)
     before = [rng.integers(0, 200, (4 * 25 + 1, TILE, TILE)).astype(kind) for kind in KINDS]
     before[0] |= np.uint32(100 << 16)
     for pool in before:
         pool[0] = 0
-    pools = [backend.upload(pool) for pool in before]
+    pools = [device.upload(pool) for pool in before]
     pages = own_pages(4, 5, 5)[[1, 3]]
-    table = backend.upload(pages)
+    table = device.upload(pages)
     scan = random_scan(rng, 5 * TILE, 8, 2)
     rule = FieldRule(FALLING, 12, 1, 16384, 1)
-    touched = backend.touch_pages(table, scan, rule.reach)
+    touched = device.touch_pages(table, scan, rule.reach)
     counts, sums, field = pools
-    backend.count_beams(counts, sums, table, scan)
-    backend.settle_field(counts, sums, field, table, scan, rule)
+    device.count_beams(counts, sums, table, scan)
+    device.settle_field(counts, sums, field, table, scan, rule)
     for pool, was in zip(pools, before, strict=True):
-        changed = (backend.download(pool) != was).any(axis=(1, 2))
+        changed = (device.download(pool) != was).any(axis=(1, 2))
         assert changed.any()
         assert not np.setdiff1d(np.flatnonzero(changed), pages[touched != 0]).size
 
 
-def test_large_scan_equals_the_twin(backend: Backend, is_simulated: bool):
+def test_large_scan_equals_the_twin(device: ComputeDevice, is_simulated: bool):
     rng = np.random.default_rng(6)
     maps, side, beams = (2, 5, 12) if is_simulated else (7, 14, 700)
     rule = FieldRule(FALLING, 12, 3, 16384, 1)
     pages = np.zeros((maps, side, side), dtype=np.int32)
-    ours = CopiedTiles(backend, pages.copy(), 3 * pages.size)
-    twin = CopiedTiles(NumpyBackend(), pages.copy(), 3 * pages.size)
+    ours = CopiedTiles(device, pages.copy(), 3 * pages.size)
+    twin = CopiedTiles(NumpyDevice(), pages.copy(), 3 * pages.size)
     for _ in range(2):
         scan = random_scan(rng, side * TILE, beams, maps)
         for tiles in (ours, twin):
             tiles.write(scan, rule)
     for own, other in zip(ours.pools, twin.pools, strict=True):
-        assert backend.download(own).tobytes() == other.tobytes()
+        assert device.download(own).tobytes() == other.tobytes()
 
 
-def test_rules_that_no_kernel_can_follow_are_refused(backend: Backend):
-    pools, table = pools_of(backend, 2), backend.upload(own_pages(1, 1, 1))
+def test_rules_that_no_kernel_can_follow_are_refused(device: ComputeDevice):
+    pools, table = pools_of(device, 2), device.upload(own_pages(1, 1, 1))
     scan = scan_of((3.0, 0.0), poses=[(4.5, 4.5, 0.0)])
     rule = FieldRule(FALLING, 12, 1, 16384, 1)
     for wrong, words in (
@@ -430,4 +423,4 @@ def test_rules_that_no_kernel_can_follow_are_refused(backend: Backend):
         (rule._replace(table=FALLING[:9]), "256 entries that never rise"),
     ):
         with pytest.raises(DeviceError, match=words):
-            backend.settle_field(pools[0], pools[1], pools[2], table, scan, wrong)
+            device.settle_field(pools[0], pools[1], pools[2], table, scan, wrong)
