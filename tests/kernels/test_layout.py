@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -98,3 +99,25 @@ def test_every_operation_is_of_one_family_and_has_a_check():
     assert set(CHECKS) == every
     assert every <= {name for name in dir(OpenCLDevice) if not name.startswith("_")}
     assert set(FAMILIES.values()) <= set(ComputeDevice.__mro__)
+
+
+def imports(path: Path) -> set[str]:
+    """Return the modules that a file imports."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def test_production_code_needs_neither_the_twins_nor_the_self_test():
+    own = PACKAGE / "compute"
+    for path in PACKAGE.rglob("*.py"):
+        found = imports(path)
+        assert not {name for name in found if name.split(".")[-1].endswith("reference")}, path
+        if own not in path.parents:
+            assert not {n for n in found if re.match(r"slamfusion\.compute\.\w+\.numpy", n)}, path
+        if (own / "self_test") not in path.parents and path.name != "doctor.py":
+            assert not {n for n in found if n.startswith("slamfusion.compute.self_test")}, path
