@@ -11,7 +11,7 @@ from slamfusion.compute import ComputeDevice, list_devices, open_device
 
 POCL = "portable computing"
 # Its kernels leave out what only threads need.
-PLAIN = "basic"
+SINGLE_THREAD = "basic"
 SIMULATOR = "oclgrind"
 # Both come as wheels for this platform and belong to the test requirements, so there their absence
 # is a failure. Elsewhere it is a skip.
@@ -29,13 +29,13 @@ def other_devices() -> list[str]:
 
 @pytest.fixture(
     scope="session",
-    params=[POCL, PLAIN, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
+    params=[POCL, SINGLE_THREAD, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
 )
 def device(request: pytest.FixtureRequest) -> ComputeDevice:
     """The device of each device in turn."""
     if not WHEELS_EXIST:
         names = " ".join(f"{d.platform} {d.name}".lower() for d in list_devices())
-        if request.param in {POCL, PLAIN, SIMULATOR} and request.param not in names:
+        if request.param in {POCL, SINGLE_THREAD, SIMULATOR} and request.param not in names:
             pytest.skip(f"no {request.param} on this platform")
     return open_device(request.param)
 

@@ -221,20 +221,24 @@ def test_source_that_does_not_build_is_one_error(tmp_path: Path, monkeypatch: py
     assert "\n" not in str(caught.value)
 
 
-PLAIN, THREADED = fake("basic-AMD EPYC", CPU), fake("pthread-AMD EPYC", CPU)
+SINGLE_THREAD, THREADED = fake("basic-AMD EPYC", CPU), fake("pthread-AMD EPYC", CPU)
 
 
-@pytest.mark.parametrize("devices", [(PLAIN, THREADED), (THREADED, PLAIN)])
-def test_the_plain_device_is_for_small_kernels_only(machine: Machine, devices: tuple[object, ...]):
+@pytest.mark.parametrize("devices", [(SINGLE_THREAD, THREADED), (THREADED, SINGLE_THREAD)])
+def test_the_single_thread_device_is_for_small_kernels_only(
+    machine: Machine, devices: tuple[object, ...]
+):
     machine(*devices)
     assert choose_device()[0] is THREADED
-    assert choose_device(small_kernels=True)[0] is PLAIN
+    assert choose_device(small_kernels=True)[0] is SINGLE_THREAD
     machine(*devices, fake("gpu", GPU))
     assert choose_device(small_kernels=True)[0].name == "gpu"
 
 
 @needs_wheels
-def test_a_small_producer_gets_the_plain_device_of_the_wheel(monkeypatch: pytest.MonkeyPatch):
+def test_a_small_producer_gets_the_single_thread_device_of_the_wheel(
+    monkeypatch: pytest.MonkeyPatch,
+):
     """In a process of its own, since a process lists its devices once."""
     for name in ("POCL_DEVICES", "PYOPENCL_CTX"):
         monkeypatch.delenv(name, raising=False)
