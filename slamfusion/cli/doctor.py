@@ -92,13 +92,13 @@ def has_two_rclpy() -> bool:
     return True
 
 
-def _self_test(device: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
+def _self_test(wanted: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
     """Run the kernels on the chosen device; a device that cannot be opened is a failed test."""
     from slamfusion.compute import open_device  # noqa: PLC0415
     from slamfusion.compute.self_test import self_test  # noqa: PLC0415
 
     try:
-        backend = open_device(device)
-        return backend.name, self_test(backend)
+        device = open_device(wanted)
+        return device.name, self_test(device)
     except DeviceError as error:
         return None, [("open the device", False, str(error))]

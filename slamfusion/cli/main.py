@@ -85,7 +85,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if hasattr(stream, "reconfigure"):  # file names need not be text
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("slamfusion").addHandler(logging.NullHandler())
-    logging.getLogger(TOLD_LOGGER).addHandler(logging.StreamHandler())
+    told = logging.getLogger(TOLD_LOGGER)
+    if not told.handlers:
+        told.addHandler(logging.StreamHandler())
     settings = Settings()
     code = _run(list(sys.argv[1:] if arguments is None else arguments), settings)
     with contextlib.suppress(OSError):
