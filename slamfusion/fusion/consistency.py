@@ -66,8 +66,9 @@ def largest_group(
             three alignments of bent maps may each be off.
     """
     edges = {frozenset((p.reference, p.moving)): p for p in pairs if p.accepted}
+    is_many = len(names) > EXHAUSTIVE_INPUTS
     for size in range(len(names), 1, -1):
-        if len(names) > EXHAUSTIVE_INPUTS and size < len(names) - 2:
+        if is_many and size < len(names) - 2:
             break
         best: Group | None = None
         for members in itertools.combinations(names, size):
@@ -76,12 +77,12 @@ def largest_group(
                 continue
             if not _closes(members, inside, centres, resolution):
                 continue
-            group = Group(members, sum(pair.score for pair in inside.values()))
+            group = Group(members, _sum_of_scores(inside))
             if best is None or group.score > best.score:
                 best = group
         if best is not None:
             return best
-    if len(names) > EXHAUSTIVE_INPUTS:
+    if is_many:
         return _grown_group(names, edges, centres, resolution)
     return Group(tuple(names[:1]), 0.0)
 
@@ -139,10 +140,20 @@ def _grown_group(
                 members = trial
         inside = {key: pair for key, pair in edges.items() if key <= set(members)}
         ordered = tuple(name for name in names if name in members)
-        group = Group(ordered, sum(pair.score for pair in inside.values()))
-        if (len(group.members), group.score) > (len(best.members), best.score):
+        group = Group(ordered, _sum_of_scores(inside))
+        if _rank(group, names) > _rank(best, names):
             best = group
     return best
+
+
+def _sum_of_scores(pairs: dict[frozenset[str], Alignment]) -> float:
+    """Return the sum, rounded once: the same in whatever order the pairs come."""
+    return math.fsum(pair.score for pair in pairs.values())
+
+
+def _rank(group: Group, names: Sequence[str]) -> tuple[int, float, list[int]]:
+    """Return what the better of two groups has more of: members, score, early inputs."""
+    return len(group.members), group.score, [-names.index(name) for name in group.members]
 
 
 def path_transform(

@@ -5,9 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
+from slamfusion.fusion import consistency
 from slamfusion.fusion.consistency import (
     PATH_GAP,
     closure_error,
@@ -193,3 +197,132 @@ def test_a_path_takes_accepted_pairs_of_the_group_only() -> None:
     assert path_transform("c", "a", "ac", pairs) is None
     assert path_transform("c", "a", "abc", [pairs[0], replace(pairs[1], accepted=False)]) is None
     assert path_transform("a", "a", "a", []) == Pose2()
+
+
+# -- both sides of each limit ----------------------------------------------------------------------
+
+
+def around(error: Pose2, resolution: float) -> str:
+    """Return who stays of three maps in one frame, one pair of which is off by ``error``."""
+    still = Pose2()
+    pairs = [
+        Alignment(b, a, pose, True, "drawn by hand", score, 1.0, 0.0, None, None, 0.0)
+        for a, b, pose, score in (
+            ("a", "b", still, 0.5),
+            ("b", "c", still, 0.6),
+            ("a", "c", error, 0.4),
+        )
+    ]
+    centres = dict.fromkeys("abc", (0.0, 0.0))
+    return "".join(largest_group(list("abc"), pairs, centres, resolution).members)
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.5])
+def test_a_triangle_closes_within_twelve_cells(resolution: float) -> None:
+    for direction in ((1.0, 0.0), (0.0, -1.0), (0.6, 0.8)):
+        x, y = (12.0 * resolution * part for part in direction)
+        assert around(Pose2(0.999 * x, 0.999 * y), resolution) == "abc"
+        assert around(Pose2(1.001 * x, 1.001 * y), resolution) == "bc"
+    assert around(Pose2(6.0, 0.0), 0.5) == "abc"  # the limit itself, without rounding
+
+
+def test_a_triangle_closes_within_three_degrees() -> None:
+    for sign in (-1.0, 1.0):
+        assert around(Pose2(0.0, 0.0, sign * math.radians(2.999)), 0.05) == "abc"
+        assert around(Pose2(0.0, 0.0, sign * math.radians(3.001)), 0.05) == "bc"
+        # A whole turn is none.
+        assert around(Pose2(0.0, 0.0, sign * 2.0 * math.pi), 0.05) == "abc"
+
+
+@given(
+    error=st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-0.1, 0.1)),
+    scale=st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 3.0)),
+)
+def test_a_larger_error_never_closes_what_a_smaller_one_leaves_open(
+    error: tuple[float, float, float], scale: tuple[float, float]
+) -> None:
+    small, large = (around(Pose2(*(size * part for part in error)), 0.05) for size in sorted(scale))
+    assert len(large) <= len(small)
+
+
+@example(scores=[0.0, 1e-5, 0.5, 0.5, 1e-5, 0.25], chosen=["a", "b", "c", "d"])
+@given(scores=st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6), chosen=st.permutations("abcd"))
+def test_a_group_does_not_depend_on_the_order_of_the_pairs(
+    scores: list[float], chosen: list[str]
+) -> None:
+    wrong = frozenset(chosen[:2])
+    pairs = [
+        pair(b, a, score, ASIDE if {a, b} == wrong else None)
+        for (a, b), score in zip(itertools.combinations("abcd", 2), scores, strict=True)
+    ]
+    assert members("abcd", pairs) == members("abcd", pairs[::-1])
+
+
+# -- more inputs than can be tried exhaustively ----------------------------------------------------
+
+
+def strangers(good: str, often: int) -> list[Alignment]:
+    """Return pairs of ``good`` maps, and of two strangers that match them better and wrongly.
+
+    Grown from any of the best pairs, which are the strangers', a group stays small. ``n`` matches
+    every good map, ``o`` the first ``often``, each elsewhere.
+    """
+    pairs = all_pairs(good)
+    for stranger, matched in (("n", good), ("o", good[:often])):
+        for index, name in enumerate(matched):
+            elsewhere = Pose2(5.0 + 3.0 * index, 2.0, 0.3 * index)
+            wrong = replace(pair(name, "a", 0.9), reference=stranger, transform=elsewhere)
+            pairs.append(wrong)
+    return pairs
+
+
+def test_of_up_to_twelve_inputs_every_group_is_tried() -> None:
+    assert members("nopmabcdefgh", strangers("abcdefgh", 4)) == "abcdefgh"
+
+
+def test_of_more_inputs_any_two_may_be_strangers() -> None:
+    good = "abcdefghijk"
+    assert members("no" + good, strangers(good, 2)) == good
+
+
+def test_many_inputs_are_not_tried_in_all_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = 0
+    is_connected = consistency._is_connected
+
+    def counted(*arguments: Any) -> bool:
+        nonlocal tried
+        tried += 1
+        return is_connected(*arguments)
+
+    monkeypatch.setattr(consistency, "_is_connected", counted)
+    names = "abcdefghijklm"
+    assert members(names, [pair("b", "a")]) == "ab"
+    # All of them, without one, without two, and those that are grown from one pair.
+    assert tried <= 1 + 13 + 78 + 11
+
+
+@pytest.mark.parametrize("count", [3, 12, 13, 16])
+def test_of_many_inputs_pairs_alone_are_judged_as_of_few(count: int) -> None:
+    names = [*"abcdefghijklmnop"[:count], "y", "z"]
+
+    def group(first: float, last: float, *, accepted: bool = True) -> tuple[str, float]:
+        """Two pairs that share no map, the last inputs' given first."""
+        pairs = [
+            replace(pair("c", "a", last, accepted=accepted), reference="y", moving="z"),
+            pair("b", "a", first, accepted=accepted),
+        ]
+        found = largest_group(names, pairs, CENTRES, SIZE)
+        return "".join(found.members), found.score
+
+    assert group(0.4, 0.6, accepted=False) == ("a", 0.0)
+    assert group(0.4, 0.6) == ("yz", 0.6)
+    assert group(0.6, 0.4) == ("ab", 0.6)
+    assert group(0.5, 0.5) == ("ab", 0.5)
+
+
+def test_of_many_inputs_the_groups_are_told_apart_by_their_scores() -> None:
+    groups = {
+        names: [pair(b, a, score) for a, b in itertools.combinations(names, 2)]
+        for names, score in (("abc", 0.4), ("def", 0.6))
+    }
+    assert members("abcdefghijklm", groups["abc"] + groups["def"]) == "def"
