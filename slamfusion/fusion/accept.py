@@ -4,7 +4,8 @@ No single number separates right from wrong: maps of one place that different SL
 a tenth of their wall cells, and maps of two homes half of them. What a right answer has, and a
 wrong one lacks, is that it stands out: no other turn and no other shift comes near it. So an
 alignment is believed on one of three grounds, each of which no pair of different places among the
-recorded maps meets, by a margin (``tests/benchmarks/bench_places.py`` prints the counts):
+recorded maps meets, by a margin (``tests/benchmarks/bench_places.py`` prints the counts; the
+nearest pairs are rows of ``tests/fusion/recorded_pairs.csv``):
 
 * **walls match**: most wall cells of both maps lie on walls of the other;
 * **yaw stands out**: the best coarse score at any other yaw is clearly lower, and so is the best
@@ -13,6 +14,9 @@ recorded maps meets, by a margin (``tests/benchmarks/bench_places.py`` prints th
 
 It is never believed when a rival explains the maps about as well (symmetry), unless the answer
 agrees with the start transform; nor when it shares too little ground to be judged.
+
+What it lets through: of 100 pairs of drawn buildings of one size with other rooms, which share
+their outer walls, two are believed.
 """
 
 from __future__ import annotations
