@@ -1,0 +1,324 @@
+"""Where the robot may be at the next scan, when a match is doubted, and what is kept of its score.
+
+The numbers of the limits stand here once more, on purpose: a limit that moves is to fail a test.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.compute import NumpyBackend
+from slamfusion.config import MatcherConfig
+from slamfusion.geometry import Pose2
+from slamfusion.slam.base import Health
+from slamfusion.slam.matcher import FieldMap, Guess, Match, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.tracking import Tracker
+
+# What the tracker calls things, each in one place.
+HYPOTHESES = Tracker.guesses
+MEAN_SCORE, STANDS = "usual_score", "holds"
+SEARCHES_AGAIN, RESOLVES, CURVATURE = "looks_twice", "minds_open", "bend"
+
+F64 = npt.NDArray[np.float64]
+TILE, TILES, CELL_M = 32, 16, 0.05
+# Half of the drawn window, metres: the map's zero is its middle.
+HALF_M = TILE * TILES * CELL_M / 2
+CONFIG = MatcherConfig()
+# The nearest hypothesis is worth nothing of its own: scores alone decide.
+SCORES_ALONE = MatcherConfig(prior_weight_xy=0.0, prior_weight_yaw=0.0)
+JUMPED = "odometry jumped by more than 5 m: not believed"
+
+
+def tracker(config: MatcherConfig = CONFIG, **fields: Any) -> Tracker:
+    return Tracker(config, NumpyBackend(), np.random.default_rng(3), Health(), **fields)
+
+
+HOME, ONWARD = Pose2(), Pose2(0.2, 0.0, 0.1)
+
+
+def driven(last: Pose2 = HOME, step: Pose2 = ONWARD, **fields: Any) -> Tracker:
+    """Return a tracker whose robot came to ``last`` by ``step`` in one second, at 11 s."""
+    found = tracker(**fields)
+    before = last.compose(step.inverse())
+    found.advance(before, before, 10.0)
+    found.advance(last, last, 11.0)
+    return found
+
+
+def of_pose(pose: Pose2) -> F64:
+    return np.array([pose.x, pose.y, pose.yaw_rad])
+
+
+def assert_guess(found: Guess, pose: Pose2, spread: tuple[float, float], loss: float = 0.0) -> None:
+    np.testing.assert_allclose(found.pose, of_pose(pose), atol=1e-9)
+    assert (found.spread.xy_m, found.spread.yaw_rad) == pytest.approx(spread)
+    assert found.loss == loss
+
+
+# -- where the robot may be ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("odometry", [None, Pose2(3.0, -1.0, 0.7)])
+def test_the_first_scan_lies_where_its_odometry_is(odometry: Pose2 | None) -> None:
+    (found,) = HYPOTHESES(tracker(), 5.0, odometry)
+    assert_guess(found, odometry or Pose2(), (0.1, 0.05))
+
+
+def test_odometry_is_one_hypothesis_and_going_on_the_other() -> None:
+    last, step = Pose2(1.0, 2.0, 0.5), Pose2(0.2, 0.0, 0.1)
+    by_odometry, onward = HYPOTHESES(driven(last, step), 11.5, last.compose(Pose2(0.3, 0.4, -0.2)))
+    assert_guess(by_odometry, last.compose(Pose2(0.3, 0.4, -0.2)), (0.1 + 0.15 * 0.5, 0.09))
+    half = Pose2(0.1, 0.0, 0.05)
+    assert_guess(onward, last.compose(half), (0.1 + 0.15 * 0.1, 0.05 + 0.2 * 0.05), loss=0.05)
+
+
+@pytest.mark.parametrize("stands", [False, True])
+def test_without_odometry_the_robot_goes_on_or_stands_as_its_mapper_says(stands: bool) -> None:
+    last = Pose2(1.0, 2.0, 0.5)
+    fields = {STANDS: True} if stands else {}
+    step = Pose2() if stands else Pose2(0.2, 0.0, 0.1)
+    spread = (0.1 + 0.15 * step.x, 0.05 + 0.2 * step.yaw_rad)
+    twice = (2.0 * spread[0], 2.0 * spread[1])
+    (found,) = HYPOTHESES(driven(last, **fields), 12.0, None)
+    assert_guess(found, last.compose(step), twice)
+    # Odometry that comes anew has no earlier pose to be held against.
+    started = driven(last, **fields)
+    started.odometry = None
+    (found,) = HYPOTHESES(started, 12.0, Pose2(0.0, 0.0, 0.0))
+    assert_guess(found, last.compose(step), twice)
+
+
+@pytest.mark.parametrize(
+    ("later_s", "times"), [(0.5, 0.5), (1.0, 1.0), (2.9, 2.9), (3.0, 3.0), (3.1, 3.0), (60.0, 3.0)]
+)
+def test_a_step_is_drawn_out_three_times_at_most(later_s: float, times: float) -> None:
+    (found,) = HYPOTHESES(driven(step=Pose2(0.2, 0.1, 0.1)), 11.0 + later_s, None)
+    np.testing.assert_allclose(found.pose, times * np.array([0.2, 0.1, 0.1]), atol=1e-9)
+
+
+def test_a_robot_goes_on_also_after_a_short_step_and_not_after_none() -> None:
+    for before_s, wanted in ((10.95, 0.4), (11.0, 0.0)):
+        found = tracker()
+        found.advance(Pose2(), None, before_s)
+        found.advance(Pose2(0.2), None, 11.0)
+        (guess,) = HYPOTHESES(found, 11.1, None)
+        assert guess.pose[0] == pytest.approx(0.2 + wanted)
+
+
+@pytest.mark.parametrize("step", [Pose2(5.0), Pose2(3.0, -4.0), Pose2(4.9, 0.0, 3.0)])
+def test_odometry_is_believed_up_to_five_metres(step: Pose2) -> None:
+    found = driven()
+    assert len(HYPOTHESES(found, 12.0, step)) == 2
+    assert not found.has_jumped
+    assert found.health.skips.total == 0
+
+
+@pytest.mark.parametrize("step", [Pose2(5.001), Pose2(-3.1, 4.0), Pose2(0.0, -80.0)])
+def test_odometry_that_jumps_is_named_and_not_believed(step: Pose2) -> None:
+    found = driven()
+    found.health.scans = 31
+    (onward,) = HYPOTHESES(found, 12.0, step)
+    assert_guess(onward, Pose2(0.2, 0.0, 0.1), (2.0 * 0.13, 2.0 * 0.07))
+    assert found.has_jumped
+    assert found.health.skips.counts == {JUMPED: 1}
+    assert found.health.skips.lines == {JUMPED: [31]}
+    HYPOTHESES(found, 13.0, Pose2(0.1))
+    assert not found.has_jumped
+
+
+def test_nothing_has_jumped_before_the_first_scan() -> None:
+    assert not tracker().has_jumped
+
+
+@given(
+    near=st.floats(0.0, 1.0),
+    step=st.tuples(st.floats(-3.5, 3.5), st.floats(-3.5, 3.5), st.floats(-3.0, 3.0)),
+)
+def test_a_shorter_step_is_never_doubted_more(
+    near: float, step: tuple[float, float, float]
+) -> None:
+    far, short = driven(), driven()
+    wide = HYPOTHESES(far, 12.0, Pose2(*step))[0].spread
+    narrow = HYPOTHESES(short, 12.0, Pose2(*(near * part for part in step)))[0].spread
+    assert narrow.xy_m <= wide.xy_m + 1e-12
+    assert narrow.yaw_rad <= wide.yaw_rad + 1e-12
+
+
+# -- a match ---------------------------------------------------------------------------------------
+
+
+def drawn(values: npt.NDArray[np.uint8]) -> FieldMap:
+    """Return a field of wall values, indexed by row and column, as the matcher takes it."""
+    tiles = values.reshape(TILES, TILE, TILES, TILE).swapaxes(1, 2).reshape(-1, TILE, TILE)
+    pages = np.arange(TILES * TILES, dtype=np.int32).reshape(TILES, TILES)
+    corner = np.full(2, -HALF_M / CELL_M)
+    return FieldMap(np.ascontiguousarray(tiles), pages, corner, CELL_M)
+
+
+def centres() -> tuple[F64, F64]:
+    """Return x and y of the cells' centres, metres."""
+    along = (np.arange(TILE * TILES) + 0.5) * CELL_M - HALF_M
+    x, y = np.meshgrid(along, along)
+    return x, y
+
+
+def ring(inside: int, outside: int) -> FieldMap:
+    """Return a field of one value where a first look reaches, and another beyond 0.65 m."""
+    x, y = centres()
+    return drawn(np.where(np.hypot(x, y) < 0.65, inside, outside).astype(np.uint8))
+
+
+POINTS = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01]])
+HERE = Guess(np.zeros(3), Spread(0.1, 0.05))
+
+
+def searched(
+    walls: FieldMap,
+    config: MatcherConfig,
+    *,
+    is_again: bool,
+    rng: np.random.Generator | None = None,
+) -> Match:
+    """Return what the search finds by the same draws: the first look, or the second one after."""
+    rng = rng or np.random.default_rng(3)
+    scan = ScanOnTiles(NumpyBackend(), walls, POINTS, config.beams)
+    match = search_pose(scan, [HERE], config, rng)
+    if is_again:
+        wide = replace(HERE, spread=Spread(0.3, 0.15))
+        match = search_pose(scan, [wide], replace(config, first_poses=1024), rng)
+    return match
+
+
+def test_a_good_match_is_taken_and_remembered() -> None:
+    found = tracker(SCORES_ALONE)
+    match = found.match(ring(100, 100), POINTS, [HERE])
+    assert match.score == pytest.approx(100 / 255, abs=1e-6)
+    assert getattr(match, CURVATURE) is None
+    health = found.health
+    assert (health.match_score, health.mean_match_score) == (match.score, match.score)
+    assert (getattr(found, MEAN_SCORE), health.low_scores) == (match.score, 0)
+
+
+@pytest.mark.parametrize(
+    ("usual", "is_low"), [(0.75, False), (0.78, False), (0.79, True), (0.8, True)]
+)
+def test_a_match_below_half_of_the_usual_score_is_searched_again(
+    usual: float, is_low: bool
+) -> None:
+    """The field has 0.39 where the first look reaches; the second one finds 0.78."""
+    found = tracker(SCORES_ALONE, **{MEAN_SCORE: usual})
+    match = found.match(ring(100, 200), POINTS, [HERE])
+    rng = np.random.default_rng(3)
+    wanted = searched(ring(100, 200), SCORES_ALONE, is_again=is_low, rng=rng)
+    assert wanted.score == pytest.approx((200 if is_low else 100) / 255, abs=1e-6)
+    np.testing.assert_array_equal(match.pose, wanted.pose)
+    assert match.score == wanted.score
+    assert found.rng.random() == rng.random()  # as many draws
+
+
+def test_half_of_the_usual_score_itself_is_not_low() -> None:
+    score = searched(ring(100, 200), SCORES_ALONE, is_again=False).score
+    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 2.0 * score})
+    found.health.mean_match_score = 2.0 * score
+    assert found.match(ring(100, 200), POINTS, [HERE]).score == score
+    assert found.health.low_scores == 0
+
+
+def test_the_second_search_is_left_to_a_mapper_that_has_its_own() -> None:
+    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 0.8, SEARCHES_AGAIN: False})
+    match = found.match(ring(100, 200), POINTS, [HERE])
+    assert match.score == searched(ring(100, 200), SCORES_ALONE, is_again=False).score
+
+
+@pytest.mark.parametrize(("outside", "is_taken"), [(101, False), (125, False), (126, True)])
+def test_the_second_search_must_find_a_tenth_more(outside: int, is_taken: bool) -> None:
+    """By chance it finds more, too: 25.5 of 255 are a tenth."""
+    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 0.9})
+    match = found.match(ring(100, outside), POINTS, [HERE])
+    assert match.score == pytest.approx((outside if is_taken else 100) / 255, abs=1e-6)
+
+
+def corridor(peak: int) -> FieldMap:
+    """Return walls along x at 1 m on either side; they tell nothing of x."""
+    _, y = centres()
+    return drawn(np.maximum(0.0, peak * (1.0 - np.abs(np.abs(y) - 1.0) / 0.3)).astype(np.uint8))
+
+
+WALLS = np.array([(x, y) for x in np.arange(-3.0, 3.0, 0.07) for y in (-1.0, 1.0)])
+ELSEWHERE = Guess(np.array([0.4, 0.0, 0.0]), Spread(0.1, 0.05), loss=0.05)
+
+
+@pytest.mark.parametrize("resolves", [True, False])
+def test_along_a_corridor_odometry_decides_where_that_is_asked_for(resolves: bool) -> None:
+    found = tracker(SCORES_ALONE, **({RESOLVES: True} if resolves else {}))
+    match = found.match(corridor(250), WALLS, [HERE, ELSEWHERE])
+    assert abs(match.pose[1]) < 0.03
+    assert getattr(match, CURVATURE) is None
+    assert (abs(match.pose[0]) < 1e-3) == resolves
+    # By the same draws the place is that of the search, but for what is settled.
+    again = tracker(SCORES_ALONE).match(corridor(250), WALLS, [HERE, ELSEWHERE])
+    assert match.pose[1] == pytest.approx(again.pose[1], abs=1e-3)
+    # One hypothesis alone has nothing to be settled by.
+    alone = tracker(SCORES_ALONE, **{RESOLVES: True})
+    match = alone.match(corridor(250), WALLS, [replace(HERE, pose=np.array([0.0, 0.1, 0.0]))])
+    assert abs(match.pose[0]) > 1e-3
+    assert getattr(match, CURVATURE) is None
+
+
+def test_where_walls_tell_every_direction_the_match_stays_and_its_curvature_is_kept() -> None:
+    x, y = centres()
+    away = np.minimum(np.abs(np.abs(y) - 1.0), np.abs(np.abs(x) - 3.0))
+    room = drawn(np.maximum(0.0, 250 * (1.0 - away / 0.3)).astype(np.uint8))
+    ends = np.array([(x, y) for x in (-3.0, 3.0) for y in np.arange(-1.0, 1.0, 0.07)])
+    points = np.concatenate((WALLS, ends))
+    match = tracker(**{RESOLVES: True}).match(room, points, [HERE, ELSEWHERE])
+    plain = tracker().match(room, points, [HERE, ELSEWHERE])
+    np.testing.assert_array_equal(match.pose, plain.pose)
+    assert getattr(match, CURVATURE).shape == (3, 3)
+    assert getattr(plain, CURVATURE) is None
+
+
+# -- what is kept of the scores --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("mean", "low"), [(0.75, 0), (0.78, 0), (0.79, 1), (0.85, 1)])
+def test_low_scores_are_counted_against_the_mean(mean: float, low: int) -> None:
+    found = tracker(SCORES_ALONE)
+    found.health.mean_match_score = mean
+    found.match(ring(100, 100), POINTS, [HERE])
+    assert found.health.low_scores == low
+    found.match(ring(10, 10), POINTS, [HERE])
+    assert found.health.low_scores == low + 1
+
+
+@pytest.mark.parametrize(("used", "share"), [(0, 1.0), (1, 1.0), (2, 0.5), (4, 0.25)])
+def test_the_mean_is_over_all_scans_and_the_usual_score_over_fifty(used: int, share: float) -> None:
+    found = tracker(SCORES_ALONE, **{MEAN_SCORE: 0.5})
+    found.health.mean_match_score, found.health.scans_used = 0.6, used
+    score = found.match(ring(100, 100), POINTS, [HERE]).score
+    assert found.health.match_score == score
+    assert found.health.mean_match_score == pytest.approx(0.6 + share * (score - 0.6))
+    assert getattr(found, MEAN_SCORE) == pytest.approx(0.5 + (score - 0.5) / 50)
+
+
+def test_a_pose_that_is_taken_is_where_the_next_step_starts() -> None:
+    found = tracker()
+    found.advance(Pose2(1.0, 0.0, math.pi / 2), Pose2(), 3.0)
+    assert (found.pose, found.odometry, found.stamp_s) == (
+        Pose2(1.0, 0.0, math.pi / 2),
+        Pose2(),
+        3.0,
+    )
+    assert found.step == Pose2()
+    found.advance(Pose2(1.0, 0.5, math.pi / 2), None, 3.25)
+    assert found.odometry is None
+    assert found.step_s == 0.25
+    np.testing.assert_allclose(of_pose(found.step), (0.5, 0.0, 0.0), atol=1e-12)
