@@ -37,14 +37,14 @@ SCORES_ALONE = MatcherConfig(prior_weight_xy=0.0, prior_weight_yaw=0.0)
 JUMPED = "odometry jumped by more than 5 m: not believed"
 
 
-def tracker(config: MatcherConfig = CONFIG, **fields: Any) -> Tracker:
+def tracker(config: MatcherConfig = CONFIG, /, **fields: Any) -> Tracker:
     return Tracker(config, NumpyBackend(), np.random.default_rng(3), Health(), **fields)
 
 
 HOME, ONWARD = Pose2(), Pose2(0.2, 0.0, 0.1)
 
 
-def driven(last: Pose2 = HOME, step: Pose2 = ONWARD, **fields: Any) -> Tracker:
+def driven(last: Pose2 = HOME, step: Pose2 = ONWARD, /, **fields: Any) -> Tracker:
     """Return a tracker whose robot came to ``last`` by ``step`` in one second, at 11 s."""
     found = tracker(**fields)
     before = last.compose(step.inverse())
@@ -83,7 +83,7 @@ def test_odometry_is_one_hypothesis_and_going_on_the_other() -> None:
 @pytest.mark.parametrize("stands", [False, True])
 def test_without_odometry_the_robot_goes_on_or_stands_as_its_mapper_says(stands: bool) -> None:
     last = Pose2(1.0, 2.0, 0.5)
-    fields = {STANDS: True} if stands else {}
+    fields: dict[str, Any] = {STANDS: True} if stands else {}
     step = Pose2() if stands else Pose2(0.2, 0.0, 0.1)
     spread = (0.1 + 0.15 * step.x, 0.05 + 0.2 * step.yaw_rad)
     twice = (2.0 * spread[0], 2.0 * spread[1])
@@ -100,7 +100,7 @@ def test_without_odometry_the_robot_goes_on_or_stands_as_its_mapper_says(stands:
     ("later_s", "times"), [(0.5, 0.5), (1.0, 1.0), (2.9, 2.9), (3.0, 3.0), (3.1, 3.0), (60.0, 3.0)]
 )
 def test_a_step_is_drawn_out_three_times_at_most(later_s: float, times: float) -> None:
-    (found,) = HYPOTHESES(driven(step=Pose2(0.2, 0.1, 0.1)), 11.0 + later_s, None)
+    (found,) = HYPOTHESES(driven(HOME, Pose2(0.2, 0.1, 0.1)), 11.0 + later_s, None)
     np.testing.assert_allclose(found.pose, times * np.array([0.2, 0.1, 0.1]), atol=1e-9)
 
 
@@ -258,7 +258,8 @@ ELSEWHERE = Guess(np.array([0.4, 0.0, 0.0]), Spread(0.1, 0.05), loss=0.05)
 
 @pytest.mark.parametrize("resolves", [True, False])
 def test_along_a_corridor_odometry_decides_where_that_is_asked_for(resolves: bool) -> None:
-    found = tracker(SCORES_ALONE, **({RESOLVES: True} if resolves else {}))
+    fields: dict[str, Any] = {RESOLVES: True} if resolves else {}
+    found = tracker(SCORES_ALONE, **fields)
     match = found.match(corridor(250), WALLS, [HERE, ELSEWHERE])
     assert abs(match.pose[1]) < 0.03
     assert getattr(match, CURVATURE) is None
