@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.fusion.accept import Evidence, decide
@@ -204,6 +204,7 @@ def any_evidence(drawn: st.DrawFn) -> Evidence:
 
 @pytest.mark.parametrize("column", COLUMNS)
 def test_better_evidence_never_turns_an_acceptance_into_a_rejection(column: str) -> None:
+    @settings(max_examples=60)
     @given(found=any_evidence(), pair=st.tuples(values(column), values(column)))
     def check(found: Evidence, pair: tuple[float, float]) -> None:
         worse, better = sorted(pair, reverse=column in AGAINST)

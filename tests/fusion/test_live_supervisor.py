@@ -187,9 +187,7 @@ def test_a_score_below_a_share_of_the_search_s_calls_for_another(
 @pytest.mark.parametrize(
     ("motion", "limits"),
     [
-        (Pose2(0.3, 0.0), {"jump_m": 0.33}),
-        (Pose2(0.0, -0.3), {"jump_m": 0.33}),
-        (Pose2(0.0, 0.0, 0.06), {"jump_rad": 0.07}),
+        (Pose2(0.24, -0.18), {"jump_m": 0.33}),
         (Pose2(0.0, 0.0, -0.06), {"jump_rad": 0.07}),
     ],
 )
