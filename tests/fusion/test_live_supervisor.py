@@ -241,6 +241,21 @@ def test_one_input_is_searched_in_an_update(backend: Backend) -> None:
     assert not drive.step(touched(three()["a"], 1, 0.0005)).is_full_search
 
 
+def test_a_new_input_is_searched_once_on_each_voter_and_then_left_alone(backend: Backend) -> None:
+    drive = started(backend)
+    searched = [drive.step(stranger("d")).is_full_search]
+    reasons = [drive.input("d").reason]
+    for _ in range(4):
+        drive.maybe()
+        searched.append(drive.live._judge.has_searched)
+        reasons.append(drive.input("d").reason)
+    assert searched == [True, True, True, False, False]
+    assert [reason.partition(":")[0] for reason in reasons[:3]] == ["to a", "to b", "to c"]
+    # Another map of its own is a reason to try again.
+    assert drive.step(stranger("d", 98)).is_full_search
+    assert drive.accepted() == "abc"
+
+
 # -- who is the reference --------------------------------------------------------------------------
 
 
@@ -271,6 +286,20 @@ def test_without_any_input_nothing_is_published_and_the_frame_waits(backend: Bac
     assert drive.accepted() == "bc"
     assert back.reference == max("bc", key=walls)
     assert not back.is_full_search
+    assert drive.input("b").is_tracked
+    assert drive.input("c").is_tracked
+
+
+def test_one_input_that_comes_back_goes_on_where_it_was(backend: Backend) -> None:
+    drive = started(backend)
+    before = drive.input("b").transform
+    for name in "abc":
+        drive.live.drop(name, "gone")
+    drive.step()
+    update = drive.step(three()["b"])
+    assert (drive.accepted(), update.reference) == ("b", "b")
+    assert not update.is_full_search
+    assert drive.input("b").transform == before
 
 
 def test_an_input_that_comes_back_elsewhere_alone_is_searched_on_the_last_map(
