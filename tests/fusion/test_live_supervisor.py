@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import Backend
+from slamfusion.fusion import align
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from tests.fusion.drawings import building
@@ -316,3 +317,45 @@ def test_an_input_that_comes_back_elsewhere_alone_is_searched_on_the_last_map(
     drive.step(three()["b"])
     assert drive.accepted() == "b"
     assert "alone" in drive.input("b").reason
+
+
+def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = started(backend, search_pause_s=20.0)
+    drive.live.drop("c", "gone")
+    asked = 0
+    last_fused = drive.live._last_fused
+
+    def counted() -> OccupancyGrid | None:
+        nonlocal asked
+        asked += 1
+        return last_fused()
+
+    monkeypatch.setattr(drive.live, "_last_fused", counted)
+    drive.step(stranger("a", 97), stranger("b", 98))
+    for _ in range(4):
+        drive.maybe()
+    assert asked > 0
+    assert drive.accepted() == ""
+    before = asked
+    for _ in range(4):
+        drive.maybe()
+    assert asked == before
+    drive.now_s += 20.0
+    drive.step(stranger("a", 96))
+    assert asked > before
+    assert drive.live._judge.has_searched
+
+
+def test_nothing_is_proven_while_maps_wait(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def prove(*_: object) -> None:
+        pytest.fail("a proof takes seconds")
+
+    monkeypatch.setattr(align, "_prove", prove)
+    drive = Drive(live_fusion(backend))
+    assert drive.live._config.align.prove
+    drive.step(*three().values())
+    assert drive.accepted() == "abc"
