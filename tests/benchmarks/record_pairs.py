@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from slamfusion.compute import open_backend
+from slamfusion.compute import open_device
 from slamfusion.fusion.accept import Evidence, decide
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
@@ -48,9 +48,9 @@ COMMAND = "python -m tests.benchmarks.record_pairs --out tests/fusion/recorded_p
 class Recorder:
     """Aligns pairs and keeps what the decision looked at."""
 
-    def __init__(self, device: str) -> None:
-        self.backend = open_backend(device)
-        self.aligner = Aligner(self.backend, prove=False)
+    def __init__(self, on_device: str) -> None:
+        self.device = open_device(on_device)
+        self.aligner = Aligner(self.device, prove=False)
 
     def of(
         self, source: str, found: tuple[Alignment, GridFeatures, GridFeatures], *, is_right: bool
@@ -80,10 +80,10 @@ class Recorder:
         config = self.aligner.config
         size = common_resolution([reference, moving], config.normalize)
         a, b = (
-            GridFeatures(normalize_grid(grid, size, config.normalize, self.backend), self.backend)
+            GridFeatures(normalize_grid(grid, size, config.normalize, self.device), self.device)
             for grid in (reference, moving)
         )
-        return align_features(a, b, config.align, self.backend), a, b
+        return align_features(a, b, config.align, self.device), a, b
 
     def different_places(self) -> Iterator[RecordedPair]:
         """Every pair of maps of different places."""
@@ -99,13 +99,13 @@ class Recorder:
             config = self.aligner.config
             features = {
                 name: GridFeatures(
-                    normalize_grid(grid, grid.resolution, config.normalize, self.backend),
-                    self.backend,
+                    normalize_grid(grid, grid.resolution, config.normalize, self.device),
+                    self.device,
                 )
                 for name, grid in grids.items()
             }
             for a, b in itertools.combinations(features, 2):
-                found = align_features(features[a], features[b], config.align, self.backend)
+                found = align_features(features[a], features[b], config.align, self.device)
                 pixels, degrees = annotated_error(grids[b], found)
                 is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
                 yield self.of("halmstad", (found, features[a], features[b]), is_right=is_right)

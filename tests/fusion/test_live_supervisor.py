@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import Backend
+from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import align
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
@@ -60,8 +60,8 @@ def about_middle(grid: OccupancyGrid, motion: Pose2) -> OccupancyGrid:
 # -- the first fusion ------------------------------------------------------------------------------
 
 
-def test_the_first_fusion_is_tried_for_new_maps_and_not_too_often(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend, search_pause_s=2.0))
+def test_the_first_fusion_is_tried_for_new_maps_and_not_too_often(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device, search_pause_s=2.0))
     first = drive.step(three()["a"], stranger())
     assert first.is_full_search
     assert "no two of the inputs a, stranger align" in first.problem
@@ -78,8 +78,8 @@ def test_the_first_fusion_is_tried_for_new_maps_and_not_too_often(backend: Backe
     assert drive.input("stranger").reason.startswith("to a: ")
 
 
-def test_maps_that_were_tried_are_not_tried_again(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend))
+def test_maps_that_were_tried_are_not_tried_again(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
     assert drive.step(three()["a"], stranger()).is_full_search
     assert drive.maybe() is None
     assert not drive.step(three()["a"]).is_full_search
@@ -87,8 +87,8 @@ def test_maps_that_were_tried_are_not_tried_again(backend: Backend) -> None:
 
 
 @pytest.mark.parametrize("least", [1, 2, 3])
-def test_as_many_inputs_must_agree_as_are_asked_for(backend: Backend, least: int) -> None:
-    drive = Drive(live_fusion(backend, minimum_inputs=least))
+def test_as_many_inputs_must_agree_as_are_asked_for(device: ComputeDevice, least: int) -> None:
+    drive = Drive(live_fusion(device, minimum_inputs=least))
     for count, name in enumerate("abc", start=1):
         update = drive.step(three()[name])
         assert (update.fused is not None) == (count >= least)
@@ -99,8 +99,8 @@ def test_as_many_inputs_must_agree_as_are_asked_for(backend: Backend, least: int
     assert drive.accepted() == "abc"
 
 
-def test_three_that_must_agree_are_not_fused_while_one_does_not(backend: Backend) -> None:
-    drive = Drive(live_fusion(backend, minimum_inputs=3))
+def test_three_that_must_agree_are_not_fused_while_one_does_not(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device, minimum_inputs=3))
     update = drive.step(three()["a"], three()["b"], stranger("c"))
     assert update.fused is None
     assert update.problem == "2 of the 3 inputs needed agree"
@@ -109,8 +109,8 @@ def test_three_that_must_agree_are_not_fused_while_one_does_not(backend: Backend
     assert drive.accepted() == "abc"
 
 
-def test_a_single_map_is_searched_nowhere(backend: Backend) -> None:
-    update = Drive(live_fusion(backend, minimum_inputs=1)).step(three()["a"])
+def test_a_single_map_is_searched_nowhere(device: ComputeDevice) -> None:
+    update = Drive(live_fusion(device, minimum_inputs=1)).step(three()["a"])
     assert update.fused is not None
     assert not update.is_full_search
 
@@ -120,21 +120,21 @@ def test_a_single_map_is_searched_nowhere(backend: Backend) -> None:
 
 @pytest.mark.parametrize(("share", "more"), [(0.05, 0), (0.05, 1), (0.2, 0), (0.2, 1)])
 def test_a_share_of_the_walls_must_change_before_it_is_aligned_again(
-    backend: Backend, share: float, more: int
+    device: ComputeDevice, share: float, more: int
 ) -> None:
     """The share is that of the map with fewer walls: the reference, here."""
-    drive = started(backend, track_share=share, steady_share=0.0)
+    drive = started(device, track_share=share, steady_share=0.0)
     assert walls("a") < walls("b")
     drive.step(grown("b", int(share * walls("a")) + more))
     assert drive.input("b").is_tracked == (more > 0)
     assert drive.accepted() == "abc"
 
 
-def test_walls_that_change_in_the_reference_count_for_all_others(backend: Backend) -> None:
+def test_walls_that_change_in_the_reference_count_for_all_others(device: ComputeDevice) -> None:
     share, least = 0.2, min(walls("b"), walls("c"))
     enough = next(k for k in range(1, 999) if k > share * min(least, walls("a") + k))
     for count in (enough - 1, enough):
-        drive = started(backend, track_share=share)
+        drive = started(device, track_share=share)
         drive.step(grown("a", count))
         assert drive.accepted() == "abc"
         is_due = [count > share * min(walls(name), walls("a") + count) for name in "bc"]
@@ -145,10 +145,10 @@ def test_walls_that_change_in_the_reference_count_for_all_others(backend: Backen
 
 @pytest.mark.parametrize(("count", "waits"), [(20, True), (21, False)])
 def test_what_has_changed_twenty_times_as_much_waits_no_longer(
-    backend: Backend, count: int, waits: bool
+    device: ComputeDevice, count: int, waits: bool
 ) -> None:
     few = 1.000001 / walls("a")  # of the walls: one cell
-    drive = started(backend, track_cells=1, track_share=few)
+    drive = started(device, track_cells=1, track_share=few)
     drive.step(grown("b", count))
     assert drive.input("b").is_tracked != waits
     drive.maybe()
@@ -157,9 +157,9 @@ def test_what_has_changed_twenty_times_as_much_waits_no_longer(
 
 @pytest.mark.parametrize(("shift_m", "is_held"), [(0.0, True), (0.03, True), (0.09, False)])
 def test_a_transform_moves_only_by_more_than_half_a_cell(
-    backend: Backend, shift_m: float, is_held: bool
+    device: ComputeDevice, shift_m: float, is_held: bool
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     before = drive.input("b").transform
     drive.step(touched(moved_frame(three()["b"], Pose2(shift_m, 0.0)), 1, 0.003))
     assert drive.accepted() == "abc"
@@ -174,9 +174,9 @@ def test_a_transform_moves_only_by_more_than_half_a_cell(
 
 @pytest.mark.parametrize(("share", "is_searched"), [(0.5, False), (1.0, True)])
 def test_a_score_below_a_share_of_the_search_s_calls_for_another(
-    backend: Backend, share: float, is_searched: bool
+    device: ComputeDevice, share: float, is_searched: bool
 ) -> None:
-    drive = started(backend, search_share=share, steady_share=0.0)
+    drive = started(device, search_share=share, steady_share=0.0)
     update = drive.step(grown("b", walls("b") // 4))
     assert update.is_full_search == is_searched
     assert drive.input("b").is_tracked != is_searched
@@ -193,13 +193,13 @@ def test_a_score_below_a_share_of_the_search_s_calls_for_another(
     ],
 )
 def test_a_jump_is_believed_at_once_up_to_its_limit(
-    backend: Backend, motion: Pose2, limits: dict[str, float]
+    device: ComputeDevice, motion: Pose2, limits: dict[str, float]
 ) -> None:
     moved = about_middle(three()["b"], motion)
-    within = started(backend, **limits)
+    within = started(device, **limits)
     within.step(moved)
     assert within.accepted() == "abc"
-    beyond = started(backend, **{name: 0.8 * limit for name, limit in limits.items()})
+    beyond = started(device, **{name: 0.8 * limit for name, limit in limits.items()})
     beyond.step(moved)
     assert beyond.accepted() == "ac"
     assert "must confirm it" in beyond.input("b").reason
@@ -209,8 +209,8 @@ def test_a_jump_is_believed_at_once_up_to_its_limit(
     assert beyond.accepted() == "abc"
 
 
-def test_a_second_jump_elsewhere_confirms_nothing(backend: Backend) -> None:
-    drive = started(backend)
+def test_a_second_jump_elsewhere_confirms_nothing(device: ComputeDevice) -> None:
+    drive = started(device)
     for number, motion in enumerate((AWAY, AWAY.inverse(), AWAY)):
         drive.step(touched(moved_frame(three()["b"], motion), number, 0.002))
         assert drive.accepted() == "ac"
@@ -219,8 +219,8 @@ def test_a_second_jump_elsewhere_confirms_nothing(backend: Backend) -> None:
     assert drive.accepted() == "abc"
 
 
-def test_searches_of_one_input_are_a_pause_apart(backend: Backend) -> None:
-    drive = started(backend, search_pause_s=2.0)
+def test_searches_of_one_input_are_a_pause_apart(device: ComputeDevice) -> None:
+    drive = started(device, search_pause_s=2.0)
     drive.now_s += 10.0
     searched = [drive.step(stranger("b", 60 + number)).is_full_search for number in range(5)]
     assert searched == [True, False, True, False, True]
@@ -230,8 +230,8 @@ def test_searches_of_one_input_are_a_pause_apart(backend: Backend) -> None:
     assert drive.input("b").reason.endswith("waits for a full search")
 
 
-def test_one_input_is_searched_in_an_update(backend: Backend) -> None:
-    drive = started(backend)
+def test_one_input_is_searched_in_an_update(device: ComputeDevice) -> None:
+    drive = started(device)
     update = drive.step(three()["c"].with_name("d"), three()["b"].with_name("e"))
     assert update.is_full_search
     assert sorted(drive.input(name).accepted for name in "de") == [False, True]
@@ -242,8 +242,10 @@ def test_one_input_is_searched_in_an_update(backend: Backend) -> None:
     assert not drive.step(touched(three()["a"], 1, 0.0005)).is_full_search
 
 
-def test_a_new_input_is_searched_once_on_each_voter_and_then_left_alone(backend: Backend) -> None:
-    drive = started(backend)
+def test_a_new_input_is_searched_once_on_each_voter_and_then_left_alone(
+    device: ComputeDevice,
+) -> None:
+    drive = started(device)
     searched = [drive.step(stranger("d")).is_full_search]
     reasons = [drive.input("d").reason]
     for _ in range(4):
@@ -260,8 +262,8 @@ def test_a_new_input_is_searched_once_on_each_voter_and_then_left_alone(backend:
 # -- who is the reference --------------------------------------------------------------------------
 
 
-def test_the_reference_hands_over_to_the_voter_with_the_most_walls(backend: Backend) -> None:
-    drive = started(backend)
+def test_the_reference_hands_over_to_the_voter_with_the_most_walls(device: ComputeDevice) -> None:
+    drive = started(device)
     assert walls("a") < min(walls("b"), walls("c"))
     most = max("bc", key=walls)
     drive.live.drop("a", "its producer is gone")
@@ -275,8 +277,8 @@ def test_the_reference_hands_over_to_the_voter_with_the_most_walls(backend: Back
     assert drive.input("a").reason != "the reference"
 
 
-def test_without_any_input_nothing_is_published_and_the_frame_waits(backend: Backend) -> None:
-    drive = started(backend)
+def test_without_any_input_nothing_is_published_and_the_frame_waits(device: ComputeDevice) -> None:
+    drive = started(device)
     for name in "abc":
         drive.live.drop(name, f"{name} is gone")
     update = drive.step()
@@ -291,8 +293,8 @@ def test_without_any_input_nothing_is_published_and_the_frame_waits(backend: Bac
     assert drive.input("c").is_tracked
 
 
-def test_one_input_that_comes_back_goes_on_where_it_was(backend: Backend) -> None:
-    drive = started(backend)
+def test_one_input_that_comes_back_goes_on_where_it_was(device: ComputeDevice) -> None:
+    drive = started(device)
     before = drive.input("b").transform
     for name in "abc":
         drive.live.drop(name, "gone")
@@ -304,9 +306,9 @@ def test_one_input_that_comes_back_goes_on_where_it_was(backend: Backend) -> Non
 
 
 def test_an_input_that_comes_back_elsewhere_alone_is_searched_on_the_last_map(
-    backend: Backend,
+    device: ComputeDevice,
 ) -> None:
-    drive = started(backend)
+    drive = started(device)
     for name in "abc":
         drive.live.drop(name, "gone")
     drive.step()
@@ -320,9 +322,9 @@ def test_an_input_that_comes_back_elsewhere_alone_is_searched_on_the_last_map(
 
 
 def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drive = started(backend, search_pause_s=20.0)
+    drive = started(device, search_pause_s=20.0)
     drive.live.drop("c", "gone")
     asked = 0
     last_fused = drive.live._last_fused
@@ -349,13 +351,13 @@ def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
 
 
 def test_nothing_is_proven_while_maps_wait(
-    backend: Backend, monkeypatch: pytest.MonkeyPatch
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def prove(*_: object) -> None:
         pytest.fail("a proof takes seconds")
 
     monkeypatch.setattr(align, "_prove", prove)
-    drive = Drive(live_fusion(backend))
+    drive = Drive(live_fusion(device))
     assert drive.live._config.align.prove
     drive.step(*three().values())
     assert drive.accepted() == "abc"

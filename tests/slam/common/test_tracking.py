@@ -15,17 +15,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import Pose2
-from slamfusion.slam.base import Health
-from slamfusion.slam.matcher import FieldMap, Guess, Match, ScanOnTiles, Spread, search_pose
-from slamfusion.slam.tracking import Tracker
+from slamfusion.slam.common.mapper import Health
+from slamfusion.slam.common.matcher import FieldMap, Match, ScanOnTiles, Spread, search_pose
+from slamfusion.slam.common.matcher import PoseHypothesis as Guess
+from slamfusion.slam.common.tracking import Tracker
 
 # What the tracker calls things, each in one place.
-HYPOTHESES = Tracker.guesses
-MEAN_SCORE, STANDS = "usual_score", "holds"
-SEARCHES_AGAIN, RESOLVES, CURVATURE = "looks_twice", "minds_open", "bend"
+HYPOTHESES = Tracker.hypotheses
+MEAN_SCORE, STANDS = "running_mean_score", "expects_standstill"
+SEARCHES_AGAIN, RESOLVES, CURVATURE = "searches_again", "resolves_degeneracy", "hessian"
 
 F64 = npt.NDArray[np.float64]
 TILE, TILES, CELL_M = 32, 16, 0.05
@@ -38,7 +39,7 @@ JUMPED = "odometry jumped by more than 5 m: not believed"
 
 
 def tracker(config: MatcherConfig = CONFIG, /, **fields: Any) -> Tracker:
-    return Tracker(config, NumpyBackend(), np.random.default_rng(3), Health(), **fields)
+    return Tracker(config, NumpyDevice(), np.random.default_rng(3), Health(), **fields)
 
 
 HOME, ONWARD = Pose2(), Pose2(0.2, 0.0, 0.1)
@@ -189,7 +190,7 @@ def searched(
 ) -> Match:
     """Return what the search finds by the same draws: the first look, or the second one after."""
     rng = rng or np.random.default_rng(3)
-    scan = ScanOnTiles(NumpyBackend(), walls, POINTS, config.beams)
+    scan = ScanOnTiles(NumpyDevice(), walls, POINTS, config.beams)
     match = search_pose(scan, [HERE], config, rng)
     if is_again:
         wide = replace(HERE, spread=Spread(0.3, 0.15))

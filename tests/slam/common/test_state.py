@@ -14,22 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.compute import NumpyBackend
+from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2
-from slamfusion.slam.base import Health
-from slamfusion.slam.state import (
-    health_record,
-    pose_record,
-    read_state,
-    recorded_pose,
-    restore_health,
-    restore_tracker,
-    tracker_record,
-    write_state,
-)
-from slamfusion.slam.tracking import Tracker
+from slamfusion.slam.common.mapper import Health
+from slamfusion.slam.common.packing import pack, unpack
+from slamfusion.slam.common.state import read_state, restore_health, write_state
+from slamfusion.slam.common.tracking import Tracker, TrackerState
 
 
 @dataclass(frozen=True)
@@ -48,14 +40,22 @@ ARRAYS: dict[str, npt.NDArray[Any]] = {
 }
 
 
-# What differs where states are dataclasses: how one is written, read and compared.
-def write(path: Path, **others: Any) -> None:
-    write_state(path, **{**OWNER, "record": RECORD, "arrays": ARRAYS, **others})
+@dataclass(frozen=True)
+class Kept:
+    """The state of a mapper that is none."""
+
+    record: dict[str, Any]
+    cells: npt.NDArray[np.int8]
+    poses: npt.NDArray[np.float64]
+
+
+def write(path: Path, record: Any = RECORD, **others: Any) -> None:
+    write_state(path, **{**OWNER, "state": Kept(record, **ARRAYS), **others})
 
 
 def read(path: Path, **others: Any) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    record, arrays = read_state(path, **{**OWNER, **others})
-    return {name: record[name] for name in RECORD}, {name: arrays[name] for name in ARRAYS}
+    kept = read_state(path, **{**OWNER, "kind": Kept, **others})
+    return kept.record, {name: getattr(kept, name) for name in ARRAYS}
 
 
 def assert_whole(path: Path, **others: Any) -> None:
@@ -146,13 +146,20 @@ def test_a_state_that_cannot_be_written_leaves_the_one_before(path: Path) -> Non
 
 # -- what states are made of -----------------------------------------------------------------------
 
+
+def through_file(state: Any) -> Any:
+    """Return a state as a file gives it back."""
+    values, arrays = pack(state)
+    return unpack(type(state), json.loads(json.dumps(values)), arrays)
+
+
 NUMBERS = st.floats(-1e6, 1e6)
 
 
 @given(pose=st.none() | st.builds(Pose2, NUMBERS, NUMBERS, NUMBERS))
 def test_a_pose_comes_back_to_the_last_bit(pose: Pose2 | None) -> None:
-    kept = json.loads(json.dumps(pose_record(pose)))
-    assert recorded_pose(kept) == pose
+    state = TrackerState({}, pose, None, Pose2(), 0.0, 0.0, None)
+    assert through_file(state) == state
 
 
 def test_a_health_record_comes_back_with_what_was_left_out() -> None:
@@ -160,7 +167,7 @@ def test_a_health_record_comes_back_with_what_was_left_out() -> None:
     for scan in (3, 5):
         health.skips.add("no hits", scan)
     again = Health()
-    restore_health(again, json.loads(json.dumps(health_record(health))))
+    restore_health(again, through_file(health))
     assert again == health
     # What was restored is its own: what comes later is not written into what was kept.
     again.skips.add("no hits", 8)
@@ -170,7 +177,7 @@ def test_a_health_record_comes_back_with_what_was_left_out() -> None:
 @pytest.mark.parametrize("scans", [0, 1, 4])
 def test_a_tracker_goes_on_as_if_it_had_not_stopped(scans: int) -> None:
     def start() -> Tracker:
-        return Tracker(MatcherConfig(), NumpyBackend(), np.random.default_rng(8), Health())
+        return Tracker(MatcherConfig(), NumpyDevice(), np.random.default_rng(8), Health())
 
     walked = start()
     for scan in range(scans):
@@ -179,13 +186,13 @@ def test_a_tracker_goes_on_as_if_it_had_not_stopped(scans: int) -> None:
         walked._remember(0.4 + 0.1 * scan)
         walked.rng.standard_normal(3)
     resumed = start()
-    restore_tracker(resumed, json.loads(json.dumps(tracker_record(walked))))
-    for name in ("pose", "odometry", "step", "step_s", "stamp_s", "usual_score"):
+    resumed.restore(through_file(walked.to_state()))
+    for name in ("pose", "odometry", "step", "step_s", "stamp_s", "running_mean_score"):
         assert getattr(resumed, name) == getattr(walked, name), name
     assert resumed.rng.random() == walked.rng.random()
     for odometry in (None, Pose2(0.9, 0.1, 0.2)):
         for one, other in zip(
-            resumed.guesses(12.1, odometry), walked.guesses(12.1, odometry), strict=True
+            resumed.hypotheses(12.1, odometry), walked.hypotheses(12.1, odometry), strict=True
         ):
             np.testing.assert_array_equal(one.pose, other.pose)
             assert (one.spread, one.loss) == (other.spread, other.loss)
