@@ -13,10 +13,12 @@ from slamfusion.config import (
     AlignConfig,
     DeviceConfig,
     EvaluateConfig,
+    FailuresConfig,
     FusionConfig,
     MatcherConfig,
     NormalizeConfig,
     RunConfig,
+    SimulateConfig,
     VoteConfig,
     field_infos,
     from_mapping,
@@ -29,9 +31,11 @@ LEAVES = [
     AlignConfig,
     DeviceConfig,
     EvaluateConfig,
+    FailuresConfig,
     FusionConfig,
     NormalizeConfig,
     RunConfig,
+    SimulateConfig,
     VoteConfig,
 ]
 
@@ -80,7 +84,7 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
         ({"seed": -1}, "RunConfig.seed must lie in [0, inf], found -1"),
         ({"seed": 1.5}, "run.yaml: seed: wanted int, found 1.5"),
         ({"seed": True}, "run.yaml: seed: wanted int, found True"),
-        ({"fusion": {"align": {"step": "x"}}}, "wanted int or NoneType, found 'x'"),
+        ({"fusion": {"align": {"step": "x"}}}, "wanted int or None, found 'x'"),
         ({"fusion": {"align": {"window_yaw_rad": 4.0}}}, "[0, 3.14159] rad, found 4.0"),
         ({"fusion": {"align": {"deadline_s": float("nan")}}}, "found nan"),
         (
@@ -124,3 +128,23 @@ def test_a_part_of_a_section_leaves_the_rest_as_the_whole_has_it():
     config = from_mapping(RunConfig, {"graph": {"matcher": {"climbers": 9}}})
     assert config.graph.matcher == dataclasses.replace(whole.graph.matcher, climbers=9)
     assert from_mapping(RunConfig, {"graph": {"matcher": None}}) == whole
+
+
+@pytest.mark.parametrize("given", ["slip, glass", ["slip", "glass"], ("slip", "glass")])
+def test_a_list_is_given_as_one_or_as_text_with_commas(given: Any) -> None:
+    assert from_mapping(FailuresConfig, {"courses": given}).courses == ("slip", "glass")
+
+
+@pytest.mark.parametrize("given", [3, ["slip", 3], {"slip": 1}])
+def test_what_is_no_list_of_names_is_refused_with_what_was_wanted(given: Any) -> None:
+    with pytest.raises(ConfigError, match="courses: wanted a list of str, found"):
+        from_mapping(FailuresConfig, {"courses": given})
+
+
+def test_fields_tell_their_kind_their_words_and_whether_they_may_be_open() -> None:
+    infos = {info.name: info for info in field_infos(SimulateConfig)}
+    assert (infos["lidar"].kind, infos["lidar"].is_optional) == (str, True)
+    assert infos["lidar"].choices == ("kinect", "hokuyo", "rplidar")
+    assert (infos["people"].kind, infos["people"].choices) == (int, ())
+    lists = {info.name: info for info in field_infos(FailuresConfig)}
+    assert (lists["lidars"].is_list, lists["lidars"].choices) == (True, infos["lidar"].choices)

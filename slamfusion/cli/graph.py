@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import typing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ from slamfusion.config import GraphOptimizerConfig, RunConfig, to_mapping
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import GraphOptimizeDocument
-    from slamfusion.pose_graph import GraphFile, Optimized, Robust, Start
+    from slamfusion.pose_graph import GraphFile, Optimized
 
 __all__ = ["command"]
 
@@ -64,8 +63,8 @@ def optimize_command(
     found = optimize(
         file.graph,
         fixed=file.fixed,
-        robust=typing.cast("Robust", settings.robust),
-        start=typing.cast("Start", settings.start),
+        robust=settings.robust,
+        start=settings.start,
         max_iterations=settings.max_iterations,
         tolerance=settings.tolerance,
     )

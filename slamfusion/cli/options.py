@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import types
 import typing
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from slamfusion.config import (
     RunConfig,
     field_infos,
     load_config,
+    split_list,
 )
 from slamfusion.errors import ConfigError
 
@@ -247,19 +247,38 @@ def common_options(function: F) -> F:
     return as_json(debug(function))
 
 
+class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """Values parted by commas; of numbers also ``first..last``."""
+
+    name = "list"
+
+    def __init__(self, info: FieldInfo) -> None:
+        self._info = info
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[Any, ...]:
+        """Return the values of the text; which of them are allowed is seen later."""
+        if not isinstance(value, str):
+            return tuple(value)
+        values = split_list(value, self._info.kind)
+        if not all(type(item) is self._info.kind for item in values):
+            self.fail(f"{value!r} is no list of {self._info.kind.__name__}", param, ctx)
+        return tuple(values)
+
+
 def _click_option(option: ConfigOption) -> Callable[[Any], Any]:
     """Return the click option of one field; without it the field keeps its value."""
     info, name = option.info, option_name(option)
-    kind: Any = info.type
-    if isinstance(kind, types.UnionType):
-        kind = next(item for item in typing.get_args(kind) if item is not type(None))
     help_text = info.help[0].upper() + info.help[1:] + "." + _default_help(option)
-    if kind is bool:
+    if info.kind is bool:
         flags = f"{name}/--no-{name.removeprefix('--')}"
         return click.option(flags, option.parameter, default=None, help=help_text)
-    if info.choices:
-        kind = click.Choice(info.choices)
-    metavar = None if info.choices else METAVARS.get(info.unit or kind.__name__, info.unit.upper())
+    kind: Any = click.Choice(info.choices) if info.choices else info.kind
+    if info.is_list:
+        kind = _List(info)
+    word = info.unit or info.kind.__name__
+    metavar = None if info.choices and not info.is_list else METAVARS.get(word, word.upper())
     return click.option(
         name, option.parameter, type=kind, default=None, metavar=metavar, help=help_text
     )
@@ -285,6 +304,8 @@ def shown_value(value: Any) -> str:
     """Return a setting's value as help and README show it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return ",".join(map(shown_value, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-import types
-import typing
 from pathlib import Path
 
 from slamfusion.cli import ros_tables
@@ -81,10 +79,7 @@ def _range(info: FieldInfo) -> str:
         return f"at least {info.low:.4g}"
     if info.high is not None:
         return f"at most {info.high:.4g}"
-    kind = info.type
-    if isinstance(kind, types.UnionType):
-        kind = next(item for item in typing.get_args(kind) if item is not type(None))
-    return {bool: "yes, no", str: "text"}.get(kind, "")
+    return {bool: "yes, no", str: "text"}.get(info.kind, "")
 
 
 def main(path: Path) -> None:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import sys
 import textwrap
-import types
-import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -405,10 +403,7 @@ def _range(option: ConfigOption) -> str:
         return f"at least {shown_value(low)}"
     if high is not None:
         return f"at most {shown_value(high)}"
-    kind = info.type
-    if isinstance(kind, types.UnionType):
-        kind = next(item for item in typing.get_args(kind) if item is not type(None))
-    return {bool: "yes, no", str: "text"}.get(kind, "")
+    return {bool: "yes, no", str: "text"}.get(info.kind, "")
 
 
 def _row(*cells: str) -> str:

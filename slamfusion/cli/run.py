@@ -296,7 +296,7 @@ def command(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any
     A fused map with everything beside it replaces the results of an earlier run in DIR, all at
     once. A run without one leaves them as they are; what it made goes to DIR/failed then.
     """
-    names = tuple(name.strip() for name in config.run.producers.split(",") if name.strip())
+    names = config.run.producers
     request = _Request(log, out, names, **asked)
     request.check()
     debug = click.get_current_context().ensure_object(Settings).debug

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig
+from slamfusion.config import CellModel, RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
 from slamfusion.experiments.table import (
     Comparison,
@@ -33,7 +33,7 @@ SIGNIFICANT = 0.05
 GMAPPING_CELL_M = 0.2
 
 
-def _tinyslam(cell_model: str) -> Callable[[RunConfig, ComputeDevice, int], Mapper]:
+def _tinyslam(cell_model: CellModel) -> Callable[[RunConfig, ComputeDevice, int], Mapper]:
     """Return what makes a tinySLAM of a cell model; the quality is that model's default."""
 
     def make(config: RunConfig, device: ComputeDevice, seed: int) -> Mapper:

@@ -12,14 +12,14 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig
+from slamfusion.config import OccupancyEstimator, RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
 from slamfusion.experiments.records import VerdictJson
 from slamfusion.experiments.table import Level, Results, measure_label, p_text, repeat
@@ -30,7 +30,7 @@ __all__ = ["COARSE_M", "ESTIMATORS", "NAME", "Verdict", "sweep_estimators", "ver
 NAME = "occupancy-estimator"
 TITLE = "Occupancy estimator of tinySLAM against cell size ([H16], Table III)"
 FACTORS = ("drive", "cell size m", "estimator")
-ESTIMATORS = ("constant", "area")
+ESTIMATORS: tuple[OccupancyEstimator, ...] = get_args(OccupancyEstimator)
 COARSE_M = 0.4
 # A difference that chance makes more often than this is none.
 SIGNIFICANT = 0.05
@@ -120,14 +120,16 @@ def sweep_estimators(
     def once(levels: tuple[Level, ...], seed: int) -> dict[str, float]:
         name, size_m, estimator = levels
         tinyslam = replace(
-            config.tinyslam, resolution=float(size_m), occupancy_estimator=str(estimator)
+            config.tinyslam,
+            resolution=float(size_m),
+            occupancy_estimator=cast("OccupancyEstimator", estimator),
         )
         producer = TinySlam(tinyslam, device, seed)
         return run_errors(by_name[str(name)], producer, config.trajectory)
 
     return repeat(
         Results(TITLE, FACTORS, (), 0),
-        list(itertools.product(by_name, settings.sizes_m(), ESTIMATORS)),
+        list(itertools.product(by_name, settings.resolutions, ESTIMATORS)),
         range(config.seed, config.seed + settings.seeds),
         once,
         keep=keep,

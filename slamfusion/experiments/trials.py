@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ import numpy.typing as npt
 import slamfusion
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.program import kernel_folder
-from slamfusion.config import FusionConfig, RunConfig, VoteConfig, field_infos, to_mapping
+from slamfusion.config import FusionConfig, RunConfig, VoteMode, to_mapping
 from slamfusion.errors import AlignmentError, GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.experiments.faults import FAULTS
@@ -60,10 +60,8 @@ __all__ = [
 ]
 
 # Every way to vote, the plain one first.
-FUSIONS: tuple[str, ...] = next(
-    info.choices for info in field_infos(VoteConfig) if info.name == "mode"
-)
-PLAIN = "majority"
+FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
+PLAIN: VoteMode = "majority"
 FOLDER = "trials"
 # Of the files: others are not believed.
 FORMAT = 3
@@ -289,7 +287,7 @@ def _vote_plainly(
     return result
 
 
-def _voting(config: FusionConfig, mode: str) -> FusionConfig:
+def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:
     return replace(config, vote=replace(config.vote, mode=mode))
 
 

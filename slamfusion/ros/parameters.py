@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import sys
-import types
 import typing
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar, overload
@@ -221,7 +220,7 @@ class _Fields:
             except (ParameterException, ValueError) as error:
                 message = f"{_where(self._node)}: {full}: {error}"
                 raise ConfigError(message) from None
-            if float in _kinds(info):
+            if info.kind is float:
                 self._floats.add(full)
             self._names.append(name)
         for item in dataclasses.fields(default):
@@ -271,15 +270,14 @@ class _Fields:
             # the type is checked with the value.
             dynamic_typing=True,
         )
-        kinds = _kinds(info)
         has_range = info.low is not None or info.high is not None
         if not has_range:
             return descriptor
-        if int in kinds:
+        if info.kind is int:
             low = -INT64 if info.low is None else int(info.low)
             high = INT64 if info.high is None else int(info.high)
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
-        elif float in kinds:
+        elif info.kind is float:
             largest = sys.float_info.max
             descriptor.floating_point_range = [
                 FloatingPointRange(
@@ -317,11 +315,6 @@ def _built(section: Any, values: Mapping[str, Any], prefix: str, where: str) -> 
     except ConfigError as error:
         message = f"{where}: {prefix}: {error}" if prefix else f"{where}: {error}"
         raise ConfigError(message) from None
-
-
-def _kinds(info: FieldInfo) -> tuple[Any, ...]:
-    """Return the types that a field may have."""
-    return typing.get_args(info.type) if isinstance(info.type, types.UnionType) else (info.type,)
 
 
 def _joined(prefix: str, name: str) -> str:

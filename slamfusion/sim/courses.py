@@ -13,7 +13,7 @@ import difflib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import yaml
 
@@ -23,6 +23,7 @@ from slamfusion.config import (
     LidarConfig,
     ObstacleConfig,
     PersonConfig,
+    PlaceName,
     SimulateConfig,
     WorldConfig,
     from_mapping,
@@ -258,7 +259,7 @@ def with_overrides(course: Course, changes: SimulateConfig) -> Course:
             name = changes.world if is_drawn else Path(changes.world).stem
         world = replace(
             world,
-            name=changes.world if is_drawn else "map",
+            name=cast("PlaceName", changes.world) if is_drawn else "map",
             map=None if is_drawn else str(Path(changes.world).absolute()),
         )
     if changes.resolution is not None:

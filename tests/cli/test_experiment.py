@@ -196,7 +196,7 @@ def test_simulated_floor_is_the_default(tmp_path: Path) -> None:
         (("cell-models-trajectories", "--log", "a:b:c:d"), "wanted LOG:RELATIONS"),
         (("occupancy-estimator", "--resolutions", "0.6..0.1"), "must be like 0.1..0.6"),
         (("failures", "--courses", "glas"), "wanted some of corridor loop, glass"),
-        (("failures", "--lidars", "sonar"), "wanted some of kinect, hokuyo"),
+        (("failures", "--lidars", "sonar"), "must be one of kinect, hokuyo"),
         (("ground-obstacle", "--repetitions", "0"), "must lie in [1, 10000]"),
         (("no-such",), "No such command"),
     ],

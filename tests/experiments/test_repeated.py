@@ -13,6 +13,7 @@ from slamfusion.config import (
     ExperimentConfig,
     OccupancyEstimatorConfig,
     RunConfig,
+    from_mapping,
 )
 from slamfusion.errors import ConfigError
 from slamfusion.evaluation import compare_samples
@@ -33,7 +34,7 @@ pytestmark = pytest.mark.once
 CONFIG = RunConfig(
     seed=5,
     experiment=ExperimentConfig(
-        OccupancyEstimatorConfig(seeds=2, resolutions="0.1,0.4"), CellModelsConfig(seeds=2)
+        OccupancyEstimatorConfig(seeds=2, resolutions=(0.1, 0.4)), CellModelsConfig(seeds=2)
     ),
 )
 
@@ -49,15 +50,23 @@ CONFIG = RunConfig(
     ],
 )
 def test_cell_sizes_are_read(text: str, sizes: tuple[float, ...]) -> None:
-    assert OccupancyEstimatorConfig(resolutions=text).sizes_m() == sizes
+    config = from_mapping(OccupancyEstimatorConfig, {"resolutions": text})
+    assert config.resolutions == sizes
 
 
 @pytest.mark.parametrize(
     "text", ["", "a", "0.1..", "0.6..0.1", "0..1", "0.1..0.2..0.3", "0.1,2", "nan", "0.1,,0.2"]
 )
 def test_what_is_no_list_of_cell_sizes_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="resolutions must be like"):
-        OccupancyEstimatorConfig(resolutions=text)
+    with pytest.raises(
+        ConfigError, match=r"resolutions(: wanted a list of float| must lie in| must be like)"
+    ):
+        from_mapping(OccupancyEstimatorConfig, {"resolutions": text})
+
+
+def test_no_cell_size_at_all_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"resolutions must be like 0\.1\.\.0\.6"):
+        OccupancyEstimatorConfig(resolutions=())
 
 
 def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:

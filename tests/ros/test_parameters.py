@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -12,7 +12,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from slamfusion.config import GmappingConfig, TinySlamConfig, _Checked, option
+from slamfusion.config import GmappingConfig, TinySlamConfig
+from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
 from slamfusion.ros.parameters import TypedNode, declare, parameter_names
 
@@ -22,17 +23,17 @@ MakeNode = Callable[..., Any]
 
 
 @dataclass(frozen=True)
-class Inner(_Checked):
+class Inner(Checked):
     beams: int = option(10, "beams", low=1, high=100)
 
 
 @dataclass(frozen=True)
-class Drawn(_Checked):
+class Drawn(Checked):
     """A section of every kind of field."""
 
     inner: Inner = Inner()
     period_s: float = option(1.0, "how often", unit="s", low=0.1, high=10.0)
-    mode: str = option("fast", "how", choices=("fast", "slow"))
+    mode: Literal["fast", "slow"] = option("fast", "how")
     name: str | None = option(None, "what it is called")
     share: float | None = option(None, "how much", low=0.0, level="expert")
     is_on: bool = option(True, "whether")
@@ -130,7 +131,7 @@ def test_a_change_is_checked_and_told(make_node: MakeNode):
     refused = change("mode", "medium")
     assert not refused.successful
     assert "must be one of fast, slow, found 'medium'" in refused.reason
-    assert "wanted str, found 5" in change("mode", 5).reason
+    assert "wanted fast or slow, found 5" in change("mode", 5).reason
     assert not change("period_s", 2.0).successful
     assert len(told) == 2
     assert node.get_parameter("mode").value == "fast"

@@ -1,0 +1,110 @@
+"""The one configuration tree: frozen dataclasses, all defaults here and nowhere else.
+
+Every field carries its help text, unit, range and level (``public`` or ``expert``) as metadata.
+The command line builds its options from them, the nodes their parameters, the documentation its
+tables.
+"""
+
+from __future__ import annotations
+
+from slamfusion.config.core import (
+    FieldInfo,
+    checked_value,
+    field_infos,
+    from_mapping,
+    split_list,
+    to_mapping,
+)
+from slamfusion.config.experiments import (
+    CellModelsConfig,
+    ExperimentConfig,
+    FailuresConfig,
+    GroundObstacleConfig,
+    OccupancyEstimatorConfig,
+)
+from slamfusion.config.fusion import (
+    AlignConfig,
+    EvaluateConfig,
+    FusionConfig,
+    LiveConfig,
+    NormalizeConfig,
+    VoteConfig,
+    VoteMode,
+)
+from slamfusion.config.ros import FusionNodeConfig, PlayerNodeConfig, ProducerNodeConfig
+from slamfusion.config.run import (
+    DeviceConfig,
+    LogConfig,
+    MapFileConfig,
+    RunConfig,
+    SideBySideConfig,
+    TrajectoryConfig,
+    load_config,
+)
+from slamfusion.config.sim import (
+    ActionConfig,
+    DriveConfig,
+    LidarConfig,
+    ObstacleConfig,
+    PersonConfig,
+    PlaceName,
+    SimulateConfig,
+    WorldConfig,
+)
+from slamfusion.config.slam import (
+    GMAPPING_PROFILES,
+    CellModel,
+    GmappingConfig,
+    GraphConfig,
+    GraphOptimizerConfig,
+    MatcherConfig,
+    OccupancyEstimator,
+    TinySlamConfig,
+)
+
+__all__ = [
+    "GMAPPING_PROFILES",
+    "ActionConfig",
+    "AlignConfig",
+    "CellModel",
+    "CellModelsConfig",
+    "DeviceConfig",
+    "DriveConfig",
+    "EvaluateConfig",
+    "ExperimentConfig",
+    "FailuresConfig",
+    "FieldInfo",
+    "FusionConfig",
+    "FusionNodeConfig",
+    "GmappingConfig",
+    "GraphConfig",
+    "GraphOptimizerConfig",
+    "GroundObstacleConfig",
+    "LidarConfig",
+    "LiveConfig",
+    "LogConfig",
+    "MapFileConfig",
+    "MatcherConfig",
+    "NormalizeConfig",
+    "ObstacleConfig",
+    "OccupancyEstimator",
+    "OccupancyEstimatorConfig",
+    "PersonConfig",
+    "PlaceName",
+    "PlayerNodeConfig",
+    "ProducerNodeConfig",
+    "RunConfig",
+    "SideBySideConfig",
+    "SimulateConfig",
+    "TinySlamConfig",
+    "TrajectoryConfig",
+    "VoteConfig",
+    "VoteMode",
+    "WorldConfig",
+    "checked_value",
+    "field_infos",
+    "from_mapping",
+    "load_config",
+    "split_list",
+    "to_mapping",
+]

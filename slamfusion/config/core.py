@@ -1,0 +1,279 @@
+"""Fields with help, unit, range and level; configurations from and to nested plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar, Union, overload
+
+from slamfusion.errors import ConfigError
+
+__all__ = [
+    "Checked",
+    "FieldInfo",
+    "checked_value",
+    "field_infos",
+    "from_mapping",
+    "option",
+    "split_list",
+    "to_mapping",
+]
+
+T = TypeVar("T")
+
+# Step of a list of numbers that is written as ``first..last``, in the unit of the field.
+LIST_STEP = 0.1
+
+
+def option(
+    default: Any,
+    text: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    level: Literal["public", "expert"] = "public",
+) -> Any:
+    """Declare a configuration field with its description, unit and inclusive range.
+
+    A field of several words is a ``Literal``; one of several values a tuple of any length.
+    """
+    metadata = {
+        "help": text,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "level": level,
+    }
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class FieldInfo:
+    """What the command line, ROS and the documentation need to know of one field.
+
+    Attributes:
+        name: of the field.
+        kind: bool, int, float or str: of the value, or of each value of a list.
+        is_list: whether it holds a tuple of values.
+        is_optional: whether it may be left open (None).
+        default: of the class.
+        help: what it is, a sentence without a capital and a full stop.
+        unit: of the value; empty where it has none.
+        low, high: inclusive range; None: open.
+        choices: the words that are allowed; empty: any.
+        level: ``public`` fields are options of commands, ``expert`` ones stand in files only.
+    """
+
+    name: str
+    kind: type[Any]
+    is_list: bool
+    is_optional: bool
+    default: Any
+    help: str
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+    level: str
+
+
+# By class: a configuration is built, and so checked, for every node, trial and option.
+_INFOS: dict[type[Any], tuple[FieldInfo, ...]] = {}
+
+
+def field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
+    """Return the leaf fields of a configuration class, in order; sections are left out."""
+    if config_class not in _INFOS:
+        _INFOS[config_class] = _field_infos(config_class)
+    return _INFOS[config_class]
+
+
+def _field_infos(config_class: type[Any]) -> tuple[FieldInfo, ...]:
+    hints = typing.get_type_hints(config_class)
+    infos = []
+    for item in dataclasses.fields(config_class):
+        if not item.metadata:
+            continue
+        form = _Form.of(hints[item.name])
+        infos.append(
+            FieldInfo(
+                name=item.name,
+                kind=form.kind,
+                is_list=form.is_list,
+                is_optional=form.is_optional,
+                default=item.default,
+                choices=form.choices,
+                **item.metadata,
+            )
+        )
+    return tuple(infos)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What a field's annotation allows: one kind of value, a list of it, or nothing."""
+
+    kind: type[Any]
+    choices: tuple[str, ...] = ()
+    is_list: bool = False
+    is_optional: bool = False
+
+    @classmethod
+    def of(cls, hint: Any) -> _Form:
+        """Read an annotation: ``T``, ``Literal[...]`` or ``tuple[T, ...]``, each ``| None``."""
+        if typing.get_origin(hint) in {Union, types.UnionType}:
+            kinds = [part for part in typing.get_args(hint) if part is not type(None)]
+            return dataclasses.replace(cls.of(kinds[0]), is_optional=True)
+        if typing.get_origin(hint) is tuple:
+            return dataclasses.replace(cls.of(typing.get_args(hint)[0]), is_list=True)
+        if typing.get_origin(hint) is Literal:
+            return cls(str, typing.get_args(hint))
+        return cls(hint)
+
+
+def checked_value(info: FieldInfo, value: Any, where: str) -> Any:
+    """Return a value as a field's type, or say by a name of the caller's what is wrong with it.
+
+    Args:
+        info: the field.
+        value: as read from YAML or given by ROS.
+        where: what the messages call it, e.g. ``node graph: graph.matcher.beams``.
+
+    Raises:
+        ConfigError: a wrong type, not one of the choices, or out of range.
+    """
+    right = _coerce(value, info, where)
+    _check_value(where, info, right)
+    return right
+
+
+def _check_value(where: str, info: FieldInfo, value: Any) -> None:
+    """Raise ConfigError when ``value`` is outside the field's declared choices or range."""
+    if value is None:
+        return
+    if info.is_list:
+        single = dataclasses.replace(info, is_list=False)
+        for item in value:
+            _check_value(where, single, item)
+        return
+    if info.choices and value not in info.choices:
+        message = f"{where} must be one of {', '.join(info.choices)}, found {value!r}"
+        raise ConfigError(message)
+    if info.low is None and info.high is None:
+        return
+    low = -math.inf if info.low is None else info.low
+    high = math.inf if info.high is None else info.high
+    if not low <= value <= high:
+        unit = f" {info.unit}" if info.unit else ""
+        message = f"{where} must lie in [{low:g}, {high:g}]{unit}, found {value!r}"
+        raise ConfigError(message)
+
+
+class Checked:
+    """Checks every field against its declared range and choices after construction."""
+
+    def __post_init__(self) -> None:
+        """Refuse values outside the declared range, by name."""
+        for info in field_infos(type(self)):
+            _check_value(f"{type(self).__name__}.{info.name}", info, getattr(self, info.name))
+
+
+def to_mapping(config: Any) -> dict[str, Any]:
+    """Return a configuration as nested plain values, ready for YAML or JSON."""
+    return dataclasses.asdict(config)
+
+
+@overload
+def from_mapping(config: type[T], values: Any, where: str = ...) -> T: ...
+
+
+@overload
+def from_mapping(config: T, values: Any, where: str = ...) -> T: ...
+
+
+def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
+    """Build a configuration from nested plain values.
+
+    Args:
+        config: one of the dataclasses of this module, or one that holds what is not said.
+        values: nested mappings, as read from YAML; missing keys keep their defaults.
+        where: what the messages call the source, e.g. the file's path.
+
+    Raises:
+        ConfigError: an unknown key (the nearest known one is named), a wrong type or range.
+    """
+    if values is None:
+        values = {}
+    if not isinstance(values, dict):
+        message = f"{where}: wanted a mapping of settings, found {type(values).__name__}"
+        raise ConfigError(message)
+    is_class = isinstance(config, type)
+    hints = typing.get_type_hints(config if is_class else type(config))
+    known = {item.name for item in dataclasses.fields(config)}
+    arguments: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
+            message = f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}"
+            raise ConfigError(message)
+        hint = hints[key]
+        if dataclasses.is_dataclass(hint):
+            # A section's defaults may be others than its class's.
+            section = getattr(config, key, hint)
+            arguments[key] = from_mapping(section, value, f"{where}: {key}")
+        else:
+            arguments[key] = _coerce(value, _Form.of(hint), f"{where}: {key}")
+    try:
+        return config(**arguments) if is_class else dataclasses.replace(config, **arguments)
+    except ConfigError as error:
+        message = f"{where}: {error}"
+        raise ConfigError(message) from None
+
+
+def _coerce(value: Any, form: _Form | FieldInfo, where: str) -> Any:
+    """Return ``value`` as the declared type, or say what was wanted."""
+    if value is None and form.is_optional:
+        return None
+    if form.is_list:
+        if isinstance(value, str):
+            value = split_list(value, form.kind)
+        if isinstance(value, (list, tuple)):
+            return tuple(_coerced(item, form, where) for item in value)
+    return _coerced(value, form, where)
+
+
+def _coerced(value: Any, form: _Form | FieldInfo, where: str) -> Any:
+    """Return one value as the declared kind; whether it is one of the choices is seen later."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if form.kind is float and is_number:
+        return float(value)
+    if form.kind is not float and type(value) is form.kind:
+        return value
+    one = " or ".join(form.choices) or form.kind.__name__
+    words = f"a list of {one}" if form.is_list else one
+    message = f"{where}: wanted {words}{' or None' * form.is_optional}, found {value!r}"
+    raise ConfigError(message)
+
+
+def split_list(text: str, kind: type[Any]) -> list[Any]:
+    """Return the values of a text: parted by commas, or ``first..last`` in steps of 0.1.
+
+    Args:
+        text: as on the command line; parts that are no numbers stay text where numbers are wanted.
+        kind: str, int or float.
+    """
+    if kind is str:
+        return [part.strip() for part in text.split(",") if part.strip()]
+    try:
+        if ".." in text:
+            first, last = (float(part) for part in text.split(".."))
+            steps = int((last - first) / LIST_STEP + 1e-6)
+            return [kind(round(first + LIST_STEP * step, 6)) for step in range(steps + 1)]
+        return [kind(part) for part in text.split(",")]
+    except (ValueError, OverflowError):
+        return [text]

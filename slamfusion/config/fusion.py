@@ -1,0 +1,234 @@
+"""Settings of the fusion: normalise, align, vote, evaluate; and of fusing live maps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from slamfusion.config.core import Checked, option
+from slamfusion.errors import ConfigError
+
+__all__ = [
+    "AlignConfig",
+    "EvaluateConfig",
+    "FusionConfig",
+    "LiveConfig",
+    "NormalizeConfig",
+    "VoteConfig",
+    "VoteMode",
+]
+
+
+VoteMode: TypeAlias = Literal["majority", "consensus", "weighted", "log-odds"]
+
+
+@dataclass(frozen=True)
+class NormalizeConfig(Checked):
+    """From occupancy in percent to unknown / free / occupied on one resolution."""
+
+    occupied_percent: float = option(
+        65.0, "a cell at or above this is occupied", unit="%", low=0.0, high=100.0
+    )
+    free_percent: float = option(
+        25.0, "a cell at or below this is free", unit="%", low=0.0, high=100.0
+    )
+    resolution: float | None = option(
+        None, "cell size to bring every input to; default: the finest input's", unit="m", low=1e-4
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse thresholds that cross."""
+        super().__post_init__()
+        if self.free_percent >= self.occupied_percent:
+            message = (
+                f"free_percent ({self.free_percent:g}) must be below "
+                f"occupied_percent ({self.occupied_percent:g}); swap them"
+            )
+            raise ConfigError(message)
+
+
+@dataclass(frozen=True)
+class AlignConfig(Checked):
+    """The search for the rigid motion between two grids, and when to believe it."""
+
+    window_yaw_rad: float = option(
+        math.pi, "search yaw within +- this of the start", unit="rad", low=0.0, high=math.pi
+    )
+    window_m: float | None = option(
+        None, "search shifts within this of the start; default: everywhere", unit="m", low=0.0
+    )
+    step: int | None = option(
+        None, "run the fixed-step search of [F16] with this first step instead", unit="cells", low=1
+    )
+    shared_frame: bool = option(
+        False,
+        "the maps share their start frame: of equally good answers believe one near the identity",
+    )
+    prove: bool = option(
+        True, "prove the answer the best of the search set, or say how far it may be off"
+    )
+    deadline_s: float = option(2.0, "stop proving a pair after this long", unit="s", low=0.0)
+    coarse_cells: int = option(
+        44, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
+    )
+    candidates: int = option(24, "coarse peaks that are refined", low=1, high=64, level="expert")
+    proof_points: int = option(
+        1024, "wall points that the proof scores", low=16, high=8192, level="expert"
+    )
+    proof_sigma_cells: float = option(
+        4.0,
+        "width of the wall likelihood in the proof's score",
+        unit="cells",
+        low=0.5,
+        high=32.0,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class VoteConfig(Checked):
+    """How aligned grids decide a cell."""
+
+    mode: VoteMode = option(
+        "majority",
+        "majority; consensus of those that know, without doubled walls; weighted by agreement; or "
+        "log-odds of the kept probabilities",
+    )
+    unknown: Literal["auto", "value", "abstain"] = option(
+        "auto",
+        "unknown as a value, as an abstention, or auto: a value with exactly three voters",
+    )
+    extent: Literal["reference", "union"] = option(
+        "reference",
+        "fused cells: those of the reference grid, or of the union of all accepted grids",
+    )
+    double_reach_m: float = option(
+        0.4,
+        "consensus: a wall of one input alone this near to one of several is its double",
+        unit="m",
+        low=0.0,
+        high=10.0,
+        level="expert",
+    )
+    solid_walls: bool = option(
+        True,
+        "consensus and log-odds: walls have a back of one unknown cell, and no disputed front",
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class FusionConfig(Checked):
+    """Normalise, align, agree on a group, vote."""
+
+    normalize: NormalizeConfig = NormalizeConfig()
+    align: AlignConfig = AlignConfig()
+    vote: VoteConfig = VoteConfig()
+    reference: str | None = option(
+        None, "name or index (from 0) of the reference; default: the smallest known box"
+    )
+    require_all: bool = option(False, "fail when any input is rejected")
+
+
+@dataclass(frozen=True)
+class LiveConfig(Checked):
+    """Fusing maps that arrive again and again."""
+
+    minimum_inputs: int = option(
+        2,
+        "so many inputs must agree before anything is fused; 1 takes a single input as it is",
+        low=1,
+        high=32,
+    )
+    stale_after_s: float = option(
+        30.0,
+        "an input whose last map is older than another's by more votes no more",
+        unit="s",
+        low=0.1,
+    )
+    extent: Literal["reference", "union"] = option(
+        "union",
+        "fused cells: those of the reference, or of all inputs that ever voted",
+    )
+    search_share: float = option(
+        0.7,
+        "a tracked score below this share of what the full search gave calls for a new one",
+        low=0.0,
+        high=1.0,
+    )
+    search_pause_s: float = option(
+        2.0, "full searches of one input are at least this far apart", unit="s", low=0.0
+    )
+    jump_m: float = option(
+        0.5,
+        "a transform that moves an input's centre this far must be found twice in a row",
+        unit="m",
+        low=0.0,
+    )
+    jump_rad: float = option(
+        0.05, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
+    )
+    confirm_s: float = option(
+        3.0,
+        "a map that jumped and has not changed since is searched again after this time, or after "
+        "its second message, in another way; where that finds the same it is believed",
+        unit="s",
+        low=0.0,
+        level="expert",
+    )
+    pose_apart_m: float = option(
+        1.0,
+        "poses of one robot farther apart than this contradict each other; see pose_apart_s",
+        unit="m",
+        low=0.0,
+        level="expert",
+    )
+    pose_apart_rad: float = option(
+        0.35, "the same for a turn", unit="rad", low=0.0, high=math.pi, level="expert"
+    )
+    pose_apart_s: float = option(
+        3.0,
+        "for this long poses must be apart to take a vote, and together to give it back",
+        unit="s",
+        low=0.0,
+        level="expert",
+    )
+    hold_cells: float = option(
+        0.6,
+        "a transform that moves every corner of an input by less is left as it was",
+        unit="cells",
+        low=0.0,
+        high=10.0,
+        level="expert",
+    )
+    track_share: float = option(
+        0.01,
+        "align again once this share of the wall cells has changed",
+        low=0.0,
+        high=1.0,
+        level="expert",
+    )
+    steady_share: float = option(
+        0.75,
+        "a new map belongs to its old transform where this share of the old walls still stands",
+        low=0.0,
+        high=1.0,
+        level="expert",
+    )
+    track_cells: int = option(
+        4_000_000,
+        "cells aligned again while a new map waits to be fused; what is larger waits for a pause",
+        unit="cells",
+        low=1,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class EvaluateConfig(Checked):
+    """Measures of a map against the truth."""
+
+    tolerance_m: float = option(
+        0.1, "a wall this near a true wall counts as found", unit="m", low=0.0
+    )

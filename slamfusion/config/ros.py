@@ -1,0 +1,148 @@
+"""Settings of the ROS nodes: their parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from slamfusion.config.core import Checked, option
+
+__all__ = [
+    "FusionNodeConfig",
+    "PlayerNodeConfig",
+    "ProducerNodeConfig",
+]
+
+
+@dataclass(frozen=True)
+class ProducerNodeConfig(Checked):
+    """The ROS node of a producer; not part of ``RunConfig``, whose sections it has beside these."""
+
+    odometry_source: Literal["topic", "tf", "none"] = option(
+        "topic",
+        "odometry from nav_msgs/Odometry on `odom`, from the transforms between odom_frame and "
+        "base_frame, or none",
+    )
+    odometry_wait_s: float = option(
+        0.5,
+        "a scan waits this long for the odometry of its time, then it is matched without",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+    base_frame: str = option("base_link", "the robot's frame")
+    odom_frame: str = option("odom", "the odometry frame")
+    map_frame: str | None = option(None, "frame of the map; default: the node's name and _map")
+    laser_source: Literal["tf", "parameter"] = option(
+        "tf",
+        "where the laser sits on the robot: by the transforms, or by laser_x, laser_y, laser_yaw",
+    )
+    laser_x: float = option(0.0, "the laser is this far ahead of the robot's origin", unit="m")
+    laser_y: float = option(0.0, "the laser is this far to the left of it", unit="m")
+    laser_yaw: float = option(0.0, "the laser looks this far to the left", unit="rad")
+    scan_queue: int = option(
+        20, "scans that may wait; when one more comes the oldest is dropped", low=1, high=10_000
+    )
+    map_update_interval_s: float | None = option(
+        None,
+        "the map is published this often; default: gmapping's map_update_interval, else 1 s",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+    path_poses: int = option(
+        2000, "the published path has at most this many poses", low=2, high=1_000_000
+    )
+    publish_tf: bool = option(
+        False,
+        "send the transform from the map's frame to odom_frame (to base_frame without odometry); "
+        "one node alone may",
+    )
+    scans_stale_s: float = option(
+        2.0, "no scan for this long is named in the diagnostics", unit="s", low=0.1, high=1e6
+    )
+    reset_back_s: float = option(
+        1.0,
+        "several scans in a row that are older than the last one by more begin a new map; a single "
+        "one, or one that is older by less, is left out",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+    seed: int = option(0, "seed of every random number", low=0)
+
+
+@dataclass(frozen=True)
+class FusionNodeConfig(Checked):
+    """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has beside these."""
+
+    fused_frame: str = option("fused_map", "frame of the fused map")
+    max_publish_rate_hz: float = option(
+        5.0, "the fused map is published at most so often", unit="Hz", low=0.001, high=1000.0
+    )
+    publish_tf: bool = option(
+        False,
+        "send the transform from fused_frame to odom_frame, by the pose of the healthiest input "
+        "and the odometry; no other node may",
+    )
+    odometry_source: Literal["topic", "tf"] = option(
+        "topic",
+        "for publish_tf: odometry from nav_msgs/Odometry on `odom`, or from the transforms between "
+        "odom_frame and base_frame",
+    )
+    base_frame: str = option("base_link", "the robot's frame")
+    odom_frame: str = option("odom", "the odometry frame")
+    save_path: str = option(
+        "fused_map",
+        "save_map writes this path with .yaml and .pgm; a change leads nowhere but into the folder "
+        "that the node was started with",
+    )
+    state_path: str | None = option(
+        None,
+        "file that keeps fused frame, transforms and last map, so that a restart goes on with "
+        "them; default: nothing is kept",
+    )
+    lost_after_s: float = option(
+        3.0,
+        "an input whose process shows no sign of life, or that nobody publishes, for this long is "
+        "lost",
+        unit="s",
+        low=0.1,
+        high=1e6,
+    )
+
+
+@dataclass(frozen=True)
+class PlayerNodeConfig(Checked):
+    """The ROS node that plays a log; not part of ``RunConfig``."""
+
+    file: str | None = option(None, "the log or bag")
+    rate: float = option(1.0, "times as fast as it was recorded", low=1e-3, high=1e4)
+    loop: bool = option(False, "begin again at the end; time jumps back")
+    lockstep: bool = option(
+        False, "send the next scan when every producer of wait_for has told its pose at the last"
+    )
+    lockstep_timeout_s: float = option(
+        30.0, "give up when a producer has not answered for this long", unit="s", low=0.1, high=1e6
+    )
+    start_timeout_s: float = option(
+        30.0, "wait this long for the listeners before the first scan", unit="s", low=0.0, high=1e6
+    )
+    odometry: Literal["topic", "tf", "both", "none"] = option(
+        "both",
+        "how odometry is sent: on `odom`, as transforms, both, or not at all",
+    )
+    base_frame: str = option("base_link", "the robot's frame")
+    odom_frame: str = option("odom", "the odometry frame")
+    laser_frame: str = option("laser", "the laser's frame")
+    publish_clock: bool = option(True, "send the log's time on /clock, for use_sim_time")
+    save: str | None = option(
+        None, "folder: after the last scan the newest map of every topic in `maps` is written here"
+    )
+    save_timeout_s: float = option(
+        20.0,
+        "wait this long for the maps that hold the last scan, then write what came",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )

@@ -1,0 +1,155 @@
+"""``RunConfig``: everything that decides a result, and how it is read from a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import yaml
+
+from slamfusion.config.core import Checked, from_mapping, option
+from slamfusion.config.experiments import ExperimentConfig
+from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
+from slamfusion.config.sim import SimulateConfig
+from slamfusion.config.slam import GmappingConfig, GraphConfig, GraphOptimizerConfig, TinySlamConfig
+from slamfusion.errors import ConfigError
+
+__all__ = [
+    "DeviceConfig",
+    "LogConfig",
+    "MapFileConfig",
+    "RunConfig",
+    "SideBySideConfig",
+    "TrajectoryConfig",
+    "load_config",
+]
+
+
+@dataclass(frozen=True)
+class MapFileConfig(Checked):
+    """Reading saved maps."""
+
+    legacy_unknown: bool = option(
+        False,
+        "read the grey 205 of saved maps, which map savers write for unknown, as unknown also "
+        "where free_thresh takes it for free",
+    )
+
+
+@dataclass(frozen=True)
+class LogConfig(Checked):
+    """Reading logs and bags."""
+
+    scan_topic: str | None = option(None, "laser topic of a bag; default: its only one")
+    odom_topic: str | None = option(
+        None, "odometry topic of a bag; default: its only one, or else the transforms"
+    )
+    base_frame: str | None = option(
+        None, "the robot's frame in a bag's transforms; default: base_footprint or base_link"
+    )
+    odom_frame: str = option("odom", "the odometry frame in a bag's transforms")
+    no_return_m: float | None = option(
+        None,
+        "readings at or above this saw nothing; default: found from the log",
+        unit="m",
+        low=0.1,
+    )
+    index_period_s: float = option(
+        0.1, "time between scans where the stamps are broken", unit="s", low=1e-3, high=60.0
+    )
+
+
+@dataclass(frozen=True)
+class TrajectoryConfig(Checked):
+    """Measures of a trajectory against the truth."""
+
+    tolerance_s: float = option(0.01, "poses this near in time belong together", unit="s", low=0.0)
+    alignment: Literal["se2", "none"] = option(
+        "se2",
+        "bring the estimate onto the truth by a rigid motion first, or take both frames for one",
+    )
+    rpe_delta: float = option(
+        1.0, "what one pair of poses of the relative error spans, in --rpe-unit", low=1e-3
+    )
+    rpe_unit: Literal["frames", "m", "s"] = option(
+        "frames",
+        "matched poses, metres along the truth, or seconds",
+    )
+    odometry_tolerance_m: float = option(
+        0.005,
+        "an odometry row this near (metres, and radians of heading) is a scan's own",
+        unit="m",
+        low=1e-6,
+        high=0.5,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class SideBySideConfig(Checked):
+    """The main job: several producers on one log, side by side, then their fusion."""
+
+    producers: tuple[str, ...] = option(
+        ("tinyslam", "gmapping", "graph"), "which producers run, with commas"
+    )
+    processes: int | None = option(
+        None, "producers at work at once; default: as many as there are cores", low=1, high=64
+    )
+    time_limit_s: float | None = option(
+        None, "stop a producer that takes longer and leave it out", unit="s", low=0.1, high=1e7
+    )
+    path_gap_m: float = option(
+        1.0,
+        "leave out a producer whose path, laid into the fused map, is this far from the others'",
+        unit="m",
+        low=0.05,
+        high=100.0,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class DeviceConfig(Checked):
+    """Which device computes."""
+
+    device: str = option(
+        "auto", "auto, numpy, an index of `slamfusion devices`, or part of a device's name"
+    )
+
+
+@dataclass(frozen=True)
+class RunConfig(Checked):
+    """Everything that decides a result; written beside every result."""
+
+    fusion: FusionConfig = FusionConfig()
+    live: LiveConfig = LiveConfig()
+    log: LogConfig = LogConfig()
+    map_files: MapFileConfig = MapFileConfig()
+    tinyslam: TinySlamConfig = TinySlamConfig()
+    gmapping: GmappingConfig = GmappingConfig()
+    graph: GraphConfig = GraphConfig()
+    evaluate: EvaluateConfig = EvaluateConfig()
+    trajectory: TrajectoryConfig = TrajectoryConfig()
+    simulate: SimulateConfig = SimulateConfig()
+    experiment: ExperimentConfig = ExperimentConfig()
+    graph_optimizer: GraphOptimizerConfig = GraphOptimizerConfig()
+    run: SideBySideConfig = SideBySideConfig()
+    device: DeviceConfig = DeviceConfig()
+    seed: int = option(0, "seed of every random number", low=0)
+
+
+def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
+    """Read a ``RunConfig`` from a YAML file; see ``from_mapping`` for the errors.
+
+    Args:
+        path: the file.
+        base: holds what the file does not say; default: the defaults.
+    """
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
+        raise ConfigError(message) from None
+    return from_mapping(RunConfig() if base is None else base, values, str(path))

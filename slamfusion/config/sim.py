@@ -1,0 +1,253 @@
+"""Settings of simulated places, lasers, robots and drives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from slamfusion.config.core import Checked, option
+from slamfusion.errors import ConfigError
+
+__all__ = [
+    "ActionConfig",
+    "DriveConfig",
+    "LidarConfig",
+    "ObstacleConfig",
+    "PersonConfig",
+    "PlaceName",
+    "SimulateConfig",
+    "WorldConfig",
+]
+
+
+PlaceName: TypeAlias = Literal[
+    "office",
+    "corridor",
+    "hall",
+    "atrium",
+    "yard",
+    "ring-100",
+    "ring-300",
+    "wings",
+    "pillars",
+    "rooms",
+    "map",
+]
+
+
+@dataclass(frozen=True)
+class WorldConfig(Checked):
+    """A simulated place."""
+
+    name: PlaceName = option(
+        "office",
+        "which drawn place, or map for a map file",
+    )
+    map: str | None = option(None, "map file of the world `map`; from the course file's folder")
+    seed: int | None = option(None, "seed of the drawing; default: the run's seed", low=0)
+    resolution: float = option(
+        0.05, "cell size of a drawn truth; a map file has its own", unit="m", low=0.01, high=0.25
+    )
+    wall_height_m: float = option(
+        2.5, "beams of a tilted laser pass over walls at this", unit="m", low=0.1, high=20.0
+    )
+    glass_share: float = option(0.0, "share of the wall cells that are glass", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class LidarConfig(Checked):
+    """A planar laser: what it can see, how it errs, and where it sits."""
+
+    model: Literal["kinect", "hokuyo", "rplidar"] = option("hokuyo", "its kind")
+    beams: int = option(541, "beams in a sweep", low=1, high=100_000)
+    view_rad: float = option(
+        math.radians(270.0), "angle from first to last beam", unit="rad", low=0.0, high=math.tau
+    )
+    clockwise: bool = option(False, "the first beam is the leftmost one")
+    rate_hz: float = option(10.0, "sweeps a second", unit="Hz", low=0.1, high=100.0)
+    range_min_m: float = option(0.1, "nearer things are too close", unit="m", low=0.0, high=10.0)
+    range_max_m: float = option(30.0, "farther things are not seen", unit="m", low=0.1, high=1000.0)
+    noise_m: float = option(
+        0.01, "standard deviation of a range at 0 m", unit="m", low=0.0, high=1.0
+    )
+    noise_per_m: float = option(0.0005, "what a metre of range adds to it", low=0.0, high=1.0)
+    noise_per_m2: float = option(
+        0.0, "what the square of a metre of range adds to it", unit="1/m", low=0.0, high=1.0
+    )
+    dropout_share: float = option(0.001, "share of readings that fail", low=0.0, high=1.0)
+    dropout_far_share: float = option(
+        0.0,
+        "share of readings at the longest range that fail beside these; falls with the square of "
+        "the range",
+        low=0.0,
+        high=1.0,
+    )
+    outlier_share: float = option(
+        0.0005, "share of readings that stop short anywhere on their way", low=0.0, high=1.0
+    )
+    mixed_share: float = option(
+        0.2, "share of readings at an edge in depth that lie between both sides", low=0.0, high=1.0
+    )
+    glass_return_share: float = option(
+        0.9, "share of beams that glass sends back when met head-on", low=0.0, high=1.0
+    )
+    glass_angle_rad: float = option(
+        0.35,
+        "glass met at this angle or more from its normal lets every beam pass",
+        unit="rad",
+        low=0.01,
+        high=math.pi / 2.0,
+    )
+    mount_x_m: float = option(
+        0.1, "laser ahead of the robot's origin", unit="m", low=-10.0, high=10.0
+    )
+    mount_y_m: float = option(
+        0.0, "laser left of the robot's origin", unit="m", low=-10.0, high=10.0
+    )
+    mount_yaw_rad: float = option(
+        0.0, "turn of the laser on the robot", unit="rad", low=-math.tau, high=math.tau
+    )
+    height_m: float = option(0.25, "laser above the floor", unit="m", low=0.01, high=10.0)
+
+
+@dataclass(frozen=True)
+class DriveConfig(Checked):
+    """How a robot moves, and how its odometry errs."""
+
+    model: Literal["differential", "bicycle", "tracks"] = option("differential", "its kind")
+    radius_m: float = option(
+        0.2, "disc that holds the robot; keeps off walls", unit="m", low=0.01, high=5.0
+    )
+    speed_mps: float = option(0.6, "speed on a free way", unit="m/s", low=0.01, high=10.0)
+    turn_rate_rad_s: float = option(1.0, "turning speed at most", unit="rad/s", low=0.01, high=10.0)
+    acceleration_mps2: float = option(
+        0.8, "change of speed at most", unit="m/s^2", low=0.01, high=100.0
+    )
+    wheelbase_m: float = option(0.3, "bicycle: between the axles", unit="m", low=0.05, high=5.0)
+    steer_max_rad: float = option(
+        0.6, "bicycle: steering angle at most", unit="rad", low=0.05, high=1.4
+    )
+    track_m: float = option(0.4, "tracks: between left and right", unit="m", low=0.05, high=5.0)
+    slip_left: float = option(
+        0.0, "tracks: share of the left track's motion that is lost", low=0.0, high=0.9
+    )
+    slip_right: float = option(
+        0.0, "tracks: share of the right track's motion that is lost", low=0.0, high=0.9
+    )
+    travel_noise: float = option(
+        0.02, "error of the way after a metre; grows with the square root", low=0.0, high=1.0
+    )
+    travel_turn_noise: float = option(
+        0.005, "error of the way in metres after a turn of a radian", low=0.0, high=1.0
+    )
+    turn_noise: float = option(
+        0.02, "error of a turn of a radian; grows with the square root", low=0.0, high=1.0
+    )
+    turn_travel_noise: float = option(
+        0.01, "error of the heading in radians after a metre", low=0.0, high=1.0
+    )
+    travel_bias: float = option(
+        0.01, "share by which odometry reads the way too long", low=-0.5, high=0.5
+    )
+    turn_bias: float = option(
+        0.01, "share by which odometry reads turns too large", low=-0.5, high=0.5
+    )
+    turn_travel_bias: float = option(
+        0.001, "what odometry turns by itself in a metre", unit="rad/m", low=-0.5, high=0.5
+    )
+
+
+@dataclass(frozen=True)
+class ObstacleConfig(Checked):
+    """A cable or low ramp on the floor, [F16]'s ground obstacle: wheels slip, the body tilts."""
+
+    x_m: float = option(0.0, "its middle in the map frame", unit="m", low=-1e7, high=1e7)
+    y_m: float = option(0.0, "its middle in the map frame", unit="m", low=-1e7, high=1e7)
+    yaw_rad: float = option(
+        0.0, "direction straight across it", unit="rad", low=-math.tau, high=math.tau
+    )
+    across_m: float = option(
+        0.6, "way across it on which it is felt", unit="m", low=0.01, high=10.0
+    )
+    along_m: float = option(1.6, "its length", unit="m", low=0.01, high=100.0)
+    slip_share: float = option(
+        0.3, "share of the wheels' motion that is lost on it", low=-0.9, high=0.9
+    )
+    kick_rad_m: float = option(
+        0.15, "turn that a metre on it adds unseen by the wheels", unit="rad/m", low=-3.0, high=3.0
+    )
+    pitch_rad: float = option(
+        0.09, "tilt of the body at most: nose up, then down", unit="rad", low=0.0, high=0.7
+    )
+
+
+@dataclass(frozen=True)
+class PersonConfig(Checked):
+    """Someone who walks about."""
+
+    speed_mps: float = option(1.0, "walking speed", unit="m/s", low=0.05, high=5.0)
+    body: Literal["legs", "disc"] = option(
+        "legs",
+        "what the laser meets: two legs, or one body",
+    )
+    distance_m: float = option(
+        0.7, "stands still rather than come this near to the robot", unit="m", low=0.0, high=10.0
+    )
+
+
+@dataclass(frozen=True)
+class ActionConfig(Checked):
+    """One command of a script, as the wheels measure it: a turn, a straight way, or a wait."""
+
+    turn_deg: float = option(
+        0.0, "turn on the spot, counter-clockwise", unit="deg", low=-36e3, high=36e3
+    )
+    speed_deg_s: float = option(90.0, "speed of a turn", unit="deg/s", low=0.1, high=1000.0)
+    forward_m: float = option(
+        0.0, "straight way; negative goes backwards", unit="m", low=-1e4, high=1e4
+    )
+    speed_mps: float = option(0.5, "speed of a straight way", unit="m/s", low=0.001, high=10.0)
+    wait_s: float = option(0.0, "stand still", unit="s", low=0.0, high=3600.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a command that is none, or more than one."""
+        super().__post_init__()
+        given = [name for name in ("turn_deg", "forward_m", "wait_s") if getattr(self, name)]
+        if len(given) != 1:
+            found = " and ".join(given) or "none of them"
+            message = f"a command is one of turn_deg, forward_m and wait_s, found {found}"
+            raise ConfigError(message)
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes."""
+        turn_s = abs(self.turn_deg) / self.speed_deg_s
+        return turn_s + abs(self.forward_m) / self.speed_mps + self.wait_s
+
+
+@dataclass(frozen=True)
+class SimulateConfig(Checked):
+    """What a simulated drive changes of its course; unset, the course decides."""
+
+    world: str | None = option(
+        None,
+        "drawn place (office, corridor, hall, atrium, yard, ring-100, ring-300, wings, pillars, "
+        "rooms), or a map file",
+    )
+    world_seed: int | None = option(None, "seed of the drawn place; default: the run's seed", low=0)
+    resolution: float | None = option(
+        None, "cell size of the drawn truth", unit="m", low=0.01, high=0.25
+    )
+    lidar: Literal["kinect", "hokuyo", "rplidar"] | None = option(None, "laser on the robot")
+    drive: Literal["differential", "bicycle", "tracks"] | None = option(
+        None,
+        "how the robot moves",
+    )
+    obstacle: bool | None = option(
+        None, "a cable on the way, over which wheels slip and the laser tilts"
+    )
+    people: int | None = option(None, "people who walk about", low=0, high=100)
+    glass_share: float | None = option(
+        None, "share of the wall cells that are glass", low=0.0, high=1.0
+    )

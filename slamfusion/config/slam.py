@@ -1,0 +1,371 @@
+"""Settings of the producers, of their scan matcher, and of the pose graph's optimiser."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+from slamfusion.config.core import Checked, option
+
+__all__ = [
+    "GMAPPING_PROFILES",
+    "CellModel",
+    "GmappingConfig",
+    "GraphConfig",
+    "GraphOptimizerConfig",
+    "MatcherConfig",
+    "OccupancyEstimator",
+    "TinySlamConfig",
+]
+
+
+CellModel: TypeAlias = Literal["base", "mean"]
+OccupancyEstimator: TypeAlias = Literal["constant", "area"]
+
+
+@dataclass(frozen=True)
+class MatcherConfig(Checked):
+    """The search for the pose at which a scan fits the map, from where the robot may have gone."""
+
+    beams: int = option(
+        120, "hits of a scan that the matcher looks at", low=8, high=4096, level="expert"
+    )
+    first_poses: int = option(
+        256, "poses drawn in the matcher's first, wide look", low=16, high=65536, level="expert"
+    )
+    climbers: int = option(
+        6, "poses of the first look from where a climb starts", low=1, high=64, level="expert"
+    )
+    rounds: int = option(
+        4, "rounds of a climb, 16 steps tried each", low=1, high=32, level="expert"
+    )
+    sigma_m: float = option(
+        0.1, "spread of the first look", unit="m", low=0.001, high=10.0, level="expert"
+    )
+    sigma_m_per_m: float = option(
+        0.15, "the same for each metre of odometry", low=0.0, high=10.0, level="expert"
+    )
+    sigma_rad: float = option(
+        0.05, "spread of the first look", unit="rad", low=0.001, high=3.2, level="expert"
+    )
+    sigma_rad_per_rad: float = option(
+        0.2, "the same for each radian of odometry", low=0.0, high=10.0, level="expert"
+    )
+    prior_weight_xy: float = option(
+        0.04, "score lost one spread beside the guessed place", low=0.0, high=1.0, level="expert"
+    )
+    prior_weight_yaw: float = option(
+        0.005, "the same for the guessed heading", low=0.0, high=1.0, level="expert"
+    )
+    drift_loss: float = option(
+        0.05,
+        "score lost by believing that the robot went on as it went, against its odometry",
+        low=0.0,
+        high=1.0,
+        level="expert",
+    )
+
+
+@dataclass(frozen=True)
+class TinySlamConfig(Checked):
+    """tinySLAM [H16]: a Monte-Carlo scan matcher on one map."""
+
+    matcher: MatcherConfig = MatcherConfig()
+    resolution: float = option(0.05, "cell size of the map", unit="m", low=0.005, high=1.0)
+    cell_model: CellModel = option("mean", "how a cell joins its observations")
+    occupancy_estimator: OccupancyEstimator = option(
+        "constant",
+        "what a hit says of its cell: always the same, or the area behind the beam's normal",
+    )
+    hole_width_m: float = option(
+        0.6, "width of the valley around a hit that the matcher sees", unit="m", low=0.0, high=5.0
+    )
+    quality: float | None = option(
+        None,
+        "how much of an observation a cell believes; default: 1 for mean, 0.3 for base",
+        low=0.01,
+        high=1.0,
+    )
+    quality_moved: float = option(
+        0.5,
+        "the quality is multiplied by this where the matcher moved the pose far",
+        low=0.0,
+        high=1.0,
+    )
+    usable_range_m: float = option(
+        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
+    )
+    occupied_share: float = option(
+        0.3, "a cell whose mean value reaches this is published as occupied", low=0.05, high=0.95
+    )
+    matcher_free_value: float = option(
+        0.2, "what the matcher's map learns of a passed cell", low=0.0, high=0.5, level="expert"
+    )
+
+
+# What a field of ``GmappingConfig`` that is left open becomes.
+GMAPPING_PROFILES: dict[str, dict[str, Any]] = {
+    "published": {
+        "particles": 30,
+        "delta": 0.05,
+        "sigma": 0.05,
+        "kernelSize": 1,
+        "lstep": 0.05,
+        "astep": 0.05,
+        "iterations": 5,
+        "lsigma": 0.075,
+        "ogain": 3.0,
+        "lskip": 0,
+        "minimumScore": 0.0,
+        "srr": 0.1,
+        "srt": 0.2,
+        "str": 0.1,
+        "stt": 0.2,
+        "linearUpdate": 1.0,
+        "angularUpdate": 0.5,
+        "temporalUpdate": -1.0,
+        "resampleThreshold": 0.5,
+        "llsamplerange": 0.01,
+        "llsamplestep": 0.01,
+        "lasamplerange": 0.005,
+        "lasamplestep": 0.005,
+        "occ_thresh": 0.25,
+        "map_update_interval": 5.0,
+        "match_every_scan": False,
+        "climb_loss": 0.0,
+        "memory_budget": 0.0,
+    },
+    "own": {},
+}
+
+
+GMAPPING_PROFILES["own"] = {
+    **GMAPPING_PROFILES["published"],
+    "kernelSize": 2,
+    "sigma": 0.01,
+    "lsigma": 0.02,
+    "srr": 0.05,
+    "srt": 0.05,
+    "str": 0.05,
+    "stt": 0.05,
+    "linearUpdate": 0.3,
+    "angularUpdate": 0.2,
+    "match_every_scan": True,
+    "climb_loss": 0.005,
+    "memory_budget": 480.0,
+}
+
+
+@dataclass(frozen=True)
+class GmappingConfig(Checked):
+    """gmapping [G07]: a Rao-Blackwellised particle filter, parameters under their published names.
+
+    A field left open takes the value of its profile; see ``chosen``.
+    """
+
+    matcher: MatcherConfig = MatcherConfig()
+    profile: Literal["published", "own"] = option(
+        "own", "values of what is left open: our own defaults, or those published with gmapping"
+    )
+    particles: int | None = option(None, "particles", low=1, high=10_000)
+    delta: float | None = option(None, "cell size of the map", unit="m", low=0.005, high=1.0)
+    sigma: float | None = option(
+        None, "a hit this far from a wall, squared, counts 1/e", unit="m^2", low=1e-5, high=10.0
+    )
+    kernelSize: int | None = option(
+        None, "a hit looks for walls this many cells around its own", unit="cells", low=0, high=3
+    )
+    lstep: float | None = option(None, "first step of the climb", unit="m", low=1e-4, high=1.0)
+    astep: float | None = option(None, "first step of the climb", unit="rad", low=1e-4, high=1.0)
+    iterations: int | None = option(None, "times that the climb halves its steps", low=0, high=20)
+    lsigma: float | None = option(
+        None, "variance of a hit's distance in the likelihood", unit="m^2", low=1e-4, high=10.0
+    )
+    ogain: float | None = option(
+        None, "weights are evened out by this, times the particles", low=1e-3, high=1e3
+    )
+    lskip: int | None = option(
+        None, "beams passed over after each that the likelihood looks at", low=0, high=1000
+    )
+    minimumScore: float | None = option(
+        None, "least sum over the hits for which a match is believed", low=0.0, high=1e6
+    )
+    srr: float | None = option(None, "odometry: metres of error for a metre", low=0.0, high=10.0)
+    srt: float | None = option(None, "odometry: radians of error for a metre", low=0.0, high=10.0)
+    str: float | None = option(None, "odometry: metres of error for a radian", low=0.0, high=10.0)
+    stt: float | None = option(None, "odometry: radians of error for a radian", low=0.0, high=10.0)
+    linearUpdate: float | None = option(
+        None, "weigh and map after this way", unit="m", low=0.0, high=100.0
+    )
+    angularUpdate: float | None = option(
+        None, "weigh and map after this turn", unit="rad", low=0.0, high=10.0
+    )
+    temporalUpdate: float | None = option(
+        None, "weigh and map after this long; below 0 never", unit="s", low=-1.0, high=1e6
+    )
+    resampleThreshold: float | None = option(
+        None,
+        "resample when fewer of the particles than this share are effective",
+        low=0.0,
+        high=1.0,
+    )
+    llsamplerange: float | None = option(
+        None, "proposal: poses this far around the match", unit="m", low=0.0, high=1.0
+    )
+    llsamplestep: float | None = option(
+        None, "proposal: from one pose to the next", unit="m", low=1e-4, high=1.0
+    )
+    lasamplerange: float | None = option(
+        None, "proposal: headings this far around the match", unit="rad", low=0.0, high=1.0
+    )
+    lasamplestep: float | None = option(
+        None, "proposal: from one heading to the next", unit="rad", low=1e-4, high=1.0
+    )
+    occ_thresh: float | None = option(
+        None,
+        "a cell is a wall when more than this share of its beams ended in it",
+        low=0.0,
+        high=1.0,
+    )
+    map_update_interval: float | None = option(
+        None, "a node publishes its map this often", unit="s", low=0.0, high=1e6
+    )
+    maxUrange: float | None = option(
+        None,
+        "farther hits are not used, their beams are free up to here; default: 80 m, at most 98 % "
+        "of the laser's longest range",
+        unit="m",
+        low=0.1,
+        high=1000.0,
+    )
+    maxRange: float | None = option(
+        None,
+        "beams that read this or more are left out; default: the laser's longest range",
+        unit="m",
+        low=0.1,
+        high=10_000.0,
+    )
+    match_every_scan: bool | None = option(
+        None,
+        "follow the robot by every scan, not only by those that are weighed and mapped; always "
+        "so without odometry",
+    )
+    climb_loss: float | None = option(
+        None,
+        "score lost by a climb that ends one spread of the motion model beside what it expects",
+        low=0.0,
+        high=1.0,
+    )
+    memory_budget: float | None = option(
+        None,
+        "when the maps of all particles come near to this, the better half of them goes on; 0 for "
+        "no limit",
+        unit="MB",
+        low=0.0,
+        high=1e6,
+    )
+    motion_model: Literal["differential", "bicycle"] = option(
+        "differential",
+        "how the robot moves",
+    )
+    wheel_base: float = option(0.3, "bicycle: between the axles", unit="m", low=0.05, high=10.0)
+    steering_sigma: float = option(
+        0.05, "bicycle: error of the steering angle", unit="rad", low=0.0, high=1.0
+    )
+    odometry: Literal["poses", "none"] = option("poses", "use the log's odometry, or none")
+    expectation: Literal["motion", "pose"] = option(
+        "motion",
+        "without odometry the next pose starts from the previous motion, or from the pose as [B16]",
+    )
+
+    def chosen(self) -> GmappingConfig:
+        """Return the configuration with what is left open filled in by the profile."""
+        values = GMAPPING_PROFILES[self.profile]
+        left_open = {key: value for key, value in values.items() if getattr(self, key) is None}
+        return dataclasses.replace(self, **left_open)
+
+
+@dataclass(frozen=True)
+class GraphConfig(Checked):
+    """Graph SLAM [O09, K10, H16c]; names are open_karto's where the meaning is the same."""
+
+    matcher: MatcherConfig = MatcherConfig(beams=400)
+    resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
+    minimum_travel_distance: float = option(
+        0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0
+    )
+    minimum_travel_heading: float = option(
+        0.2, "a scan becomes a node after this turn", unit="rad", low=0.0, high=10.0
+    )
+    scan_buffer_size: int = option(
+        12, "nodes that a submap holds; half of them overlap the next one", low=2, high=10_000
+    )
+    correlation_search_space_smear_deviation: float = option(
+        0.1, "deviation of the likelihood around a hit", unit="m", low=0.005, high=1.0
+    )
+    do_loop_closing: bool = option(True, "look for places where the robot has been before")
+    loop_search_maximum_distance: float = option(
+        4.0, "a closure is looked for with submaps this near", unit="m", low=0.0, high=1000.0
+    )
+    loop_search_space_dimension: float = option(
+        8.0,
+        "side of the widest window that is searched for a closure",
+        unit="m",
+        low=0.1,
+        high=200.0,
+    )
+    coarse_search_angle_offset: float = option(
+        0.349, "half the angle of that window", unit="rad", low=0.01, high=3.2
+    )
+    loop_match_minimum_chain_size: int = option(
+        6, "a submap of fewer nodes closes no loop", low=1, high=10_000
+    )
+    loop_match_minimum_response: float = option(
+        0.5, "least mean wall value under the hits of a closure", low=0.0, high=1.0
+    )
+    loop_match_maximum_variance: float = option(
+        0.04,
+        "a closure that leaves the place open by more is none",
+        unit="m^2",
+        low=1e-6,
+        high=100.0,
+    )
+    min_pass_through: int = option(
+        2, "a cell that fewer beams have crossed is unknown", low=1, high=1000
+    )
+    occupancy_threshold: float = option(
+        0.1,
+        "a cell is a wall when more than this share of its beams ended in it",
+        low=0.0,
+        high=1.0,
+    )
+    usable_range_m: float = option(
+        30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
+    )
+    odometry: Literal["poses", "none"] = option("poses", "use the log's odometry, or none")
+
+
+@dataclass(frozen=True)
+class GraphOptimizerConfig(Checked):
+    """The optimiser of pose graphs in files."""
+
+    robust: Literal["consensus", "gnc", "dcs", "none"] = option(
+        "consensus",
+        "how false closures are found: by those that bear each other out, by graduated "
+        "non-convexity, by dynamic covariance scaling; or none, and all are believed",
+    )
+    start: Literal["best", "given", "odometry", "chordal"] = option(
+        "best",
+        "start from the file's poses, the odometry, the chordal relaxation, or the best of them",
+    )
+    max_iterations: int = option(
+        100, "steps of a descent at most", low=1, high=100_000, level="expert"
+    )
+    tolerance: float = option(
+        1e-5,
+        "a descent ends after a step that promises to lower chi-square by a smaller share",
+        low=0.0,
+        high=0.1,
+        level="expert",
+    )
