@@ -15,6 +15,7 @@ from slamfusion.config import (
     EvaluateConfig,
     FailuresConfig,
     FusionConfig,
+    GraphConfig,
     MatcherConfig,
     NormalizeConfig,
     RunConfig,
@@ -123,11 +124,11 @@ def test_values_are_checked_at_construction_and_then_frozen() -> None:
 
 def test_a_part_of_a_section_leaves_the_rest_as_the_whole_has_it():
     """A nested section may have other defaults than its class."""
-    whole = RunConfig()
-    assert whole.graph.matcher != MatcherConfig()
-    config = from_mapping(RunConfig, {"graph": {"matcher": {"climbers": 9}}})
-    assert config.graph.matcher == dataclasses.replace(whole.graph.matcher, climbers=9)
-    assert from_mapping(RunConfig, {"graph": {"matcher": None}}) == whole
+    graph = GraphConfig()
+    assert graph.matcher != MatcherConfig()
+    config = from_mapping(GraphConfig, {"matcher": {"climbers": 9}})
+    assert config.matcher == dataclasses.replace(graph.matcher, climbers=9)
+    assert from_mapping(GraphConfig, {"matcher": None}) == graph
 
 
 @pytest.mark.parametrize("given", ["slip, glass", ["slip", "glass"], ("slip", "glass")])

@@ -25,6 +25,7 @@ setup(
     package_dir=dict.fromkeys(KERNELS, "kernels"),
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.jobs": ["schema.json"],
         f"{NAME}.report": ["templates/*"],
         f"{NAME}.kernels": ["*.cl", "*.h"],
     },
@@ -39,7 +40,7 @@ setup(
     entry_points={
         "console_scripts": [
             "slamfusion = slamfusion.cli.main:main",
-            *(f"{name}_node = slamfusion.cli.executables:{name}_node" for name in NODES),
+            *(f"{name}_node = slamfusion.cli.executables:node" for name in NODES),
         ]
     },
 )

@@ -11,7 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from slamfusion.cli.produced import output_files
-from slamfusion.cli.slam import NAMES
 
 __all__ = [
     "AGREEMENT",
@@ -57,7 +56,10 @@ def remove_empty(*folders: Path) -> None:
 
 def possible_outputs(folder: Path) -> list[Path]:
     """Return every file that a run into a folder may write, but for the report's."""
-    files = [path for name in NAMES for path in output_files(folder / name, probabilities=True)]
+    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
+
+    names = producer_names()
+    files = [path for name in names for path in output_files(folder / name, probabilities=True)]
     return [*files, *(path for name in (FUSED, AGREEMENT) for path in map_files(folder / name))]
 
 

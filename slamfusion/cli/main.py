@@ -58,8 +58,8 @@ EXIT_FAILURE = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
-# Says, once, that the memory of a library was changed, or that it had to be and was not.
-TOLD_LOGGER = "slamfusion.compute.pocl"
+# What they warn of is told: a library whose memory was changed, a producer that is not used, ...
+TOLD_LOGGERS = ("slamfusion.compute.pocl", "slamfusion.slam.registry")
 
 
 class _InOrder(click.Group):
@@ -85,9 +85,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if hasattr(stream, "reconfigure"):  # file names need not be text
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("slamfusion").addHandler(logging.NullHandler())
-    told = logging.getLogger(TOLD_LOGGER)
-    if not told.handlers:
-        told.addHandler(logging.StreamHandler())
+    for name in TOLD_LOGGERS:
+        told = logging.getLogger(name)
+        if not told.handlers:
+            told.addHandler(logging.StreamHandler())
     settings = Settings()
     code = _run(list(sys.argv[1:] if arguments is None else arguments), settings)
     with contextlib.suppress(OSError):

@@ -13,14 +13,9 @@ from slamfusion.errors import SlamFusionError
 
 __all__ = ["NODES", "command"]
 
-# Every node and its module, which has ``make_node(kind) -> NodeBase``.
-NODES = {
-    "tinyslam": "slamfusion.ros.producer_node",
-    "gmapping": "slamfusion.ros.producer_node",
-    "graph": "slamfusion.ros.producer_node",
-    "fusion": "slamfusion.ros.fusion_node",
-    "player": "slamfusion.ros.player_node",
-}
+# The nodes that are no producer's, and their modules, which have ``make_node(kind) -> NodeBase``.
+NODES = {"fusion": "slamfusion.ros.fusion_node", "player": "slamfusion.ros.player_node"}
+PRODUCER_NODE = "slamfusion.ros.producer_node"
 # Set by the ROS wheels' start-up code when it has put their libraries on the path.
 BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 ABSENT = (
@@ -29,24 +24,36 @@ ABSENT = (
 )
 
 
+def _known(_: click.Context, __: click.Parameter, name: str) -> str:
+    """Refuse the name of a node that there is none of."""
+    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
+
+    names = (*producer_names(), *NODES)
+    if name not in names:
+        message = f"{name!r} is not one of {', '.join(map(repr, names))}."
+        raise click.BadParameter(message)
+    return name
+
+
 @click.command(
     "node",
     context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
     options_metavar="",
 )
-@click.argument("name", type=click.Choice(list(NODES)))
+@click.argument("name", callback=_known, metavar="NAME")
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
 def command(name: str, ros_arguments: tuple[str, ...]) -> int:
     """Run a ROS 2 node until Ctrl-C.
 
-    Parameters, names and remappings are given as with `ros2 run`: --ros-args -p rate:=2.0 -r
+    NAME is a producer (as in `slamfusion slam --help`), fusion or player. Parameters, names and
+    remappings are given as with `ros2 run`: --ros-args -p rate:=2.0 -r
     scan:=front/scan -r __ns:=/robot1 --params-file FILE.
     """
     if ros_arguments and "--ros-args" not in ros_arguments:
         message = f"{ros_arguments[0]!r}: a node's options stand after --ros-args"
         raise click.UsageError(message)
     _import_rclpy()
-    module = importlib.import_module(NODES[name])
+    module = importlib.import_module(NODES.get(name, PRODUCER_NODE))
     base = importlib.import_module("slamfusion.ros.base")
     return int(base.run_node(lambda: module.make_node(name), ros_arguments))
 

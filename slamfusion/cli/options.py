@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,12 +14,11 @@ import click
 
 from slamfusion.cli.output import Settings
 from slamfusion.config import (
-    GMAPPING_PROFILES,
+    PUBLISHED,
     FieldInfo,
-    GmappingConfig,
+    Profiled,
     RunConfig,
     field_infos,
-    load_config,
     split_list,
 )
 from slamfusion.errors import ConfigError
@@ -42,25 +41,23 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
-# A field whose own name already means something else on the command line, or that was published
-# with underscores.
-OPTION_NAMES = {
-    "fusion.normalize.resolution": "--fused-resolution",
-    "gmapping.odometry": "--use-odometry",
-    "graph.odometry": "--use-odometry",
-    "gmapping.occ_thresh": "--occ_thresh",
-    "gmapping.map_update_interval": "--map_update_interval",
-}
-OWN_PROFILE = GMAPPING_PROFILES[GmappingConfig().profile]
-PUBLISHED_PROFILE = GMAPPING_PROFILES["published"]
 
 
 @dataclass(frozen=True)
 class ConfigOption:
-    """One leaf field of ``RunConfig`` and where it stands in the tree."""
+    """One leaf field of ``RunConfig`` and where it stands in the tree.
+
+    Attributes:
+        section: dotted place of its section.
+        info: the field, with the tree's value as its default.
+        filled: what the section's profile puts where the value is left open; None: nothing.
+        published: value of the published profile; None for a field that is in no profile.
+    """
 
     section: str
     info: FieldInfo
+    filled: Any = None
+    published: Any = None
 
     @property
     def key(self) -> str:
@@ -73,21 +70,14 @@ class ConfigOption:
         return "config_" + self.key.replace(".", "_")
 
     @property
-    def published(self) -> Any:
-        """Value of the published profile; None for a field that is in no profile."""
-        return PUBLISHED_PROFILE.get(self.info.name) if self.section == "gmapping" else None
-
-    @property
     def default(self) -> Any:
         """Value without any option or file, the profile's where it is left open; may be None."""
-        if self.info.default is None and self.section == "gmapping":
-            return OWN_PROFILE.get(self.info.name)
-        return self.info.default
+        return self.filled if self.info.default is None else self.info.default
 
 
 def option_name(option: ConfigOption) -> str:
     """Return the option's name on the command line."""
-    return OPTION_NAMES.get(option.key, "--" + option.info.name.replace("_", "-"))
+    return option.info.flag or "--" + option.info.name.replace("_", "-")
 
 
 def config_fields(config: Any = RunConfig, section: str = "") -> Iterator[ConfigOption]:
@@ -98,12 +88,25 @@ def config_fields(config: Any = RunConfig, section: str = "") -> Iterator[Config
         section: dotted place of it in the whole tree.
     """
     whole = config() if isinstance(config, type) else config
+    # Of a section with profiles, what each field is when it is left open.
+    own = whole.chosen() if isinstance(whole, Profiled) else whole
+    published = replace(whole, profile=PUBLISHED).chosen() if own is not whole else None
     for info in field_infos(type(whole)):
-        yield ConfigOption(section, replace(info, default=getattr(whole, info.name)))
+        is_open = published is not None and info.default is None
+        yield ConfigOption(
+            section,
+            replace(info, default=getattr(whole, info.name)),
+            getattr(own, info.name),
+            getattr(published, info.name) if is_open else None,
+        )
     for item in dataclasses.fields(whole):
         value = getattr(whole, item.name)
-        if dataclasses.is_dataclass(value):
-            yield from config_fields(value, f"{section}.{item.name}".lstrip("."))
+        sections = {item.name: value}
+        if isinstance(value, Mapping):
+            sections = {f"{item.name}.{name}": own for name, own in value.items()}
+        for name, below in sections.items():
+            if dataclasses.is_dataclass(below):
+                yield from config_fields(below, f"{section}.{name}".lstrip("."))
 
 
 def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], F]:
@@ -126,7 +129,7 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
         @functools.wraps(function)
         def wrapper(*args: Any, config_file: Path | None, **values: Any) -> Any:
             explicit = {option.key: values.pop(option.parameter) for option in chosen}
-            config = defaults if config_file is None else load_config(config_file, base)
+            config = defaults if config_file is None else _read(config_file, defaults)
             return function(*args, config=_override(config, chosen, explicit), **values)
 
         command: Any = wrapper
@@ -135,6 +138,13 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
         return typing.cast("F", _CONFIG_FILE(command))
 
     return decorate
+
+
+def _read(path: Path, defaults: RunConfig) -> RunConfig:
+    """Read a file of settings, also those of producers."""
+    from slamfusion.slam.registry import read_config  # noqa: PLC0415  (only where one is given)
+
+    return read_config(path, defaults)
 
 
 def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:
@@ -325,7 +335,7 @@ def _refusal(config: RunConfig, given: list[ConfigOption], error: ConfigError) -
     for option in given:
         section: Any = config
         for name in option.section.split(".") if option.section else ():
-            section = getattr(section, name)
+            section = _below(section, name)
         field = f"{type(section).__name__}.{option.info.name} "
         if str(error).startswith(field):
             hint = f"'{option_name(option)}'"
@@ -342,5 +352,10 @@ def _replace(config: Any, changed: dict[str, Any]) -> Any:
             for key, value in changed.items()
             if key.startswith(f"{section}.")
         }
-        own[section] = _replace(getattr(config, section), below)
-    return dataclasses.replace(config, **own)
+        own[section] = _replace(_below(config, section), below)
+    return {**config, **own} if isinstance(config, Mapping) else dataclasses.replace(config, **own)
+
+
+def _below(section: Any, name: str) -> Any:
+    """Return a part of a configuration: a field, or one of the named sections."""
+    return section[name] if isinstance(section, Mapping) else getattr(section, name)

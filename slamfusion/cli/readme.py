@@ -13,7 +13,8 @@ from slamfusion.cli.options import (
     shown_default,
     shown_value,
 )
-from slamfusion.config import FieldInfo
+from slamfusion.config import FieldInfo, RunConfig
+from slamfusion.slam.registry import producer, with_producers
 
 __all__ = ["gmapping_table", "parameter_table", "with_tables"]
 
@@ -27,15 +28,15 @@ def parameter_table() -> str:
         "| option | in `--config` | default | range | what |",
         "| --- | --- | --- | --- | --- |",
     ]
-    lines += [_row(option) for option in config_fields()]
+    lines += [_row(option) for option in config_fields(with_producers(RunConfig()))]
     return "\n".join(lines)
 
 
 def gmapping_table() -> str:
     """Return a Markdown table of gmapping's parameters: as published, and as we have them."""
     lines = ["| name | unit | published | ours | what |", "| --- | --- | --- | --- | --- |"]
-    for option in config_fields():
-        if option.section == "gmapping":
+    for option in config_fields(producer("gmapping").config):
+        if not option.section:
             info = option.info
             published = "-" if option.published is None else shown_value(option.published)
             own = "-" if option.default is None else shown_value(option.default)

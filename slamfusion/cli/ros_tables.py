@@ -21,15 +21,13 @@ from slamfusion.config import (
     DeviceConfig,
     FusionConfig,
     FusionNodeConfig,
-    GmappingConfig,
-    GraphConfig,
     LiveConfig,
     LogConfig,
     MapFileConfig,
     PlayerNodeConfig,
     ProducerNodeConfig,
-    TinySlamConfig,
 )
+from slamfusion.slam.registry import BUILT_IN, producer
 
 __all__ = [
     "NODES",
@@ -46,7 +44,7 @@ __all__ = [
     "with_tables",
 ]
 
-PRODUCERS = ("tinyslam", "gmapping", "graph")
+PRODUCERS = BUILT_IN
 NODES = (*PRODUCERS, "fusion", "player")
 LAUNCH_SCRIPTS = Path(__file__).resolve().parents[2] / "launch_scripts"
 
@@ -212,10 +210,11 @@ SERVICES = (
 )
 
 # The sections of each node's parameters with the prefix of their names.
-SECTIONS: dict[str, tuple[tuple[str, type[Any]], ...]] = {
-    "tinyslam": (("", ProducerNodeConfig), ("", DeviceConfig), ("tinyslam", TinySlamConfig)),
-    "gmapping": (("", ProducerNodeConfig), ("", DeviceConfig), ("gmapping", GmappingConfig)),
-    "graph": (("", ProducerNodeConfig), ("", DeviceConfig), ("graph", GraphConfig)),
+SECTIONS: dict[str, tuple[tuple[str, Any], ...]] = {
+    **{
+        name: (("", ProducerNodeConfig), ("", DeviceConfig), (name, producer(name).config))
+        for name in PRODUCERS
+    },
     "fusion": (
         ("", FusionNodeConfig),
         ("", DeviceConfig),
@@ -286,7 +285,7 @@ def parameter_table() -> str:
     table the README has too.
     """
     lines = ["| node | parameter | default | range | what |", "| --- | --- | --- | --- | --- |"]
-    for title, node in (("producers", "tinyslam"), ("fusion", "fusion"), ("player", "player")):
+    for title, node in (("producers", PRODUCERS[0]), ("fusion", "fusion"), ("player", "player")):
         for item in NAME_LISTS.get(node, ()):
             shown = ", ".join(item.default)
             lines.append(_row(title, f"`{item.name}`", shown, "names", item.text))

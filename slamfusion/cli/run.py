@@ -59,7 +59,6 @@ from slamfusion.cli.produced import (
     measure_run,
     output_files,
 )
-from slamfusion.cli.slam import NAMES
 from slamfusion.cli.trajectory import Measures
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
@@ -296,7 +295,10 @@ def command(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any
     A fused map with everything beside it replaces the results of an earlier run in DIR, all at
     once. A run without one leaves them as they are; what it made goes to DIR/failed then.
     """
-    names = config.run.producers
+    from slamfusion.slam.registry import BUILT_IN, with_producers  # noqa: PLC0415
+
+    names = config.run.producers or BUILT_IN
+    config = with_producers(config, names)
     request = _Request(log, out, names, **asked)
     request.check()
     debug = click.get_current_context().ensure_object(Settings).debug
@@ -367,7 +369,9 @@ def _open(config: RunConfig) -> ComputeDevice:
 
 def _renamed(maps: Sequence[OccupancyGrid]) -> list[OccupancyGrid]:
     """Return saved maps under names that no producer has."""
-    taken = {*NAMES, FUSED}
+    from slamfusion.slam.registry import producer_names  # noqa: PLC0415
+
+    taken = {*producer_names(), FUSED}
     return [grid.with_name(f"{grid.name} (saved)") if grid.name in taken else grid for grid in maps]
 
 
@@ -387,6 +391,7 @@ def _fuse(
         best_founded,
         fuse_with_paths,
     )
+    from slamfusion.slam.registry import loop_closers  # noqa: PLC0415
 
     count = len(job.grids)
     if count < LEAST_FUSED:
@@ -406,7 +411,7 @@ def _fuse(
             job.grids, paths, fusion, config.run.path_gap_m, device, bar
         )
     except AlignmentError as error:
-        job.best_founded = best_founded(job.grids, error.pairs).name
+        job.best_founded = best_founded(job.grids, error.pairs, loop_closers(paths)).name
         job.failure = AlignmentError(
             f"{error}; the map to go on with is that of {job.best_founded}, the best founded",
             error.pairs,

@@ -47,17 +47,26 @@ if TYPE_CHECKING:
     from slamfusion.slam.common.runner import ProducerRun
     from slamfusion.trajectory import Trajectory
 
-__all__ = ["NAMES", "RESUMABLE", "command"]
-
-# Every producer of ``slamfusion.slam.registry``, whose import would slow down every other command.
-NAMES = ("tinyslam", "gmapping", "graph")
-# Of these, the ones that can save their state and go on from it.
-RESUMABLE = ("gmapping", "graph")
+__all__ = ["command"]
 
 PROGRESS_STEPS = 1000
 
 
-@click.group("slam")
+class _Producers(click.Group):
+    """A command for each producer of the registry, made when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names of the producers."""
+        from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
+
+        return list(producer_names())
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command of one producer; None where there is none of this name."""
+        return _make_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
+
+
+@click.group("slam", cls=_Producers)
 def command() -> None:
     """Run one producer of maps on a log or bag."""
 
@@ -144,11 +153,11 @@ def _stem(out: Path) -> Path:
     return out.with_suffix("") if out.suffix in SUFFIXES else out
 
 
-def _state_options(name: str) -> Callable[[Any], Any]:
+def _state_options(*, is_resumable: bool) -> Callable[[Any], Any]:
     """Give the command of a producer that can go on from a file what that takes."""
 
     def decorate(function: Any) -> Any:
-        if name not in RESUMABLE:
+        if not is_resumable:
             return function
         for option in (
             click.option(
@@ -180,6 +189,10 @@ def _state_options(name: str) -> Callable[[Any], Any]:
 
 def _make_command(name: str) -> click.Command:
     """Return the command of one producer; its settings become options."""
+    from slamfusion.slam.registry import producer, with_producers  # noqa: PLC0415
+
+    record = producer(name)
+    base = with_producers(RunConfig(), [name])
 
     @click.command(name)
     @click.argument("log", type=click.Path(path_type=Path))
@@ -196,8 +209,8 @@ def _make_command(name: str) -> click.Command:
     @file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
     @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
     @report_option("report")
-    @_state_options(name)
-    @with_config(name, "log", "trajectory", "map_files", "device", "")
+    @_state_options(is_resumable=record.load is not None)
+    @with_config(f"producers.{name}", "log", "trajectory", "map_files", "device", "", base=base)
     @common_options
     def run(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any) -> int:
         request = _Request(log, _stem(out), **asked)
@@ -206,13 +219,10 @@ def _make_command(name: str) -> click.Command:
 
     run.help = (
         f"Make a map of the scans in LOG with {name}: a CARMEN or tinySLAM log, or a ROS bag.\n\n"
+        f"{record.summary[0].upper()}{record.summary[1:]}.\n\n"
         "Where LOG has no odometry, the robot is expected to go on as it went."
     )
     return run
-
-
-for _name in NAMES:
-    command.add_command(_make_command(_name))
 
 
 def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> int:

@@ -8,10 +8,14 @@ tables.
 from __future__ import annotations
 
 from slamfusion.config.core import (
+    PUBLISHED,
+    Checked,
     FieldInfo,
+    Profiled,
     checked_value,
     field_infos,
     from_mapping,
+    option,
     split_list,
     to_mapping,
 )
@@ -40,6 +44,7 @@ from slamfusion.config.run import (
     SideBySideConfig,
     TrajectoryConfig,
     load_config,
+    read_yaml,
 )
 from slamfusion.config.sim import (
     ActionConfig,
@@ -64,10 +69,12 @@ from slamfusion.config.slam import (
 
 __all__ = [
     "GMAPPING_PROFILES",
+    "PUBLISHED",
     "ActionConfig",
     "AlignConfig",
     "CellModel",
     "CellModelsConfig",
+    "Checked",
     "DeviceConfig",
     "DriveConfig",
     "EvaluateConfig",
@@ -93,6 +100,7 @@ __all__ = [
     "PlaceName",
     "PlayerNodeConfig",
     "ProducerNodeConfig",
+    "Profiled",
     "RunConfig",
     "SideBySideConfig",
     "SimulateConfig",
@@ -105,6 +113,8 @@ __all__ = [
     "field_infos",
     "from_mapping",
     "load_config",
+    "option",
+    "read_yaml",
     "split_list",
     "to_mapping",
 ]

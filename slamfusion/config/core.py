@@ -7,14 +7,17 @@ import difflib
 import math
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar, Union, overload
+from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
 
 from slamfusion.errors import ConfigError
 
 __all__ = [
+    "PUBLISHED",
     "Checked",
     "FieldInfo",
+    "Profiled",
     "checked_value",
     "field_infos",
     "from_mapping",
@@ -24,6 +27,9 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+
+# The profile with the values that an algorithm's authors published.
+PUBLISHED = "published"
 
 # Step of a list of numbers that is written as ``first..last``, in the unit of the field.
 LIST_STEP = 0.1
@@ -37,10 +43,12 @@ def option(
     low: float | None = None,
     high: float | None = None,
     level: Literal["public", "expert"] = "public",
+    flag: str = "",
 ) -> Any:
     """Declare a configuration field with its description, unit and inclusive range.
 
     A field of several words is a ``Literal``; one of several values a tuple of any length.
+    ``flag`` is its option on the command line where that is not the field's name.
     """
     metadata = {
         "help": text,
@@ -48,6 +56,7 @@ def option(
         "low": low,
         "high": high,
         "level": level,
+        "flag": flag,
     }
     return field(default=default, metadata=metadata)
 
@@ -67,6 +76,7 @@ class FieldInfo:
         low, high: inclusive range; None: open.
         choices: the words that are allowed; empty: any.
         level: ``public`` fields are options of commands, ``expert`` ones stand in files only.
+        flag: its option on the command line; empty: made from the name.
     """
 
     name: str
@@ -80,6 +90,7 @@ class FieldInfo:
     high: float | None
     choices: tuple[str, ...]
     level: str
+    flag: str
 
 
 # By class: a configuration is built, and so checked, for every node, trial and option.
@@ -183,6 +194,20 @@ class Checked:
             _check_value(f"{type(self).__name__}.{info.name}", info, getattr(self, info.name))
 
 
+@runtime_checkable
+class Profiled(Protocol):
+    """A configuration with profiles: sets of values for the fields that are left open.
+
+    Attributes:
+        profile: name of the profile; one of them is ``PUBLISHED``.
+    """
+
+    profile: Any
+
+    def chosen(self) -> Any:
+        """Return the configuration with what is left open filled in by the profile."""
+
+
 def to_mapping(config: Any) -> dict[str, Any]:
     """Return a configuration as nested plain values, ready for YAML or JSON."""
     return dataclasses.asdict(config)
@@ -222,7 +247,10 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
             message = f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}"
             raise ConfigError(message)
         hint = hints[key]
-        if dataclasses.is_dataclass(hint):
+        if typing.get_origin(hint) is Mapping:
+            given = {} if is_class else getattr(config, key)
+            arguments[key] = _sections(given, value, f"{where}: {key}")
+        elif dataclasses.is_dataclass(hint):
             # A section's defaults may be others than its class's.
             section = getattr(config, key, hint)
             arguments[key] = from_mapping(section, value, f"{where}: {key}")
@@ -233,6 +261,23 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     except ConfigError as error:
         message = f"{where}: {error}"
         raise ConfigError(message) from None
+
+
+def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, Any]:
+    """Return named sections with what ``values`` say of them; see ``from_mapping``."""
+    if values is None:
+        values = {}
+    if not isinstance(values, dict):
+        message = f"{where}: wanted a mapping of names to settings, found {type(values).__name__}"
+        raise ConfigError(message)
+    for name in values:
+        if name not in known:
+            message = f"{where}: unknown name {name!r}; wanted some of {', '.join(known) or '-'}"
+            raise ConfigError(message)
+    changed = {
+        name: from_mapping(known[name], own, f"{where}: {name}") for name, own in values.items()
+    }
+    return {**known, **changed}
 
 
 def _coerce(value: Any, form: _Form | FieldInfo, where: str) -> Any:

@@ -34,7 +34,11 @@ class NormalizeConfig(Checked):
         25.0, "a cell at or below this is free", unit="%", low=0.0, high=100.0
     )
     resolution: float | None = option(
-        None, "cell size to bring every input to; default: the finest input's", unit="m", low=1e-4
+        None,
+        "cell size to bring every input to; default: the finest input's",
+        unit="m",
+        low=1e-4,
+        flag="--fused-resolution",
     )
 
     def __post_init__(self) -> None:

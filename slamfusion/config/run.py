@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import yaml
 
@@ -12,7 +13,7 @@ from slamfusion.config.core import Checked, from_mapping, option
 from slamfusion.config.experiments import ExperimentConfig
 from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.config.sim import SimulateConfig
-from slamfusion.config.slam import GmappingConfig, GraphConfig, GraphOptimizerConfig, TinySlamConfig
+from slamfusion.config.slam import GraphOptimizerConfig
 from slamfusion.errors import ConfigError
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "SideBySideConfig",
     "TrajectoryConfig",
     "load_config",
+    "read_yaml",
 ]
 
 
@@ -91,7 +93,7 @@ class SideBySideConfig(Checked):
     """The main job: several producers on one log, side by side, then their fusion."""
 
     producers: tuple[str, ...] = option(
-        ("tinyslam", "gmapping", "graph"), "which producers run, with commas"
+        (), "which producers run, with commas; default: those that are built in"
     )
     processes: int | None = option(
         None, "producers at work at once; default: as many as there are cores", low=1, high=64
@@ -120,15 +122,17 @@ class DeviceConfig(Checked):
 
 @dataclass(frozen=True)
 class RunConfig(Checked):
-    """Everything that decides a result; written beside every result."""
+    """Everything that decides a result; written beside every result.
+
+    ``producers`` holds the settings of producers by name, each a dataclass of its own; one that is
+    not in it has its defaults (``slamfusion.slam.registry`` knows them all).
+    """
 
     fusion: FusionConfig = FusionConfig()
     live: LiveConfig = LiveConfig()
     log: LogConfig = LogConfig()
     map_files: MapFileConfig = MapFileConfig()
-    tinyslam: TinySlamConfig = TinySlamConfig()
-    gmapping: GmappingConfig = GmappingConfig()
-    graph: GraphConfig = GraphConfig()
+    producers: Mapping[str, Any] = field(default_factory=dict)
     evaluate: EvaluateConfig = EvaluateConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig()
     simulate: SimulateConfig = SimulateConfig()
@@ -139,17 +143,27 @@ class RunConfig(Checked):
     seed: int = option(0, "seed of every random number", low=0)
 
 
+def read_yaml(path: str | Path) -> Any:
+    """Return what a YAML file of settings holds: nested plain values, None where it is empty.
+
+    Raises:
+        ConfigError: no YAML.
+    """
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
+        raise ConfigError(message) from None
+
+
 def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
     """Read a ``RunConfig`` from a YAML file; see ``from_mapping`` for the errors.
+
+    The settings of producers are known to ``slamfusion.slam.registry.read_config``.
 
     Args:
         path: the file.
         base: holds what the file does not say; default: the defaults.
     """
-    text = Path(path).read_text(encoding="utf-8", errors="replace")
-    try:
-        values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
-        raise ConfigError(message) from None
-    return from_mapping(RunConfig() if base is None else base, values, str(path))
+    return from_mapping(RunConfig() if base is None else base, read_yaml(path), str(path))

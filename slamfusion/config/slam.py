@@ -227,9 +227,15 @@ class GmappingConfig(Checked):
         "a cell is a wall when more than this share of its beams ended in it",
         low=0.0,
         high=1.0,
+        flag="--occ_thresh",
     )
     map_update_interval: float | None = option(
-        None, "a node publishes its map this often", unit="s", low=0.0, high=1e6
+        None,
+        "a node publishes its map this often",
+        unit="s",
+        low=0.0,
+        high=1e6,
+        flag="--map_update_interval",
     )
     maxUrange: float | None = option(
         None,
@@ -273,7 +279,9 @@ class GmappingConfig(Checked):
     steering_sigma: float = option(
         0.05, "bicycle: error of the steering angle", unit="rad", low=0.0, high=1.0
     )
-    odometry: Literal["poses", "none"] = option("poses", "use the log's odometry, or none")
+    odometry: Literal["poses", "none"] = option(
+        "poses", "use the log's odometry, or none", flag="--use-odometry"
+    )
     expectation: Literal["motion", "pose"] = option(
         "motion",
         "without odometry the next pose starts from the previous motion, or from the pose as [B16]",
@@ -343,7 +351,9 @@ class GraphConfig(Checked):
     usable_range_m: float = option(
         30.0, "longer readings are not used", unit="m", low=0.1, high=1000.0
     )
-    odometry: Literal["poses", "none"] = option("poses", "use the log's odometry, or none")
+    odometry: Literal["poses", "none"] = option(
+        "poses", "use the log's odometry, or none", flag="--use-odometry"
+    )
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from slamfusion.experiments.table import (
 )
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.gmapping import Gmapping
+from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
 
 __all__ = ["METHODS", "NAME", "compare_models", "model_sentences"]
@@ -37,14 +38,16 @@ def _tinyslam(cell_model: CellModel) -> Callable[[RunConfig, ComputeDevice, int]
     """Return what makes a tinySLAM of a cell model; the quality is that model's default."""
 
     def make(config: RunConfig, device: ComputeDevice, seed: int) -> Mapper:
-        return TinySlam(replace(config.tinyslam, cell_model=cell_model), device, seed)
+        return TinySlam(
+            replace(settings_of(config, "tinyslam"), cell_model=cell_model), device, seed
+        )
 
     return make
 
 
 def _gmapping(config: RunConfig, device: ComputeDevice, seed: int) -> Mapper:
     """Return gmapping on the cells of [H16]."""
-    return Gmapping(replace(config.gmapping, delta=GMAPPING_CELL_M), device, seed)
+    return Gmapping(replace(settings_of(config, "gmapping"), delta=GMAPPING_CELL_M), device, seed)
 
 
 # Every column of the table: how a fresh producer is made from configuration, device and seed.

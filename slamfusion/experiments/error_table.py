@@ -34,7 +34,7 @@ from slamfusion.experiments.records import (
 from slamfusion.experiments.table import markdown_table
 from slamfusion.experiments.trials import FUSIONS, TrialRecord, alone
 from slamfusion.io import AtomicFiles
-from slamfusion.slam.registry import PRODUCERS
+from slamfusion.slam.registry import BUILT_IN
 
 __all__ = ["Against", "ErrorTable", "MethodPair", "Sheet", "Tables", "write_error_table"]
 
@@ -166,7 +166,7 @@ class ErrorTable:
         """Return the producers, then the fusions of them all: of a condition, or of any."""
         records = self.records if condition is None else self.of(condition)
         known = {method for record in records for method in record.errors}
-        return [method for method in (*PRODUCERS, *FUSIONS) if method in known]
+        return [method for method in (*BUILT_IN, *FUSIONS) if method in known]
 
     def errors(self, condition: str, method: str) -> list[float]:
         """Return a method's errors in the order of the trials."""
@@ -177,7 +177,7 @@ class ErrorTable:
         means = {
             name: Summary.of(self.errors(condition, name)).mean
             for name in self.methods(condition)
-            if name in PRODUCERS
+            if name in BUILT_IN
         }
         return min(means, key=means.__getitem__)
 

@@ -17,6 +17,7 @@ from slamfusion.config import RunConfig
 from slamfusion.experiments.error_table import ErrorTable
 from slamfusion.experiments.trials import Trial, run_trials
 from slamfusion.sim import named_course
+from slamfusion.slam.registry import with_settings
 
 __all__ = ["CONDITIONS", "NAME", "compare_with_obstacle", "obstacle_trials"]
 
@@ -60,7 +61,7 @@ def compare_with_obstacle(
         SlamFusionError: a drive failed.
     """
     settings = config.experiment.ground_obstacle
-    config = replace(config, gmapping=replace(config.gmapping, particles=settings.particles))
+    config = with_settings(config, "gmapping", particles=settings.particles)
     records = run_trials(
         obstacle_trials(config), config, folder, processes=settings.processes, progress=progress
     )

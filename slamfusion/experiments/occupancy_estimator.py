@@ -23,6 +23,7 @@ from slamfusion.config import OccupancyEstimator, RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
 from slamfusion.experiments.records import VerdictJson
 from slamfusion.experiments.table import Level, Results, measure_label, p_text, repeat
+from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
 
 __all__ = ["COARSE_M", "ESTIMATORS", "NAME", "Verdict", "sweep_estimators", "verdicts"]
@@ -120,7 +121,7 @@ def sweep_estimators(
     def once(levels: tuple[Level, ...], seed: int) -> dict[str, float]:
         name, size_m, estimator = levels
         tinyslam = replace(
-            config.tinyslam,
+            settings_of(config, "tinyslam"),
             resolution=float(size_m),
             occupancy_estimator=cast("OccupancyEstimator", estimator),
         )

@@ -25,9 +25,10 @@ from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealL
 from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.graph.node_map import MapJob, Node, NodeMap
-from slamfusion.slam.registry import PRODUCERS, make_producer
+from slamfusion.slam.graph.node_map import Node, NodeMap
+from slamfusion.slam.registry import BUILT_IN, make_producer, settings_of
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -148,7 +149,7 @@ class RealLogTable:
     def ratios(self, log: str) -> dict[str, float]:
         """Return the error of every way to vote over that of the drive's best input."""
         errors = self._errors(log)
-        best = min(errors[name] for name in PRODUCERS if name in errors)
+        best = min(errors[name] for name in BUILT_IN if name in errors)
         return {mode: errors[mode] / best for mode in FUSIONS if mode in errors}
 
     def overall(self) -> dict[str, RatiosJson]:
@@ -186,7 +187,7 @@ class RealLogTable:
         lines = []
         for log in self.logs():
             errors = self._errors(log)
-            best = min((name for name in PRODUCERS if name in errors), key=errors.__getitem__)
+            best = min((name for name in BUILT_IN if name in errors), key=errors.__getitem__)
             lines += [
                 f"{log}: {mode} {100.0 * (ratio - 1.0):+.1f} % against {best}, the best input."
                 for mode, ratio in self.ratios(log).items()
@@ -265,7 +266,7 @@ def _compare_on_log(
     notes: dict[str, str] = {}
     maps: dict[str, OccupancyGrid | None] = {}
     paths = {}
-    for producer in PRODUCERS:
+    for producer in BUILT_IN:
 
         def tell(done: int, what: str) -> None:
             if progress is not None:
@@ -314,12 +315,13 @@ def reference_map(
     Args:
         scans: in the order of time.
         trajectory: poses of the robot in the frame of the map.
-        config: ``config.graph`` says how cells are counted.
+        config: the graph's settings say how cells are counted.
         device: computes.
 
     Raises:
         SlamFusionError: no scan has a pose.
     """
+    settings = settings_of(config, "graph")
     stamps = np.array([item.scan.stamp_s for item in scans])
     nearest = trajectory.nearest(stamps)
     is_known = np.abs(trajectory.stamps_s[nearest] - stamps) <= SAME_TIME_S
@@ -329,8 +331,8 @@ def reference_map(
     nodes = []
     for index in np.flatnonzero(is_known).tolist():
         scan = scans[index].scan
-        ends = scan.points(scan.is_hit(config.graph.usable_range_m)).astype(np.float32)
+        ends = scan.points(scan.is_hit(settings.usable_range_m)).astype(np.float32)
         laser = np.array([scan.mount.x, scan.mount.y], dtype=np.float32)
         nodes.append(Node(ends, laser, 0.0, None))
     job = MapJob(nodes, trajectory.poses[nearest[is_known]], REFERENCE)
-    return NodeMap(config.graph, device).draw(job), len(nodes)
+    return NodeMap(settings, device).draw(job), len(nodes)

@@ -42,7 +42,7 @@ from slamfusion.io.atomic import AtomicFiles
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import PRODUCERS, make_producer
+from slamfusion.slam.registry import BUILT_IN, loop_closers, make_producer
 from slamfusion.slam.side_by_side import threads_limited, usable_cores
 from slamfusion.trajectory import Trajectory
 
@@ -202,7 +202,7 @@ def _produce(
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
     maps: dict[str, OccupancyGrid | None] = {}
     paths = {}
-    for name in PRODUCERS:
+    for name in BUILT_IN:
         scans = faulty if trial.harmed in {"", name} else recording.scans
         try:
             run = run_producer(make_producer(name, config, device), scans)
@@ -279,7 +279,7 @@ def _vote_plainly(
     try:
         result, _ = fuse_with_paths(grids, kept, settings, config.run.path_gap_m, device)
     except AlignmentError as error:
-        alone_grid = best_founded(grids, error.pairs)
+        alone_grid = best_founded(grids, error.pairs, loop_closers(paths))
         notes[PLAIN] = f"{alone_grid.name} alone: {error}"
         return alone_grid
     for record in result.rejected:

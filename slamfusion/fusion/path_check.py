@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,10 +63,10 @@ PLACED_SCORE_MIN = 0.40
 # A producer that is lost on its way is together with the others before: it is this many limits
 # away for a quarter of the time, and the others are not.
 LOST_LIMITS = 3.0
-# Where maps do not fit, some are bent, and the one producer that closes loops has bent least: its
-# map is taken unless another's is borne out by more than this. In 8 drives through a corridor loop
-# with a narrow view it was so in all, and the scores, within 6 % of each other, named it in 4.
-LOOP_CLOSER, NEARLY = "graph", 0.9
+# Where maps do not fit, some are bent, that of a producer that closes loops least: it is taken if
+# its score is more than this share of the best one's. In 8 drives through a corridor loop with a
+# narrow view it was the right one in all, and the scores, within 6 % of each other, named it in 4.
+NEARLY = 0.9
 
 
 class PathsApartError(AlignmentError):
@@ -236,23 +236,28 @@ def _bear_out(found: Alignment) -> bool:
     return is_beyond_chance and found.statistics["wall_clash"] <= CLASH_MAX
 
 
-def best_founded(grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment]) -> OccupancyGrid:
+def best_founded(
+    grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], loop_closers: Collection[str] = ()
+) -> OccupancyGrid:
     """Return the map to go on with where nothing can be fused: whose walls the others' fit best.
 
     Args:
         grids: at least one.
         pairs: every pair that was aligned, believed or not.
+        loop_closers: names of grids of producers that close loops.
 
     Returns:
-        The one with the greatest sum of scores, or the graph SLAM's where its sum is nearly as
-        great; of equals the one that knows most cells.
+        The one with the greatest sum of scores, or the best of those that close loops where its
+        sum is nearly as great; of equals the one that knows most cells.
     """
     scores = {
         grid.name: sum(pair.score for pair in pairs if grid.name in {pair.reference, pair.moving})
         for grid in grids
     }
-    if scores.get(LOOP_CLOSER, 0.0) > NEARLY * max(scores.values()):
-        scores[LOOP_CLOSER] = math.inf
+    able = (name for name in loop_closers if name in scores)
+    closing = max(able, key=scores.__getitem__, default="")
+    if closing and scores[closing] > NEARLY * max(scores.values()):
+        scores[closing] = math.inf
     return max(grids, key=lambda grid: (scores[grid.name], np.count_nonzero(grid.cells >= 0)))
 
 

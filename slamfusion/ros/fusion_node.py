@@ -36,10 +36,11 @@ from slamfusion.ros.stamps import Stamps
 from slamfusion.ros.state_keeper import Memory
 from slamfusion.ros.worker import Worker
 from slamfusion.ros.writers import Writers
+from slamfusion.slam.registry import BUILT_IN
 
 __all__ = ["FusionNode", "make_node"]
 
-DEFAULT_INPUTS = ("tinyslam/map", "gmapping/map", "graph/map")
+DEFAULT_INPUTS = tuple(f"{name}/map" for name in BUILT_IN)
 CHANGEABLE = ("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s")
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs.
 TURN_S, LOOK_S, LOOK_AROUND_S = 0.02, 0.1, 1.0

@@ -33,14 +33,14 @@ SHOWN_S = 10.0
 def input_names(entries: tuple[str, ...]) -> dict[str, str]:
     """Return a short name for every entry of ``inputs``, and the entry.
 
-    ``tinyslam/map`` is called tinyslam, ``file:lab.yaml`` lab; where two would be called the same,
+    ``robot/map`` is called robot, ``file:lab.yaml`` lab; where two would be called the same,
     both are called by their whole entry.
 
     Raises:
         ConfigError: no entry, or one given twice.
     """
     if not entries:
-        message = "inputs is empty; name at least one map: -p inputs:=[tinyslam/map,gmapping/map]"
+        message = "inputs is empty; name at least one map: -p inputs:=[a/map,b/map]"
         raise ConfigError(message)
     if len(set(entries)) < len(entries):
         message = f"inputs names one map twice: {', '.join(entries)}"

@@ -1,8 +1,9 @@
 """A node's parameters, declared from the fields of a configuration dataclass.
 
-Names are those of the YAML files of ``--config``: ``tinyslam.resolution``,
-``tinyslam.matcher.beams``. Description, range, default and level come from the field. A value is
-checked by building the dataclass: what that refuses is refused here, in its words.
+Names are those of the YAML files of ``--config``, of a producer those below its name:
+``NAME.resolution``, ``NAME.matcher.beams``. Description, range, default and level come from the
+field. A value is checked by building the dataclass: what that refuses is refused here, in its
+words.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def declare(
         node: an rclpy node.
         section: a configuration dataclass, or an instance whose values are the defaults. Nested
             sections become ``prefix.section.field``.
-        prefix: before every name, e.g. ``tinyslam``; empty for none.
+        prefix: before every name, e.g. a producer's name; empty for none.
         changeable: names of fields (dotted below ``section``, without the prefix) that may be
             changed while the node runs; the others are read-only.
         on_change: called in the executor's thread with the whole new configuration after a change

@@ -91,7 +91,7 @@ class PlayerNode(NodeBase):
             message = "player: name the log or bag with the parameter file: -p file:=PATH"
             raise ConfigError(message)
         if self.settings.lockstep and not self.wait_for:
-            message = "player: lockstep needs to know whom to wait for: -p wait_for:=[tinyslam]"
+            message = "player: lockstep needs to know whom to wait for: -p wait_for:=[NAME]"
             raise ConfigError(message)
         if self.settings.save is not None:
             _check_writable(Path(self.settings.save))

@@ -40,9 +40,9 @@ from slamfusion.ros.parameters import declare
 from slamfusion.ros.scan_gate import ODOMETRY_ALIVE_S, ArrivedScan, ScanGate
 from slamfusion.ros.worker import Worker
 from slamfusion.scan import LaserScan as Scan
-from slamfusion.slam.common.mapper import Mapper, Step
-from slamfusion.slam.graph.node_map import DrawsAside, MapJob, NodeMap
-from slamfusion.slam.registry import make_producer
+from slamfusion.slam import registry
+from slamfusion.slam.common.mapper import DrawsAside, MapDrawer, MapJob, Mapper, Step
+from slamfusion.slam.registry import make_producer, settings_of
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ProducerNode", "make_node"]
@@ -58,7 +58,6 @@ CHANGEABLE = (
     "scans_stale_s",
     "reset_back_s",
 )
-DEFAULT_MAP_INTERVAL_S = 1.0
 # How often the node looks whether a map is due although no scan comes.
 LOOK_S = 0.1
 # Scans that pause for longer leave the time to solve all closures for the map.
@@ -146,10 +145,10 @@ class ProducerNode(NodeBase):
         self.settings = declare(
             node, ProducerNodeConfig, changeable=CHANGEABLE, on_change=self._on_settings
         )
-        section = declare(node, getattr(RunConfig(), kind), kind)
+        section = declare(node, settings_of(RunConfig(), kind), kind)
         device = declare(node, DeviceConfig)
         self._config = dataclasses.replace(
-            RunConfig(), **{kind: section}, device=device, seed=self.settings.seed
+            RunConfig(), producers={kind: section}, device=device, seed=self.settings.seed
         )
         self._kind = kind
         self._map_frame = self.settings.map_frame or f"{self.name}_map"
@@ -174,7 +173,7 @@ class ProducerNode(NodeBase):
         self._map_time_s = self._draw_time_s = 0.0
         self._job: MapJob | None = None
         self._is_settled = True
-        self._drawer: tuple[int, NodeMap] | None = None
+        self._drawer: tuple[int, MapDrawer] | None = None
         self._map_shape = (0, 0)
         self._unmapped = 0
         self._is_path_due = False
@@ -309,9 +308,7 @@ class ProducerNode(NodeBase):
         asked_s = self.settings.map_update_interval_s
         if asked_s is not None:
             return asked_s
-        if self._kind == "gmapping":
-            return float(self._config.gmapping.chosen().map_update_interval or 0.0)
-        return DEFAULT_MAP_INTERVAL_S
+        return registry.producer(self._kind).map_interval_s(settings_of(self._config, self._kind))
 
     # --- the worker's thread -----------------------------------------------------------------
 
@@ -508,8 +505,10 @@ class ProducerNode(NodeBase):
         """Draw a map aside, on the last one of its generation."""
         begun_s = time.monotonic()
         if self._drawer is None or self._drawer[0] != generation:
+            producer = self._producer
+            assert isinstance(producer, DrawsAside)  # noqa: S101  (else there is no job)
             assert self._drawing is not None  # noqa: S101  (opened for a producer that draws aside)
-            self._drawer = generation, NodeMap(self._config.graph, self._drawing)
+            self._drawer = generation, producer.map_drawer(self._drawing)
         grid = self._drawer[1].draw(job)
         self._draw_time_s = time.monotonic() - begun_s
         return grid
@@ -595,7 +594,7 @@ def _warm(
         scan = Scan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
         trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
     if isinstance(trial, DrawsAside) and drawing is not None:
-        NodeMap(config.graph, drawing).draw(trial.map_job())
+        trial.map_drawer(drawing).draw(trial.map_job())
     else:
         trial.grid()
     return make_producer(kind, config, device)

@@ -1,69 +1,208 @@
-"""The producers by name: how each one comes into being, with its settings, fresh or resumed."""
+"""The producers by name: a record says how each one comes into being, fresh or resumed.
+
+Three are built in. Any package adds its own by an entry point of the group
+``slamfusion.producers`` whose name is the producer's and whose object is a ``Producer``; it then
+takes part in ``slam``, ``run`` and ``node`` by that name. Nothing else knows producers by name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import importlib.metadata
+import logging
+import pkgutil
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.config import RunConfig, from_mapping, read_yaml
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import Resumable
-from slamfusion.slam.gmapping import Gmapping
-from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.tinyslam import TinySlam
 
 __all__ = [
-    "PRODUCERS",
+    "BUILT_IN",
+    "ENTRY_POINTS",
     "Producer",
+    "loop_closers",
     "make_producer",
     "open_producer_device",
+    "producer",
+    "producer_names",
+    "read_config",
     "resume_producer",
+    "settings_of",
+    "with_producers",
+    "with_settings",
 ]
+
+_LOG = logging.getLogger(__name__)
+
+ENTRY_POINTS = "slamfusion.producers"
+# Where the records of our own producers lie, in the order of the papers' tables.
+_PLACES = {
+    "tinyslam": "slamfusion.slam.tinyslam.producer:PRODUCER",
+    "gmapping": "slamfusion.slam.gmapping.producer:PRODUCER",
+    "graph": "slamfusion.slam.graph.producer:PRODUCER",
+}
+BUILT_IN = tuple(_PLACES)
+# Seconds between two published maps of a producer that names no other interval.
+MAP_INTERVAL_S = 1.0
 
 
 @dataclass(frozen=True)
 class Producer:
-    """How a producer comes into being.
+    """How a producer comes into being, and what others need to know of it.
 
     Attributes:
-        make: with its settings and an empty map.
-        resume: from a file of ``Resumable.save_state``, with the settings and the seed that it was
-            made with; None for a producer that cannot. Raises SlamFusionError for another file.
-        small_kernels: what its device is to be good at, see ``open_device``.
+        name: on the command line, in configurations, topics and file names: a letter, then letters,
+            digits and underscores.
+        summary: what it is, one sentence without a full stop.
+        config: its settings with their defaults: an instance of a frozen dataclass that derives
+            from ``slamfusion.config.Checked``.
+        make: a mapper with an empty map, from settings, device and seed.
+        load: a mapper in the state that a file of ``Resumable.save_state`` holds, from the file
+            and the settings, the device and the seed that it was made with; raises
+            SlamFusionError for any other file. None for one that cannot go on.
+        cost: time for a scan, roughly, in tinySLAM's: the longest job of several starts first.
+        closes_loops: whether it corrects its path when it comes back to a place: where maps
+            contradict each other, those that close loops are bent least.
+        map_interval_s: seconds between two maps that its node publishes, from its settings.
+        prefers_small_kernels: what its device is to be good at, see ``open_device``.
     """
 
-    make: Callable[[RunConfig, ComputeDevice], Mapper]
-    resume: Callable[[Path, RunConfig, ComputeDevice], Resumable] | None = None
-    small_kernels: bool = False
+    name: str
+    summary: str
+    config: Any
+    make: Callable[[Any, ComputeDevice, int], Mapper]
+    load: Callable[[Path, Any, ComputeDevice, int], Resumable] | None = None
+    cost: float = 1.0
+    closes_loops: bool = False
+    map_interval_s: Callable[[Any], float] = lambda _: MAP_INTERVAL_S
+    prefers_small_kernels: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a name that is none of a topic, a parameter and a file."""
+        if not (self.name.isascii() and self.name.isidentifier() and self.name[0] != "_"):
+            message = (
+                f"a producer's name must be letters, digits and underscores, found {self.name!r}"
+            )
+            raise ValueError(message)
 
 
-def _gmapping(config: RunConfig, device: ComputeDevice) -> Resumable:
-    return Gmapping(config.gmapping, device, config.seed)
+@cache
+def _others() -> Mapping[str, importlib.metadata.EntryPoint]:
+    """Return the entry points of other packages, by name; none is imported."""
+    found: dict[str, importlib.metadata.EntryPoint] = {}
+    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        if point.name in _PLACES or point.name in found:
+            _LOG.warning(
+                "the producer %r of %s is not used: another one has this name",
+                point.name,
+                point.value,
+            )
+            continue
+        found[point.name] = point
+    return found
 
 
-def _resumed_gmapping(path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
-    return Gmapping.load_state(path, config.gmapping, device, config.seed)
+def producer_names() -> tuple[str, ...]:
+    """Return the names of all producers: those built in, then those of other packages."""
+    return (*BUILT_IN, *sorted(_others()))
 
 
-def _graph(config: RunConfig, device: ComputeDevice) -> Resumable:
-    return GraphSlam(config.graph, device, config.seed)
+def producer(name: str) -> Producer:
+    """Return a producer's record.
+
+    Raises:
+        SlamFusionError: there is none of this name, and the known ones are named; or the package
+            that offers it cannot be imported, or offers something else.
+    """
+    if name in _PLACES:
+        found = pkgutil.resolve_name(_PLACES[name])
+    elif name in _others():
+        point = _others()[name]
+        try:
+            found = point.load()
+        except Exception as error:
+            message = f"the producer {name!r} cannot be loaded from {point.value}: {error!r}"
+            raise SlamFusionError(message) from error
+    else:
+        message = f"no producer {name!r}; wanted one of {', '.join(producer_names())}"
+        raise SlamFusionError(message)
+    if not isinstance(found, Producer) or found.name != name:
+        shown = f"one called {found.name!r}" if isinstance(found, Producer) else repr(found)
+        message = f"the entry point {name!r} must name a Producer of this name, found {shown}"
+        raise SlamFusionError(message)
+    return found
 
 
-def _resumed_graph(path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
-    return GraphSlam.load_state(path, config.graph, device, config.seed)
+def loop_closers(names: Collection[str]) -> tuple[str, ...]:
+    """Return those of the names that are producers which close loops."""
+    known = producer_names()
+    return tuple(name for name in names if name in known and producer(name).closes_loops)
 
 
-# Every producer; its name is also the section of its settings.
-PRODUCERS: dict[str, Producer] = {
-    "tinyslam": Producer(
-        lambda config, device: TinySlam(config.tinyslam, device, config.seed), small_kernels=True
-    ),
-    "gmapping": Producer(_gmapping, _resumed_gmapping),
-    "graph": Producer(_graph, _resumed_graph, small_kernels=True),
-}
+# --- settings ------------------------------------------------------------------------------------
+
+
+def settings_of(config: RunConfig, name: str) -> Any:
+    """Return the settings of a producer: those in the configuration, or else its defaults."""
+    return config.producers[name] if name in config.producers else producer(name).config
+
+
+def with_settings(config: RunConfig, name: str, **changed: Any) -> RunConfig:
+    """Return a configuration in which some settings of a producer are others."""
+    settings = replace(settings_of(config, name), **changed)
+    return replace(config, producers={**config.producers, name: settings})
+
+
+def with_producers(config: RunConfig, names: Collection[str] = BUILT_IN) -> RunConfig:
+    """Return a configuration that holds the settings of these producers, defaults included."""
+    added = {name: settings_of(config, name) for name in names}
+    return replace(config, producers={**config.producers, **added})
+
+
+def read_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
+    """Read a configuration from a YAML file, with the settings of the producers that it names.
+
+    They stand under ``producers``, by name. At the top of the file, where they stood until
+    version 0.1, they are still read, with a warning.
+
+    Args:
+        path: the file.
+        base: holds what the file does not say; default: the defaults.
+
+    Raises:
+        ConfigError: no YAML, an unknown key or producer, a wrong type or range.
+    """
+    whole = RunConfig() if base is None else base
+    values = read_yaml(path)
+    if not isinstance(values, dict):
+        return from_mapping(whole, values, str(path))
+    sections = values.get("producers") or {}
+    if isinstance(sections, dict):
+        moved = {name: values.pop(name) for name in BUILT_IN if name in values}
+        if moved:
+            _LOG.warning(
+                "%s: settings of %s stand under 'producers:' from now on; the next version does "
+                "not read them at the top",
+                path,
+                ", ".join(moved),
+            )
+        sections = {**moved, **sections}
+        values["producers"] = sections
+        try:
+            whole = with_producers(whole, [str(name) for name in sections])
+        except SlamFusionError as error:
+            message = f"{path}: producers: {error}"
+            raise ConfigError(message) from None
+    return from_mapping(whole, values, str(path))
+
+
+# --- mappers -------------------------------------------------------------------------------------
 
 
 def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
@@ -73,20 +212,20 @@ def open_producer_device(name: str, config: RunConfig) -> ComputeDevice:
         SlamFusionError: there is no producer of this name; the known ones are named.
         DeviceError: see ``open_device``.
     """
-    return open_device(config.device.device, small_kernels=_producer(name).small_kernels)
+    return open_device(config.device.device, small_kernels=producer(name).prefers_small_kernels)
 
 
 def make_producer(name: str, config: RunConfig, device: ComputeDevice) -> Mapper:
-    """Return a producer of ``PRODUCERS`` with its settings and an empty map.
+    """Return a producer with its settings and an empty map.
 
     Raises:
         SlamFusionError: there is none of this name; the known ones are named.
     """
-    return _producer(name).make(config, device)
+    return producer(name).make(settings_of(config, name), device, config.seed)
 
 
 def resume_producer(name: str, path: Path, config: RunConfig, device: ComputeDevice) -> Resumable:
-    """Return a producer of ``PRODUCERS`` in the state that a file holds.
+    """Return a producer in the state that a file holds.
 
     Args:
         name: the producer.
@@ -99,16 +238,9 @@ def resume_producer(name: str, path: Path, config: RunConfig, device: ComputeDev
             damaged or made with other settings.
         OSError: the file cannot be read.
     """
-    resume = _producer(name).resume
-    if resume is None:
-        able = ", ".join(key for key, value in PRODUCERS.items() if value.resume is not None)
+    load = producer(name).load
+    if load is None:
+        able = ", ".join(other for other in producer_names() if producer(other).load is not None)
         message = f"{name} cannot go on from a saved state; wanted one of {able or '(none)'}"
         raise SlamFusionError(message)
-    return resume(path, config, device)
-
-
-def _producer(name: str) -> Producer:
-    if name not in PRODUCERS:
-        message = f"no producer {name!r}; wanted one of {', '.join(PRODUCERS)}"
-        raise SlamFusionError(message)
-    return PRODUCERS[name]
+    return load(path, settings_of(config, name), device, config.seed)

@@ -25,12 +25,15 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
-from slamfusion.slam.registry import PRODUCERS, make_producer, open_producer_device
+from slamfusion.slam.registry import (
+    make_producer,
+    open_producer_device,
+    producer,
+    producer_names,
+)
 
 __all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 
-# Time for a scan, roughly, in tinySLAM's: the longest job starts first.
-COSTS = {"gmapping": 6.0, "graph": 3.0, "tinyslam": 1.0}
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # Time between two words of a process on how far it is, seconds: a progress bar needs no more.
@@ -93,7 +96,7 @@ class SideBySide:
     others follow in ``wait``.
 
     Args:
-        names: of ``PRODUCERS``, each once.
+        names: of the registry, each once.
         log: what each of them reads, for itself.
         config: their settings; ``config.run`` says how many run at once and for how long.
         scan_odometry: see ``open_log``.
@@ -118,7 +121,7 @@ class SideBySide:
         cores = usable_cores()
         self._processes = min(len(names), config.run.processes or cores)
         self._threads = max(1, cores // self._processes)
-        self._waiting = sorted(names, key=lambda name: -COSTS.get(name, 0.0))
+        self._waiting = sorted(names, key=lambda name: -producer(name).cost)
         self._jobs: list[_Job] = []
         self._outcomes: dict[str, Outcome] = {}
 
@@ -225,8 +228,9 @@ def usable_cores() -> int:
 
 def _check(names: Sequence[str]) -> None:
     """Refuse what is no list of producers."""
-    known = ", ".join(PRODUCERS)
-    unknown = [name for name in names if name not in PRODUCERS]
+    names_known = producer_names()
+    known = ", ".join(names_known)
+    unknown = [name for name in names if name not in names_known]
     if not names or unknown or len(set(names)) < len(names):
         found = ", ".join(names) or "none"
         message = f"wanted some of the producers {known}, each once, found {found}"
@@ -308,7 +312,7 @@ def _answer(
     """Return what the producer made, or why it made nothing."""
     try:
         device = open_producer_device(name, config)
-        producer = make_producer(name, config, device)
+        mapper = make_producer(name, config, device)
         source = open_log(log, config.log, scan_odometry)
         told_s = 0.0
 
@@ -319,7 +323,7 @@ def _answer(
                 told_s = now_s
                 answers.send(source.fraction_read)
 
-        run = run_producer(producer, source, log=source, progress=tell)
+        run = run_producer(mapper, source, log=source, progress=tell)
     except BrokenPipeError:
         raise
     except (SlamFusionError, OSError) as error:

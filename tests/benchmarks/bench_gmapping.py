@@ -10,7 +10,7 @@ chooses which. --config takes a YAML file of settings, as the command line does.
 
 from __future__ import annotations
 
-from slamfusion.slam.registry import PRODUCERS
+from slamfusion.slam.registry import BUILT_IN
 from tests.benchmarks.gmapping.bench import PRODUCER
 from tests.benchmarks.gmapping.large import memory
 from tests.benchmarks.gmapping.recorded import no_odometry, particles, recordings
@@ -39,7 +39,7 @@ PARTS: Parts = {
 def main() -> None:
     parser = parser_of(PARTS, __doc__, "5; memory and standing 1")
     parser.add_argument(
-        "--producer", choices=tuple(dict.fromkeys((PRODUCER, *PRODUCERS))), default=PRODUCER
+        "--producer", choices=tuple(dict.fromkeys((PRODUCER, *BUILT_IN))), default=PRODUCER
     )
     options = parser.parse_args()
     measure(PARTS, options, options.producer, 190)

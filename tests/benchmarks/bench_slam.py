@@ -28,7 +28,7 @@ from slamfusion.io import open_log, read_trajectory, save_map
 from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import simulate
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import PRODUCERS, make_producer
+from slamfusion.slam.registry import BUILT_IN, make_producer
 from slamfusion.trajectory import Trajectory
 from tests.support.datasets import DATASETS
 
@@ -121,7 +121,7 @@ def shown(value: float | None) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--producer", choices=tuple(PRODUCERS), default="tinyslam")
+    parser.add_argument("--producer", choices=tuple(BUILT_IN), default="tinyslam")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--maps", type=Path)

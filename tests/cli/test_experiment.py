@@ -11,7 +11,7 @@ import pytest
 
 from slamfusion.experiments.trials import FUSIONS
 from slamfusion.io import write_carmen, write_tum
-from slamfusion.slam.registry import PRODUCERS
+from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
 from tests.experiments.drives import room
 from tests.support.documents import check_document
@@ -119,7 +119,7 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     document = json_of(done)
-    methods = [*PRODUCERS, *FUSIONS]
+    methods = [*BUILT_IN, *FUSIONS]
     assert len(document["trials"]) == 6
     assert [item["method"] for item in document["summaries"]] == methods * 2
     assert {item["condition"] for item in document["pairs"]} == {"no obstacle", "obstacle"}
@@ -157,7 +157,7 @@ def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
     assert "skipped: intel: " in skipped
     assert skipped.endswith("intel-910-raw.log.gz is not there")
     document = json_of(done)
-    methods = [*PRODUCERS, *FUSIONS]
+    methods = [*BUILT_IN, *FUSIONS]
     assert [item["map"] for item in document["maps"]] == [*methods, "reference"]
     assert all(item["wall_distance_mean_m"] < 0.2 for item in document["maps"][:-1])
     assert set(document["overall"]) == set(FUSIONS)

@@ -18,6 +18,7 @@ from slamfusion.cli.options import config_fields, option_name
 from slamfusion.cli.output import one_line, plain, progress_bar
 from slamfusion.config import GMAPPING_PROFILES
 from slamfusion.errors import MapFileError
+from slamfusion.slam.registry import BUILT_IN, producer
 
 pytestmark = pytest.mark.once
 
@@ -60,13 +61,18 @@ def test_every_public_fusion_field_is_an_option_and_no_expert_one_is() -> None:
             assert (option_name(field) in offered) == (field.info.level == "public"), field.key
 
 
+def leaves(command: click.Command) -> list[click.Command]:
+    """The commands of a group, or the command alone."""
+    if not isinstance(command, click.Group):
+        return [command]
+    context = click.Context(command)
+    found = [command.get_command(context, name) for name in command.list_commands(context)]
+    return [leaf for leaf in found if leaf is not None]
+
+
 def subcommands() -> list[click.Command]:
     """Every command that takes options."""
-    return [
-        leaf
-        for command in COMMANDS
-        for leaf in (command.commands.values() if isinstance(command, click.Group) else [command])
-    ]
+    return [leaf for command in COMMANDS for leaf in leaves(command)]
 
 
 @pytest.mark.parametrize("command", subcommands(), ids=lambda command: str(command.name))
@@ -82,7 +88,8 @@ def test_option_names_are_unique(command: click.Command) -> None:
 
 def gmapping_help() -> dict[str, str]:
     """The help of every option of ``slam gmapping``, by name."""
-    command = slam.command.commands["gmapping"]
+    command = slam.command.get_command(click.Context(slam.command), "gmapping")
+    assert command is not None
     options = [item for item in command.params if isinstance(item, click.Option)]
     return {name: item.help or "" for item in options for name in item.opts}
 
@@ -113,9 +120,13 @@ def test_help_shows_the_value_of_both_profiles() -> None:
 
 def test_only_producers_that_can_go_on_have_the_options_for_it() -> None:
     wanted = {"--save-state", "--resume", "--stop-after"}
-    for name, command in slam.command.commands.items():
+    context = click.Context(slam.command)
+    for name in BUILT_IN:
+        command = slam.command.get_command(context, name)
+        assert command is not None
         offered = {option for parameter in command.params for option in parameter.opts}
-        assert wanted & offered == (wanted if name in slam.RESUMABLE else set())
+        able = producer(name).load is not None
+        assert wanted & offered == (wanted if able else set())
 
 
 def test_check_writable_makes_nothing(tmp_path: Path) -> None:

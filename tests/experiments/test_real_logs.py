@@ -16,7 +16,7 @@ from slamfusion.experiments import REAL_LOGS, RealLogTable, compare_on_logs
 from slamfusion.experiments.real_logs import REFERENCE, RealLogRow, reference_map
 from slamfusion.experiments.trials import FUSIONS
 from slamfusion.grid import OccupancyGrid
-from slamfusion.slam.registry import PRODUCERS
+from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room
 from tests.support.datasets import ABSENT, DATASETS
@@ -65,7 +65,7 @@ def drawn(name: str, shift: int) -> OccupancyGrid:
 def table() -> RealLogTable:
     """Walls that are off by 0 to 6 cells; the log-odds vote is the best, majority the worst."""
     reference = drawn(REFERENCE, 0)
-    shifts = dict(zip((*PRODUCERS, *FUSIONS), (2, 3, 2, 6, 2, 2, 0), strict=True))
+    shifts = dict(zip((*BUILT_IN, *FUSIONS), (2, 3, 2, 6, 2, 2, 0), strict=True))
     rows = []
     for method, shift in shifts.items():
         settings = {"normalize": CONFIG.fusion.normalize, "tolerance_m": 0.1}
@@ -90,12 +90,12 @@ def test_numbers_by_hand() -> None:
 
 def test_tables_hold_every_map() -> None:
     sheet, left = table().sheets(details=False)
-    assert [row[0] for row in sheet.rows] == [*PRODUCERS, *FUSIONS, REFERENCE]
+    assert [row[0] for row in sheet.rows] == [*BUILT_IN, *FUSIONS, REFERENCE]
     assert sheet.rows[-1][1:] == ("-", "-", "-", "-", "-", "12.5%")
     assert "9 scans" in sheet.note
     assert left.rows == (("hall", "majority", "bent"),)
     rows = list(csv.DictReader(io.StringIO(table().to_csv())))
-    assert [row["map"] for row in rows] == [*PRODUCERS, *FUSIONS, REFERENCE]
+    assert [row["map"] for row in rows] == [*BUILT_IN, *FUSIONS, REFERENCE]
     assert rows[-1]["error"] == ""
     assert len(table().to_json()["maps"]) == 8
 
@@ -110,4 +110,4 @@ def test_on_intel_the_fused_map_is_near_the_best_and_doubles_fewer_walls() -> No
     assert found.notes == {}
     assert found.ratios("intel")["majority"] < 1.15
     doubled = {row.method: row.doubled_share for row in found.rows}
-    assert doubled["consensus"] < min(doubled[name] for name in PRODUCERS)
+    assert doubled["consensus"] < min(doubled[name] for name in BUILT_IN)

@@ -30,7 +30,7 @@ from slamfusion.experiments.trials import (
     vote_every_way,
 )
 from slamfusion.sim import COURSES, simulate
-from slamfusion.slam.registry import PRODUCERS
+from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
 from tests.fusion.drawings import building, fusion_config
 
@@ -42,8 +42,7 @@ PARTICLES = 5
 def small(config: RunConfig = RunConfig()) -> RunConfig:  # noqa: B008 - frozen
     """Few particles, one drive."""
     return replace(
-        config,
-        gmapping=replace(config.gmapping, particles=PARTICLES),
+        with_settings(config, "gmapping", particles=PARTICLES),
         experiment=ExperimentConfig(
             ground_obstacle=GroundObstacleConfig(repetitions=1, worlds=1),
             failures=FailuresConfig(repetitions=1),
@@ -75,8 +74,8 @@ def test_every_method_has_an_error(
     done: tuple[Path, list[Trial], list[TrialRecord]],
 ) -> None:
     _, _, (plain, harmed) = done
-    assert list(plain.errors) == [*PRODUCERS, *FUSIONS]
-    assert list(harmed.errors) == [*PRODUCERS, *FUSIONS, *map(alone, FUSIONS)]
+    assert list(plain.errors) == [*BUILT_IN, *FUSIONS]
+    assert list(harmed.errors) == [*BUILT_IN, *FUSIONS, *map(alone, FUSIONS)]
     assert all(0.0 < error < 200.0 for item in (plain, harmed) for error in item.errors.values())
     assert (plain.condition, harmed.condition) == ("no obstacle", "obstacle")
     assert min(plain.wall_f1.values()) > 0.1
@@ -137,7 +136,7 @@ def test_other_settings_are_run_anew(
 
     monkeypatch.setattr(module, "_work", work)
     config = small()
-    other = replace(config, gmapping=replace(config.gmapping, particles=PARTICLES + 1))
+    other = with_settings(config, "gmapping", particles=PARTICLES + 1)
     with pytest.raises(RanError):
         run_trials(trials, other, folder, processes=1)
     # Nor is what another program made believed.
@@ -172,11 +171,8 @@ def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
 ) -> None:
     _, trials, _ = done
     config = small()
-    blind = replace(
-        config,
-        gmapping=replace(config.gmapping, maxUrange=0.1),
-        tinyslam=replace(config.tinyslam, usable_range_m=0.1),
-    )
+    blind = with_settings(config, "gmapping", maxUrange=0.1)
+    blind = with_settings(blind, "tinyslam", usable_range_m=0.1)
     (record,) = run_trials(trials[:1], blind, tmp_path, processes=1)
     assert set(record.notes) == {"tinyslam", "gmapping", "majority"}
     assert record.notes["majority"] == "graph alone: it made the only map"
@@ -189,10 +185,10 @@ def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
 
 def test_where_no_two_maps_agree_the_best_founded_counts_alone() -> None:
     device = module.open_device("numpy")
-    grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(PRODUCERS)]
+    grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(BUILT_IN)]
     paths = {
         name: Trajectory(np.arange(2.0), np.array([[0, 0, 0], [9.0 * index, 0, 0]]))
-        for index, name in enumerate(PRODUCERS)
+        for index, name in enumerate(BUILT_IN)
     }
     notes: dict[str, str] = {}
     config = replace(RunConfig(), fusion=fusion_config())
@@ -226,7 +222,7 @@ def test_failures_are_courses_times_lasers() -> None:
     for failure in FAILURES.values():
         assert failure.course in COURSES
         assert failure.fault in {"", *FAULTS}
-        assert failure.harmed in {"", *PRODUCERS}
+        assert failure.harmed in {"", *BUILT_IN}
     places = {trial.condition: trial.course.world.name for trial in trials}
     assert places["slip, kinect"] == "atrium"
     assert (places["slip, hokuyo"], places["corridor loop, kinect"]) == ("office", "corridor")

@@ -12,7 +12,7 @@ from xml.dom import minidom
 import pytest
 
 from slamfusion import __version__
-from slamfusion.cli.node import NODES
+from slamfusion.cli.ros_tables import NODES
 from tests.cli.command import ROOT
 
 pytestmark = pytest.mark.once

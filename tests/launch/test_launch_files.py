@@ -12,9 +12,7 @@ from typing import Any
 
 import pytest
 
-from slamfusion.cli import executables
-from slamfusion.cli.node import NODES
-from slamfusion.cli.ros_tables import NAME_LISTS, PRODUCERS, TOPICS, node_parameters
+from slamfusion.cli.ros_tables import NAME_LISTS, NODES, PRODUCERS, TOPICS, node_parameters
 from tests.cli.command import ROOT
 from tests.launch.launch_reader import declared, started
 
@@ -64,7 +62,6 @@ def test_a_node_is_started_by_names_that_exist(path: Path):
     frames = {"frame_prefix": "robot1/", "odom_frame": "wheels"}
     (node,) = started(path.name, **needed, **frames).values()
     assert (node.package, node.executable, node.name) == ("slamfusion", f"{name}_node", name)
-    assert hasattr(executables, f"{name}_node")
     known = {option.key for option in node_parameters(name)} | {"use_sim_time"}
     known |= {item.name for item in NAME_LISTS.get(name, ())}
     file, *settings = node.parameters

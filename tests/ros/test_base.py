@@ -238,6 +238,6 @@ def test_the_command_names_every_node_and_refuses_others():
 
 
 def test_every_node_has_its_module():
-    from slamfusion.cli.node import NODES  # noqa: PLC0415
+    from slamfusion.cli.node import NODES, PRODUCER_NODE  # noqa: PLC0415
 
-    assert all(importlib.util.find_spec(module) for module in NODES.values())
+    assert all(importlib.util.find_spec(module) for module in (*NODES.values(), PRODUCER_NODE))

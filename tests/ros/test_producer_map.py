@@ -23,8 +23,9 @@ from slamfusion.config import GraphConfig, RunConfig
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
 from slamfusion.ros import messages, producer_node, qos
-from slamfusion.slam.graph.node_map import DrawsAside, MapJob, NodeMap
-from slamfusion.slam.registry import PRODUCERS, make_producer
+from slamfusion.slam.common.mapper import DrawsAside, MapJob
+from slamfusion.slam.graph.node_map import NodeMap
+from slamfusion.slam.registry import BUILT_IN, make_producer
 from tests.ros.drives import as_sent, offline, scans
 from tests.ros.live import Observer
 
@@ -42,7 +43,7 @@ def there_and_back(count: int) -> list[LogScan]:
 
 def test_only_the_graph_lets_its_map_be_drawn_aside():
     device = open_device()
-    kinds = {k for k in PRODUCERS if isinstance(make_producer(k, RunConfig(), device), DrawsAside)}
+    kinds = {k for k in BUILT_IN if isinstance(make_producer(k, RunConfig(), device), DrawsAside)}
     assert kinds == {"graph"}
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.log import Skips
@@ -15,7 +17,17 @@ from slamfusion.scan import LaserScan
 from slamfusion.slam.records import HealthJson
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["ClosesLoops", "Closure", "Health", "Mapper", "Series", "Step"]
+__all__ = [
+    "ClosesLoops",
+    "Closure",
+    "DrawsAside",
+    "Health",
+    "MapDrawer",
+    "MapJob",
+    "Mapper",
+    "Series",
+    "Step",
+]
 
 
 @dataclass(frozen=True)
@@ -162,3 +174,43 @@ class ClosesLoops(Mapper, Protocol):
 
     def closures(self) -> list[Closure]:
         """Return the closures so far, as they are judged now."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapJob:
+    """What a map is drawn from: it does not change when the mapper goes on.
+
+    Attributes:
+        nodes: at least one; what is drawn at each pose, as the drawer knows it.
+        poses: (N, 3) float64 of them in the map frame: metres, metres, radians.
+        name: of the map.
+    """
+
+    nodes: Sequence[Any]
+    poses: npt.NDArray[np.float64]
+    name: str
+
+
+class MapDrawer(Protocol):
+    """Draws the maps of one mapper, one after another, on a device and in a thread of its own."""
+
+    def draw(self, job: MapJob) -> OccupancyGrid:
+        """Return the map."""
+
+
+@runtime_checkable
+class DrawsAside(Mapper, Protocol):
+    """A mapper whose map is drawn in another thread, while scans go on."""
+
+    def map_job(self, *, is_settled: bool = False) -> MapJob:
+        """Return what the map is drawn from.
+
+        Args:
+            is_settled: drawn from it the map is that of ``grid``; else asking takes no time.
+
+        Raises:
+            SlamFusionError: no scan has been used yet, so there is no map.
+        """
+
+    def map_drawer(self, device: ComputeDevice) -> MapDrawer:
+        """Return what draws its maps on another device; it shares nothing with the mapper."""

@@ -8,9 +8,7 @@ taken back and counted elsewhere: the map is the same, to the bit, as one drawn 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +20,10 @@ from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.slam.common.hit_cells import halve_counts, percent_of_counts
-from slamfusion.slam.common.mapper import Mapper
+from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
 
-__all__ = ["DrawsAside", "MapJob", "Node", "NodeMap"]
+__all__ = ["Node", "NodeMap"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -56,36 +54,6 @@ class Node:
     def points(self) -> F64:
         """Return the (B, 2) hits in the robot's frame, metres."""
         return self.ends.astype(np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class MapJob:
-    """What a map is drawn from: it does not change when the graph goes on.
-
-    Attributes:
-        nodes: at least one.
-        poses: (N, 3) of them in the map frame.
-        name: of the map.
-    """
-
-    nodes: Sequence[Node]
-    poses: F64
-    name: str
-
-
-@runtime_checkable
-class DrawsAside(Mapper, Protocol):
-    """A producer whose map a ``NodeMap`` draws in another thread, while scans go on."""
-
-    def map_job(self, *, is_settled: bool = False) -> MapJob:
-        """Return what the map is drawn from.
-
-        Args:
-            is_settled: drawn from it the map is that of ``grid``; else asking takes no time.
-
-        Raises:
-            SlamFusionError: no scan has been used yet, so there is no map.
-        """
 
 
 class NodeMap:

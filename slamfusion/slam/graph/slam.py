@@ -23,7 +23,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import IDENTITY, OccupancyGrid
 from slamfusion.scan import LaserScan
-from slamfusion.slam.common.mapper import Closure, Series, Step
+from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.runner import FIRST_REPORTED
@@ -34,7 +34,7 @@ from slamfusion.slam.graph.local_map import LocalMap
 from slamfusion.slam.graph.localizer import Localizer, Observation
 from slamfusion.slam.graph.loop_closure import LoopClosure
 from slamfusion.slam.graph.map_graph import MapGraph
-from slamfusion.slam.graph.node_map import MapJob, NodeMap
+from slamfusion.slam.graph.node_map import NodeMap
 from slamfusion.slam.graph.path import NO_NODE, DrivenPath
 from slamfusion.slam.graph.state import GraphState
 from slamfusion.trajectory import Trajectory
@@ -223,6 +223,10 @@ class GraphSlam:
     def grid(self) -> OccupancyGrid:
         """Return the map of all nodes at their poses of today; see ``Mapper.grid``."""
         return self._map.draw(self.map_job(is_settled=True))
+
+    def map_drawer(self, device: ComputeDevice) -> NodeMap:
+        """Return what draws the maps on another device; see ``DrawsAside``."""
+        return NodeMap(self._config, device)
 
     def map_job(self, *, is_settled: bool = False) -> MapJob:
         """Return what a ``NodeMap`` on another device draws the map from, in another thread.

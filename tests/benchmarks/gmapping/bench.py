@@ -24,7 +24,7 @@ from slamfusion.evaluation import (
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, save_map
 from slamfusion.slam.common.runner import ProducerRun, run_producer
-from slamfusion.slam.registry import make_producer
+from slamfusion.slam.registry import make_producer, with_settings
 from slamfusion.trajectory import Trajectory
 from tests.support.measures import closure_error
 from tests.support.odometry import without_odometry
@@ -87,7 +87,7 @@ class Bench:
 
     def configured(self, **settings: Any) -> RunConfig:
         """Return the configuration with settings of gmapping put in."""
-        return replace(self.config, gmapping=replace(self.config.gmapping, **settings))
+        return with_settings(self.config, "gmapping", **settings)
 
     def run(
         self, scans: Iterable[LogScan], seed: int, config: RunConfig | None = None

@@ -20,6 +20,7 @@ from slamfusion.experiments.drives import RELATIONS, Drive
 from slamfusion.io import open_log, read_trajectory
 from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.registry import settings_of, with_settings
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_slam import error, floor, within_floor
 from tests.benchmarks.gmapping.bench import OVER_SEEDS, Bench, over_seeds, shown
@@ -175,9 +176,9 @@ def _log_row(bench: Bench, item: CorrectedLog, seed: int) -> list[str]:
     """Run on a corrected log and say how it went."""
     config = replace(bench.config, seed=seed)
     if item.odometry is None:
-        config = replace(config, graph=replace(config.graph, odometry="none"))
+        config = with_settings(config, "graph", odometry="none")
     log = open_log(item.log, config.log, item.odometry)
-    slam = GraphSlam(config.graph, bench.device, seed)
+    slam = GraphSlam(settings_of(config, "graph"), bench.device, seed)
     run = run_producer(slam, log, log=log)
     corrected = read_trajectory(item.log, config.log)
     bench.keep_map(run.grid, seed, item.name)
@@ -235,7 +236,7 @@ def _report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunCo
         trajectory=run.trajectory,
         config=config,
         warnings=[(f"{run.name}:", sentence) for sentence in run.doubts()],
-        odometry=run.odometry if config.graph.odometry == "poses" else None,
+        odometry=run.odometry if settings_of(config, "graph").odometry == "poses" else None,
         series=run.series,
         other_paths=(*run.other_paths, beside),
     )

@@ -19,6 +19,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.sim import Recording, named_course, simulate
 from slamfusion.slam.common.runner import ProducerRun, run_producer, skipped_scans
 from slamfusion.slam.graph import GraphSlam
+from slamfusion.slam.registry import settings_of
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.gmapping.bench import WALLS, Bench, Judged, mean_walls, shown
 from tests.benchmarks.gmapping.simulated import (
@@ -81,7 +82,7 @@ class Loops:
 
 def run_graph(bench: Bench, drive: Drive, seed: int) -> tuple[ProducerRun, Loops]:
     """Run a fresh graph on a drive, and judge its closures."""
-    slam = GraphSlam(bench.config.graph, bench.device, seed)
+    slam = GraphSlam(settings_of(bench.config, "graph"), bench.device, seed)
     scans, truth = drive
     return run_producer(slam, scans), Loops.of(slam, truth)
 

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamfusion.cli.slam import NAMES, RESUMABLE
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.io.log import LogScan
-from slamfusion.slam.common.runner import FIRST_REPORTED, Resumable, run_producer
-from slamfusion.slam.registry import PRODUCERS, make_producer, resume_producer
+from slamfusion.slam.common.runner import FIRST_REPORTED, run_producer
+from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 from tests.support.producers import DeadReckoning, ListLog, ResumableReckoning, room_drive
 
@@ -234,28 +233,6 @@ def test_the_record_does_not_change_when_the_producer_goes_on() -> None:
     run = run_producer(backend, room_drive(2))
     backend.feed(room_drive(3)[2].scan)
     assert run.scans == 2
-
-
-def test_the_command_line_offers_every_producer() -> None:
-    assert tuple(PRODUCERS) == NAMES
-
-
-def test_the_command_line_resumes_every_producer_that_can() -> None:
-    able = tuple(name for name, producer in PRODUCERS.items() if producer.resume is not None)
-    assert able == RESUMABLE
-    for name in PRODUCERS:
-        made = make_producer(name, RunConfig(), NumpyDevice())
-        assert isinstance(made, Resumable) == (name in RESUMABLE)
-
-
-def test_a_producer_that_cannot_go_on_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SlamFusionError, match="tinyslam cannot go on from a saved state"):
-        resume_producer("tinyslam", tmp_path / "state", RunConfig(), NumpyDevice())
-
-
-def test_an_unknown_producer_is_named() -> None:
-    with pytest.raises(SlamFusionError, match=r"'hector'.*tinyslam"):
-        make_producer("hector", RunConfig(), NumpyDevice())
 
 
 def test_tinyslam_makes_a_map_of_the_room() -> None:

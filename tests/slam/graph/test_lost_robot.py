@@ -14,8 +14,9 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.io.log import LogScan
+from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph import GraphSlam
-from slamfusion.slam.graph.node_map import MapJob, NodeMap
+from slamfusion.slam.graph.node_map import NodeMap
 from tests.slam.drives import CELL_M
 from tests.slam.places import (
     U8,

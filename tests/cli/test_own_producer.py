@@ -1,0 +1,90 @@
+"""A producer of another package takes part by its name alone: ``tests/support/dead_reckoning``."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import LogConfig
+from slamfusion.io import load_map
+from slamfusion.io.trajectories import read_trajectory
+from tests.cli.command import json_of, run
+from tests.support.own_producer import NAME, with_own_producer
+
+pytestmark = pytest.mark.once
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return with_own_producer(tmp_path_factory.mktemp("venv"))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a short simulated drive."""
+    folder = tmp_path_factory.mktemp("drive")
+    made = json_of(run("simulate", "f16", "-o", folder, "--seed", "3", "--json"))
+    return next(Path(file) for file in made["files"] if file.endswith(".log.gz"))
+
+
+def slamfusion(python: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(python), "-m", "slamfusion", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=180.0,
+        env={**os.environ, "COLUMNS": "200"},
+    )
+
+
+def test_it_is_listed_and_has_its_own_options(python: Path) -> None:
+    listed = slamfusion(python, "slam", "--help")
+    assert NAME in listed.stdout, listed.stderr
+    told = slamfusion(python, "slam", NAME, "--help").stdout
+    assert "Dead reckoning: scans drawn where the odometry says they are." in told
+    assert "--usable-range-m" in told
+    assert "--save-state" not in told
+    absent = run("slam", NAME, "--help")
+    assert absent.returncode == 2, "it is installed where it should not be"
+
+
+def test_it_makes_a_map_with_the_settings_it_is_given(
+    python: Path, log: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "map"
+    done = slamfusion(python, "slam", NAME, log, "-o", out, "--resolution", "0.1", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    (record,) = document["producers"]
+    assert record["name"] == NAME
+    assert record["scans_used"] > 100
+    assert document["config"]["producers"] == {NAME: {"resolution": 0.1, "usable_range_m": 30.0}}
+    grid = load_map(out.with_suffix(".yaml"))
+    assert grid.resolution == 0.1
+    assert set(np.unique(grid.cells)) == {-1, 0, 100}
+    assert len(read_trajectory(out.with_suffix(".tum"), LogConfig())) == record["scans"]
+
+
+def test_it_takes_part_in_a_run_beside_one_that_is_built_in(
+    python: Path, log: Path, tmp_path: Path
+) -> None:
+    config = tmp_path / "run.yaml"
+    config.write_text(f"producers: {{{NAME}: {{usable_range_m: 8.0}}}}\n")
+    out = tmp_path / "out"
+    names = f"tinyslam,{NAME}"
+    done = slamfusion(
+        python, "run", log, "-o", out, "--producers", names, "--config", config, "--json"
+    )
+    document = json.loads(done.stdout)
+    assert [item["name"] for item in document["producers"]] == names.split(","), done.stderr
+    assert [item["failed"] for item in document["producers"]] == [None, None]
+    assert document["config"]["producers"][NAME]["usable_range_m"] == 8.0
+    folder = out if document["fused"] else Path(document["producers"][0]["files"][0]).parent
+    assert (folder / f"{NAME}.yaml").is_file()
+    assert {item["name"] for item in document["inputs"]} == set(names.split(","))
