@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -18,17 +19,7 @@ CORE = (
     "slamfusion.sim",
     "slamfusion.cli.main",
 )
-LAYERS = {  # what a package may not import, directly
-    "fusion": ("cli", "report", "ros", "evaluation"),
-    "evaluation": ("cli", "report", "ros", "fusion"),
-    "compute": ("cli", "report", "ros", "evaluation", "fusion", "io"),
-    "io": ("cli", "report", "ros", "evaluation", "fusion", "compute"),
-    "sim": ("cli", "report", "ros", "fusion", "experiments"),
-    "slam": ("cli", "report", "ros", "fusion", "evaluation", "sim", "experiments"),
-    "report": ("cli", "ros", "experiments"),
-    "jobs": ("cli", "ros", "experiments"),
-    "experiments": ("cli", "ros", "report"),
-}
+LINT = "from importlinter.cli import lint_imports_command; lint_imports_command()"
 
 
 def test_the_wheel_carries_every_kernel(tmp_path: Path):
@@ -55,10 +46,44 @@ def test_the_core_needs_no_opencl_plots_or_ros(module: str):
     assert not loaded & {"pyopencl", "matplotlib", "rclpy"}
 
 
-@pytest.mark.parametrize("package", sorted(LAYERS))
-def test_imports_point_down(package: str):
-    for path in (ROOT / "slamfusion" / package).rglob("*.py"):
-        text = path.read_text(encoding="utf-8")
-        for other in LAYERS[package]:
-            assert f"from slamfusion.{other}" not in text, f"{path} imports slamfusion.{other}"
-            assert f"import slamfusion.{other}" not in text, f"{path} imports slamfusion.{other}"
+@pytest.fixture
+def import_linter() -> None:
+    if sys.version_info < (3, 11):
+        pytest.skip("import-linter needs Python 3.11")
+    pytest.importorskip("importlinter", reason="import-linter comes with the dev extra")
+
+
+def contracts(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Hold the package in a folder against the contracts in its pyproject.toml."""
+    lint = [sys.executable, "-c", LINT, "--no-cache"]
+    return subprocess.run(lint, cwd=folder, check=False, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.usefixtures("import_linter")
+def test_imports_point_down():
+    done = contracts(ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+@pytest.mark.usefixtures("import_linter")
+@pytest.mark.parametrize(
+    ("module", "line", "broken"),
+    [
+        ("io/log.py", "from slamfusion.fusion import accept", "imports point down"),
+        ("fusion/vote.py", "import slamfusion.slam.common", "imports point down"),
+        ("anywhere.py", "", "imports point down"),
+        ("grid.py", "import rclpy.node", "only slamfusion.ros imports rclpy"),
+        ("cli/main.py", "def f() -> None:\n    import matplotlib", "only slamfusion.report"),
+    ],
+)
+def test_an_import_that_points_up_is_noticed(tmp_path: Path, module: str, line: str, broken: str):
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    sources = shutil.ignore_patterns("__pycache__", "*.json", "*.html", "*.css", "*.js")
+    shutil.copytree(ROOT / "slamfusion", tmp_path / "slamfusion", ignore=sources)
+    with (tmp_path / "slamfusion" / module).open("a", encoding="utf-8") as file:
+        file.write(f"\n{line}\n")
+    done = contracts(tmp_path)
+    assert done.returncode == 1, done.stdout + done.stderr
+    (found,) = (row for row in done.stdout.splitlines() if row.endswith(" BROKEN"))
+    assert found.startswith(broken)
