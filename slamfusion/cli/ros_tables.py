@@ -1,8 +1,8 @@
 """What the ROS nodes have: topics, services and parameters, for the README and the launch files.
 
-``python -m slamfusion.cli.ros_tables`` rewrites ``launch_scripts/slamfusion.yaml`` and the README's
-tables where it has their marks. Nothing here needs ROS; a test holds the lists against the running
-nodes.
+``python -m slamfusion.cli.ros_tables`` rewrites ``launch_scripts/slamfusion.yaml`` and, where the
+README has their marks, its tables and its picture of the nodes. Nothing here needs ROS; a test
+holds the lists against the running nodes.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ __all__ = [
     "NameList",
     "Service",
     "Topic",
+    "node_graph",
     "node_parameters",
     "parameter_file",
     "parameter_table",
@@ -271,6 +272,46 @@ def topic_table() -> str:
     return "\n".join(lines)
 
 
+# The data's way in the picture of the nodes.
+WAY = ("player", "producers", "fusion", "users")
+
+
+def node_graph() -> str:
+    """Return a Mermaid picture of the nodes, with an arrow for the topics from one to another.
+
+    The way is from the player by the producers and the fusion to whoever listens, who also gets
+    what no later node of ours reads. What goes the other way (``/tf`` to everybody, and maps and
+    poses to the player, who waits for them) and the topics that stand in for ``/tf`` where tf2_msgs
+    is absent are left out.
+    """
+    arrows: dict[tuple[str, str], list[str]] = {}
+    for topic in TOPICS:
+        for writer in topic.writers if topic.needs_tf2 is not False else ():
+            later = WAY[WAY.index(writer) + 1 : -1]
+            for reader in [name for name in later if name in topic.readers] or WAY[-1:]:
+                arrows.setdefault((writer, reader), []).append(topic.name)
+    services = ", ".join(item.name for item in SERVICES)
+    lines = [
+        "```mermaid",
+        "flowchart LR",
+        '    player["player<br>or the robot itself"]',
+        '    subgraph producers["producers, each with its NAME"]',
+        # A word of Mermaid's own, such as graph, is no identifier.
+        *(f'        {name}_node["{name}"]' for name in PRODUCERS),
+        "    end",
+        '    other(["any other SLAM"])',
+        '    saved(["a saved map"])',
+        f'    fusion["fusion<br>{services}"]',
+        '    users(["whoever listens:<br>navigation, RViz, Foxglove"])',
+        '    other -. "its map" .-> fusion',
+        '    saved -. "file:PATH" .-> fusion',
+    ]
+    for (writer, reader), names in arrows.items():
+        shown = "<br>".join(names)
+        lines.append(f'    {writer} -- "{shown}" --> {reader}')
+    return "\n".join([*lines, "```"])
+
+
 def service_table() -> str:
     """Return a Markdown table of every service."""
     lines = ["| service | type | node | what |", "| --- | --- | --- | --- |"]
@@ -296,8 +337,9 @@ def parameter_table() -> str:
     return "\n".join(lines)
 
 
-# What stands between the marks of each table.
+# What stands between the marks of each table and of the picture.
 TABLES = {
+    "ROS nodes": node_graph,
     "ROS topics": topic_table,
     "ROS services": service_table,
     "ROS parameters": parameter_table,
