@@ -46,6 +46,11 @@ def test_the_core_needs_no_opencl_plots_or_ros(module: str):
     assert not loaded & {"pyopencl", "matplotlib", "rclpy"}
 
 
+def test_who_reads_maps_does_not_wait_for_scipy():
+    script = "import sys, slamfusion.cli.main, slamfusion.io; assert 'scipy' not in sys.modules"
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
 @pytest.fixture
 def import_linter() -> None:
     if sys.version_info < (3, 11):

@@ -19,9 +19,15 @@ import numpy.typing as npt
 from slamfusion.config import LogConfig
 from slamfusion.errors import LogError, ScanError, SlamFusionError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angle
-from slamfusion.grid import IDENTITY
 from slamfusion.io.log import FARTHEST_M, Continuity, LogScan, Skips
-from slamfusion.io.transforms import TransformTree
+from slamfusion.io.transforms import (
+    HOLD_S,
+    REACH_S,
+    TILT_MAX_RAD,
+    Mount,
+    TransformTree,
+    plan_poses,
+)
 from slamfusion.io.tum import quaternion_yaw_rad
 from slamfusion.scan import LaserScan
 
@@ -40,27 +46,14 @@ _ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
 _TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _BASE_FRAMES = ("base_footprint", "base_link")
 
-# A scan this little outside the odometry takes its nearest pose; between two poses it must be this
-# near to one of them.
-_HOLD_S = 0.05
-_REACH_S = 0.5
-# A laser tilted by more than this does not see the plane; by more than the other, say so.
-_TILT_MAX_RAD = math.radians(60.0)
+# A laser tilted by more is worth a word.
 _TILT_NOTED_RAD = math.radians(5.0)
 
 UNREADABLE = "message that cannot be read"
 NO_SCAN = "angles or ranges that cannot be a scan"
 BEFORE_ODOMETRY = "laser before odometry"
 AFTER_ODOMETRY = "laser after odometry"
-NO_ODOMETRY = f"no odometry within {_REACH_S:g} s of the laser"
-
-
-@dataclass(frozen=True)
-class _Mount:
-    """Where the laser sits, and whether it hangs upside down."""
-
-    pose: Pose2 = IDENTITY
-    is_flipped: bool = False
+NO_ODOMETRY = f"no odometry within {REACH_S:g} s of the laser"
 
 
 @dataclass(frozen=True)
@@ -73,16 +66,16 @@ class _Odometry:
 
     def at(self, stamp_s: float) -> Pose2 | str:
         """Return the pose at a time, linear between neighbours, or why there is none."""
-        if stamp_s < self.stamps_s[0] - _HOLD_S:
+        if stamp_s < self.stamps_s[0] - HOLD_S:
             return BEFORE_ODOMETRY
-        if stamp_s > self.stamps_s[-1] + _HOLD_S:
+        if stamp_s > self.stamps_s[-1] + HOLD_S:
             return AFTER_ODOMETRY
         after = int(np.searchsorted(self.stamps_s, stamp_s))
         if after in {0, len(self.stamps_s)}:
             return Pose2(*self.poses[min(after, len(self.stamps_s) - 1)].tolist())
         since_s = stamp_s - float(self.stamps_s[after - 1])
         until_s = float(self.stamps_s[after]) - stamp_s
-        if min(since_s, until_s) > _REACH_S:
+        if min(since_s, until_s) > REACH_S:
             return NO_ODOMETRY
         first, second = self.poses[after - 1].tolist(), self.poses[after].tolist()
         share = since_s / (since_s + until_s)
@@ -124,7 +117,7 @@ class BagLog:
         self.has_stamps = True
         self.fraction_read = 0.0
         self._config = config
-        self._mounts: dict[str, _Mount] = {}
+        self._mounts: dict[str, Mount] = {}
         self._tree = TransformTree()
         with self._open() as reader:
             self._scan_topic = self._choose(reader, _SCAN_TYPES, config.scan_topic, "scan_topic")
@@ -255,7 +248,7 @@ class BagLog:
             is_static = connection.topic.endswith("tf_static")
             for item in () if message is None else message.transforms:
                 move, turn = item.transform.translation, item.transform.rotation
-                row = np.array((move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w))
+                row = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
                 unusable += not self._tree.add(
                     item.header.frame_id,
                     item.child_frame_id,
@@ -265,7 +258,9 @@ class BagLog:
                 )
             unusable += message is None
         if unusable:
-            self.notes.append(f"{unusable} transforms are not finite or no rotation; left out")
+            self.notes.append(
+                f"{unusable} transforms are not finite, no rotation, or not of two frames; left out"
+            )
 
     def _odometry_of(self, reader: AnyReader) -> _Odometry | None:
         """Return the odometry by messages, else by transforms, else None."""
@@ -318,7 +313,7 @@ class BagLog:
         """Return the poses of another frame on the robot."""
         if not self._tree.is_connected(base_frame, wanted):
             raise LogError(self._no_way(base_frame, wanted))
-        return compose_poses(poses, _flat(*self._tree.sample(base_frame, wanted, stamps_s)))
+        return compose_poses(poses, plan_poses(self._tree.sample(base_frame, wanted, stamps_s)))
 
     def _no_way(self, base_frame: str, wanted: str) -> str:
         known = ", ".join(sorted(self._tree.frames)) or "none"
@@ -335,7 +330,7 @@ class BagLog:
         stamps_s = self._tree.change_stamps_s(self._config.odom_frame, frame)
         if not stamps_s.size:
             return None
-        poses = _flat(*self._tree.sample(self._config.odom_frame, frame, stamps_s))
+        poses = plan_poses(self._tree.sample(self._config.odom_frame, frame, stamps_s))
         return _Odometry(stamps_s, poses, frame)
 
     def _is_without_stamps(self, reader: AnyReader) -> bool:
@@ -383,36 +378,35 @@ class BagLog:
             mount=mount.pose,
         )
 
-    def _mount(self, frame: str, stamp_s: float) -> _Mount:
+    def _mount(self, frame: str, stamp_s: float) -> Mount:
         """Return where a laser frame sits on the robot; kept when it cannot move."""
         if frame in self._mounts:
             return self._mounts[frame]
         if frame == self._base_frame:
-            mount = self._mounts[frame] = _Mount()
+            mount = self._mounts[frame] = Mount()
             return mount
         if not self._tree.is_connected(self._base_frame, frame):
             self.notes.append(
                 f"no transforms from {self._base_frame!r} to the laser's frame {frame!r}; taken: "
                 "the laser sits upright on the robot's origin and looks ahead"
             )
-            mount = self._mounts[frame] = _Mount()
+            mount = self._mounts[frame] = Mount()
             return mount
-        rotations, translations = self._tree.sample(self._base_frame, frame, stamp_s)
-        up = float(rotations[0, 2, 2])
-        tilt_rad = math.acos(min(abs(up), 1.0))
-        if tilt_rad > _TILT_MAX_RAD:
+        is_static = self._tree.is_constant(self._base_frame, frame)
+        pose = self._tree.sample(self._base_frame, frame, stamp_s)[0]
+        mount = Mount.of(pose, is_static=is_static)
+        if mount.tilt_rad > TILT_MAX_RAD:
             message = (
-                f"{self.path}: the laser {frame!r} is tilted by {math.degrees(tilt_rad):.0f} "
+                f"{self.path}: the laser {frame!r} is tilted by {math.degrees(mount.tilt_rad):.0f} "
                 "degrees, wanted one that lies level; choose another with scan_topic"
             )
             raise LogError(message)
-        mount = _Mount(Pose2(*_flat(rotations, translations)[0].tolist()), up < 0.0)
-        if self._tree.is_constant(self._base_frame, frame):
+        if is_static:
             self._mounts[frame] = mount
-            if tilt_rad > _TILT_NOTED_RAD:
+            if mount.tilt_rad > _TILT_NOTED_RAD:
                 self.notes.append(
-                    f"the laser {frame!r} is tilted by {math.degrees(tilt_rad):.0f} degrees; its "
-                    "ranges are taken as level"
+                    f"the laser {frame!r} is tilted by {math.degrees(mount.tilt_rad):.0f} degrees; "
+                    "its ranges are taken as level"
                 )
         return mount
 
@@ -429,9 +423,3 @@ def _stamp_s(message: Any) -> float:
     """Return the time in a message's header, seconds."""
     stamp = message.header.stamp
     return float(stamp.sec + stamp.nanosec * 1e-9)
-
-
-def _flat(rotations: Floats, translations: Floats) -> Floats:
-    """Return poses (N, 3) in the plane: x, y, and where the x axis points."""
-    yaws = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
-    return np.stack((translations[:, 0], translations[:, 1], yaws), axis=-1)

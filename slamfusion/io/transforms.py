@@ -1,122 +1,194 @@
-"""``TransformTree``: the transforms of a recording, and where each frame is at a time."""
+"""``TransformTree``: the transforms between frames, and where each frame is at a time.
+
+One tree for what a recording sends and for what a robot sends now; it needs no ROS. Rotations are
+SciPy's.
+"""
 
 from __future__ import annotations
 
+import functools
+import importlib
 import math
+import operator
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY
 from slamfusion.io.log import FARTHEST_M
+from slamfusion.io.transform_edge import (
+    HOLD_S,
+    REACH_S,
+    Around,
+    Edge,
+    Row,
+    Step,
+    TransformError,
+)
 
-__all__ = ["TransformTree", "rotation_matrices"]
+__all__ = [
+    "HOLD_S",
+    "KEEP_S",
+    "REACH_S",
+    "TILT_MAX_RAD",
+    "Mount",
+    "TransformError",
+    "TransformTree",
+    "plan_poses",
+]
 
 Floats = npt.NDArray[np.float64]
 
-# A transform that stays the same is kept this often, however often it was sent.
-_KEEP_EVERY_S = 0.1
-# Translations (m) and quaternion parts that differ by less are the same.
-_SAME = 1e-7
+# Of what is sent live, so much is kept, seconds.
+KEEP_S = 10.0
+# A laser tilted by more does not see the plane.
+TILT_MAX_RAD = math.radians(60.0)
+# A shorter quaternion is no rotation.
+SHORTEST = 1e-6
 
 
-@dataclass
-class _Edge:
-    """The transforms from one frame to its child; rows are x, y, z, qx, qy, qz, qw."""
+@dataclass(frozen=True)
+class Mount:
+    """Where something sits on the robot.
 
-    is_static: bool
-    stamps_s: list[float] = field(default_factory=list)
-    rows: list[Floats] = field(default_factory=list)
-    _sorted: tuple[Floats, Floats] | None = None
+    Attributes:
+        pose: of its frame in the robot's base frame; where its x axis points in plan.
+        is_flipped: it hangs upside down.
+        is_static: it cannot move.
+        tilt_rad: between its z axis and the vertical, upside down or not; 0 to pi / 2.
+    """
 
-    def add(self, stamp_s: float, row: Floats) -> None:
-        """Keep a transform; of long rests only some."""
-        self._sorted = None
-        rests = (
-            len(self.rows) > 1
-            and 0.0 <= stamp_s - self.stamps_s[-2] < _KEEP_EVERY_S
-            and _is_same(row, self.rows[-1])
-            and _is_same(row, self.rows[-2])
-        )
-        if rests:
-            self.stamps_s[-1] = max(self.stamps_s[-1], stamp_s)
-            return
-        self.stamps_s.append(stamp_s)
-        self.rows.append(row)
+    pose: Pose2 = IDENTITY
+    is_flipped: bool = False
+    is_static: bool = True
+    tilt_rad: float = 0.0
 
-    def samples(self) -> tuple[Floats, Floats]:
-        """Return stamps (N,) that increase and rows (N, 7) whose quaternions turn the short way."""
-        if self._sorted is None:
-            stamps, first = np.unique(np.array(self.stamps_s), return_index=True)
-            rows = np.array(self.rows)[first]
-            turns = np.einsum("ij,ij->i", rows[1:, 3:], rows[:-1, 3:])
-            signs = np.cumprod(np.where(turns < 0.0, -1.0, 1.0))
-            rows[1:, 3:] *= signs[:, None]
-            self._sorted = stamps, rows
-        return self._sorted
+    @classmethod
+    def of(cls, matrix: Floats, *, is_static: bool) -> Mount:
+        """Return the mount of a (4, 4) pose in the base frame."""
+        (ahead_x, _, _, x), (ahead_y, _, _, y), (_, _, upward, _), _ = matrix.tolist()
+        tilt_rad = math.acos(min(abs(upward), 1.0))
+        return cls(Pose2(x, y, math.atan2(ahead_y, ahead_x)), upward < 0.0, is_static, tilt_rad)
 
-    def is_constant(self) -> bool:
-        """Whether the transform never changes."""
-        rows = self.samples()[1]
-        return self.is_static or bool((np.abs(rows - rows[0]) <= _SAME).all())
 
-    def at(self, stamps_s: Floats) -> tuple[Floats, Floats]:
-        """Return rotations (N, 3, 3) and translations (N, 3), the end ones beyond the ends."""
-        stamps, rows = self.samples()
-        if len(rows) == 1:
-            wanted = np.broadcast_to(rows, (len(stamps_s), 7))
-            return rotation_matrices(wanted[:, 3:]), wanted[:, :3]
-        after = np.clip(np.searchsorted(stamps, stamps_s), 1, len(stamps) - 1)
-        share = (stamps_s - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
-        share = np.clip(share, 0.0, 1.0)[:, None]
-        first, second = rows[after - 1], rows[after]
-        moved = first[:, :3] + share * (second[:, :3] - first[:, :3])
-        return rotation_matrices(_between(first[:, 3:], second[:, 3:], share)), moved
+def plan_poses(matrices: Floats) -> Floats:
+    """Return poses (N, 3) in plan, x, y and where the x axis points, of poses (N, 4, 4)."""
+    yaws = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
+    return np.stack((matrices[:, 0, 3], matrices[:, 1, 3], yaws), axis=-1)
 
 
 class TransformTree:
-    """Frames and the transforms between them, as a recording sends them.
+    """Frames and the transforms between them, of a recording or as they are sent.
 
-    A point of frame b becomes one of frame a by R p + t of ``sample(a, b, ...)``.
+    A recording (``keep_s`` None) is known as a whole: its transforms may come in any order, all are
+    kept, and a frame that is sent in two parents has both. Ask it with ``sample``.
+
+    What is sent live is kept for ``keep_s`` behind the newest of its frame. Several transforms in a
+    row that are more than ``BACK_S`` older than the newest begin their frame again (time jumped
+    back); a single one, or one far ahead, is left out (see ``StampGate``), and so is one that is a
+    little older and comes too late. A frame has the parent that was sent last. Ask it with
+    ``lookup`` and ``mount``, which refuse a time that is not known.
+
+    In both a static transform holds at every time, and the one that was sent last is used; one that
+    is static from now on, or no more, begins again. Frames are related by the shortest way over
+    edges in either direction, by the edge that was named first where two are equally short; a ring
+    of frames is no harm. A leading ``/`` of a frame's name means nothing. Not safe between threads.
+
+    Args:
+        keep_s: see above, seconds.
+
+    Attributes:
+        strays: live transforms left out for their stamps, far from those before and after them.
     """
 
-    def __init__(self) -> None:
-        self._edges: dict[tuple[str, str], _Edge] = {}
-        self._ways: dict[tuple[str, str], list[tuple[_Edge, bool]] | None] = {}
-
-    def add(
-        self, parent: str, child: str, stamp_s: float, row: Floats, *, is_static: bool = False
-    ) -> bool:
-        """Take in one transform.
-
-        Args:
-            parent: frame that the transform leads to; a leading ``/`` means nothing.
-            child: frame of the points.
-            stamp_s: its time, seconds.
-            row: (7,) x, y, z in metres, then the quaternion x, y, z, w of any length but 0.
-            is_static: it holds at every time.
-
-        Returns:
-            Whether it could be used: finite, not absurdly far, and a rotation.
-        """
-        values = np.asarray(row, dtype=np.float64)
-        length = float(np.linalg.norm(values[3:]))
-        is_near = bool((np.abs(values[:3]) <= FARTHEST_M).all())
-        if not (is_near and math.isfinite(length) and length > _SAME):
-            return False
-        key = (parent.lstrip("/"), child.lstrip("/"))
-        edge = self._edges.get(key)
-        if edge is None:
-            edge = self._edges[key] = _Edge(is_static)
-            self._ways.clear()
-        edge.add(stamp_s, np.concatenate((values[:3], values[3:] / length)))
-        return True
+    def __init__(self, keep_s: float | None = None) -> None:
+        # It loads slowly: here, not at the first lookup.
+        importlib.import_module("scipy.spatial.transform")
+        self.strays = 0
+        self._keep_s = keep_s
+        self._edges: dict[tuple[str, str], Edge] = {}
+        self._ways: dict[tuple[str, str], list[Step] | None] = {}
 
     @property
     def frames(self) -> set[str]:
         """Every frame that has been named."""
         return {frame for pair in self._edges for frame in pair}
+
+    def add(
+        self,
+        parent: str,
+        child: str,
+        stamp_s: float,
+        row: Sequence[float],
+        *,
+        is_static: bool = False,
+        arrived_s: float = 0.0,
+    ) -> bool:
+        """Take in one transform.
+
+        Args:
+            parent: frame that the transform leads to.
+            child: frame of the points.
+            stamp_s: its time, seconds.
+            row: (7,) x, y, z in metres, then the quaternion x, y, z, w of any length but 0.
+            is_static: it holds at every time.
+            arrived_s: real time of its arrival, seconds; the same each time where that is not
+                known. Only what is sent live needs it.
+
+        Returns:
+            Whether it is used, or held back until others bear it out: of two frames, finite, not
+            absurdly far, a rotation, and live in order.
+        """
+        x, y, z, *turn = (float(value) for value in row)
+        length = math.hypot(*turn)
+        is_near = all(abs(value) <= FARTHEST_M for value in (x, y, z))
+        if not (is_near and SHORTEST < length < math.inf):
+            return False
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        if not parent or not child or parent == child:
+            return False
+        qx, qy, qz, qw = (value / length for value in turn)
+        unit: Row = (x, y, z, qx, qy, qz, qw)
+        edge = self._edge(parent, child, is_static=is_static)
+        edge.heard_s = stamp_s
+        if is_static:
+            edge.restart(is_static=True)
+        if is_static or self._keep_s is None:
+            edge.record(stamp_s, unit)
+            return True
+        passed = edge.gate.offer(stamp_s, (stamp_s, unit), arrived_s)
+        self.strays += len(passed.strays)
+        return edge.take(passed, self._keep_s) if passed.items else True
+
+    def heard_s(self, target: str, source: str) -> float | None:
+        """Return the stamp that was heard last of what moves a frame in another, seconds.
+
+        Of several moving frames between them the oldest; None where nothing moves or connects them.
+        """
+        edges = [edge for edge, _ in self._way(target, source) or []]
+        return min((edge.heard_s for edge in edges if not edge.is_static), default=None)
+
+    def settle(self, time_s: float) -> None:
+        """Let in what is held back and nearer to a time than what is used: time is there now."""
+        for edge in self._edges.values():
+            held_s, newest_s = edge.gate.held_for_s, edge.gate.newest_s
+            if self._keep_s is None or held_s is None or newest_s is None:
+                continue
+            if abs(held_s - time_s) < abs(newest_s - time_s):
+                edge.take(edge.gate.confirm(), self._keep_s)
+
+    def forget_after(self, time_s: float) -> None:
+        """Forget moving transforms newer than a time: the clock has jumped back before them."""
+        for key, edge in list(self._edges.items()):
+            if edge.is_static:
+                continue
+            edge.forget_after(time_s)
+            if not edge.stamps_s:
+                self._forget(key)
 
     def is_connected(self, target: str, source: str) -> bool:
         """Whether transforms lead from one frame to the other."""
@@ -127,7 +199,7 @@ class TransformTree:
         return all(edge.is_constant() for edge, _ in self._way(target, source) or [])
 
     def change_stamps_s(self, target: str, source: str) -> Floats:
-        """Return the times (N,) at which something between the frames was sent anew.
+        """Return the times (N,) at which something between the frames was sent again.
 
         Only what is not static counts, and within it what moves, if anything does; times at which
         not everything is known yet, or no more, are left out.
@@ -141,90 +213,158 @@ class TransformTree:
         low, high = max(span[0] for span in spans), min(span[-1] for span in spans)
         return np.asarray(stamps[(stamps >= low) & (stamps <= high)])
 
-    def sample(self, target: str, source: str, stamps_s: npt.ArrayLike) -> tuple[Floats, Floats]:
+    def sample(self, target: str, source: str, stamps_s: npt.ArrayLike) -> Floats:
         """Return the pose of the source frame in the target frame at given times.
 
-        Translations are interpolated linearly, rotations at constant speed the short way.
+        Translations are interpolated linearly, rotations at constant speed the short way, over
+        gaps of any length; before the first transform of a frame it is the first, after the last
+        the last.
 
         Args:
             target: a frame.
             source: a frame connected with it.
-            stamps_s: (N,) seconds.
+            stamps_s: (N,) seconds, or one number.
 
         Returns:
-            (N, 3, 3) rotations and (N, 3) translations, metres.
+            (N, 4, 4): a point p of the source frame is M p in the target frame, metres.
 
         Raises:
-            KeyError: nothing connects the frames; ask ``is_connected`` first.
+            TransformError: nothing connects the frames.
         """
+        way = self._known_way(target, source)
+        times = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
+        return _chained(way, [edge.around(times) for edge, _ in way], len(times))
+
+    def lookup(self, target: str, source: str, time_s: float) -> Pose2:
+        """Return the pose of a frame in another at a time, in plan; see ``mount``.
+
+        Args:
+            target: the frame the pose is in.
+            source: the frame whose pose it is.
+            time_s: seconds.
+
+        Raises:
+            TransformError: see ``mount``.
+        """
+        return self.mount(target, source, time_s).pose
+
+    def mount(self, target: str, source: str, time_s: float, hold_s: float = HOLD_S) -> Mount:
+        """Return where a frame sits in another at a time, interpolated as in ``sample``.
+
+        Args:
+            target: the frame the pose is in.
+            source: the frame whose pose it is.
+            time_s: seconds.
+            hold_s: so far outside of what is known the nearest transform is taken.
+
+        Raises:
+            TransformError: not connected; tilted by more than 60 degrees; or not at that time:
+                farther outside of what is known, or more than ``REACH_S`` from either neighbour.
+        """
+        way = self._known_way(target, source)
+        found = [edge.near(time_s, hold_s) for edge, _ in reversed(way)]
+        matrix = _chained(way, found[::-1], 1)[0]
+        mount = Mount.of(matrix, is_static=all(edge.is_static for edge, _ in way))
+        if mount.tilt_rad > TILT_MAX_RAD:
+            message = (
+                f"frame {source!r} is tilted by {math.degrees(mount.tilt_rad):.0f} degrees against "
+                f"{target!r}; wanted one that lies level"
+            )
+            raise TransformError(message, may_come=False)
+        return mount
+
+    def _edge(self, parent: str, child: str, *, is_static: bool) -> Edge:
+        """Return the edge between two frames, new or begun again where its kind has changed."""
+        key = (parent, child)
+        edge = self._edges.get(key)
+        if edge is None:
+            if self._keep_s is not None:
+                for other in [pair for pair in self._edges if pair[1] == child]:
+                    self._forget(other)
+            edge = self._edges[key] = Edge(parent, child, is_static)
+            self._ways.clear()
+        elif edge.is_static != is_static:
+            edge.restart(is_static=is_static)
+        return edge
+
+    def _forget(self, key: tuple[str, str]) -> None:
+        del self._edges[key]
+        self._ways.clear()
+
+    def _known_way(self, target: str, source: str) -> list[Step]:
         way = self._way(target, source)
         if way is None:
-            raise KeyError((target, source))
-        times = np.atleast_1d(np.asarray(stamps_s, dtype=np.float64))
-        rotation = np.broadcast_to(np.eye(3), (len(times), 3, 3))
-        translation = np.zeros((len(times), 3))
-        for edge, is_forward in way:
-            turn, move = edge.at(times)
-            if not is_forward:
-                turn = np.swapaxes(turn, 1, 2)
-                move = -np.einsum("nij,nj->ni", turn, move)
-            translation = translation + np.einsum("nij,nj->ni", rotation, move)
-            rotation = rotation @ turn
-        return rotation, translation
+            known = ", ".join(sorted(self.frames)) or "none"
+            names = f"from {source.lstrip('/')!r} to {target.lstrip('/')!r}"
+            message = f"no transforms {names}; known frames: {known}"
+            raise TransformError(message, may_come=True)
+        return way
 
-    def _way(self, target: str, source: str) -> list[tuple[_Edge, bool]] | None:
-        """Return the edges from target to source, each with whether it is walked to its child."""
+    def _way(self, target: str, source: str) -> list[Step] | None:
+        """Return the steps from target to source; None where nothing connects them."""
         key = (target.lstrip("/"), source.lstrip("/"))
         if key not in self._ways:
-            self._ways[key] = self._search(*key)
+            self._ways[key] = _shortest_way(self._edges, *key)
         return self._ways[key]
 
-    def _search(self, target: str, source: str) -> list[tuple[_Edge, bool]] | None:
-        """Search breadth first: the shortest way, and the first sent of equals."""
-        neighbours: dict[str, list[tuple[str, _Edge, bool]]] = {}
-        for (parent, child), edge in self._edges.items():
-            neighbours.setdefault(parent, []).append((child, edge, True))
-            neighbours.setdefault(child, []).append((parent, edge, False))
-        ways: dict[str, list[tuple[_Edge, bool]]] = {target: []}
-        queue = deque([target])
-        while queue:
-            frame = queue.popleft()
-            if frame == source:
-                return ways[frame]
-            for other, edge, is_forward in neighbours.get(frame, []):
-                if other not in ways:
-                    ways[other] = [*ways[frame], (edge, is_forward)]
-                    queue.append(other)
-        return None
+
+def _shortest_way(
+    edges: Mapping[tuple[str, str], Edge], target: str, source: str
+) -> list[Step] | None:
+    """Search breadth first: the shortest way, and by the first sent of equals."""
+    neighbours: dict[str, list[tuple[str, Step]]] = {}
+    for (parent, child), edge in edges.items():
+        neighbours.setdefault(parent, []).append((child, Step(edge, is_forward=True)))
+        neighbours.setdefault(child, []).append((parent, Step(edge, is_forward=False)))
+    ways: dict[str, list[Step]] = {target: []}
+    queue = deque([target])
+    while queue:
+        frame = queue.popleft()
+        if frame == source:
+            return ways[frame]
+        for other, step in neighbours.get(frame, []):
+            if other not in ways:
+                ways[other] = [*ways[frame], step]
+                queue.append(other)
+    return None
 
 
-def rotation_matrices(quaternions: Floats) -> Floats:
-    """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4) x, y, z, w."""
-    x, y, z, w = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+def _chained(way: Sequence[Step], found: Sequence[Around], count: int) -> Floats:
+    """Return the poses (N, 4, 4) along a way.
 
+    All edges at once: what takes time is making SciPy's objects, not what they hold.
 
-def _between(first: Floats, second: Floats, share: Floats) -> Floats:
-    """Interpolate unit quaternions (N, 4) on the great circle between them; share (N, 1).
-
-    Source: Shoemake, Animating rotation with quaternion curves, SIGGRAPH 1985.
+    Args:
+        way: E steps.
+        found: of each of them the transforms before and after N times, and the shares.
+        count: N.
     """
-    cosine = np.clip(np.einsum("ij,ij->i", first, second), -1.0, 1.0)[:, None]
-    angle = np.arccos(cosine)
-    sine = np.sin(angle)
-    # Too near for the quotient: the chord is the arc.
-    is_near = sine < 1e-6
-    safe = np.where(is_near, 1.0, sine)
-    one = np.where(is_near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    two = np.where(is_near, share, np.sin(share * angle) / safe)
-    blended = one * first + two * second
-    return np.asarray(blended / np.linalg.norm(blended, axis=1, keepdims=True))
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415  (who reads maps needs none)
+
+    if not way:
+        return np.tile(np.eye(4), (count, 1, 1))
+    before, after, shares = (np.array(part, dtype=np.float64) for part in zip(*found, strict=True))
+    before, after, shares = before.reshape(-1, 7), after.reshape(-1, 7), shares.reshape(-1, 1)
+    start, moves = Rotation.from_quat(before[:, 3:]), before[:, :3]
+    turns = start.as_matrix()
+    if shares.any():
+        # What SciPy's Slerp does; an object of that holds the rotations of one edge alone.
+        between = (start.inv() * Rotation.from_quat(after[:, 3:])).as_rotvec()
+        turns = turns @ Rotation.from_rotvec(shares * between).as_matrix()
+        moves = moves + shares * (after[:, :3] - moves)
+    poses = np.zeros((len(way), count, 4, 4))
+    poses[..., :3, :3] = turns.reshape(len(way), count, 3, 3)
+    poses[..., :3, 3] = moves.reshape(len(way), count, 3)
+    poses[..., 3, 3] = 1.0
+    walked = [
+        pose if step.is_forward else _inverse(pose) for step, pose in zip(way, poses, strict=True)
+    ]
+    return functools.reduce(operator.matmul, walked)
 
 
-def _is_same(one: Floats, other: Floats) -> bool:
-    return bool(np.abs(one - other).max() <= _SAME)
+def _inverse(poses: Floats) -> Floats:
+    """Return the inverses of poses (N, 4, 4)."""
+    back = poses.copy()
+    back[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
+    back[:, :3, 3:] = -(back[:, :3, :3] @ poses[:, :3, 3:])
+    return back

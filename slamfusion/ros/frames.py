@@ -14,11 +14,12 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Transform, TransformStamped
 
 from slamfusion.geometry import Pose2
+from slamfusion.io.transforms import KEEP_S, Mount, TransformError, TransformTree
 from slamfusion.ros import qos
-from slamfusion.ros.transform_buffer import Mount, TransformBuffer, TransformError
+from slamfusion.ros.messages import stamp_s
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -28,7 +29,6 @@ except ImportError:  # only a sourced ROS has it
 __all__ = [
     "HAS_TF2",
     "Mount",
-    "TransformBuffer",
     "TransformError",
     "TransformInput",
     "TransformOutput",
@@ -64,12 +64,18 @@ def _listed(message: Any) -> list[TransformStamped]:
     return list(message.transforms) if hasattr(message, "transforms") else [message]
 
 
+def _row(transform: Transform) -> tuple[float, ...]:
+    """Return place and quaternion of a message, as ``TransformTree`` has them."""
+    move, turn = transform.translation, transform.rotation
+    return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
+
+
 class TransformStore:
-    """A ``TransformBuffer`` that is safe between threads, and can be waited for.
+    """A live ``TransformTree`` of messages, safe between threads, that can be waited for.
 
     Attributes:
         received: transforms taken in so far.
-        refused: transforms left out: not finite, no rotation, or too late.
+        refused: transforms left out: of no two frames, not finite, no rotation, or too late.
         last_s: when the last one was taken in, ``time.monotonic``; None before the first.
     """
 
@@ -77,15 +83,19 @@ class TransformStore:
         self.received = 0
         self.refused = 0
         self.last_s: float | None = None
-        self._buffer = TransformBuffer()
+        self._tree = TransformTree(KEEP_S)
         self._changed = threading.Condition()
 
     def add(self, transforms: Iterable[TransformStamped], *, is_static: bool = False) -> None:
-        """Take in transforms; see ``TransformBuffer.add``."""
+        """Take in transforms; see ``TransformTree.add``."""
         now_s = time.monotonic()
         with self._changed:
             for transform in transforms:
-                is_used = self._buffer.add(transform, is_static=is_static, arrived_s=now_s)
+                named = transform.header.frame_id, transform.child_frame_id
+                row = _row(transform.transform)
+                is_used = self._tree.add(
+                    *named, stamp_s(transform), row, is_static=is_static, arrived_s=now_s
+                )
                 self.received += is_used
                 self.refused += not is_used
                 if is_used and not is_static:
@@ -93,7 +103,7 @@ class TransformStore:
             self._changed.notify_all()
 
     def lookup(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Pose2:
-        """Return the pose of a frame in another at a time; see ``TransformBuffer.lookup``.
+        """Return the pose of a frame in another at a time; see ``TransformTree.lookup``.
 
         Args:
             target: the frame the pose is in.
@@ -107,45 +117,45 @@ class TransformStore:
         return self.mount(target, source, time_s, wait_s).pose
 
     def mount(self, target: str, source: str, time_s: float, wait_s: float = 0.0) -> Mount:
-        """Return the same and whether the frame is upside down; see ``TransformBuffer.mount``."""
+        """Return the same and whether the frame is upside down; see ``TransformTree.mount``."""
         until_s = time.monotonic() + wait_s
         with self._changed:
             while (left_s := until_s - time.monotonic()) > 0.0:
                 try:
-                    return self._buffer.mount(target, source, time_s, hold_s=0.0)
+                    return self._tree.mount(target, source, time_s, hold_s=0.0)
                 except TransformError as error:
                     if not error.may_come:
                         break
                 self._changed.wait(left_s)
-            return self._buffer.mount(target, source, time_s)
+            return self._tree.mount(target, source, time_s)
 
     def forget_after(self, time_s: float) -> None:
         """Forget moving transforms newer than a time: the clock has jumped back before them."""
         with self._changed:
-            self._buffer.forget_after(time_s)
+            self._tree.forget_after(time_s)
 
     def settle(self, time_s: float) -> None:
-        """Let in what is held back: time is there now; see ``TransformBuffer.settle``."""
+        """Let in what is held back: time is there now; see ``TransformTree.settle``."""
         with self._changed:
-            self._buffer.settle(time_s)
+            self._tree.settle(time_s)
             self._changed.notify_all()
 
     def heard_s(self, target: str, source: str) -> float | None:
-        """Return the stamp heard last of what moves a frame; see ``TransformBuffer.heard_s``."""
+        """Return the stamp heard last of what moves a frame; see ``TransformTree.heard_s``."""
         with self._changed:
-            return self._buffer.heard_s(target, source)
+            return self._tree.heard_s(target, source)
 
     @property
     def strays(self) -> int:
         """Transforms left out for their stamps, far from those before and after them."""
         with self._changed:
-            return self._buffer.strays
+            return self._tree.strays
 
     @property
     def frames(self) -> set[str]:
         """Every frame that has been named."""
         with self._changed:
-            return self._buffer.frames
+            return self._tree.frames
 
 
 class TransformInput(TransformStore):

@@ -1,4 +1,4 @@
-"""Claims about the tree of transforms."""
+"""Claims about the tree of transforms of a recording, and how transforms are put together."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from slamfusion.io.transforms import TransformTree, rotation_matrices
+from slamfusion.io.transforms import TransformError, TransformTree, plan_poses
 
 Row = tuple[float, ...]
 
@@ -22,7 +22,7 @@ def level(x: float, y: float, yaw_rad: float) -> Row:
 def tree_of(*edges: tuple[str, str, float, Row]) -> TransformTree:
     tree = TransformTree()
     for parent, child, stamp, row in edges:
-        assert tree.add(parent, child, stamp, np.array(row))
+        assert tree.add(parent, child, stamp, row)
     return tree
 
 
@@ -31,10 +31,11 @@ def test_a_way_leads_down_and_up_again() -> None:
         ("base", "arm", 0.0, level(1.0, 0.0, math.pi / 2.0)),
         ("base", "laser", 0.0, level(3.0, 1.0, 0.0)),
     )
-    rotation, translation = tree.sample("arm", "laser", 0.0)
+    (pose,) = tree.sample("arm", "laser", 0.0)
     # Seen from the arm, whose x axis is the base's y axis.
-    assert translation[0] == pytest.approx([1.0, -2.0, 0.0])
-    assert rotation[0] == pytest.approx(np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), abs=1e-12)
+    expected = [[0, 1, 0, 1], [-1, 0, 0, -2], [0, 0, 1, 0], [0, 0, 0, 1]]
+    assert pose == pytest.approx(np.array(expected), abs=1e-12)
+    assert plan_poses(pose[None])[0] == pytest.approx([1.0, -2.0, -math.pi / 2.0])
 
 
 def test_frames_that_nothing_connects() -> None:
@@ -42,7 +43,7 @@ def test_frames_that_nothing_connects() -> None:
     assert tree.is_connected("a", "b")
     assert not tree.is_connected("a", "d")
     assert not tree.is_connected("a", "none")
-    with pytest.raises(KeyError):
+    with pytest.raises(TransformError, match=r"from 'd' to 'a'; known frames: a, b, c, d"):
         tree.sample("a", "d", 0.0)
 
 
@@ -61,7 +62,7 @@ def test_a_circle_of_frames_ends() -> None:
     ],
 )
 def test_what_is_no_transform_is_refused(row: Row) -> None:
-    assert not TransformTree().add("a", "b", 0.0, np.array(row))
+    assert not TransformTree().add("a", "b", 0.0, row)
 
 
 turns = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
@@ -75,34 +76,91 @@ def test_rotations_between_two_are_scipys(
     if (ends[0].inv() * ends[1]).magnitude() > math.pi - 1e-3:
         return  # half a turn has no short way
     tree = tree_of(("a", "b", 1.0, (0, 0, 0, *first)), ("a", "b", 2.0, (4, 0, 0, *second)))
-    rotation, translation = tree.sample("a", "b", 1.0 + share)
+    (pose,) = tree.sample("a", "b", 1.0 + share)
     expected = Slerp([0.0, 1.0], ends)(share).as_matrix()
-    np.testing.assert_allclose(rotation[0], expected, atol=1e-6)
-    assert translation[0] == pytest.approx([4.0 * share, 0.0, 0.0])
+    np.testing.assert_allclose(pose[:3, :3], expected, atol=1e-6)
+    assert pose[:3, 3] == pytest.approx([4.0 * share, 0.0, 0.0])
 
 
-@given(turn=turns)
-def test_matrices_are_scipys(turn: list[float]) -> None:
-    unit = np.array([turn]) / np.linalg.norm(turn)
-    np.testing.assert_allclose(
-        rotation_matrices(unit), Rotation.from_quat(unit).as_matrix(), atol=1e-12
+@given(first=turns, second=turns)
+def test_between_two_transforms_the_speed_is_constant(
+    first: list[float], second: list[float]
+) -> None:
+    ends = Rotation.from_quat([first, second])
+    angle_rad = float((ends[0].inv() * ends[1]).magnitude())
+    if angle_rad > math.pi - 1e-3:
+        return  # half a turn has no short way
+    tree = tree_of(("a", "b", 1.0, (0, 0, 0, *first)), ("a", "b", 3.0, (8, -4, 2, *second)))
+    poses = tree.sample("a", "b", np.linspace(1.0, 3.0, 6))
+    turns = Rotation.from_matrix(poses[:, :3, :3])
+    steps_rad = (turns[:-1].inv() * turns[1:]).magnitude()
+    np.testing.assert_allclose(steps_rad, angle_rad / 5.0, atol=1e-6)
+    steps_m = np.diff(poses[:, :3, 3], axis=0)
+    np.testing.assert_allclose(steps_m, np.broadcast_to([1.6, -0.8, 0.4], (5, 3)), atol=1e-12)
+
+
+places = st.lists(st.floats(-50, 50), min_size=3, max_size=3)
+rows = st.builds(lambda place, turn: (*place, *turn), places, turns)
+
+
+def matrix(row: Row) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[3:]).as_matrix(), row[:3]
+    return pose
+
+
+@given(st.lists(st.tuples(rows, st.booleans()), min_size=1, max_size=5))
+def test_a_way_is_the_product_of_its_matrices(links: list[tuple[Row, bool]]) -> None:
+    tree, live = TransformTree(), TransformTree(keep_s=10.0)
+    expected = down = np.eye(4)
+    for index, (row, is_forward) in enumerate(links):
+        names = (f"f{index}", f"f{index + 1}")
+        assert tree.add(*(names if is_forward else names[::-1]), 7.0, row)
+        assert live.add(*names, 7.0, row)  # a live frame has one parent
+        expected = expected @ (matrix(row) if is_forward else np.linalg.inv(matrix(row)))
+        down = down @ matrix(row)
+    last = f"f{len(links)}"
+    found = tree.sample("f0", last, [7.0, 1e9])
+    np.testing.assert_allclose(found, [expected, expected], atol=1e-9)
+    np.testing.assert_allclose(tree.sample(last, "f0", 7.0)[0] @ expected, np.eye(4), atol=1e-9)
+    if abs(down[2, 2]) < 0.6 or math.hypot(down[0, 0], down[1, 0]) < 1e-3:
+        return  # tilted
+    mount = live.mount("f0", last, 7.0)
+    assert mount.is_flipped == (down[2, 2] < 0.0)
+    pose = mount.pose
+    assert (pose.x, pose.y) == pytest.approx(down[:2, 3], abs=1e-9)
+    ahead = down[:2, 0] / np.linalg.norm(down[:2, 0])
+    assert (math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)) == pytest.approx(ahead, abs=1e-9)
+
+
+def test_a_recording_may_come_in_any_order_and_in_two_parents() -> None:
+    tree = tree_of(
+        ("odom", "base", 2.0, level(2.0, 0.0, 0.0)),
+        ("map", "base", 1.0, level(7.0, 0.0, 0.0)),
+        ("odom", "base", 1.0, level(1.0, 0.0, 0.0)),
+        ("odom", "base", 1.0, level(50.0, 0.0, 0.0)),
     )
+    found = tree.sample("odom", "base", [0.0, 1.0, 1.5, 2.0, 3.0])
+    assert found[:, 0, 3].tolist() == [1.0, 1.0, 1.5, 2.0, 2.0]
+    assert tree.sample("odom", "map", 1.0)[0, 0, 3] == -6.0
+    assert tree.change_stamps_s("odom", "base").tolist() == [1.0, 2.0]
 
 
 def test_a_long_rest_takes_little_memory_and_changes_nothing() -> None:
     tree = TransformTree()
     for k in range(10_000):
-        tree.add("a", "b", k * 1e-3, np.array(level(min(k, 9000) / 9000.0 // 1.0, 0.0, 0.0)))
+        tree.add("a", "b", k * 1e-3, level(min(k, 9000) / 9000.0 // 1.0, 0.0, 0.0))
     stamps = tree.change_stamps_s("a", "b")
     assert len(stamps) < 300
     assert (stamps[0], stamps[-1]) == (0.0, 9.999)
     wanted = np.array([0.0, 4.5, 8.999, 9.0, 9.5, 9.999])
-    assert tree.sample("a", "b", wanted)[1][:, 0].tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    assert tree.sample("a", "b", wanted)[:, 0, 3].tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
 
 
 def test_static_transforms_hold_at_every_time() -> None:
     tree = TransformTree()
-    tree.add("a", "b", 5.0, np.array(level(2.0, 0.0, 0.0)), is_static=True)
+    tree.add("a", "b", 4.0, level(1.0, 0.0, 0.0), is_static=True)
+    tree.add("a", "b", 5.0, level(2.0, 0.0, 0.0), is_static=True)
     assert tree.is_constant("a", "b")
     assert tree.change_stamps_s("a", "b").size == 0
-    assert tree.sample("a", "b", [-1e9, 1e9])[1][:, 0].tolist() == [2.0, 2.0]
+    assert tree.sample("a", "b", [-1e9, 1e9])[:, 0, 3].tolist() == [2.0, 2.0]
