@@ -112,7 +112,8 @@ class DeadReckoning:
             ends.append(stops)
         hit = np.concatenate(ends)
         cells[hit[:, 1], hit[:, 0]] = OCCUPIED
-        return OccupancyGrid(cells, cell, Pose2(*(low * cell).tolist(), 0.0), self.name)
+        x_m, y_m = (low * cell).tolist()
+        return OccupancyGrid(cells, cell, Pose2(x_m, y_m), self.name)
 
     def memory_bytes(self) -> int:
         """Return the bytes of the hits that are kept."""
