@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.inputs import load_maps
 from slamfusion.cli.options import common_options, map_resolution_option, with_config
-from slamfusion.cli.output import number, print_json, print_table, versions
-from slamfusion.config import RunConfig, to_mapping
+from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.geometry import Pose2
+from slamfusion.jobs.inputs import device_for, load_maps
 
 if TYPE_CHECKING:
     from slamfusion.fusion.records import Alignment
-    from slamfusion.jobs.records import AlignDocument
 
 __all__ = ["command"]
 
@@ -47,26 +46,18 @@ def command(
     The motion printed maps a point of MOVING's frame into REFERENCE's. Exit code 1 when the
     alignment cannot be believed; the record is printed all the same.
     """
-    from slamfusion.compute import open_device  # noqa: PLC0415
-    from slamfusion.fusion import align_grids  # noqa: PLC0415
+    from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
 
     try:
         start_pose = None if start is None else Pose2(*start)
     except ValueError as error:
         message = f"--start: {error}"
         raise click.UsageError(message) from None
-    still, moved = load_maps((reference, moving), resolution, config.map_files)
-    device = open_device(config.device.device)
-    found = align_grids(still, moved, config.fusion, device, start_pose)
+    still, moved = load_maps((reference, moving), resolution, config.map_files, notice)
+    device = device_for(config)
+    found = align_maps(still, moved, config, device, start=start_pose)
     if as_json:
-        document: AlignDocument = {
-            **found.to_json(),
-            "device": device.name,
-            "seed": config.seed,
-            "config": to_mapping(config),
-            "versions": versions(),
-        }
-        print_json(document)
+        print_json(align_document(found, config, device.name))
     else:
         _print_alignment(found, device.name)
     if not found.accepted:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import number, print_json, print_table, versions
+from slamfusion.cli.output import number, print_json, print_table
 from slamfusion.config import RunConfig
+from slamfusion.jobs.documents import versions
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import BenchDocument, BenchEntryJson

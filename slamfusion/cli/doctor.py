@@ -10,9 +10,10 @@ import click
 
 from slamfusion.cli.devices import print_devices
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import print_json, print_table, versions
+from slamfusion.cli.output import print_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.errors import DeviceError, SlamFusionError
+from slamfusion.jobs.documents import versions
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import DoctorDocument

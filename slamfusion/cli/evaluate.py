@@ -3,91 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.inputs import check_writable, load_maps
 from slamfusion.cli.options import common_options, map_resolution_option, with_config
-from slamfusion.cli.output import (
-    Progress,
-    notice,
-    number,
-    path_text,
-    print_json,
-    print_table,
-    progress_bar,
-    versions,
-)
-from slamfusion.config import RunConfig, to_mapping
-from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.config import RunConfig
+from slamfusion.jobs.inputs import check_writable, device_for, load_maps
 
 if TYPE_CHECKING:
-    from slamfusion.compute import ComputeDevice
-    from slamfusion.evaluation import DistanceComparison, MapError
-    from slamfusion.fusion.records import Alignment
-    from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
+    from slamfusion.evaluation import DistanceComparison
+    from slamfusion.jobs.evaluate import Evaluation
 
-__all__ = ["Evaluation", "command", "evaluate_maps", "print_evaluations"]
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """A map's errors, and the alignment with the truth that they rest on (None: as it lies)."""
-
-    error: MapError
-    alignment: Alignment | None
-
-    @property
-    def is_aligned(self) -> bool:
-        """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
-        return self.alignment is None or self.alignment.accepted
-
-    def to_json(self) -> EvaluationJson:
-        """Return the errors with ``aligned`` and the alignment's record."""
-        return {
-            **self.error.to_json(),
-            "aligned": self.is_aligned,
-            "alignment": None if self.alignment is None else self.alignment.to_json(),
-        }
-
-
-def evaluate_maps(
-    grids: Sequence[OccupancyGrid],
-    truth: OccupancyGrid,
-    config: RunConfig,
-    device: ComputeDevice,
-    *,
-    align: bool = True,
-    progress: Progress | None = None,
-) -> list[Evaluation]:
-    """Compare each map with the truth, aligned first.
-
-    A map whose alignment is rejected is measured at the best transform found all the same; its
-    error is then the least it can claim, and ``is_aligned`` says so.
-    """
-    from slamfusion.evaluation import compare_to_truth  # noqa: PLC0415
-    from slamfusion.fusion import align_grids  # noqa: PLC0415
-
-    evaluations = []
-    for done, grid in enumerate(grids):
-        if progress is not None:
-            progress("evaluate", done, len(grids))
-        alignment = align_grids(truth, grid, config.fusion, device) if align else None
-        error = compare_to_truth(
-            grid,
-            truth,
-            Pose2() if alignment is None else alignment.transform,
-            normalize=config.fusion.normalize,
-            tolerance_m=config.evaluate.tolerance_m,
-        )
-        evaluations.append(Evaluation(error, alignment))
-    if progress is not None:
-        progress("evaluate", len(grids), len(grids))
-    return evaluations
+__all__ = ["command", "print_evaluations"]
 
 
 @click.command("evaluate")
@@ -140,42 +70,38 @@ def command(
     as_json: bool,
 ) -> int:
     """Measure the error of MAPS against the truth, or against measured distances."""
-    _check_request(truth_path, distances_path, report_dir, image_path)
-    grids = load_maps(maps, resolution, config.map_files)
+    from slamfusion.jobs.evaluate import (  # noqa: PLC0415
+        evaluate_document,
+        evaluate_maps,
+        measure_distances,
+        write_evaluation,
+    )
 
-    evaluations: list[Evaluation] = []
+    _check_request(truth_path, distances_path, report_dir, image_path)
+    grids = load_maps(maps, resolution, config.map_files, notice)
+    evaluations: Sequence[Evaluation] = ()
     device = None
     if truth_path is not None:
-        from slamfusion.compute import open_device  # noqa: PLC0415
-
-        truth = load_maps([truth_path], resolution, config.map_files)[0]
-        backend = open_device(config.device.device)
-        device = backend.name
+        (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
+        computes = device_for(config)
+        device = computes.name
         with progress_bar() as progress:
             evaluations = evaluate_maps(
-                grids, truth, config, backend, align=align, progress=progress
+                grids, truth, config, computes, align=align, progress=progress
             )
-    comparisons = _compare_distances(grids, distances_path, config)
-    _write_pictures(evaluations, report_dir, image_path, config, device or "")
-
+    distances = () if distances_path is None else measure_distances(grids, distances_path, config)
+    write_evaluation(evaluations, config, device=device or "", report=report_dir, image=image_path)
     for evaluation in evaluations:
         if evaluation.alignment is not None and not evaluation.is_aligned:
             notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
     if as_json:
-        document: EvaluateDocument = {
-            "maps": [evaluation.to_json() for evaluation in evaluations],
-            "distances": [comparison.to_json() for comparison in comparisons],
-            "truth": path_text(truth_path),
-            "device": device,
-            "seed": config.seed,
-            "config": to_mapping(config),
-            "versions": versions(),
-        }
-        print_json(document)
+        print_json(
+            evaluate_document(evaluations, distances, config, truth=truth_path, device=device)
+        )
     else:
         if evaluations:
             print_evaluations(evaluations)
-        for comparison in comparisons:
+        for comparison in distances:
             _print_distances(comparison)
     return 0
 
@@ -201,46 +127,6 @@ def _check_request(
             import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
             check_writable(folder)
-
-
-def _compare_distances(
-    grids: Sequence[OccupancyGrid], path: Path | None, config: RunConfig
-) -> list[DistanceComparison]:
-    from slamfusion.evaluation import compare_distances  # noqa: PLC0415
-
-    if path is None:
-        return []
-    normalize = config.fusion.normalize
-    return [compare_distances(grid, path, normalize=normalize) for grid in grids]
-
-
-def _write_pictures(
-    evaluations: Sequence[Evaluation],
-    report_dir: Path | None,
-    image_path: Path | None,
-    config: RunConfig,
-    device: str,
-) -> None:
-    """Write the report and the difference images that were asked for."""
-    errors = [evaluation.error for evaluation in evaluations]
-    if report_dir is not None:
-        from slamfusion.report import write_evaluation_report  # noqa: PLC0415
-
-        alignments = [evaluation.alignment for evaluation in evaluations]
-        write_evaluation_report(
-            errors, report_dir, config=config, alignments=alignments, device=device
-        )
-    if image_path is not None:
-        from slamfusion.report.evaluation_report import (  # noqa: PLC0415
-            write_difference_image,
-        )
-
-        for error in errors:
-            path = image_path
-            if len(errors) > 1:
-                name = f"{image_path.stem}_{error.name.replace('/', '_')}{image_path.suffix}"
-                path = image_path.with_name(name)
-            write_difference_image(error, path)
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:

@@ -10,19 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.inputs import check_writable
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import (
-    Progress,
-    notice,
-    plain,
-    print_json,
-    print_table,
-    progress_bar,
-    versions,
-)
+from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.jobs.documents import plain, versions
+from slamfusion.jobs.inputs import Progress, check_writable
 
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice

@@ -9,19 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.earlier import FAILED, failure_folder, remove_empty, report_files
-from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
-from slamfusion.cli.fused import (
-    AllRequiredError,
-    DoubledWalls,
-    circumstances,
-    failure_document,
-    fusion_document,
-    fusion_sentences,
-    print_alignments,
-    print_pairs,
-)
-from slamfusion.cli.inputs import check_writable, load_maps
+from slamfusion.cli.evaluate import print_evaluations
+from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.options import (
     common_options,
     file_option,
@@ -31,12 +20,13 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import notice, print_json, progress_bar
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.inputs import check_writable, device_for, load_maps
+from slamfusion.jobs.outputs import AGREEMENT_END
 
 if TYPE_CHECKING:
-    from slamfusion.fusion.records import Alignment, FusionResult
-    from slamfusion.jobs.records import FailedFuseDocument, FuseDocument
+    from slamfusion.jobs.fuse import FusedMaps
 
 __all__ = ["command"]
 
@@ -55,7 +45,7 @@ class _Outputs:
             message = f"-o {out}: name the map too, e.g. -o {out / 'fused'}"
             raise click.UsageError(message)
         stem = out.with_suffix("") if out.suffix in {".yaml", ".yml"} else out
-        return cls(stem, stem.with_name(stem.name + "_agreement"))
+        return cls(stem, stem.with_name(stem.name + AGREEMENT_END))
 
     def refuse_inputs(self, maps: Sequence[Path]) -> None:
         """Stop before an output replaces an input."""
@@ -111,92 +101,51 @@ def command(
     MAPS are map_server YAML files, or bare images together with --resolution. At least two have
     to fit each other; those that do not are named and left out.
     """
-    from slamfusion.compute import open_device  # noqa: PLC0415
-    from slamfusion.fusion import fuse_grids  # noqa: PLC0415
+    from slamfusion.jobs.fuse import (  # noqa: PLC0415
+        check_count,
+        fuse_maps,
+        save_fused_maps,
+    )
 
     outputs = _Outputs.of(out)
     outputs.refuse_inputs(maps if truth_path is None else (*maps, truth_path))
-    if len(maps) < 2:
-        message = f"{maps[0]}: one map alone cannot be fused; fuse needs at least two"
-        raise SlamFusionError(message)
+    check_count(maps)
     check_writable(outputs.fused.parent)
     if report_dir is not None:
         import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
         check_writable(report_dir)
-    grids = load_maps(maps, resolution, config.map_files)
-    truth = None if truth_path is None else load_maps([truth_path], resolution, config.map_files)[0]
-    device = open_device(config.device.device)
-
-    evaluations: list[Evaluation] = []
+    grids = load_maps(maps, resolution, config.map_files, notice)
+    truth = None
+    if truth_path is not None:
+        (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
+    device = device_for(config)
     try:
         with progress_bar() as progress:
-            result = fuse_grids(grids, config.fusion, device, progress)
-            if config.fusion.require_all and result.rejected:
-                raise AllRequiredError(result)
-            if truth is not None:
-                judged = [*grids, result.fused.with_name("fused")]
-                evaluations = evaluate_maps(judged, truth, config, device, progress=progress)
+            fused = fuse_maps(grids, config, device, truth=truth, progress=progress)
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, as_json)
         raise
-
-    _save(result, outputs, evaluations, config, report_dir)
-    for record in result.rejected:
+    document = save_fused_maps(fused, outputs.fused, report=report_dir)
+    for record in fused.result.rejected:
         notice(f"rejected: {record.name}: {record.reason}")
     if as_json:
-        document: FuseDocument = {
-            **fusion_document(result, DoubledWalls.of(result, config)),
-            "fused": f"{outputs.fused}.yaml",
-            "agreement": f"{outputs.agreement}.yaml",
-            "evaluations": [evaluation.to_json() for evaluation in evaluations],
-            **circumstances(config, result.device),
-            "time_s": result.time_s,
-        }
         print_json(document)
     else:
-        _print_result(result, outputs, evaluations, config, report_dir)
+        _print_result(fused, outputs, report_dir)
     return 0
 
 
-def _save(
-    result: FusionResult,
-    outputs: _Outputs,
-    evaluations: Sequence[Evaluation],
-    config: RunConfig,
-    report_dir: Path | None,
-) -> None:
-    """Write the fused map, the agreement and the report, all or none."""
-    from slamfusion.io import AtomicFiles, save_map  # noqa: PLC0415
-
-    with AtomicFiles() as files:
-        save_map(result.fused, outputs.fused, files=files)
-        save_map(result.agreement, outputs.agreement, mode="raw", files=files)
-        if report_dir is not None:
-            from slamfusion.report import write_fusion_report  # noqa: PLC0415
-
-            errors = [evaluation.error for evaluation in evaluations]
-            write_fusion_report(result, report_dir, config=config, evaluations=errors, files=files)
-            for path in report_files(report_dir / FAILED):
-                files.remove(path)
-    if report_dir is not None:
-        remove_empty(report_dir / FAILED)
-
-
-def _print_result(
-    result: FusionResult,
-    outputs: _Outputs,
-    evaluations: Sequence[Evaluation],
-    config: RunConfig,
-    report_dir: Path | None,
-) -> None:
+def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) -> None:
     """Print the alignments, the evaluation and where everything went."""
-    print_alignments(result)
-    for sentence in fusion_sentences(result, DoubledWalls.of(result, config)):
+    from slamfusion.jobs.fuse import fusion_sentences  # noqa: PLC0415
+
+    print_alignments(fused.result)
+    for sentence in fusion_sentences(fused.result, fused.doubled):
         print(sentence)
-    if evaluations:
+    if fused.evaluations:
         print()
-        print_evaluations(evaluations)
+        print_evaluations(fused.evaluations)
     print(f"fused map: {outputs.fused}.yaml")
     print(f"agreement: {outputs.agreement}.yaml")
     if report_dir is not None:
@@ -215,25 +164,11 @@ def _report_failure(
 
     The report of an earlier fusion stays, as its map does.
     """
-    pairs: tuple[Alignment, ...] = getattr(error, "pairs", ())
-    if report_dir is not None:
-        from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
+    from slamfusion.jobs.fuse import failed_fuse_document, write_failed_fusion  # noqa: PLC0415
 
-        folder = failure_folder(report_dir, report_files(report_dir))
-        if isinstance(error, AllRequiredError):
-            write_fusion_report(error.result, folder, config=config, failure=str(error))
-        else:
-            write_failure_report(grids, pairs, str(error), folder, config=config, device=device)
-    if not as_json:
-        print_pairs(pairs, device)
-        return
-    document: FailedFuseDocument = {
-        **failure_document(grids, pairs, str(error)),
-        "fused": None,
-        "agreement": None,
-        "evaluations": [],
-        "error": str(error),
-        **circumstances(config, device),
-        "time_s": None,
-    }
-    print_json(document)
+    if report_dir is not None:
+        write_failed_fusion(error, grids, config, report_dir, device=device)
+    if as_json:
+        print_json(failed_fuse_document(error, grids, config, device))
+    else:
+        print_pairs(error.pairs, device)

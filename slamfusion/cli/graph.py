@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from slamfusion.cli.inputs import check_writable
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import notice, number, path_text, print_json, print_table, versions
+from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.config import GraphOptimizerConfig, RunConfig, to_mapping
+from slamfusion.jobs.documents import path_text, versions
+from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import GraphOptimizeDocument

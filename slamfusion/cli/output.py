@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import json
-import math
-import platform
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
+
+from slamfusion.jobs.documents import number, plain
+from slamfusion.jobs.inputs import Progress
 
 __all__ = [
-    "Progress",
     "Settings",
     "notice",
     "number",
     "one_line",
-    "path_text",
-    "plain",
     "print_json",
     "print_table",
     "progress_bar",
-    "versions",
 ]
 
-Progress = Callable[[str, int, int], None]
 # Tables in a pipe or file are never squeezed to a terminal's width.
 PIPE_WIDTH = 240
-DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML", "click", "rich")
 
 
 @dataclass
@@ -53,24 +45,6 @@ def print_json(document: Mapping[str, Any]) -> None:
         context.ensure_object(Settings).printed = True
 
 
-def plain(value: Any) -> Any:
-    """Return nested values as JSON has them: no NumPy, no paths, no NaN, no infinity."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value
-
-
-def path_text(path: Path | None) -> str | None:
-    """Return a path as a JSON document has it; None where no file was named."""
-    return None if path is None else str(path)
-
-
 def one_line(text: str) -> str:
     """Return the text without line breaks and control characters."""
     return "".join(
@@ -82,13 +56,6 @@ def one_line(text: str) -> str:
 def notice(text: str) -> None:
     """Print one line about this run to stderr."""
     print(f"slamfusion: {one_line(text)}", file=sys.stderr)
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Return a number for a table; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return f"{value:.{digits}f}"
 
 
 def print_table(
@@ -135,16 +102,3 @@ def progress_bar() -> Iterator[Progress | None]:
             bar.update(tasks[stage], completed=done, total=total)
 
         yield report
-
-
-def versions() -> dict[str, str | None]:
-    """Return the versions that decide a result; None where a package is absent."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    return found | {name: _version(name) for name in ("slamfusion", *DISTRIBUTIONS)}
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return importlib.metadata.version(distribution)
-    except importlib.metadata.PackageNotFoundError:
-        return None

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.inputs import check_writable
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar, versions
+from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig, to_mapping
+from slamfusion.jobs.documents import versions
+from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import SimulatedDriveJson, SimulateDocument

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.evaluate import Evaluation, evaluate_maps, print_evaluations
-from slamfusion.cli.inputs import check_writable, load_maps
+from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.options import (
     common_options,
     drive_options,
@@ -19,37 +17,17 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import (
-    notice,
-    path_text,
-    print_json,
-    print_table,
-    progress_bar,
-    versions,
-)
-from slamfusion.cli.produced import (
-    SUFFIXES,
-    ProducerResult,
-    add_run,
-    measure_run,
-    output_files,
-    run_remarks,
-)
-from slamfusion.cli.trajectory import measure_trajectory, print_measures
-from slamfusion.config import RunConfig, to_mapping
-from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.trajectory import print_measures
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.outputs import SUFFIXES, output_files
 
 if TYPE_CHECKING:
-    from slamfusion.compute import ComputeDevice
-    from slamfusion.io import AtomicFiles
-    from slamfusion.jobs.records import SlamDocument
-    from slamfusion.slam.common.mapper import Mapper
-    from slamfusion.slam.common.runner import ProducerRun
-    from slamfusion.trajectory import Trajectory
+    from slamfusion.jobs.produced import ProducerResult
 
 __all__ = ["command"]
-
-PROGRESS_STEPS = 1000
 
 
 class _Producers(click.Group):
@@ -227,198 +205,46 @@ def _make_command(name: str) -> click.Command:
 
 def _run(name: str, request: _Request, config: RunConfig, *, as_json: bool) -> int:
     """Run, measure, write, print."""
-    from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
-    from slamfusion.io import read_trajectory  # noqa: PLC0415
-    from slamfusion.slam.registry import open_producer_device  # noqa: PLC0415
+    from slamfusion.jobs.map_log import map_log, save_mapped_log  # noqa: PLC0415
 
-    relations = None if request.relations is None else read_relations(request.relations)
-    odometry = None if request.odometry is None else read_odometry(request.odometry, config.log)
-    truth = None if request.truth is None else read_trajectory(request.truth, config.log)
-    truth_map = (
-        None
-        if request.truth_map is None
-        else load_maps([request.truth_map], None, config.map_files)[0]
+    with progress_bar() as progress:
+        mapped = map_log(
+            request.log,
+            name,
+            config,
+            relations=request.relations,
+            odometry=request.odometry,
+            truth=request.truth,
+            truth_map=request.truth_map,
+            scan_odometry=request.scan_odometry,
+            resume=request.resume,
+            limit=request.stop_after,
+            progress=progress,
+            warn=notice,
+        )
+    document = save_mapped_log(
+        mapped,
+        request.stem,
+        probabilities=request.probabilities,
+        state=request.state,
+        report=request.report,
     )
-    device = open_producer_device(name, config)
-    producer = _producer(name, request.resume, config, device)
-    found = _produce(producer, request, config)
-    failed: SlamFusionError | None = None
-    evaluation: Evaluation | None = None
-    measures = measure_trajectory(found.trajectory, config.trajectory)
-    try:
-        measures = measure_run(found, config, relations=relations, odometry=odometry, truth=truth)
-        if truth_map is not None:
-            evaluation = evaluate_maps([found.grid], truth_map, config, device)[0]
-    except SlamFusionError as error:  # the map is made; it is kept, then the failure is told
-        failed = error
-    result = ProducerResult(found, measures, evaluation, device.name)
-    document: SlamDocument = {
-        "producers": [
-            {
-                **result.to_json(request.outputs()),
-                "resumed_from": path_text(request.resume),
-                "state_file": path_text(request.state),
-            }
-        ],
-        "log": str(request.log),
-        "relations": path_text(request.relations),
-        "odometry_file": path_text(request.odometry),
-        "scan_odometry": path_text(request.scan_odometry),
-        "truth": path_text(request.truth),
-        "truth_map": path_text(request.truth_map),
-        "device": device.name,
-        "seed": config.seed,
-        "config": to_mapping(config),
-        "versions": versions(),
-    }
-    _save(result, producer, document, request, config, truth)
-    if failed is not None:
-        message = f"{failed} (the map and the path were written all the same)"
-        raise SlamFusionError(message) from failed
-    for sentence in (*_asked(found, request), *found.doubts()):
+    if mapped.failure is not None:
+        message = f"{mapped.failure} (the map and the path were written all the same)"
+        raise SlamFusionError(message) from mapped.failure
+    for sentence in mapped.notices():
         notice(f"{name}: {sentence}")
     if as_json:
         print_json(document)
     else:
-        _print(result, request)
+        _print(mapped.result, request)
     return 0
-
-
-def _producer(name: str, state: Path | None, config: RunConfig, device: ComputeDevice) -> Mapper:
-    """Return the producer, fresh or in a saved state."""
-    from slamfusion.slam.registry import make_producer, resume_producer  # noqa: PLC0415
-
-    if state is None:
-        return make_producer(name, config, device)
-    return resume_producer(name, state, config, device)
-
-
-def _produce(producer: Mapper, request: _Request, config: RunConfig) -> ProducerRun:
-    """Run the producer over the log, with a bar that follows the file."""
-    from slamfusion.io import open_log  # noqa: PLC0415
-    from slamfusion.slam.common.runner import run_producer  # noqa: PLC0415
-
-    log = open_log(request.log, config.log, request.scan_odometry)
-    with progress_bar() as bar:
-
-        def tell(_: int) -> None:
-            if bar is not None:
-                bar(producer.name, round(PROGRESS_STEPS * log.fraction_read), PROGRESS_STEPS)
-
-        return run_producer(producer, log, log=log, progress=tell, limit=request.stop_after)
-
-
-def _asked(run: ProducerRun, request: _Request) -> list[str]:
-    """Say what was passed over, and that more was to come, because it was asked for so."""
-    sentences = []
-    if run.known_scans:
-        sentences.append(
-            f"passed over {run.known_scans} scans of {request.log} that {request.resume} knows"
-        )
-    if run.stopped_by == "limit":
-        sentences.append(
-            f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {request.log} is "
-            "not in the map"
-        )
-    return sentences
-
-
-def _save(
-    result: ProducerResult,
-    producer: Mapper,
-    document: Mapping[str, Any],
-    request: _Request,
-    config: RunConfig,
-    truth: Trajectory | None,
-) -> None:
-    """Write map, path, record, state and report; all of them or none."""
-    from slamfusion.io import AtomicFiles  # noqa: PLC0415
-
-    with AtomicFiles() as files:
-        add_run(
-            files,
-            result.run,
-            document,
-            request.stem,
-            config,
-            probabilities=request.probabilities,
-        )
-        if request.state is not None:
-            _add_state(files, request.state, producer)
-        if request.report is not None:
-            _report(files, result, request, request.report, config, truth)
-
-
-def _add_state(files: AtomicFiles, target: Path, producer: Mapper) -> None:
-    """Stage the state of a producer with the other files."""
-    from slamfusion.slam.common.runner import Resumable  # noqa: PLC0415
-
-    if not isinstance(producer, Resumable):
-        message = f"{producer.name} cannot save its state"
-        raise SlamFusionError(message)
-    with TemporaryDirectory(prefix="slamfusion-") as name:
-        draft = Path(name) / target.name
-        try:
-            producer.save_state(draft)
-        except MapFileError as error:
-            raise MapFileError(str(error).replace(name, str(target.parent))) from None
-        files.add(target, draft.read_bytes())
-
-
-def _report(
-    files: AtomicFiles,
-    result: ProducerResult,
-    request: _Request,
-    directory: Path,
-    config: RunConfig,
-    truth: Trajectory | None,
-) -> None:
-    """Stage the report: map, path, errors, health."""
-    from slamfusion.report import Fact, Table, write_slam_report  # noqa: PLC0415
-    from slamfusion.report.page import Cell  # noqa: PLC0415
-
-    run = result.run
-    time_ms = run.time_per_scan_ms()
-    facts = [
-        Fact(f"{run.scans_used} of {run.scans}", "scans used"),
-        Fact(f"{time_ms['mean']:.2f} ms", "a scan"),
-        Fact(f"{run.peak_memory_bytes / 1e6:.1f} MB", "map and filter"),
-    ]
-    if run.health.mean_match_score is not None:
-        facts.append(Fact(f"{run.health.mean_match_score:.3f}", "mean match score"))
-    rows = [[Cell(name), Cell(value)] for name, value in result.figures()]
-    remarks = [[Cell(where), Cell(sentence)] for where, sentence in run_remarks(run)]
-    tables = [Table("The run", ("what", "value"), rows)]
-    if remarks:
-        tables.append(Table("Said of the log and its scans", ("where", "what"), remarks))
-    # A resumed run's log may only go on: then its odometry cannot be laid on the start of the path.
-    is_later = (
-        request.resume is not None
-        and run.odometry is not None
-        and run.odometry.stamps_s[0] > run.trajectory.stamps_s[0]
-    )
-    write_slam_report(
-        directory,
-        name=run.name,
-        grid=run.grid,
-        trajectory=run.trajectory,
-        config=config,
-        facts=facts,
-        warnings=[(f"{run.name}:", sentence) for sentence in run.doubts()],
-        tables=tables,
-        odometry=None if is_later else run.odometry,
-        truth=truth,
-        relations=result.measures.relations,
-        series=run.series,
-        other_paths=run.other_paths,
-        closures=run.closures,
-        device=result.device,
-        files=files,
-    )
 
 
 def _print(result: ProducerResult, request: _Request) -> None:
     """Print the numbers, the remarks and the errors."""
+    from slamfusion.jobs.produced import run_remarks  # noqa: PLC0415
+
     run = result.run
     print_table(
         ("what ", "value "),

@@ -2,62 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.inputs import check_writable, load_maps
 from slamfusion.cli.options import common_options, with_config
-from slamfusion.cli.output import number, path_text, print_json, print_table, versions
-from slamfusion.config import RunConfig, TrajectoryConfig, to_mapping
+from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.config import RunConfig
+from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import (
-        DensePoses,
-        ErrorStatistics,
-        RelationErrors,
-        Relations,
-        TrajectoryErrors,
-    )
-    from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument
+    from slamfusion.evaluation import DensePoses, ErrorStatistics
+    from slamfusion.jobs.trajectory import Measures
     from slamfusion.trajectory import Trajectory
 
-__all__ = ["Measures", "command", "measure_trajectory", "print_measures"]
-
-
-@dataclass(frozen=True)
-class Measures:
-    """Everything that was measured of one trajectory; what was not asked for is None.
-
-    Attributes:
-        relations: errors on the known relations.
-        dense: how the poses at the relations' times were composed with odometry.
-        truth: errors against the true trajectory.
-        at_scans: errors on those of the relations whose both ends are poses of the trajectory.
-        online: the same of the path as it was first reported, before it was corrected.
-    """
-
-    relations: RelationErrors | None = None
-    dense: DensePoses | None = None
-    truth: TrajectoryErrors | None = None
-    at_scans: RelationErrors | None = None
-    online: Measures | None = None
-
-    def to_json(self) -> MeasuresJson:
-        """Return the figures for a JSON document."""
-        document: MeasuresJson = {}
-        if self.truth is not None:
-            document = {**document, **self.truth.to_json()}
-        if self.relations is not None:
-            document = {**document, **self.relations.to_json()}
-            document["odometry"] = None if self.dense is None else self.dense.to_json()
-            own = self.at_scans
-            document["at_scans"] = None if own is None else own.to_json_with_intervals()
-        if self.online is not None:
-            document["as_first_reported"] = self.online.to_json()
-        return document
+__all__ = ["command", "print_measures"]
 
 
 @click.command("trajectory")
@@ -123,6 +83,12 @@ def command(
 
     Files hold poses as TUM, 't x y theta' or CSV; of a log, the raw odometry of its scans counts.
     """
+    from slamfusion.jobs.trajectory import (  # noqa: PLC0415
+        TrajectoryFiles,
+        measure_trajectory_file,
+        write_trajectory,
+    )
+
     _check_request(relations_path, odometry_path, log_path, truth_path)
     if map_path is not None and report_dir is None:
         message = "--map is drawn in the report; give --report DIR"
@@ -131,102 +97,15 @@ def command(
         import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
         check_writable(report_dir)
-    from slamfusion.evaluation import read_odometry, read_relations  # noqa: PLC0415
-    from slamfusion.io.trajectories import read_trajectory  # noqa: PLC0415
-
-    def read(path: Path | None) -> Trajectory | None:
-        return None if path is None else read_trajectory(path, config.log)
-
-    poses = read_trajectory(estimate, config.log)
-    truth, scans = read(truth_path), read(log_path)
-    rows = None if odometry_path is None else read_odometry(odometry_path, config.log)
-    relations = None if relations_path is None else read_relations(relations_path)
-    grid = None if map_path is None else load_maps((map_path,), None, config.map_files)[0]
-    measures = measure_trajectory(
-        poses, config.trajectory, relations=relations, odometry=rows, scans=scans, truth=truth
-    )
+    files = TrajectoryFiles(estimate, relations_path, odometry_path, log_path, truth_path)
+    found = measure_trajectory_file(files, config, grid=map_path, warn=notice)
     if report_dir is not None:
-        from slamfusion.report import write_trajectory_report  # noqa: PLC0415
-
-        write_trajectory_report(
-            report_dir,
-            trajectory=poses,
-            config=config,
-            relations=measures.relations,
-            errors=measures.truth,
-            truth=truth,
-            odometry=scans,
-            grid=grid,
-        )
-
+        write_trajectory(found, report_dir)
     if as_json:
-        document: TrajectoryDocument = {
-            "name": poses.name,
-            "path_length_m": poses.path_length_m(),
-            "duration_s": float(poses.stamps_s[-1] - poses.stamps_s[0]),
-            **measures.to_json(),
-            "poses": len(poses),
-            "estimate": str(estimate),
-            "relations": path_text(relations_path),
-            "odometry_file": path_text(odometry_path),
-            "log": path_text(log_path),
-            "truth": path_text(truth_path),
-            "config": to_mapping(config),
-            "versions": versions(),
-        }
-        print_json(document)
+        print_json(found.to_json())
     else:
-        print_measures(poses, measures)
+        print_measures(found.estimate, found.measures)
     return 0
-
-
-def measure_trajectory(
-    estimate: Trajectory,
-    config: TrajectoryConfig,
-    *,
-    relations: Relations | None = None,
-    odometry: Trajectory | None = None,
-    scans: Trajectory | None = None,
-    truth: Trajectory | None = None,
-) -> Measures:
-    """Measure a trajectory in every way that there is something to hold it against.
-
-    Args:
-        estimate: the poses.
-        config: tolerances, and what the relative error spans.
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
-        scans: raw odometry of the scans of the estimate's log.
-        truth: the true poses.
-
-    Raises:
-        TrajectoryError: the estimate does not meet the relations, the odometry or the truth.
-    """
-    from slamfusion.evaluation import (  # noqa: PLC0415
-        errors_at_scans,
-        poses_by_odometry,
-        relation_errors,
-        trajectory_errors,
-    )
-
-    dense = None
-    if relations is not None and odometry is not None:
-        dense = poses_by_odometry(
-            estimate,
-            scans,
-            odometry,
-            tolerance_s=config.tolerance_s,
-            tolerance_m=config.odometry_tolerance_m,
-        )
-    scored = estimate if dense is None else dense.trajectory
-    return Measures(
-        relations=None
-        if relations is None
-        else relation_errors(scored, relations, config.tolerance_s),
-        dense=dense,
-        truth=None if truth is None else trajectory_errors(estimate, truth, config),
-        at_scans=None if relations is None else errors_at_scans(estimate, relations),
-    )
 
 
 def _check_request(

@@ -9,7 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import MapError
 from slamfusion.fusion.records import Alignment
-from slamfusion.io.atomic import write_atomic
+from slamfusion.io.atomic import AtomicFiles, write_atomic
 from slamfusion.report import plots
 from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
 from slamfusion.report.page import Banner, Fact, Page, Section, circumstances, write_page
@@ -24,6 +24,7 @@ def write_evaluation_report(
     config: RunConfig,
     alignments: Sequence[Alignment | None] = (),
     device: str = "",
+    files: AtomicFiles | None = None,
 ) -> Path:
     """Write how maps differ from a truth as one self-contained page with its pictures beside it.
 
@@ -34,6 +35,7 @@ def write_evaluation_report(
         alignments: the alignment with the truth that each evaluation rests on, in the same order,
             None where the map was taken as it lies; a rejected one is said at the top.
         device: the device that computed, in words.
+        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of ``report.html``.
@@ -54,11 +56,18 @@ def write_evaluation_report(
     page = Page(
         "SLAMfusion evaluation", _banner(evaluations, searched), _facts(evaluations), sections
     )
-    return write_page(page, directory)
+    return write_page(page, directory, files)
 
 
-def write_difference_image(evaluation: MapError, path: str | Path) -> None:
+def write_difference_image(
+    evaluation: MapError, path: str | Path, files: AtomicFiles | None = None
+) -> None:
     """Write the difference to the truth as one PNG picture, in the colours of the report.
+
+    Args:
+        evaluation: of one map.
+        path: of the picture.
+        files: the set of files to join; default: one of its own.
 
     Raises:
         MapFileError: the file is not called ``.png``, or cannot be written.
@@ -67,10 +76,13 @@ def write_difference_image(evaluation: MapError, path: str | Path) -> None:
     if path.suffix.lower() != ".png":
         message = f"{path}: the difference image is a PNG; call it {path.with_suffix('.png').name}"
         raise MapFileError(message)
-    write_atomic(
-        path,
-        plots.difference_picture(evaluation.difference, evaluation.resolution, evaluation.origin),
+    picture = plots.difference_picture(
+        evaluation.difference, evaluation.resolution, evaluation.origin
     )
+    if files is None:
+        write_atomic(path, picture)
+    else:
+        files.add(path, picture)
 
 
 def _banner(evaluations: Sequence[MapError], searched: Sequence[Alignment]) -> Banner:

@@ -9,6 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import ErrorStatistics, RelationErrors, TrajectoryErrors
 from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import paths
 from slamfusion.report.page import (
     Banner,
@@ -45,6 +46,7 @@ def write_trajectory_report(
     truth: Trajectory | None = None,
     odometry: Trajectory | None = None,
     grid: OccupancyGrid | None = None,
+    files: AtomicFiles | None = None,
 ) -> Path:
     """Write the errors of a trajectory as one self-contained page with its pictures beside it.
 
@@ -57,6 +59,7 @@ def write_trajectory_report(
         truth: the true path, drawn dashed where ``errors`` says how it lies to the estimate.
         odometry: where the wheels alone would have gone, laid on the estimate's start.
         grid: a map in the frame of the estimate, drawn under it.
+        files: the set of files to join; default: one of its own.
 
     Returns:
         The path of ``report.html``.
@@ -79,7 +82,7 @@ def write_trajectory_report(
         Fact(f"{trajectory.path_length_m():.1f} m", "travelled by the estimate"),
     ]
     banner = Banner("good", f"{trajectory.name}: its errors", _how_counted(relations, errors))
-    return write_page(Page("SLAMfusion trajectory", banner, facts, sections), directory)
+    return write_page(Page("SLAMfusion trajectory", banner, facts, sections), directory, files)
 
 
 def path_pictures(

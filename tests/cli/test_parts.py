@@ -12,12 +12,13 @@ import pytest
 
 from slamfusion.cli import doctor, slam
 from slamfusion.cli.fuse import command as fuse_command
-from slamfusion.cli.inputs import check_writable, distinct_names
 from slamfusion.cli.main import COMMANDS
 from slamfusion.cli.options import config_fields, option_name
-from slamfusion.cli.output import one_line, plain, progress_bar
+from slamfusion.cli.output import one_line, progress_bar
 from slamfusion.config import GMAPPING_PROFILES
 from slamfusion.errors import MapFileError
+from slamfusion.jobs.documents import plain
+from slamfusion.jobs.inputs import check_writable, distinct_names
 from slamfusion.slam.registry import BUILT_IN, producer
 
 pytestmark = pytest.mark.once

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from slamfusion.cli.fused import circumstances
-from slamfusion.cli.output import plain
 from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord, write_error_table
 from slamfusion.experiments.trials import FUSIONS, alone
+from slamfusion.jobs.documents import circumstances, plain
 from tests.support.documents import check_document
 
 PRODUCERS = ("tinyslam", "gmapping", "graph")

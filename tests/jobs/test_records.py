@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
-from slamfusion.cli.fused import circumstances
 from slamfusion.cli.main import cli, main
-from slamfusion.cli.output import plain
-from slamfusion.cli.trajectory import measure_trajectory
 from slamfusion.config import RunConfig
 from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.geometry import Pose2
+from slamfusion.jobs.documents import circumstances, plain
 from slamfusion.jobs.records import load_schema
+from slamfusion.jobs.trajectory import measure_trajectory
 from slamfusion.slam.common.mapper import Health
 from slamfusion.trajectory import Trajectory
 from tests.support import make_schema

@@ -1,35 +1,64 @@
-"""Read the maps that a command names, each under a name of its own."""
+"""What a job is given: maps as files or in memory, each under a name of its own; a device."""
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from slamfusion.cli.output import notice
-from slamfusion.config import MapFileConfig
+from slamfusion.config import MapFileConfig, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["check_writable", "distinct_names", "load_maps"]
+if TYPE_CHECKING:
+    from slamfusion.compute import ComputeDevice
+
+__all__ = [
+    "MapInput",
+    "Progress",
+    "Warn",
+    "as_grids",
+    "as_path",
+    "check_writable",
+    "device_for",
+    "distinct_names",
+    "load_maps",
+]
+
+_LOG = logging.getLogger(__name__)
+
+# A map in memory, or a map_server YAML file or bare image.
+MapInput = OccupancyGrid | str | Path
+# Told the stage, and how much of how much of it is done.
+Progress = Callable[[str, int, int], None]
+# Told in a sentence what is doubtful about an input.
+Warn = Callable[[str], None]
 
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm")
 
 
 def load_maps(
-    paths: Sequence[Path], resolution: float | None, config: MapFileConfig
+    paths: Sequence[Path],
+    resolution: float | None,
+    config: MapFileConfig,
+    warn: Warn = _LOG.warning,
 ) -> list[OccupancyGrid]:
     """Load maps in order, named apart even where their files have one name.
-
-    What is doubtful about a map is said on stderr.
 
     Args:
         paths: map_server YAML files, or bare images.
         resolution: metres per cell of the bare images.
         config: how they are read.
+        warn: told in a sentence what is doubtful about a map.
+
+    Raises:
+        MapFileError: a file is missing, damaged or breaks the format's rules.
+        MemoryBudgetError: a map would not fit into memory.
     """
-    from slamfusion.io import load_map  # noqa: PLC0415
+    from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
     return [
         load_map(
@@ -37,10 +66,39 @@ def load_maps(
             resolution=None if _is_yaml(path) else resolution,
             name=name,
             legacy_unknown=config.legacy_unknown,
-            warn=notice,
+            warn=warn,
         )
         for path, name in zip(paths, distinct_names(paths), strict=True)
     ]
+
+
+def as_grids(
+    maps: Sequence[MapInput],
+    config: RunConfig,
+    *,
+    resolution: float | None = None,
+    warn: Warn = _LOG.warning,
+) -> list[OccupancyGrid]:
+    """Return maps in order: those in memory as they are, files loaded; see ``load_maps``."""
+    paths = [Path(item) for item in maps if not isinstance(item, OccupancyGrid)]
+    loaded = iter(load_maps(paths, resolution, config.map_files, warn))
+    return [item if isinstance(item, OccupancyGrid) else next(loaded) for item in maps]
+
+
+def as_path(path: str | Path | None) -> Path | None:
+    """Return the path of a file that may not have been named."""
+    return None if path is None else Path(path)
+
+
+def device_for(config: RunConfig, device: ComputeDevice | None = None) -> ComputeDevice:
+    """Return the device given, or the one that the settings name.
+
+    Raises:
+        DeviceError: see ``open_device``.
+    """
+    from slamfusion.compute import open_device  # noqa: PLC0415
+
+    return open_device(config.device.device) if device is None else device
 
 
 def check_writable(folder: Path) -> None:

@@ -1,44 +1,35 @@
-"""What a producer's run is shown and written as; shared by ``slam`` and ``run``."""
+"""What a producer's run is measured, shown and written as; shared by ``slam`` and ``run``."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from slamfusion.cli.evaluate import Evaluation
-from slamfusion.cli.output import number, plain
-from slamfusion.cli.trajectory import Measures, measure_trajectory
 from slamfusion.config import RunConfig
+from slamfusion.io import AtomicFiles, save_map, write_tum
+from slamfusion.jobs.documents import number, record_bytes
+from slamfusion.jobs.evaluate import Evaluation
+from slamfusion.jobs.outputs import PROBABILITY, output_files
+from slamfusion.jobs.records import ProducerJson
+from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.slam.common.runner import ProducerRun, skipped_scans
+from slamfusion.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from slamfusion.evaluation import Relations
-    from slamfusion.io import AtomicFiles
-    from slamfusion.jobs.records import ProducerJson
-    from slamfusion.slam.common.runner import ProducerRun
-    from slamfusion.trajectory import Trajectory
-
-__all__ = [
-    "SUFFIXES",
-    "ProducerResult",
-    "add_run",
-    "measure_run",
-    "output_files",
-    "run_remarks",
-]
-
-# The files of a run: the map, its picture, the path and the record.
-SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
-# The map with its probabilities, where that is asked for: the map itself has three classes.
-PROBABILITY = "_probability"
-PROBABILITY_SUFFIXES = (f"{PROBABILITY}.yaml", f"{PROBABILITY}.png")
+__all__ = ["ProducerResult", "add_run", "measure_run", "run_remarks"]
 
 
 @dataclass(frozen=True)
 class ProducerResult:
-    """A run and everything that was measured of it."""
+    """A run and everything that was measured of it.
+
+    Attributes:
+        run: what the producer made.
+        measures: errors of its path.
+        evaluation: errors of its map; None without a true map.
+        device: what it computed on, in words.
+    """
 
     run: ProducerRun
     measures: Measures
@@ -111,8 +102,6 @@ class ProducerResult:
 
 def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     """Return what was left out, what is odd, and what the log says, each with its place."""
-    from slamfusion.slam.common.runner import skipped_scans  # noqa: PLC0415
-
     remarks = [(f"left out by {run.name}", item) for item in skipped_scans(run.health)]
     if run.log is not None:
         remarks += [("left out of the log", item) for item in run.log.skips.sentences()]
@@ -121,15 +110,13 @@ def run_remarks(run: ProducerRun) -> list[tuple[str, str]]:
     return remarks
 
 
-def measure_run(
-    run: ProducerRun,
-    config: RunConfig,
-    *,
-    relations: Relations | None,
-    odometry: Trajectory | None,
-    truth: Trajectory | None,
-) -> Measures:
+def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measures:
     """Measure the path, and the one that was first reported where the producer keeps it.
+
+    Args:
+        run: what a producer made of a log.
+        config: ``trajectory`` is used.
+        held: what the path is held against.
 
     Raises:
         TrajectoryError: the path does not meet the relations, the odometry or the truth.
@@ -139,23 +126,17 @@ def measure_run(
         return measure_trajectory(
             path,
             config.trajectory,
-            relations=relations,
-            odometry=odometry,
+            relations=held.relations,
+            odometry=held.odometry,
             scans=run.odometry,
-            truth=truth,
+            truth=held.truth,
         )
 
     online = run.online_path()
     final = measured(run.trajectory)
-    if online is None or (relations is None and truth is None):
+    if online is None or (held.relations is None and held.truth is None):
         return final
     return replace(final, online=measured(online))
-
-
-def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
-    """Return the files that a run writes: map, its picture, path, record; then probabilities."""
-    suffixes = (*SUFFIXES, *PROBABILITY_SUFFIXES) if probabilities else SUFFIXES
-    return [stem.with_name(stem.name + suffix) for suffix in suffixes]
 
 
 def add_run(
@@ -177,12 +158,10 @@ def add_run(
         config: its thresholds of the vote decide what is free and occupied in the map.
         probabilities: also stage the map with its probabilities: value by value, mode raw.
     """
-    from slamfusion.io import save_map, write_tum  # noqa: PLC0415
-
     _, _, tum, record = output_files(stem)
     save_map(run.grid, stem, classes=config.fusion.normalize, files=files)
     if probabilities:
         other = stem.with_name(stem.name + PROBABILITY)
         save_map(run.grid, other, mode="raw", image_format="png", files=files)
     write_tum(tum, run.trajectory, files=files)
-    files.add(record, (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode())
+    files.add(record, record_bytes(document))

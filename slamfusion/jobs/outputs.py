@@ -1,7 +1,8 @@
-"""Results of an earlier job in the folder that a job writes to.
+"""The files that jobs write, and the results of an earlier job in the folder that one writes to.
 
-What a failed job made never takes their place: it goes into ``failed`` in that folder, so that old
-and new are not taken for one. A job that ends well replaces all of them at once, ``failed`` too.
+What a failed job made never takes the place of earlier results: it goes into ``failed`` in that
+folder, so that old and new are not taken for one. A job that ends well replaces all of them at
+once, ``failed`` too.
 """
 
 from __future__ import annotations
@@ -10,25 +11,41 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from slamfusion.cli.produced import output_files
-
 __all__ = [
     "AGREEMENT",
+    "AGREEMENT_END",
     "FAILED",
     "FUSED",
+    "PROBABILITY",
     "REPORT",
+    "SUFFIXES",
     "earlier_results",
     "failure_folder",
     "map_files",
+    "output_files",
     "possible_outputs",
     "remove_empty",
     "report_files",
 ]
 
+# The files of a producer's run: the map, its picture, the path and the record.
+SUFFIXES = (".yaml", ".pgm", ".tum", ".json")
+# The map with its probabilities, where that is asked for: the map itself has three classes.
+PROBABILITY = "_probability"
+PROBABILITY_SUFFIXES = (f"{PROBABILITY}.yaml", f"{PROBABILITY}.png")
 FAILED = "failed"
 # What a run calls its maps and the folder of its report.
-FUSED, AGREEMENT, REPORT = "fused", "fused_agreement", "report"
+FUSED, REPORT = "fused", "report"
+# Added to the name of a fused map: the map of how many agreed.
+AGREEMENT_END = "_agreement"
+AGREEMENT = FUSED + AGREEMENT_END
 PAGE, PICTURES = "report.html", "[0-9][0-9]-*.png"
+
+
+def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
+    """Return the files that a run writes: map, its picture, path, record; then probabilities."""
+    suffixes = (*SUFFIXES, *PROBABILITY_SUFFIXES) if probabilities else SUFFIXES
+    return [stem.with_name(stem.name + suffix) for suffix in suffixes]
 
 
 def failure_folder(folder: Path, results: Iterable[Path]) -> Path:
@@ -56,7 +73,7 @@ def remove_empty(*folders: Path) -> None:
 
 def possible_outputs(folder: Path) -> list[Path]:
     """Return every file that a run into a folder may write, but for the report's."""
-    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (loads slowly)
+    from slamfusion.slam.registry import producer_names  # noqa: PLC0415  (the SLAMs load slowly)
 
     names = producer_names()
     files = [path for name in names for path in output_files(folder / name, probabilities=True)]

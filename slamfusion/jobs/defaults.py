@@ -1,0 +1,15 @@
+"""Defaults of a job where they are not those of all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from slamfusion.config import FusionConfig, RunConfig, VoteConfig
+
+__all__ = ["RUN_DEFAULTS"]
+
+# Of ``run_log``. On recorded and simulated drives the consensus is nearest to the truth and doubles
+# no walls; see the README.
+RUN_DEFAULTS = replace(
+    RunConfig(), fusion=replace(FusionConfig(), vote=replace(VoteConfig(), mode="consensus"))
+)

@@ -1,0 +1,93 @@
+"""What all JSON documents and records have in common: plain values, and what a result rests on."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamfusion.config import RunConfig, to_mapping
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.records import CircumstancesJson, SettingsJson
+
+__all__ = [
+    "circumstances",
+    "number",
+    "path_text",
+    "plain",
+    "record_bytes",
+    "settings_used",
+    "versions",
+]
+
+DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML", "click", "rich")
+
+
+def plain(value: Any) -> Any:
+    """Return nested values as JSON has them: no NumPy, no paths, no NaN, no infinity."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value
+
+
+def record_bytes(document: Mapping[str, Any]) -> bytes:
+    """Return a document as the indented UTF-8 text of a JSON file; NaN and infinity become null."""
+    return (json.dumps(plain(document), indent=2, allow_nan=False) + "\n").encode()
+
+
+def path_text(path: Path | None) -> str | None:
+    """Return a path as a JSON document has it; None where no file was named."""
+    return None if path is None else str(path)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number for a table; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.{digits}f}"
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions that decide a result; None where a package is absent."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    return found | {name: _version(name) for name in ("slamfusion", *DISTRIBUTIONS)}
+
+
+def settings_used(config: RunConfig) -> SettingsJson:
+    """Return the settings and the versions that a result rests on, for a JSON document."""
+    return {"config": to_mapping(config), "versions": versions()}
+
+
+def circumstances(config: RunConfig, device: str) -> CircumstancesJson:
+    """Return what a computed result depends on beside its inputs, for a JSON document.
+
+    Args:
+        config: the settings in effect.
+        device: what computed it, in words.
+    """
+    return {
+        "device": device,
+        "seed": config.seed,
+        "config": to_mapping(config),
+        "versions": versions(),
+    }
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,202 @@
+"""How far maps are from the truth, and from distances measured in the building."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.evaluation import (
+    DistanceComparison,
+    MapError,
+    compare_distances,
+    compare_to_truth,
+)
+from slamfusion.fusion import align_grids
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.io import AtomicFiles
+from slamfusion.jobs.documents import path_text, settings_used
+from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
+from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
+
+__all__ = [
+    "Evaluation",
+    "evaluate_document",
+    "evaluate_maps",
+    "measure_distances",
+    "write_evaluation",
+]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A map's errors, and the alignment with the truth that they rest on (None: as it lies)."""
+
+    error: MapError
+    alignment: Alignment | None
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether the alignment may be believed; a map taken as it lies counts as aligned."""
+        return self.alignment is None or self.alignment.accepted
+
+    def to_json(self) -> EvaluationJson:
+        """Return the errors with ``aligned`` and the alignment's record."""
+        return {
+            **self.error.to_json(),
+            "aligned": self.is_aligned,
+            "alignment": None if self.alignment is None else self.alignment.to_json(),
+        }
+
+
+def evaluate_maps(
+    maps: Sequence[MapInput],
+    truth: MapInput,
+    config: RunConfig | None = None,
+    device: ComputeDevice | None = None,
+    *,
+    align: bool = True,
+    resolution: float | None = None,
+    progress: Progress | None = None,
+) -> tuple[Evaluation, ...]:
+    """Compare each map with the truth, aligned first.
+
+    A map whose alignment is rejected is measured at the best transform found all the same; its
+    error is then the least it can claim, and ``is_aligned`` says so.
+
+    Args:
+        maps: in memory, map_server YAML files, or bare images.
+        truth: the true map, likewise.
+        config: ``fusion``, ``evaluate`` and ``map_files`` are used; default: the defaults.
+        device: aligns the maps; default: the one that the settings name.
+        align: search where each map lies on the truth; else both frames are taken for the same.
+        resolution: metres per cell of bare images.
+        progress: told the maps that are done.
+
+    Raises:
+        MapFileError: a map cannot be read.
+        GridError: a map has no known cell, or does not fit the truth.
+        DeviceError: the device cannot be opened.
+    """
+    config = config or RunConfig()
+    grids = as_grids(maps, config, resolution=resolution)
+    (true_grid,) = as_grids([truth], config, resolution=resolution)
+    device = device_for(config, device)
+    evaluations = []
+    for done, grid in enumerate(grids):
+        if progress is not None:
+            progress("evaluate", done, len(grids))
+        alignment = align_grids(true_grid, grid, config.fusion, device) if align else None
+        error = compare_to_truth(
+            grid,
+            true_grid,
+            Pose2() if alignment is None else alignment.transform,
+            normalize=config.fusion.normalize,
+            tolerance_m=config.evaluate.tolerance_m,
+        )
+        evaluations.append(Evaluation(error, alignment))
+    if progress is not None:
+        progress("evaluate", len(grids), len(grids))
+    return tuple(evaluations)
+
+
+def measure_distances(
+    maps: Sequence[MapInput],
+    path: str | Path,
+    config: RunConfig | None = None,
+    *,
+    resolution: float | None = None,
+) -> tuple[DistanceComparison, ...]:
+    """Compare distances measured in the building with those in each map.
+
+    Args:
+        maps: in memory, map_server YAML files, or bare images.
+        path: the measured distances, CSV or YAML; see ``load_distances``.
+        config: ``fusion.normalize`` and ``map_files`` are used; default: the defaults.
+        resolution: metres per cell of bare images.
+
+    Raises:
+        MapFileError: a map or the file of distances cannot be read.
+    """
+    config = config or RunConfig()
+    return tuple(
+        compare_distances(grid, path, normalize=config.fusion.normalize)
+        for grid in as_grids(maps, config, resolution=resolution)
+    )
+
+
+def evaluate_document(
+    evaluations: Sequence[Evaluation],
+    distances: Sequence[DistanceComparison],
+    config: RunConfig,
+    *,
+    truth: Path | None,
+    device: str | None,
+) -> EvaluateDocument:
+    """Return what ``slamfusion evaluate`` prints as JSON.
+
+    Args:
+        evaluations: of the maps against the truth; empty without one.
+        distances: of the maps against measured distances; empty without them.
+        config: the settings in effect.
+        truth: the true map's file; None without one.
+        device: what computed the alignments, in words; None without a truth.
+    """
+    return {
+        "maps": [evaluation.to_json() for evaluation in evaluations],
+        "distances": [comparison.to_json() for comparison in distances],
+        "truth": path_text(truth),
+        "device": device,
+        "seed": config.seed,
+        **settings_used(config),
+    }
+
+
+def write_evaluation(
+    evaluations: Sequence[Evaluation],
+    config: RunConfig,
+    *,
+    device: str = "",
+    report: Path | None = None,
+    image: Path | None = None,
+    files: AtomicFiles | None = None,
+) -> None:
+    """Write the report and the difference images that are asked for, all of them or none.
+
+    Args:
+        evaluations: at least one.
+        config: the effective configuration, written out in the report.
+        device: what computed, in words.
+        report: folder of the page and its pictures; None: no report.
+        image: PNG of the differences to the truth, several maps add their names; None: no picture.
+        files: the set of files to join; default: one of its own.
+
+    Raises:
+        SlamFusionError: matplotlib is missing, or a file cannot be written.
+    """
+    if files is None:
+        with AtomicFiles() as own:
+            write_evaluation(
+                evaluations, config, device=device, report=report, image=image, files=own
+            )
+        return
+    errors = [evaluation.error for evaluation in evaluations]
+    if report is not None:
+        from slamfusion.report import write_evaluation_report  # noqa: PLC0415  (an extra)
+
+        alignments = [evaluation.alignment for evaluation in evaluations]
+        write_evaluation_report(
+            errors, report, config=config, alignments=alignments, device=device, files=files
+        )
+    if image is not None:
+        from slamfusion.report import write_difference_image  # noqa: PLC0415  (an extra)
+
+        for error in errors:
+            path = image
+            if len(errors) > 1:
+                name = f"{image.stem}_{error.name.replace('/', '_')}{image.suffix}"
+                path = image.with_name(name)
+            write_difference_image(error, path, files)

@@ -1,0 +1,425 @@
+"""Saved maps of one place become one: align, vote, measure, and the files of what came of it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.evaluation import added_doubled_share, doubled_wall_share
+from slamfusion.fusion import fuse_grids
+from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import AtomicFiles, save_map
+from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.inputs import MapInput, Progress, Warn, as_grids, device_for
+from slamfusion.jobs.outputs import (
+    AGREEMENT_END,
+    FAILED,
+    failure_folder,
+    remove_empty,
+    report_files,
+)
+from slamfusion.jobs.records import (
+    DoubledWallsJson,
+    FailedFuseDocument,
+    FuseDocument,
+    FusionJson,
+    NoAlignmentJson,
+    UnalignedInputJson,
+)
+
+__all__ = [
+    "AllRequiredError",
+    "DoubledWalls",
+    "FusedMaps",
+    "check_count",
+    "failed_fuse_document",
+    "failure_document",
+    "fuse_document",
+    "fuse_maps",
+    "fusion_document",
+    "fusion_sentences",
+    "save_fused_maps",
+    "write_failed_fusion",
+]
+
+_LOG = logging.getLogger(__name__)
+
+NO_ALIGNMENT: NoAlignmentJson = {
+    "dx_m": None,
+    "dy_m": None,
+    "yaw_rad": None,
+    "score": None,
+    "overlap": None,
+    "error": None,
+    "runner_up": None,
+    "bound_gap": None,
+    "time_s": None,
+}
+
+
+class AllRequiredError(AlignmentError):
+    """A fusion that had to leave an input out, where ``--require-all`` forbids it.
+
+    Attributes:
+        result: what would have been fused.
+    """
+
+    def __init__(self, result: FusionResult) -> None:
+        rejected = ", ".join(f"{record.name} ({record.reason})" for record in result.rejected)
+        super().__init__(f"--require-all, but rejected: {rejected}; nothing was fused")
+        self.pairs = result.pairs
+        self.result = result
+
+
+@dataclass(frozen=True)
+class DoubledWalls:
+    """Shares of the wall cells that have a parallel wall close by, the trace of a slip.
+
+    Attributes:
+        inputs: by name, of each input as it was given.
+        fused: of the fused map.
+        added: of the fused map, doubled there and in no input.
+    """
+
+    inputs: dict[str, float]
+    fused: float
+    added: float
+
+    @classmethod
+    def of(cls, result: FusionResult, config: RunConfig) -> DoubledWalls:
+        """Measure a fusion."""
+        normalize = config.fusion.normalize
+        return cls(
+            {
+                record.name: doubled_wall_share(record.grid, normalize=normalize)
+                for record in result.inputs
+            },
+            doubled_wall_share(result.fused, normalize=normalize),
+            _added_doubled(result),
+        )
+
+    def to_json(self) -> DoubledWallsJson:
+        """Return the shares for a JSON document."""
+        return {"inputs": self.inputs, "fused": self.fused, "added_by_fusion": self.added}
+
+
+@dataclass(frozen=True, eq=False)
+class FusedMaps:
+    """Maps that were fused, and what was measured of them.
+
+    Attributes:
+        config: the settings in effect.
+        result: the fused map, what became of each input, and every alignment.
+        doubled: the doubled walls of the inputs and of the fused map.
+        evaluations: errors of the inputs and, last, of the fused map; empty without a true map.
+    """
+
+    config: RunConfig
+    result: FusionResult
+    doubled: DoubledWalls
+    evaluations: tuple[Evaluation, ...] = ()
+
+    @property
+    def grid(self) -> OccupancyGrid:
+        """The fused map: cells in {-1, 0, 100}, frame and lattice of the reference input."""
+        return self.result.fused
+
+    @property
+    def agreement(self) -> OccupancyGrid:
+        """Share of the voters that agree, cells 0..100 or -1, on the same lattice."""
+        return self.result.agreement
+
+
+def check_count(maps: Sequence[object]) -> None:
+    """Refuse a fusion of one map.
+
+    Raises:
+        SlamFusionError: there is one map alone, or none.
+    """
+    if len(maps) < LEAST_FUSED:
+        name = "no map was given"
+        if maps:
+            only = maps[0]
+            name = f"{only.name if isinstance(only, OccupancyGrid) else only}: one map alone"
+            name += " cannot be fused"
+        message = f"{name}; fuse needs at least two"
+        raise SlamFusionError(message)
+
+
+def fuse_maps(
+    maps: Sequence[MapInput],
+    config: RunConfig | None = None,
+    device: ComputeDevice | None = None,
+    *,
+    truth: MapInput | None = None,
+    resolution: float | None = None,
+    progress: Progress | None = None,
+    warn: Warn = _LOG.warning,
+) -> FusedMaps:
+    """Align maps of one place and fuse them by vote.
+
+    Args:
+        maps: two or more, in memory, map_server YAML files, or bare images; those in memory have
+            distinct names.
+        config: ``fusion``, ``evaluate`` and ``map_files`` are used; default: the defaults.
+        device: computes; default: the one that the settings name.
+        truth: the true map: errors of every input and of the fused map.
+        resolution: metres per cell of bare images.
+        progress: told the stage, and how much of it is done.
+        warn: told in a sentence what is doubtful about a map.
+
+    Raises:
+        AlignmentError: fewer than two of the maps agree, so nothing may be fused; its ``pairs``
+            hold the alignments. ``AllRequiredError``: one was left out that had to be in.
+        MapFileError: a map cannot be read.
+        ConfigError: the reference named in the settings is none of the inputs.
+        MemoryBudgetError: the maps are too large for the memory that is free.
+        DeviceError: the device cannot be opened.
+        SlamFusionError: there is one map alone.
+    """
+    config = config or RunConfig()
+    check_count(maps)
+    grids = as_grids(maps, config, resolution=resolution, warn=warn)
+    true_grid = None
+    if truth is not None:
+        (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn)
+    device = device_for(config, device)
+    result = fuse_grids(grids, config.fusion, device, progress)
+    if config.fusion.require_all and result.rejected:
+        raise AllRequiredError(result)
+    evaluations: tuple[Evaluation, ...] = ()
+    if true_grid is not None:
+        measured = [*grids, result.fused.with_name("fused")]
+        evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
+    return FusedMaps(config, result, DoubledWalls.of(result, config), evaluations)
+
+
+# --- files ------------------------------------------------------------------------------------
+
+
+def agreement_stem(stem: Path) -> Path:
+    """Return the path, without suffix, of the agreement map beside a fused map."""
+    return stem.with_name(stem.name + AGREEMENT_END)
+
+
+def save_fused_maps(
+    fused: FusedMaps,
+    stem: str | Path,
+    *,
+    report: str | Path | None = None,
+    files: AtomicFiles | None = None,
+) -> FuseDocument:
+    """Write the fused map, the agreement and the report, all or none.
+
+    Args:
+        fused: what was fused.
+        stem: the fused map's path without suffix.
+        report: folder for ``report.html`` and its pictures; None: no report.
+        files: the set of files to join; default: one of its own.
+
+    Returns:
+        The record of the fusion, which names the files.
+
+    Raises:
+        SlamFusionError: a file cannot be written, or matplotlib is missing.
+    """
+    stem, folder = Path(stem), None if report is None else Path(report)
+    if files is None:
+        with AtomicFiles() as own:
+            document = save_fused_maps(fused, stem, report=folder, files=own)
+        if folder is not None:
+            remove_empty(folder / FAILED)
+        return document
+    save_map(fused.grid, stem, files=files)
+    save_map(fused.agreement, agreement_stem(stem), mode="raw", files=files)
+    if folder is not None:
+        from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
+
+        errors = [evaluation.error for evaluation in fused.evaluations]
+        write_fusion_report(
+            fused.result, folder, config=fused.config, evaluations=errors, files=files
+        )
+        for path in report_files(folder / FAILED):
+            files.remove(path)
+    return fuse_document(fused, stem)
+
+
+def write_failed_fusion(
+    error: AlignmentError,
+    grids: Sequence[OccupancyGrid],
+    config: RunConfig,
+    directory: Path,
+    *,
+    device: str,
+) -> Path:
+    """Write the report of maps that were not fused; that of an earlier fusion stays.
+
+    Args:
+        error: why not.
+        grids: the inputs.
+        config: the effective configuration, written out in full.
+        directory: for the report; it goes into ``failed`` there where one lies in it already.
+        device: what computed, in words.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: matplotlib is missing, or a file cannot be written.
+    """
+    from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
+
+    folder = failure_folder(directory, report_files(directory))
+    if isinstance(error, AllRequiredError):
+        return write_fusion_report(error.result, folder, config=config, failure=str(error))
+    return write_failure_report(
+        grids, error.pairs, str(error), folder, config=config, device=device
+    )
+
+
+# --- what is said -----------------------------------------------------------------------------
+
+
+def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
+    """Return what ``slamfusion fuse`` prints as JSON.
+
+    Args:
+        fused: what was fused.
+        stem: the fused map's path without suffix.
+    """
+    result = fused.result
+    return {
+        **fusion_document(result, fused.doubled),
+        "fused": f"{stem}.yaml",
+        "agreement": f"{agreement_stem(stem)}.yaml",
+        "evaluations": [evaluation.to_json() for evaluation in fused.evaluations],
+        **circumstances(fused.config, result.device),
+        "time_s": result.time_s,
+    }
+
+
+def failed_fuse_document(
+    error: AlignmentError, grids: Sequence[OccupancyGrid], config: RunConfig, device: str
+) -> FailedFuseDocument:
+    """Return what ``slamfusion fuse`` prints as JSON where nothing was fused.
+
+    Args:
+        error: why not.
+        grids: the inputs.
+        config: the settings in effect.
+        device: what computed, in words.
+    """
+    return {
+        **failure_document(grids, error.pairs, str(error)),
+        "fused": None,
+        "agreement": None,
+        "evaluations": [],
+        "error": str(error),
+        **circumstances(config, device),
+        "time_s": None,
+    }
+
+
+def fusion_document(result: FusionResult, doubled: DoubledWalls) -> FusionJson:
+    """Return what a JSON document says of a fusion."""
+    return {
+        "inputs": [_input(record, result.reference) for record in result.inputs],
+        "reference": result.reference,
+        "fused_count": len(result.accepted),
+        "phantom_cells": result.phantom_cells,
+        "wall_backs": result.wall_backs,
+        "doubled_wall_share": doubled.to_json(),
+        "weights": result.weights,
+        "pairs": [pair.to_json() for pair in result.pairs],
+    }
+
+
+def failure_document(
+    grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
+) -> FusionJson:
+    """Return the same keys where nothing was fused.
+
+    Args:
+        grids: the inputs.
+        pairs: every pair that was aligned; may be empty.
+        reason: why nothing was fused; that of an input in no pair.
+    """
+    return {
+        "inputs": [
+            {
+                **NO_ALIGNMENT,
+                "name": grid.name,
+                "reference": None,
+                "accepted": False,
+                "reason": _reason(grid.name, pairs, reason),
+            }
+            for grid in grids
+        ],
+        "reference": None,
+        "fused_count": 0,
+        "phantom_cells": None,
+        "wall_backs": None,
+        "doubled_wall_share": None,
+        "weights": {},
+        "pairs": [pair.to_json() for pair in pairs],
+    }
+
+
+def fusion_sentences(result: FusionResult, doubled: DoubledWalls) -> tuple[str, ...]:
+    """Say how many inputs were fused, what became of the others, and what the vote added."""
+    text = f"fused {len(result.accepted)} of {len(result.inputs)} inputs"
+    if result.rejected:
+        reasons = ", ".join(f"{record.name}: {record.reason}" for record in result.rejected)
+        text += f"; rejected: {reasons}"
+    added = (
+        f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
+        f"{doubled.added:.1%} of the walls doubled by the fusion, {result.time_s:.2f} s"
+    )
+    return text, added
+
+
+def _input(record: InputRecord, reference: str | None) -> AlignmentJson | UnalignedInputJson:
+    """Return one input's record: its alignment, and what became of it."""
+    if record.alignment is None:
+        return {
+            **NO_ALIGNMENT,
+            "name": record.name,
+            "reference": reference,
+            "accepted": record.accepted,
+            "reason": record.reason,
+        }
+    return {
+        **record.alignment.to_json(),
+        "name": record.name,
+        "accepted": record.accepted,
+        "reason": record.reason,
+    }
+
+
+def _added_doubled(result: FusionResult) -> float:
+    """Return the share of fused wall cells that are doubled in no input."""
+    cells = result.fused.cells
+    aligned = [record.aligned for record in result.accepted if record.aligned is not None]
+    return added_doubled_share(np.sign(cells).astype(np.int8), aligned)
+
+
+def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:
+    """Return why an input found no partner: the reason of its best rejected pair."""
+    rejected = [
+        pair for pair in pairs if name in {pair.reference, pair.moving} and not pair.accepted
+    ]
+    if not rejected:
+        return otherwise
+    best = max(rejected, key=lambda pair: pair.score)
+    other = best.reference if best.moving == name else best.moving
+    return f"against {other}: {best.reason}"

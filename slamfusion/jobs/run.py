@@ -1,0 +1,285 @@
+"""The main job: the producers on one log side by side, their fusion, and errors of everything.
+
+``run_log`` is the whole pipeline; ``run_files`` writes what came of it.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.records import FusionResult
+from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.defaults import RUN_DEFAULTS
+from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.fuse import AllRequiredError, DoubledWalls
+from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
+from slamfusion.jobs.inputs import Progress, Warn, as_path, device_for, load_maps
+from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
+from slamfusion.jobs.outputs import FUSED
+from slamfusion.jobs.produced import ProducerResult, measure_run
+from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.slam.registry import PRODUCERS
+from slamfusion.slam.side_by_side import Outcome, SideBySide
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["LogRun", "run_log"]
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class LogRun:
+    """What came of the main job.
+
+    Attributes:
+        files: where the log and what it is held against were read.
+        saved_maps: files of other SLAMs' maps that voted too.
+        config: the settings in effect.
+        outcomes: what became of each producer.
+        grids: the inputs of the fusion: the producers' maps, then the saved ones.
+        fusion: what came of fusing them, also where it may not be used.
+        results: the producers that made a map, by name, with their errors.
+        doubled: the doubled walls of the fusion; None where nothing was fused.
+        evaluations: errors of the inputs and of the fused map; empty without a true map.
+        failure: why there is no fused map that may be used; None where there is one.
+        not_measured: what could not be measured, a sentence each.
+        stages: wall time of each stage in order, seconds.
+        begun_s: when it began, seconds of ``time.perf_counter``.
+        device: what computed the fusion, in words.
+        truth: the true path; None without one.
+    """
+
+    files: LogFiles
+    saved_maps: tuple[Path, ...]
+    config: RunConfig
+    outcomes: tuple[Outcome, ...]
+    grids: tuple[OccupancyGrid, ...]
+    fusion: DriveFusion
+    results: Mapping[str, ProducerResult]
+    doubled: DoubledWalls | None
+    evaluations: tuple[Evaluation, ...]
+    failure: SlamFusionError | None
+    not_measured: tuple[str, ...]
+    stages: Mapping[str, float]
+    begun_s: float
+    device: str
+    truth: Trajectory | None
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        """The producers that made no map."""
+        return tuple(outcome for outcome in self.outcomes if outcome.run is None)
+
+    @property
+    def usable(self) -> FusionResult | None:
+        """The fusion where it may be used."""
+        return None if self.failure is not None else self.fusion.result
+
+    @property
+    def grid(self) -> OccupancyGrid | None:
+        """The fused map: cells in {-1, 0, 100}; None where there is none that may be used."""
+        return None if self.usable is None else self.usable.fused
+
+
+def run_log(
+    log: str | Path,
+    config: RunConfig | None = None,
+    *,
+    saved_maps: Sequence[str | Path] = (),
+    resolution: float | None = None,
+    relations: str | Path | None = None,
+    odometry: str | Path | None = None,
+    truth: str | Path | None = None,
+    truth_map: str | Path | None = None,
+    scan_odometry: str | Path | None = None,
+    progress: Progress | None = None,
+    warn: Warn = _LOG.warning,
+    prepare: Callable[[], None] | None = None,
+) -> LogRun:
+    """Map a log with several producers side by side, fuse their maps, and measure everything.
+
+    Each producer runs in a process of its own, so a program that calls this needs the usual
+    ``if __name__ == "__main__":``.
+
+    Args:
+        log: a CARMEN or tinySLAM log, or a ROS bag.
+        config: settings of everything, ``run.producers`` among them; default: ``RUN_DEFAULTS``.
+        saved_maps: of other SLAMs, which vote too: map_server YAML files, or bare images.
+        resolution: metres per cell of bare images.
+        relations: known motions between pairs of times: errors of the paths.
+        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        truth: the true trajectory: errors of the paths.
+        truth_map: the true map: errors of every map and of the fused one.
+        scan_odometry: what gives the scans their odometry instead of the log.
+        progress: told the stage, or the producer, and how much of it is done.
+        warn: told in a sentence what is doubtful about a map.
+        prepare: called while the producers are at work; what it raises ends the run at once.
+
+    Returns:
+        Everything that was made. A producer that made no map, a fusion that failed, and what could
+        not be measured are told in it and raise nothing.
+
+    Raises:
+        ConfigError: no producer, an unknown one, or one given twice.
+        LogError: the log cannot be opened.
+        TrajectoryError: relations, odometry or truth cannot be read.
+        MapFileError: a map cannot be read.
+        DeviceError: the device cannot be opened.
+        OSError: a file cannot be opened.
+    """
+    begun_s = time.perf_counter()
+    config = config or RUN_DEFAULTS
+    files = LogFiles(
+        Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
+    )
+    paths = tuple(map(Path, saved_maps))
+    with SideBySide(_names(config), files.log, config, files.scan_odometry) as side_by_side:
+        # Prepared while the producers are at work: what is wrong ends the run at once.
+        if prepare is not None:
+            prepare()
+        true_map = None
+        if files.truth_map is not None:
+            (true_map,) = load_maps([files.truth_map], resolution, config.map_files, warn)
+        held = Yardsticks.read(
+            config, relations=files.relations, odometry=files.odometry, truth=files.truth
+        )
+        maps = load_maps(paths, resolution, config.map_files, warn)
+        device = device_for(config)
+        outcomes = side_by_side.wait(_share_teller(progress))
+    made = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
+    grids = (*made, *_renamed(maps))
+    stages = {"producers": time.perf_counter() - begun_s}
+
+    began_s = time.perf_counter()
+    fusion, failure = _fuse(outcomes, grids, len(maps), config, device, progress)
+    stages["fusion"] = time.perf_counter() - began_s
+
+    began_s = time.perf_counter()
+    doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
+    troubles: list[str] = []
+    evaluations = _evaluate(grids, fusion, true_map, config, device, progress, troubles)
+    results = _measure(outcomes, evaluations, held, config, troubles)
+    stages["errors"] = time.perf_counter() - began_s
+    return LogRun(
+        files=files,
+        saved_maps=paths,
+        config=config,
+        outcomes=outcomes,
+        grids=grids,
+        fusion=fusion,
+        results=results,
+        doubled=doubled,
+        evaluations=evaluations,
+        failure=failure,
+        not_measured=tuple(troubles),
+        stages=stages,
+        begun_s=begun_s,
+        device=device.name,
+        truth=held.truth,
+    )
+
+
+def _names(config: RunConfig) -> tuple[str, ...]:
+    """Return the producers that the settings name."""
+    return tuple(name.strip() for name in config.run.producers.split(",") if name.strip())
+
+
+def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | None:
+    """Return what is told a producer and the share of the log that it has read."""
+    if progress is None:
+        return None
+
+    def tell(name: str, share: float) -> None:
+        progress(name, round(PROGRESS_STEPS * share), PROGRESS_STEPS)
+
+    return tell
+
+
+def _renamed(maps: Sequence[OccupancyGrid]) -> list[OccupancyGrid]:
+    """Return saved maps under names that no producer has."""
+    taken = {*PRODUCERS, FUSED}
+    return [grid.with_name(f"{grid.name} (saved)") if grid.name in taken else grid for grid in maps]
+
+
+def _fuse(
+    outcomes: Sequence[Outcome],
+    grids: Sequence[OccupancyGrid],
+    saved: int,
+    config: RunConfig,
+    device: ComputeDevice,
+    progress: Progress | None,
+) -> tuple[DriveFusion, SlamFusionError | None]:
+    """Fuse the maps; return with the fusion why it may not be used, if so."""
+    paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
+    failed = [item for item in outcomes if item.run is None]
+    fusion = fuse_drive(grids, paths, config, device, shared_frame=not saved, progress=progress)
+    if len(grids) < LEAST_FUSED:
+        reasons = "; ".join(f"{outcome.name}: {outcome.reason}" for outcome in failed)
+        message = f"{len(grids) or 'none'} of {len(outcomes) + saved} maps was made"
+        return fusion, SlamFusionError(
+            f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
+        )
+    if fusion.failure is not None and fusion.best_founded is not None:
+        words = f"the map to go on with is that of {fusion.best_founded.name}, the best founded"
+        return fusion, AlignmentError(f"{fusion.failure}; {words}", fusion.pairs)
+    if config.fusion.require_all and fusion.result is not None:
+        if fusion.result.rejected:
+            return fusion, AllRequiredError(fusion.result)
+        if failed:
+            names = ", ".join(item.name for item in failed)
+            return fusion, SlamFusionError(f"--require-all, but no map of {names}")
+    return fusion, None
+
+
+def _evaluate(
+    grids: Sequence[OccupancyGrid],
+    fusion: DriveFusion,
+    truth: OccupancyGrid | None,
+    config: RunConfig,
+    device: ComputeDevice,
+    progress: Progress | None,
+    troubles: list[str],
+) -> tuple[Evaluation, ...]:
+    """Hold every map against the true one; ``troubles`` is told where that cannot be."""
+    if truth is None or not grids:
+        return ()
+    measured = list(grids)
+    if fusion.result is not None:
+        measured.append(fusion.result.fused.with_name(FUSED))
+    try:
+        return evaluate_maps(measured, truth, config, device, progress=progress)
+    except SlamFusionError as error:
+        troubles.append(str(error))
+        return ()
+
+
+def _measure(
+    outcomes: Sequence[Outcome],
+    evaluations: Sequence[Evaluation],
+    held: Yardsticks,
+    config: RunConfig,
+    troubles: list[str],
+) -> dict[str, ProducerResult]:
+    """Measure every path; what cannot be measured does not take the rest with it."""
+    by_name = {item.error.name: item for item in evaluations}
+    results = {}
+    for outcome in outcomes:
+        if outcome.run is None:
+            continue
+        measures = Measures()
+        try:
+            measures = measure_run(outcome.run, config, held)
+        except SlamFusionError as error:
+            troubles.append(f"{outcome.name}: {error}")
+        results[outcome.name] = ProducerResult(
+            outcome.run, measures, by_name.get(outcome.name), outcome.device
+        )
+    return results

@@ -1,0 +1,253 @@
+"""What ``run_log`` made, in files: maps, paths, records, the report and the JSON document."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamfusion.io import AtomicFiles, save_map
+from slamfusion.jobs.documents import circumstances, path_text
+from slamfusion.jobs.fuse import failure_document, fusion_document
+from slamfusion.jobs.outputs import (
+    AGREEMENT,
+    FAILED,
+    FUSED,
+    REPORT,
+    earlier_results,
+    failure_folder,
+    map_files,
+    output_files,
+    possible_outputs,
+    remove_empty,
+    report_files,
+)
+from slamfusion.jobs.produced import add_run
+from slamfusion.jobs.records import (
+    FailedProducerJson,
+    RunDocument,
+    RunFilesJson,
+    RunProducerJson,
+    RunRecordDocument,
+)
+from slamfusion.jobs.run import LogRun
+from slamfusion.slam.side_by_side import Outcome
+
+if TYPE_CHECKING:
+    from slamfusion.report.run_report import RunReport
+
+__all__ = ["SavedRun", "run_document", "save_run"]
+
+
+@dataclass(frozen=True, eq=False)
+class SavedRun:
+    """Where the files of a run lie.
+
+    Attributes:
+        folder: of the files: the one asked for, or ``failed`` in it, where a run without a fused
+            map must not replace earlier results.
+        files: of each producer, of the fused map, of the agreement and of the report, by name.
+        stages: wall time of each stage in order, the report among them, seconds.
+        document: what ``slamfusion run`` prints as JSON.
+    """
+
+    folder: Path
+    files: Mapping[str, Sequence[Path]]
+    stages: Mapping[str, float]
+    document: RunDocument
+
+
+def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) -> SavedRun:
+    """Write all files together or none; with them goes what an earlier run left beside them.
+
+    A map of an earlier run beside those of this one would be taken for one of them. So a run that
+    made a fused map replaces everything of an earlier one, and one that made none writes into a
+    folder of its own where there are results already. That there was an earlier run is told by its
+    report; without one nothing is removed.
+
+    Args:
+        run: what was made.
+        folder: for the maps; ``report`` in it is that of the report.
+        probabilities: also write the producers' maps with their probabilities.
+
+    Returns:
+        Where everything lies.
+
+    Raises:
+        SlamFusionError: a file cannot be written, or matplotlib is missing.
+    """
+    wanted = target = Path(folder)
+    if run.usable is None:
+        target = failure_folder(wanted, [*possible_outputs(wanted), *report_files(wanted / REPORT)])
+    with AtomicFiles() as files:
+        written = _add_producers(files, run, target, probabilities=probabilities)
+        if run.usable is not None:
+            save_map(run.usable.fused, target / FUSED, files=files)
+            save_map(run.usable.agreement, target / AGREEMENT, mode="raw", files=files)
+            written |= {name: map_files(target / name) for name in (FUSED, AGREEMENT)}
+        began_s = time.perf_counter()
+        written[REPORT] = [_add_report(files, run, target / REPORT)]
+        stages = {**run.stages, "report": time.perf_counter() - began_s}
+        kept = {path for paths in written.values() for path in paths}
+        kept |= set(report_files(target / REPORT))
+        for path in earlier_results([target] if run.usable is None else [wanted, wanted / FAILED]):
+            if path not in kept:
+                files.remove(path)
+    if run.usable is not None:
+        remove_empty(wanted / FAILED / REPORT, wanted / FAILED)
+    document = run_document(run, written, stages, time.perf_counter() - run.begun_s)
+    return SavedRun(target, written, stages, document)
+
+
+def _add_producers(
+    files: AtomicFiles, run: LogRun, folder: Path, *, probabilities: bool
+) -> dict[str, list[Path]]:
+    """Stage the map, the path and the record of each producer; return their files by name."""
+    written = {}
+    for name, result in run.results.items():
+        stem = folder / name
+        written[name] = output_files(stem, probabilities=probabilities)
+        document: RunRecordDocument = {
+            "producers": [_made(run, name, written[name])],
+            **_files_read(run),
+            **circumstances(run.config, result.device),
+        }
+        add_run(files, result.run, document, stem, run.config, probabilities=probabilities)
+    return written
+
+
+def _add_report(files: AtomicFiles, run: LogRun, directory: Path) -> Path:
+    """Stage the report; return its page."""
+    from slamfusion.report.run_report import write_run_report  # noqa: PLC0415  (an extra)
+
+    return write_run_report(_reported(run), directory, config=run.config, files=files)
+
+
+def _reported(run: LogRun) -> RunReport:
+    """Return what the report shows."""
+    from slamfusion.report.run_report import ReportedRun, RunReport  # noqa: PLC0415
+
+    runs = [
+        ReportedRun(
+            outcome.run,
+            run.results[outcome.name].measures.relations,
+            run.results[outcome.name].measures.truth,
+            outcome.time_s,
+            outcome.cpu_s,
+        )
+        for outcome in run.outcomes
+        if outcome.run is not None
+    ]
+    warnings = [(f"{item.run.name}:", doubt) for item in runs for doubt in item.run.doubts()]
+    warnings += [("Not measured:", trouble) for trouble in run.not_measured]
+    return RunReport(
+        log=str(run.files.log),
+        runs=runs,
+        failed=[(outcome.name, outcome.reason) for outcome in run.failed],
+        result=run.fusion.result,
+        failure="" if run.failure is None else str(run.failure),
+        grids=run.grids,
+        pairs=run.fusion.pairs,
+        gaps=run.fusion.gaps,
+        doubled=None
+        if run.doubled is None
+        else (run.doubled.inputs | {"fused map": run.doubled.fused}),
+        evaluations=[item.error for item in run.evaluations],
+        evaluation_alignments=[item.alignment for item in run.evaluations],
+        truth=run.truth,
+        warnings=warnings,
+        stages=run.stages,
+        device=run.device,
+    )
+
+
+# --- what is said -----------------------------------------------------------------------------
+
+
+def run_document(
+    run: LogRun,
+    files: Mapping[str, Sequence[Path]],
+    stages: Mapping[str, float],
+    time_s: float,
+) -> RunDocument:
+    """Return what ``slamfusion run`` prints as JSON.
+
+    Args:
+        run: what was made.
+        files: that it was written to, by name.
+        stages: wall time of each stage, seconds.
+        time_s: wall time of all, seconds.
+    """
+    usable, failure, best = run.usable, run.failure, run.fusion.best_founded
+    fusion = (
+        failure_document(run.grids, run.fusion.pairs, str(failure))
+        if usable is None or run.doubled is None
+        else fusion_document(usable, run.doubled)
+    )
+    return {
+        "producers": [
+            _record(run, outcome, files.get(outcome.name, ())) for outcome in run.outcomes
+        ],
+        **fusion,
+        "fused": None if usable is None else str(files[FUSED][0]),
+        "agreement": None if usable is None else str(files[AGREEMENT][0]),
+        "best_founded": None if best is None else best.name,
+        "path_gaps": [gap.to_json() for gap in run.fusion.gaps],
+        "evaluations": [item.to_json() for item in run.evaluations],
+        "error": None if failure is None else str(failure),
+        "not_measured": run.not_measured,
+        "report": str(files[REPORT][0]),
+        **_files_read(run),
+        **circumstances(run.config, run.device),
+        "stages_s": stages,
+        "time_s": time_s,
+    }
+
+
+def _files_read(run: LogRun) -> RunFilesJson:
+    """Return the files that the run was given, for a JSON document."""
+    files = run.files
+    return {
+        "log": str(files.log),
+        "relations": path_text(files.relations),
+        "odometry_file": path_text(files.odometry),
+        "scan_odometry": path_text(files.scan_odometry),
+        "truth": path_text(files.truth),
+        "truth_map": path_text(files.truth_map),
+        "saved_maps": [str(path) for path in run.saved_maps],
+    }
+
+
+def _record(
+    run: LogRun, outcome: Outcome, files: Sequence[Path]
+) -> RunProducerJson | FailedProducerJson:
+    """Return a producer's record; of one that made no map, why."""
+    if outcome.name in run.results:
+        return _made(run, outcome.name, files)
+    return {
+        "name": outcome.name,
+        "scans": None,
+        "scans_used": None,
+        "time_s": None,
+        "time_per_scan_ms": None,
+        "peak_memory_mb": None,
+        "health": None,
+        "map_error": None,
+        "files": [],
+        "failed": outcome.reason,
+        "process_time_s": outcome.time_s,
+        "process_cpu_s": outcome.cpu_s,
+    }
+
+
+def _made(run: LogRun, name: str, files: Sequence[Path]) -> RunProducerJson:
+    """Return the record of a producer that made a map."""
+    outcome = next(item for item in run.outcomes if item.name == name)
+    return {
+        **run.results[name].to_json(files),
+        "failed": None,
+        "process_time_s": outcome.time_s,
+        "process_cpu_s": outcome.cpu_s,
+    }

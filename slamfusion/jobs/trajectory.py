@@ -1,0 +1,293 @@
+"""How far a trajectory is from known relations, and from the truth."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.evaluation import (
+    DensePoses,
+    RelationErrors,
+    Relations,
+    TrajectoryErrors,
+    errors_at_scans,
+    poses_by_odometry,
+    read_odometry,
+    read_relations,
+    relation_errors,
+    trajectory_errors,
+)
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import AtomicFiles, read_trajectory
+from slamfusion.jobs.documents import path_text, settings_used
+from slamfusion.jobs.inputs import MapInput, Warn, as_grids, as_path
+from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "MeasuredTrajectory",
+    "Measures",
+    "TrajectoryFiles",
+    "Yardsticks",
+    "measure_trajectory",
+    "measure_trajectory_file",
+    "write_trajectory",
+]
+
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Everything that was measured of one trajectory; what was not asked for is None.
+
+    Attributes:
+        relations: errors on the known relations.
+        dense: how the poses at the relations' times were composed with odometry.
+        truth: errors against the true trajectory.
+        at_scans: errors on those of the relations whose both ends are poses of the trajectory.
+        online: the same of the path as it was first reported, before it was corrected.
+    """
+
+    relations: RelationErrors | None = None
+    dense: DensePoses | None = None
+    truth: TrajectoryErrors | None = None
+    at_scans: RelationErrors | None = None
+    online: Measures | None = None
+
+    def to_json(self) -> MeasuresJson:
+        """Return the figures for a JSON document."""
+        document: MeasuresJson = {}
+        if self.truth is not None:
+            document = {**document, **self.truth.to_json()}
+        if self.relations is not None:
+            document = {**document, **self.relations.to_json()}
+            document["odometry"] = None if self.dense is None else self.dense.to_json()
+            own = self.at_scans
+            document["at_scans"] = None if own is None else own.to_json_with_intervals()
+        if self.online is not None:
+            document["as_first_reported"] = self.online.to_json()
+        return document
+
+
+@dataclass(frozen=True, eq=False)
+class Yardsticks:
+    """What paths are held against; None where there is nothing.
+
+    Attributes:
+        relations: known motions between pairs of times.
+        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        truth: the true poses.
+    """
+
+    relations: Relations | None = None
+    odometry: Trajectory | None = None
+    truth: Trajectory | None = None
+
+    @classmethod
+    def read(
+        cls,
+        config: RunConfig,
+        *,
+        relations: str | Path | None = None,
+        odometry: str | Path | None = None,
+        truth: str | Path | None = None,
+    ) -> Yardsticks:
+        """Read files; those not named are None.
+
+        Args:
+            config: ``log`` says how poses are read.
+            relations: lines of 't1 t2 x y z roll pitch yaw' [K09].
+            odometry: a log, or poses.
+            truth: poses.
+
+        Raises:
+            TrajectoryError: a file is damaged.
+            LogError: a log cannot be read.
+            OSError: a file cannot be opened.
+        """
+        at_relations, rows, poses = as_path(relations), as_path(odometry), as_path(truth)
+        return cls(
+            None if at_relations is None else read_relations(at_relations),
+            None if rows is None else read_odometry(rows, config.log),
+            None if poses is None else read_trajectory(poses, config.log),
+        )
+
+
+def measure_trajectory(
+    estimate: Trajectory,
+    config: TrajectoryConfig | None = None,
+    *,
+    relations: Relations | None = None,
+    odometry: Trajectory | None = None,
+    scans: Trajectory | None = None,
+    truth: Trajectory | None = None,
+) -> Measures:
+    """Measure a trajectory in every way that there is something to hold it against.
+
+    Args:
+        estimate: the poses.
+        config: tolerances, and what the relative error spans; default: the defaults.
+        relations: known motions between pairs of times.
+        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        scans: raw odometry of the scans of the estimate's log.
+        truth: the true poses.
+
+    Raises:
+        TrajectoryError: the estimate does not meet the relations, the odometry or the truth.
+    """
+    config = config or TrajectoryConfig()
+    dense = None
+    if relations is not None and odometry is not None:
+        dense = poses_by_odometry(
+            estimate,
+            scans,
+            odometry,
+            tolerance_s=config.tolerance_s,
+            tolerance_m=config.odometry_tolerance_m,
+        )
+    scored = estimate if dense is None else dense.trajectory
+    return Measures(
+        relations=None
+        if relations is None
+        else relation_errors(scored, relations, config.tolerance_s),
+        dense=dense,
+        truth=None if truth is None else trajectory_errors(estimate, truth, config),
+        at_scans=None if relations is None else errors_at_scans(estimate, relations),
+    )
+
+
+# --- trajectories in files --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TrajectoryFiles:
+    """A trajectory's file, and those that it is measured with; None where there is none.
+
+    Attributes:
+        estimate: the poses.
+        relations: known motions between pairs of times.
+        odometry: raw odometry of the whole run.
+        log: what the estimate was made from.
+        truth: the true poses.
+    """
+
+    estimate: Path
+    relations: Path | None = None
+    odometry: Path | None = None
+    log: Path | None = None
+    truth: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTrajectory:
+    """A trajectory with its errors.
+
+    Attributes:
+        files: where everything was read.
+        config: the settings in effect.
+        estimate: the poses.
+        measures: their errors.
+        truth: the true poses; None without them.
+        scans: raw odometry of the scans of the estimate's log; None without it.
+        grid: a map in the frame of the estimate, to be drawn under it; None: none.
+    """
+
+    files: TrajectoryFiles
+    config: RunConfig
+    estimate: Trajectory
+    measures: Measures
+    truth: Trajectory | None = None
+    scans: Trajectory | None = None
+    grid: OccupancyGrid | None = None
+
+    def to_json(self) -> TrajectoryDocument:
+        """Return what ``slamfusion trajectory`` prints as JSON."""
+        poses, files = self.estimate, self.files
+        return {
+            "name": poses.name,
+            "path_length_m": poses.path_length_m(),
+            "duration_s": float(poses.stamps_s[-1] - poses.stamps_s[0]),
+            **self.measures.to_json(),
+            "poses": len(poses),
+            "estimate": str(files.estimate),
+            "relations": path_text(files.relations),
+            "odometry_file": path_text(files.odometry),
+            "log": path_text(files.log),
+            "truth": path_text(files.truth),
+            **settings_used(self.config),
+        }
+
+
+def measure_trajectory_file(
+    files: TrajectoryFiles,
+    config: RunConfig | None = None,
+    *,
+    grid: MapInput | None = None,
+    warn: Warn = _LOG.warning,
+) -> MeasuredTrajectory:
+    """Read a trajectory and what it is to be held against, and measure it.
+
+    Args:
+        files: what is read.
+        config: ``trajectory``, ``log`` and ``map_files`` are used; default: the defaults.
+        grid: a map in the frame of the estimate, to be drawn in a report.
+        warn: told in a sentence what is doubtful about the map.
+
+    Raises:
+        TrajectoryError: a file is damaged, or the estimate does not meet the relations, the
+            odometry or the truth.
+        LogError: a log cannot be read.
+        MapFileError: the map cannot be read.
+        OSError: a file cannot be opened.
+    """
+    config = config or RunConfig()
+    estimate = read_trajectory(files.estimate, config.log)
+    scans = None if files.log is None else read_trajectory(files.log, config.log)
+    held = Yardsticks.read(
+        config, relations=files.relations, odometry=files.odometry, truth=files.truth
+    )
+    drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
+    measures = measure_trajectory(
+        estimate,
+        config.trajectory,
+        relations=held.relations,
+        odometry=held.odometry,
+        scans=scans,
+        truth=held.truth,
+    )
+    return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)
+
+
+def write_trajectory(
+    found: MeasuredTrajectory, directory: str | Path, files: AtomicFiles | None = None
+) -> Path:
+    """Write the report of a trajectory's errors.
+
+    Args:
+        found: what was measured.
+        directory: for ``report.html`` and its pictures.
+        files: the set of files to join; default: one of its own.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: matplotlib is missing, or the directory cannot be written.
+    """
+    from slamfusion.report import write_trajectory_report  # noqa: PLC0415  (an extra)
+
+    return write_trajectory_report(
+        directory,
+        trajectory=found.estimate,
+        config=found.config,
+        relations=found.measures.relations,
+        errors=found.measures.truth,
+        truth=found.truth,
+        odometry=found.scans,
+        grid=found.grid,
+        files=files,
+    )
