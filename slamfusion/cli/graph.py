@@ -6,17 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
-from slamfusion.config import GraphOptimizerConfig, RunConfig, to_mapping
-from slamfusion.jobs.documents import path_text, versions
+from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.tool_records import GraphOptimizeDocument
-    from slamfusion.pose_graph import GraphFile, Optimized
+    from slamfusion.jobs.graph import OptimizedGraph
+    from slamfusion.pose_graph import GraphFile
 
 __all__ = ["command"]
 
@@ -56,28 +54,19 @@ def optimize_command(
     FILE is g2o's or TORO's text, plain or gzip. Edges between consecutive vertices are odometry;
     closures may be doubted and left out.
     """
-    _check_request(path, out, tum_path)
-    from slamfusion.pose_graph import optimize, read_g2o  # noqa: PLC0415
+    from slamfusion.jobs.graph import optimize_graph, save_optimized_graph  # noqa: PLC0415
 
-    file = read_g2o(path)
-    settings = config.graph_optimizer
-    found = optimize(
-        file.graph,
-        fixed=file.fixed,
-        robust=settings.robust,
-        start=settings.start,
-        max_iterations=settings.max_iterations,
-        tolerance=settings.tolerance,
-    )
-    if file.skipped:
-        notice(f"{path}: lines not understood: {_kinds(file.skipped)}")
-    if not found.is_converged:
+    _check_request(path, out, tum_path)
+    graph = optimize_graph(path, config)
+    if graph.file.skipped:
+        notice(f"{path}: lines not understood: {_kinds(graph.file.skipped)}")
+    if not graph.found.is_converged:
         notice(f"{path}: not converged; raise graph_optimizer.max_iterations")
-    _write(file, found, out, tum_path)
+    document = save_optimized_graph(graph, out, tum=tum_path)
     if as_json:
-        print_json(_document(path, file, found, out, tum_path, config))
+        print_json(document)
     else:
-        _print_result(path, file, found, settings)
+        _print_result(graph)
     return 0
 
 
@@ -98,63 +87,10 @@ def _check_request(path: Path, out: Path | None, tum_path: Path | None) -> None:
         check_writable(target.parent)
 
 
-def _write(file: GraphFile, found: Optimized, out: Path | None, tum_path: Path | None) -> None:
-    """Write what was asked for, all of it or nothing."""
-    from slamfusion.io import AtomicFiles, write_tum  # noqa: PLC0415
-    from slamfusion.pose_graph import write_g2o  # noqa: PLC0415
-    from slamfusion.trajectory import Trajectory  # noqa: PLC0415
-
-    with AtomicFiles() as files:
-        if out is not None:
-            graph = file.graph.with_poses(found.poses)
-            write_g2o(out, graph, file.ids, file.fixed, files=files)
-        if tum_path is not None:
-            poses = Trajectory(file.ids.astype(np.float64), found.poses)
-            write_tum(tum_path, poses, files=files)
-
-
-def _doubted(file: GraphFile, found: Optimized) -> list[tuple[int, int]]:
-    """Return the ids of from and to of the edges taken to be false."""
-    ends = file.ids[file.graph.edges[found.is_outlier]]
-    return [(int(start), int(end)) for start, end in ends]
-
-
-def _document(
-    path: Path,
-    file: GraphFile,
-    found: Optimized,
-    out: Path | None,
-    tum_path: Path | None,
-    config: RunConfig,
-) -> GraphOptimizeDocument:
-    """Return the figures for a JSON document."""
-    return {
-        "file": str(path),
-        "nodes": len(file.graph),
-        "edges": len(file.graph.edges),
-        "closures": int(file.graph.is_closure.sum()),
-        "fixed": [int(file.ids[index]) for index in file.fixed],
-        "has_poses": file.has_poses,
-        "skipped_lines": file.skipped,
-        "chi2_start": found.chi2_start,
-        "chi2": found.chi2,
-        "chi2_all": found.chi2_all,
-        "iterations": found.iterations,
-        "converged": found.is_converged,
-        "doubted": _doubted(file, found),
-        "time_s": found.time_s,
-        "output": path_text(out),
-        "tum": path_text(tum_path),
-        "config": to_mapping(config),
-        "versions": versions(),
-    }
-
-
-def _print_result(
-    path: Path, file: GraphFile, found: Optimized, settings: GraphOptimizerConfig
-) -> None:
+def _print_result(optimized: OptimizedGraph) -> None:
     """Print the figures as two columns."""
-    graph, doubted = file.graph, _doubted(file, found)
+    file, found = optimized.file, optimized.found
+    graph, doubted = file.graph, optimized.doubted()
     rows = [
         ["nodes", str(len(graph))],
         ["edges", str(len(graph.edges))],
@@ -162,7 +98,7 @@ def _print_result(
         ["chi-square before", f"{found.chi2_start:.8g}" + _of_odometry(file)],
         ["chi-square after", f"{found.chi2:.8g}"],
     ]
-    if settings.robust != "none":
+    if optimized.config.graph_optimizer.robust != "none":
         rows.append(["doubted closures", _named(doubted)])
     if doubted:
         rows.append(["chi-square with them", f"{found.chi2_all:.8g}"])
@@ -170,7 +106,7 @@ def _print_result(
         ["iterations", str(found.iterations) + ("" if found.is_converged else ", not converged")],
         ["time", f"{number(found.time_s)} s"],
     ]
-    print_table((" ", " "), rows, title=path.name, header=False)
+    print_table((" ", " "), rows, title=optimized.path.name, header=False)
 
 
 def _of_odometry(file: GraphFile) -> str:
