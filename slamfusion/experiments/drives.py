@@ -11,16 +11,10 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError
-from slamfusion.evaluation import (
-    Relations,
-    poses_by_odometry,
-    read_odometry,
-    read_relations,
-    relation_errors,
-    trajectory_errors,
-)
-from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.evaluation import Relations
+from slamfusion.io import LogScan, open_log
 from slamfusion.io.lines import strip_gz
+from slamfusion.jobs.trajectory import Yardsticks, measure_trajectory
 from slamfusion.sim import named_course, simulate
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import run_producer
@@ -84,21 +78,19 @@ class Drive:
         Raises:
             TrajectoryError: it does not meet the relations or the reference in time.
         """
+        measures = measure_trajectory(
+            trajectory,
+            config,
+            relations=self.relations,
+            odometry=self.odometry,
+            scans=None if self.odometry is None else self.scan_odometry(),
+            truth=self.reference,
+        )
         found = {}
-        if self.relations is not None:
-            poses = trajectory
-            if self.odometry is not None:
-                poses = poses_by_odometry(
-                    trajectory,
-                    self.scan_odometry(),
-                    self.odometry,
-                    tolerance_s=config.tolerance_s,
-                    tolerance_m=config.odometry_tolerance_m,
-                ).trajectory
-            errors = relation_errors(poses, self.relations, config.tolerance_s)
-            found[RELATIONS] = errors.translation.mean
-        if self.reference is not None:
-            found[ATE] = trajectory_errors(trajectory, self.reference, config).ate.rmse
+        if measures.relations is not None:
+            found[RELATIONS] = measures.relations.translation.mean
+        if measures.truth is not None:
+            found[ATE] = measures.truth.ate.rmse
         return found
 
     def scan_odometry(self) -> Trajectory:
@@ -129,13 +121,15 @@ def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
         reasons = "; ".join(log.skips.sentences())
         message = f"{files.log}: no scan of it can be used: {reasons}"
         raise LogError(message)
-    odometry, reference = files.odometry, files.reference
+    held = Yardsticks.read(
+        config, relations=files.relations, odometry=files.odometry, truth=files.reference
+    )
     return Drive(
         name=Path(strip_gz(files.log.name)).stem,
         scans=scans,
-        relations=None if files.relations is None else read_relations(files.relations),
-        odometry=None if odometry is None else read_odometry(odometry, config.log),
-        reference=None if reference is None else read_trajectory(reference, config.log),
+        relations=held.relations,
+        odometry=held.odometry,
+        reference=held.truth,
     )
 
 

@@ -11,7 +11,6 @@ import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +24,10 @@ from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealL
 from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.slam.common.mapper import MapJob
-from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.graph.node_map import Node, NodeMap
-from slamfusion.slam.registry import BUILT_IN, make_producer, settings_of
+from slamfusion.slam.registry import BUILT_IN, settings_of
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -263,34 +262,23 @@ def _compare_on_log(
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
 
-    notes: dict[str, str] = {}
-    maps: dict[str, OccupancyGrid | None] = {}
-    paths = {}
-    for producer in BUILT_IN:
+    def tell(producer: str, done: int, total: int) -> None:
+        if progress is not None:
+            progress(f"{name}, {producer}", done, total)
 
-        def tell(done: int, what: str) -> None:
-            if progress is not None:
-                progress(what, done, len(scans))
-
-        say = partial(tell, what=f"{name}, {producer}")
-        try:
-            run = run_producer(make_producer(producer, config, device), scans, progress=say)
-        except SlamFusionError as error:
-            maps[producer], notes[producer] = None, str(error)
-            continue
-        maps[producer], paths[producer] = run.grid, run.trajectory
-    grids = [grid for grid in maps.values() if grid is not None]
-    if not grids:
+    made = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
+    notes = dict(made.reasons)
+    if not made.grids:
         message = f"{name}: no producer made a map ({'; '.join(notes.values())})"
         raise SlamFusionError(message)
     align = replace(config.fusion.align, shared_frame=True)
     # The reference is drawn from scans as well: its walls have no backs either.
     vote = replace(config.fusion.vote, solid_walls=False)
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
-    fused = vote_every_way(grids, paths, config, device, notes)
+    fused = vote_every_way(made.grids, made.paths, config, device, notes)
 
     rows = []
-    for method, grid in (maps | fused).items():
+    for method, grid in {**made.maps, **fused}.items():
         if grid is not None:
             found = against_truth(grid, reference, config, device)
             rows.append(RealLogRow(name, method, _doubled(grid, config), found))

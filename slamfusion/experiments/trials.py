@@ -29,20 +29,20 @@ import slamfusion
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.program import kernel_folder
 from slamfusion.config import FusionConfig, RunConfig, VoteMode, to_mapping
-from slamfusion.errors import AlignmentError, GridError, SlamFusionError
+from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.records import TrialJson
 from slamfusion.fusion.align import align_grids
-from slamfusion.fusion.path_check import LEAST_FUSED, best_founded, fuse_with_paths
+from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
+from slamfusion.jobs.fuse_drive import DriveMaps, fuse_drive, produce_maps
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
-from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import BUILT_IN, loop_closers, make_producer
+from slamfusion.slam.registry import BUILT_IN
 from slamfusion.slam.side_by_side import threads_limited, usable_cores
 from slamfusion.trajectory import Trajectory
 
@@ -173,12 +173,12 @@ def measure_trial(
     """
     config = replace(config, seed=trial.seed)
     recording = simulate(trial.course, device)
-    notes: dict[str, str] = {}
-    maps, paths = _produce(trial, recording, config, device, notes)
-    fused = _fuse(trial, maps, paths, config, device, notes)
+    made = _produce(trial, recording, config, device)
+    notes = dict(made.reasons)
+    fused = _fuse(trial, made, config, device, notes)
     found = {
         name: against_truth(grid, recording.world.grid, config, device)
-        for name, grid in (maps | fused).items()
+        for name, grid in {**made.maps, **fused}.items()
     }
     record = TrialRecord(
         trial.condition,
@@ -192,38 +192,24 @@ def measure_trial(
 
 
 def _produce(
-    trial: Trial,
-    recording: Recording,
-    config: RunConfig,
-    device: ComputeDevice,
-    notes: dict[str, str],
-) -> tuple[dict[str, OccupancyGrid | None], dict[str, Trajectory]]:
-    """Return each producer's map, None where it made none, and the paths found with them."""
+    trial: Trial, recording: Recording, config: RunConfig, device: ComputeDevice
+) -> DriveMaps:
+    """Run each producer on the scans, which for the harmed ones have the fault."""
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
-    maps: dict[str, OccupancyGrid | None] = {}
-    paths = {}
-    for name in BUILT_IN:
-        scans = faulty if trial.harmed in {"", name} else recording.scans
-        try:
-            run = run_producer(make_producer(name, config, device), scans)
-        except SlamFusionError as error:
-            maps[name], notes[name] = None, str(error)
-            continue
-        maps[name], paths[name] = run.grid, run.trajectory
-    return maps, paths
+    scans = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
+    return produce_maps(scans, config, device)
 
 
 def _fuse(
     trial: Trial,
-    maps: Mapping[str, OccupancyGrid | None],
-    paths: Mapping[str, Trajectory],
+    made: DriveMaps,
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
     """Fuse as ``run`` does: the plain vote decides who votes, then the same maps vote otherwise."""
-    grids = [grid for grid in maps.values() if grid is not None]
-    align = replace(config.fusion.align, shared_frame=True, deadline_s=PATIENCE_S)
+    grids, paths = made.grids, made.paths
+    align = replace(config.fusion.align, deadline_s=PATIENCE_S)
     config = replace(config, fusion=replace(config.fusion, align=align))
     fused = vote_every_way(grids, paths, config, device, notes)
     if trial.harmed:
@@ -275,16 +261,15 @@ def _vote_plainly(
         notes[PLAIN] = f"{grids[0].name} alone: it made the only map"
         return grids[0]
     kept = {grid.name: paths[grid.name] for grid in grids}
-    settings = _voting(config.fusion, PLAIN)
-    try:
-        result, _ = fuse_with_paths(grids, kept, settings, config.run.path_gap_m, device)
-    except AlignmentError as error:
-        alone_grid = best_founded(grids, error.pairs, loop_closers(paths))
-        notes[PLAIN] = f"{alone_grid.name} alone: {error}"
-        return alone_grid
-    for record in result.rejected:
+    config = replace(config, fusion=_voting(config.fusion, PLAIN))
+    fusion = fuse_drive(grids, kept, config, device, shared_frame=True)
+    if fusion.result is None:
+        best = fusion.best_founded or grids[0]
+        notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
+        return best
+    for record in fusion.result.rejected:
         notes[f"{PLAIN} without {record.name}"] = record.reason
-    return result
+    return fusion.result
 
 
 def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:

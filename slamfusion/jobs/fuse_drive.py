@@ -1,4 +1,4 @@
-"""The maps that several producers made of one drive become one, or the best founded one is named.
+"""Several producers on one drive: their maps, and the one that these become.
 
 Shared by ``run_log`` and the experiments, which so measure what a user gets.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError
+from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion.path_check import (
     LEAST_FUSED,
     PathGap,
@@ -20,10 +20,65 @@ from slamfusion.fusion.path_check import (
 )
 from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan
 from slamfusion.jobs.inputs import Progress
+from slamfusion.slam.common.runner import run_producer
+from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DriveFusion", "fuse_drive"]
+__all__ = ["DriveFusion", "DriveMaps", "fuse_drive", "produce_maps"]
+
+
+@dataclass(frozen=True, eq=False)
+class DriveMaps:
+    """What producers made of a drive.
+
+    Attributes:
+        maps: by producer; None where it made none.
+        paths: found with the maps, by producer.
+        reasons: why a producer made no map, by producer.
+    """
+
+    maps: Mapping[str, OccupancyGrid | None]
+    paths: Mapping[str, Trajectory]
+    reasons: Mapping[str, str]
+
+    @property
+    def grids(self) -> list[OccupancyGrid]:
+        """The maps that were made, in order."""
+        return [grid for grid in self.maps.values() if grid is not None]
+
+
+def produce_maps(
+    scans: Mapping[str, Sequence[LogScan]],
+    config: RunConfig,
+    device: ComputeDevice,
+    progress: Progress | None = None,
+) -> DriveMaps:
+    """Run producers on scans in memory, one after the other; one that fails is named.
+
+    Args:
+        scans: what each producer is fed, by its name in the registry.
+        config: settings of the producers.
+        device: computes.
+        progress: told the producer, and the scans that it has been fed.
+    """
+    maps: dict[str, OccupancyGrid | None] = {}
+    paths: dict[str, Trajectory] = {}
+    reasons: dict[str, str] = {}
+    for name, items in scans.items():
+
+        def tell(done: int, name: str = name, total: int = len(items)) -> None:
+            if progress is not None:
+                progress(name, done, total)
+
+        try:
+            run = run_producer(make_producer(name, config, device), items, progress=tell)
+        except SlamFusionError as error:
+            maps[name], reasons[name] = None, str(error)
+            continue
+        maps[name], paths[name] = run.grid, run.trajectory
+    return DriveMaps(maps, paths, reasons)
 
 
 @dataclass(frozen=True, eq=False)
