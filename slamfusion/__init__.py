@@ -1,10 +1,67 @@
-"""SLAMfusion: align the occupancy grids of several 2D SLAMs and let them vote cell by cell."""
+"""SLAMfusion: align the occupancy grids of several 2D SLAMs and let them vote cell by cell.
+
+The library in a few lines::
+
+    from slamfusion import fuse_maps, map_log, save_fused_maps
+
+    made = map_log("drive.log", "graph")
+    fused = fuse_maps([made.grid, "saved.yaml"])
+    save_fused_maps(fused, "out/fused")
+
+Every name below is loaded when it is first asked for: what is not used costs nothing. The work is
+in ``slamfusion.jobs``, the settings in ``slamfusion.config``.
+"""
 
 from __future__ import annotations
 
-from slamfusion.errors import SlamFusionError
-from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from slamfusion.compute import ComputeDevice, open_device
+    from slamfusion.config import RunConfig, load_config
+    from slamfusion.errors import (
+        AlignmentError,
+        ConfigError,
+        DeviceError,
+        GraphError,
+        GridError,
+        LogError,
+        MapFileError,
+        MemoryBudgetError,
+        ScanError,
+        SimulationError,
+        SlamFusionError,
+        TrajectoryError,
+    )
+    from slamfusion.fusion.records import Alignment, FusionResult
+    from slamfusion.geometry import Pose2
+    from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+    from slamfusion.io import AtomicFiles, load_map, open_log, read_trajectory, save_map
+    from slamfusion.jobs.align import align_maps
+    from slamfusion.jobs.evaluate import (
+        Evaluation,
+        evaluate_maps,
+        measure_distances,
+        write_evaluation,
+    )
+    from slamfusion.jobs.fuse import FusedMaps, fuse_maps, save_fused_maps
+    from slamfusion.jobs.graph import OptimizedGraph, optimize_graph, save_optimized_graph
+    from slamfusion.jobs.map_log import MappedLog, map_log, save_mapped_log
+    from slamfusion.jobs.records import load_schema
+    from slamfusion.jobs.run import LogRun, run_log
+    from slamfusion.jobs.run_files import SavedRun, save_run
+    from slamfusion.jobs.simulate import SimulatedDrive, save_simulated_drive, simulate_course
+    from slamfusion.jobs.trajectory import (
+        MeasuredTrajectory,
+        Measures,
+        TrajectoryFiles,
+        measure_trajectory,
+        measure_trajectory_file,
+        write_trajectory,
+    )
+    from slamfusion.scan import LaserScan
+    from slamfusion.trajectory import Trajectory
 
 __version__ = "0.1.0"
 
@@ -12,8 +69,119 @@ __all__ = [
     "FREE",
     "OCCUPIED",
     "UNKNOWN",
+    "Alignment",
+    "AlignmentError",
+    "AtomicFiles",
+    "ComputeDevice",
+    "ConfigError",
+    "DeviceError",
+    "Evaluation",
+    "FusedMaps",
+    "FusionResult",
+    "GraphError",
+    "GridError",
+    "LaserScan",
+    "LogError",
+    "LogRun",
+    "MapFileError",
+    "MappedLog",
+    "MeasuredTrajectory",
+    "Measures",
+    "MemoryBudgetError",
     "OccupancyGrid",
+    "OptimizedGraph",
     "Pose2",
+    "RunConfig",
+    "SavedRun",
+    "ScanError",
+    "SimulatedDrive",
+    "SimulationError",
     "SlamFusionError",
+    "Trajectory",
+    "TrajectoryError",
+    "TrajectoryFiles",
     "__version__",
+    "align_maps",
+    "evaluate_maps",
+    "fuse_maps",
+    "load_config",
+    "load_map",
+    "load_schema",
+    "map_log",
+    "measure_distances",
+    "measure_trajectory",
+    "measure_trajectory_file",
+    "open_device",
+    "open_log",
+    "optimize_graph",
+    "read_trajectory",
+    "run_log",
+    "save_fused_maps",
+    "save_map",
+    "save_mapped_log",
+    "save_optimized_graph",
+    "save_run",
+    "save_simulated_drive",
+    "simulate_course",
+    "write_evaluation",
+    "write_trajectory",
 ]
+
+# Where each name is defined: as above, for the interpreter.
+_MODULES: dict[str, tuple[str, ...]] = {
+    "compute": ("ComputeDevice", "open_device"),
+    "config": ("RunConfig", "load_config"),
+    "errors": (
+        "AlignmentError",
+        "ConfigError",
+        "DeviceError",
+        "GraphError",
+        "GridError",
+        "LogError",
+        "MapFileError",
+        "MemoryBudgetError",
+        "ScanError",
+        "SimulationError",
+        "SlamFusionError",
+        "TrajectoryError",
+    ),
+    "fusion.records": ("Alignment", "FusionResult"),
+    "geometry": ("Pose2",),
+    "grid": ("FREE", "OCCUPIED", "UNKNOWN", "OccupancyGrid"),
+    "io": ("AtomicFiles", "load_map", "open_log", "read_trajectory", "save_map"),
+    "jobs.align": ("align_maps",),
+    "jobs.evaluate": ("Evaluation", "evaluate_maps", "measure_distances", "write_evaluation"),
+    "jobs.fuse": ("FusedMaps", "fuse_maps", "save_fused_maps"),
+    "jobs.graph": ("OptimizedGraph", "optimize_graph", "save_optimized_graph"),
+    "jobs.map_log": ("MappedLog", "map_log", "save_mapped_log"),
+    "jobs.records": ("load_schema",),
+    "jobs.run": ("LogRun", "run_log"),
+    "jobs.run_files": ("SavedRun", "save_run"),
+    "jobs.simulate": ("SimulatedDrive", "save_simulated_drive", "simulate_course"),
+    "jobs.trajectory": (
+        "MeasuredTrajectory",
+        "Measures",
+        "TrajectoryFiles",
+        "measure_trajectory",
+        "measure_trajectory_file",
+        "write_trajectory",
+    ),
+    "scan": ("LaserScan",),
+    "trajectory": ("Trajectory",),
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first asked for (PEP 562)."""
+    if name not in _HOMES:
+        message = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(message)
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, loaded or not."""
+    return sorted({*globals(), *__all__})

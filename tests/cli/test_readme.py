@@ -93,14 +93,16 @@ def test_commands_run_on_the_bundled_data(
             shorten(tmp_path)
 
 
-def test_the_program_runs_on_the_bundled_data(tmp_path: Path) -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+@pytest.mark.parametrize("written", ["fused_live", "fused_library"])
+def test_a_program_runs_on_the_bundled_data(tmp_path: Path, written: str) -> None:
+    programs = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    (program,) = (text for text in programs if written in text)
     shutil.copytree(ROOT / "data", tmp_path / "data")
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     truth = load_map(ROOT / "data" / "sample" / "truth.yaml")
-    found = (load_map(tmp_path / "fused_live.yaml").cells == OCCUPIED).sum()
+    found = (load_map(tmp_path / f"{written}.yaml").cells == OCCUPIED).sum()
     assert found == pytest.approx((truth.cells == OCCUPIED).sum(), rel=0.5)
 
 
