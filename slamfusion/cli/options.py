@@ -272,6 +272,8 @@ class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.
         if not isinstance(value, str):
             return tuple(value)
         values = split_list(value, self._info.kind)
+        if not values:
+            self.fail("wanted values with commas between them, found none", param, ctx)
         if not all(type(item) is self._info.kind for item in values):
             self.fail(f"{value!r} is no list of {self._info.kind.__name__}", param, ctx)
         return tuple(values)

@@ -23,7 +23,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.inputs import Progress
 from slamfusion.slam.common.runner import run_producer
-from slamfusion.slam.registry import make_producer
+from slamfusion.slam.registry import loop_closers, make_producer
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["DriveFusion", "DriveMaps", "fuse_drive", "produce_maps"]
@@ -143,7 +143,7 @@ def fuse_drive(
         return DriveFusion(
             gaps=error.gaps if isinstance(error, PathsApartError) else (),
             pairs=error.pairs,
-            best_founded=best_founded(grids, error.pairs),
+            best_founded=best_founded(grids, error.pairs, loop_closers(paths)),
             failure=error,
         )
     return DriveFusion(result, gaps)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import typing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +15,6 @@ from slamfusion.jobs.tool_records import GraphOptimizeDocument
 from slamfusion.pose_graph import (
     GraphFile,
     Optimized,
-    Robust,
-    Start,
     optimize,
     read_g2o,
     write_g2o,
@@ -70,8 +67,8 @@ def optimize_graph(path: str | Path, config: RunConfig | None = None) -> Optimiz
     found = optimize(
         file.graph,
         fixed=file.fixed,
-        robust=typing.cast("Robust", settings.robust),
-        start=typing.cast("Start", settings.start),
+        robust=settings.robust,
+        start=settings.start,
         max_iterations=settings.max_iterations,
         tolerance=settings.tolerance,
     )

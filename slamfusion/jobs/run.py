@@ -26,8 +26,8 @@ from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.produced import ProducerResult, measure_run
 from slamfusion.jobs.trajectory import Measures, Yardsticks
-from slamfusion.slam.registry import PRODUCERS
-from slamfusion.slam.side_by_side import Outcome, SideBySide
+from slamfusion.slam.registry import BUILT_IN, producer_names, with_producers
+from slamfusion.slam.side_by_side import Outcome, SideBySide, check_names
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["LogRun", "run_log"]
@@ -141,7 +141,10 @@ def run_log(
         Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
     )
     paths = tuple(map(Path, saved_maps))
-    with SideBySide(_names(config), files.log, config, files.scan_odometry) as side_by_side:
+    names = config.run.producers or BUILT_IN
+    check_names(names)
+    config = with_producers(config, names)
+    with SideBySide(names, files.log, config, files.scan_odometry) as side_by_side:
         # Prepared while the producers are at work: what is wrong ends the run at once.
         if prepare is not None:
             prepare()
@@ -187,11 +190,6 @@ def run_log(
     )
 
 
-def _names(config: RunConfig) -> tuple[str, ...]:
-    """Return the producers that the settings name."""
-    return tuple(name.strip() for name in config.run.producers.split(",") if name.strip())
-
-
 def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | None:
     """Return what is told a producer and the share of the log that it has read."""
     if progress is None:
@@ -205,7 +203,7 @@ def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | N
 
 def _renamed(maps: Sequence[OccupancyGrid]) -> list[OccupancyGrid]:
     """Return saved maps under names that no producer has."""
-    taken = {*PRODUCERS, FUSED}
+    taken = {*producer_names(), FUSED}
     return [grid.with_name(f"{grid.name} (saved)") if grid.name in taken else grid for grid in maps]
 
 

@@ -32,7 +32,7 @@ from slamfusion.slam.registry import (
     producer_names,
 )
 
-__all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
+__all__ = ["Outcome", "SideBySide", "check_names", "threads_limited", "usable_cores"]
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -113,7 +113,7 @@ class SideBySide:
         config: RunConfig,
         scan_odometry: Path | None = None,
     ) -> None:
-        _check(names)
+        check_names(names)
         open_log(log, config.log, scan_odometry)
         self._names = tuple(names)
         self._arguments = (log, scan_odometry, config)
@@ -226,8 +226,12 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def _check(names: Sequence[str]) -> None:
-    """Refuse what is no list of producers."""
+def check_names(names: Sequence[str]) -> None:
+    """Refuse what is no list of producers.
+
+    Raises:
+        ConfigError: no producer, an unknown one, or one given twice.
+    """
     names_known = producer_names()
     known = ", ".join(names_known)
     unknown = [name for name in names if name not in names_known]

@@ -228,7 +228,7 @@ def test_settings_reach_the_filter_and_the_record(tmp_path: Path) -> None:
         "--occ_thresh", "0.4", "--json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    settings = json_of(done)["config"]["gmapping"]
+    settings = json_of(done)["config"]["producers"]["gmapping"]
     wanted = {"odometry": "none", "profile": "published", "str": 0.3, "occ_thresh": 0.4}
     assert {name: settings[name] for name in wanted} == wanted
     assert (settings["particles"], settings["srr"]) == (3, None)

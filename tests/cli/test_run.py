@@ -353,7 +353,7 @@ def test_a_truth_that_does_not_meet_the_drive_keeps_the_maps(place: Path, tmp_pa
     ("arguments", "code", "word"),
     [
         (("--producers", "tinyslam,hector"), 1, "wanted some of the producers"),
-        (("--producers", ","), 1, "found none"),
+        (("--producers", ","), 2, "found none"),
         (("--odometry", "flat.log"), 2, "give --relations"),
         (("-o", "flat.log"), 2, "is not a folder"),
         (("--inputs", "out/graph.yaml"), 2, "would replace the input"),

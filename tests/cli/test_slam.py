@@ -88,7 +88,7 @@ def test_the_record_has_the_promised_keys(made: tuple[Path, dict]) -> None:
     assert record["process_peak_memory_mb"] > record["peak_memory_mb"]
     assert record["warnings"] == []
     assert document["seed"] == 3
-    assert document["config"]["tinyslam"]["cell_model"] == "base"
+    assert document["config"]["producers"]["tinyslam"]["cell_model"] == "base"
     assert document["versions"]["numpy"] == np.__version__
 
 

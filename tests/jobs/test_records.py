@@ -20,6 +20,7 @@ from slamfusion.jobs.documents import circumstances, plain
 from slamfusion.jobs.records import load_schema
 from slamfusion.jobs.trajectory import measure_trajectory
 from slamfusion.slam.common.mapper import Health
+from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.support import make_schema
 from tests.support.documents import check_document
@@ -56,7 +57,10 @@ def commands_with_json(group: click.Group, *words: str) -> set[str]:
         if isinstance(command, click.Group) and name != "slam":
             found |= commands_with_json(command, *words, name)
             continue
-        leaf = next(iter(command.commands.values())) if name == "slam" else command
+        leaf: click.Command | None = command
+        if isinstance(command, click.Group):
+            leaf = command.get_command(click.Context(command), BUILT_IN[0])
+        assert leaf is not None
         if any("--json" in parameter.opts for parameter in leaf.params):
             found.add(" ".join((*words, name)))
     return found

@@ -17,7 +17,7 @@ from slamfusion.io import LogScan, open_log
 from slamfusion.io.carmen import write_carmen
 from slamfusion.ros import messages
 from slamfusion.ros.frames import TransformStore
-from slamfusion.slam.registry import make_producer
+from slamfusion.slam.registry import make_producer, with_settings
 from tests.slam.drives import drive
 
 FIRST_S = 100.0
@@ -71,10 +71,8 @@ def offline(kind: str, items: Iterable[LogScan], **settings: Any) -> OccupancyGr
         items: its scans.
         settings: of the producer.
     """
-    config = RunConfig()
-    section = dataclasses.replace(getattr(config, kind), **settings)
     producer = make_producer(
-        kind, dataclasses.replace(config, **{kind: section}), open_device("auto")
+        kind, with_settings(RunConfig(), kind, **settings), open_device("auto")
     )
     for item in items:
         producer.feed(item.scan, item.odometry)

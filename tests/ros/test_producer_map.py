@@ -24,6 +24,7 @@ from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
 from slamfusion.ros import messages, producer_node, qos
 from slamfusion.slam.common.mapper import DrawsAside, MapJob
+from slamfusion.slam.graph import GraphSlam
 from slamfusion.slam.graph.node_map import NodeMap
 from slamfusion.slam.registry import BUILT_IN, make_producer
 from tests.ros.drives import as_sent, offline, scans
@@ -83,7 +84,7 @@ def test_scans_go_on_while_a_slow_map_is_drawn(
     rclpy.init(context=context, domain_id=domain)
     arguments = ["--ros-args", "-p", "map_update_interval_s:=0.05"]
     node = producer_node.ProducerNode("graph", context=context, arguments=arguments)
-    monkeypatch.setattr(producer_node, "NodeMap", HeldMap)
+    monkeypatch.setattr(GraphSlam, "map_drawer", lambda slam, device: HeldMap(slam._config, device))
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node.node)
     poses = observer.collect(PoseStamped, "graph/pose")
