@@ -17,6 +17,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from slamfusion.version import __version__
+
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice, open_device
     from slamfusion.config import RunConfig, load_config
@@ -62,8 +64,6 @@ if TYPE_CHECKING:
     )
     from slamfusion.scan import LaserScan
     from slamfusion.trajectory import Trajectory
-
-__version__ = "0.1.0"
 
 __all__ = [
     "FREE",

@@ -19,10 +19,10 @@ import numpy as np
 import yaml
 from markupsafe import Markup
 
-import slamfusion
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report.plots import Rgb
+from slamfusion.version import __version__
 
 __all__ = [
     "Banner",
@@ -167,7 +167,7 @@ def number(value: float | None, digits: int = 3, tone: str = "plain") -> Cell:
 def circumstances(config: RunConfig, device: str) -> Section:
     """Return the effective configuration and the versions that a result came from."""
     versions = [
-        ("slamfusion", slamfusion.__version__),
+        ("slamfusion", __version__),
         ("Python", platform.python_version()),
         ("NumPy", np.__version__),
         ("SciPy", _version("scipy")),
@@ -217,7 +217,7 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         numbers=numbers,
         identity=id,
         made_at=dt.datetime.now(dt.timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
-        version=slamfusion.__version__,
+        version=__version__,
     )
     path = directory / "report.html"
     earlier = set(directory.glob("[0-9][0-9]-*.png")) if path.exists() else set()

@@ -151,7 +151,7 @@ def test_a_producer_that_fails_is_named_and_the_others_go_on() -> None:
 
 
 def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
-    config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers="tinyslam,graph"))
+    config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
     prepared: list[bool] = []
     told: list[str] = []
     run = run_log(
@@ -172,7 +172,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     # One without a fused map goes beside it, and says why there is none.
     before = tree(tmp_path / "out")
     alone = run_log(
-        place / "flat.log", replace(config, run=replace(config.run, producers="tinyslam"))
+        place / "flat.log", replace(config, run=replace(config.run, producers=("tinyslam",)))
     )
     assert "1 of 1 maps was made, at least 2 are needed" in str(alone.failure)
     assert (alone.grid, alone.usable) == (None, None)
@@ -185,7 +185,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
 
 
 def test_a_main_job_that_cannot_begin_is_an_error(place: Path, tmp_path: Path) -> None:
-    nobody = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers="nobody"))
+    nobody = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("nobody",)))
     with pytest.raises(ConfigError, match="nobody"):
         run_log(place / "flat.log", nobody)
     with pytest.raises(OSError, match=r"absent\.log"):
