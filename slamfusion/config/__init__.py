@@ -35,6 +35,11 @@ from slamfusion.config.fusion import (
     VoteConfig,
     VoteMode,
 )
+from slamfusion.config.graph import (
+    GraphClosureConfig,
+    GraphRelocalizationConfig,
+    GraphTrackingConfig,
+)
 from slamfusion.config.ros import FusionNodeConfig, PlayerNodeConfig, ProducerNodeConfig
 from slamfusion.config.run import (
     DeviceConfig,
@@ -84,8 +89,11 @@ __all__ = [
     "FusionConfig",
     "FusionNodeConfig",
     "GmappingConfig",
+    "GraphClosureConfig",
     "GraphConfig",
     "GraphOptimizerConfig",
+    "GraphRelocalizationConfig",
+    "GraphTrackingConfig",
     "GroundObstacleConfig",
     "LidarConfig",
     "LiveConfig",

@@ -7,6 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from slamfusion.config.core import Checked, option
+from slamfusion.config.graph import (
+    GraphClosureConfig,
+    GraphRelocalizationConfig,
+    GraphTrackingConfig,
+)
 
 __all__ = [
     "GMAPPING_PROFILES",
@@ -63,6 +68,15 @@ class MatcherConfig(Checked):
         "score lost by believing that the robot went on as it went, against its odometry",
         low=0.0,
         high=1.0,
+        level="expert",
+    )
+    jump_m: float = option(
+        5.0,
+        "a longer step of the odometry between two scans is a reset and not believed; more for a "
+        "robot that is fast or scans seldom",
+        unit="m",
+        low=0.01,
+        high=10_000.0,
         level="expert",
     )
 
@@ -299,6 +313,9 @@ class GraphConfig(Checked):
     """Graph SLAM [O09, K10, H16c]; names are open_karto's where the meaning is the same."""
 
     matcher: MatcherConfig = MatcherConfig(beams=400)
+    tracking: GraphTrackingConfig = GraphTrackingConfig()
+    closure: GraphClosureConfig = GraphClosureConfig()
+    relocalization: GraphRelocalizationConfig = GraphRelocalizationConfig()
     resolution: float = option(0.05, "cell size of the maps", unit="m", low=0.005, high=1.0)
     minimum_travel_distance: float = option(
         0.3, "a scan becomes a node after this way", unit="m", low=0.0, high=100.0

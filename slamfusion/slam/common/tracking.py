@@ -42,8 +42,6 @@ SECOND_SEARCH_SPREAD, SECOND_SEARCH_POSES = 3.0, 4
 SECOND_SEARCH_GAIN = 0.1
 # Memory of the running mean score, scans: some seconds, so that it follows the place.
 SCORE_MEMORY = 50
-# Step of the odometry between two scans, metres, from which on it was reset: none drives so far.
-JUMP_M = 5.0
 # A step is extrapolated over missing scans to at most this many times its length: a robot that went
 # on for longer may have turned.
 MOST_ONWARD = 3.0
@@ -112,8 +110,8 @@ class Tracker:
             step = IDENTITY if self.expects_standstill else onward
             return [self._hypothesis(step, NO_ODOMETRY_SPREAD, 0.0)]
         step = self.odometry.inverse().compose(odometry)
-        if math.hypot(step.x, step.y) > JUMP_M:
-            reason = f"odometry jumped by more than {JUMP_M:g} m: not believed"
+        if math.hypot(step.x, step.y) > self.config.jump_m:
+            reason = f"odometry jumped by more than {self.config.jump_m:g} m: not believed"
             self.health.skips.add(reason, self.health.scans)
             self.has_jumped = True
             return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]

@@ -47,7 +47,7 @@ __all__ = ["Gmapping"]
 
 F64 = npt.NDArray[np.float64]
 NAME = "gmapping"
-STATE_FORMAT = 4
+STATE_FORMAT = 5
 
 
 class Gmapping:

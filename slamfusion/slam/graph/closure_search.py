@@ -32,23 +32,13 @@ LITTLE_IN_COMMON = "little in common"
 DEGENERATE = "place left open"
 AMBIGUOUS = "two places fit"
 
-# Drift, metres, up to which the matcher's own search reaches; beyond, the whole window is searched.
-LOCAL_DRIFT_M = 0.8
 # Deviation of the matcher's search around where a scan is expected, metres: at least three cells.
 LEAST_SPREAD_M = 0.15
 # Error of the expected heading: radians, fixed and for a metre of drift.
 TURN_RAD, TURN_RAD_PER_M = 0.05, 0.1
-# Share of a scan's hits that may lie where the older submap has seen nothing: the robot may be at
-# its border. Less where it may be anywhere, since more places fit the fewer hits count.
-MOST_UNSEEN, MOST_UNSEEN_ANYWHERE = 0.6, 0.3
-# Response that a closure needs, in the running mean score: old submaps fit a little worse than the
-# growing one. More where the robot may be anywhere.
-MEAN_SHARE, MEAN_SHARE_ANYWHERE = 0.75, 0.85
 # Share of that response which the window search needs: it finds whole cells, and what the fine
 # search then finds fits better.
 WINDOW_SHARE = 0.8
-# Share of a closure's response from which on another place is a rival and the closure ambiguous.
-RIVAL_SHARE = 0.93
 # A rival is searched this many times as far as the closure, and metres farther.
 RIVAL_TIMES, RIVAL_M = 1.5, 0.5
 # Half-width of the peak that is searched once more for the response to compare rivals with: cells
@@ -59,12 +49,6 @@ PEAK_CELLS, PEAK_RAD = 2.0, 0.02
 NEWS_M, NEWS_RAD = 0.2, 0.05
 # Distance around the robot's places in a submap, metres, from where its walls can be seen too.
 AROUND_M = 1.0
-# Window in which a robot that tracking may have lost is searched: metres and radians between two
-# scans.
-JUMP_M, JUMP_RAD = 1.5, 0.8
-# Difference between expected and best, metres and radians, up to which a bad match is where it is
-# expected: then the world has changed, not the place.
-EXPECTED_M, EXPECTED_RAD = 0.4, 0.12
 # Deviations of the matcher's search around what a window search has found: metres, two cells, and
 # radians.
 AFTER_WINDOW_M, AFTER_WINDOW_RAD = 0.1, 0.02
@@ -127,13 +111,13 @@ class ClosureSearch:
         Returns:
             Where it lies, or why that is not known, in the words of the health record.
         """
-        config = self._config
-        least = max(config.loop_match_minimum_response, MEAN_SHARE * mean_score)
+        config, closure = self._config, self._config.closure
+        least = max(config.loop_match_minimum_response, closure.mean_share * mean_score)
         turn = min(config.coarse_search_angle_offset, TURN_RAD + TURN_RAD_PER_M * drift_m)
-        if drift_m <= LOCAL_DRIFT_M:
+        if drift_m <= closure.local_drift_m:
             spread = Spread(max(drift_m / 2.0, LEAST_SPREAD_M), turn / 2.0)
             hypothesis = PoseHypothesis(expected, spread)
-            found = self._fine(submap, points, hypothesis, least, MOST_UNSEEN)
+            found = self._fine(submap, points, hypothesis, least, closure.most_unseen)
             if isinstance(found, Found) and _is_news(expected, found.pose):
                 window = _Window(expected, RIVAL_TIMES * drift_m + RIVAL_M, turn)
                 if self._has_rival(submap, points, window, found):
@@ -143,16 +127,19 @@ class ClosureSearch:
         half_m = min(drift_m, most)
         wider = min(RIVAL_TIMES * half_m + RIVAL_M, most)
         windows = (_Window(expected, half_m, turn), _Window(expected, wider, turn))
-        return self._only_place(submap, points, windows, least, MOST_UNSEEN)
+        return self._only_place(submap, points, windows, least, closure.most_unseen)
 
     def anywhere(self, submap: Submap, points: F64, mean_score: float) -> Found | str:
         """Search all of a submap, for a kidnapped robot; see ``near``."""
-        least = max(self._config.loop_match_minimum_response, MEAN_SHARE_ANYWHERE * mean_score)
+        closure = self._config.closure
+        least = max(
+            self._config.loop_match_minimum_response, closure.mean_share_anywhere * mean_score
+        )
         middle = np.array([*(0.5 * (submap.low + submap.high)), 0.0])
         half_m = 0.5 * float((submap.high - submap.low).max()) + AROUND_M
         everything = _Window(middle, half_m, math.pi)
         return self._only_place(
-            submap, points, (everything, everything), least, MOST_UNSEEN_ANYWHERE
+            submap, points, (everything, everything), least, closure.most_unseen_anywhere
         )
 
     def around(
@@ -172,13 +159,16 @@ class ClosureSearch:
             average and nowhere else nearly as well; or it fits badly, but best where it is
             expected: then the world has changed, not the place.
         """
-        window = _Window(expected, JUMP_M, JUMP_RAD)
+        tracking, closure = self._config.tracking, self._config.closure
+        window = _Window(expected, tracking.search_m, tracking.search_rad)
         best = self._searched(submap, points, window, 0.0)
         if best is None:
             return expected, False
         coarse = best.pose
-        least = MEAN_SHARE_ANYWHERE * mean_score
-        found = self._fine(submap, points, _around(coarse), least, MOST_UNSEEN, by_window=True)
+        least = closure.mean_share_anywhere * mean_score
+        found = self._fine(
+            submap, points, _around(coarse), least, closure.most_unseen, by_window=True
+        )
         if isinstance(found, Found):
             if self._has_rival(submap, points, window, found):
                 return expected, False
@@ -187,7 +177,7 @@ class ClosureSearch:
             return coarse, False
         away = np.hypot(*(coarse - expected)[:2])
         turn = abs(wrap_angle(float(coarse[2] - expected[2])))
-        return expected, bool(away <= EXPECTED_M and turn <= EXPECTED_RAD)
+        return expected, bool(away <= tracking.expected_m and turn <= tracking.expected_rad)
 
     def _only_place(
         self,
@@ -260,7 +250,7 @@ class ClosureSearch:
         own = self._searched(submap, points, peak, 0.0)
         if own is None:
             return True
-        least = RIVAL_SHARE * own.score
+        least = self._config.closure.rival_share * own.score
         return self._searched(submap, points, window, least, found.pose) is not None
 
 

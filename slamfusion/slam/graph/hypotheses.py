@@ -9,20 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from slamfusion.config import GraphConfig, GraphRelocalizationConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.pending_closures import PendingClosure, is_same_place
 from slamfusion.slam.graph.state import HypothesisState, PendingState
 
 __all__ = ["RelocalizationHypotheses", "RelocalizationHypothesis"]
 
-# Nodes that fit, and metres between the first and the last of them, from which on a hypothesis is
-# borne out: longer than rooms that are copies of each other go on alike.
-BORNE_OUT_NODES, BORNE_OUT_M = 14, 4.0
-# Misses in a row after which a hypothesis is given up: a door or a person may hide one or two.
-MISSES = 3
-# Hits, and share of the best one's, below which a hypothesis is no rival: where it has the robot
-# now there is nothing to test it on.
-RIVAL_HITS, RIVAL_SHARE = 2, 0.4
 # Hypotheses that are tested at a node, and that are kept: what a node may cost.
 TESTED, MOST_HYPOTHESES = 2, 12
 
@@ -43,11 +36,12 @@ class RelocalizationHypothesis:
     misses: int = 0
     tested: int = -1
 
-    def is_borne_out(self) -> bool:
+    def is_borne_out(self, config: GraphRelocalizationConfig) -> bool:
         """Return whether enough scans have fitted over a long enough distance."""
         nodes = {hit.constraint.end for hit in self.hits}
         travelled = [hit.travelled_m for hit in self.hits]
-        return len(nodes) >= BORNE_OUT_NODES and max(travelled) - min(travelled) >= BORNE_OUT_M
+        driven_m = max(travelled) - min(travelled)
+        return len(nodes) >= config.borne_out_nodes and driven_m >= config.borne_out_m
 
     def to_state(self) -> HypothesisState:
         """Return everything, for saving."""
@@ -68,7 +62,9 @@ class RelocalizationHypotheses:
         kept: that are not given up.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, config: GraphConfig) -> None:
+        """Start with none; ``config`` tells which say the same, and when one is believed."""
+        self._agreement, self._config = config.closure, config.relocalization
         self.kept: list[RelocalizationHypothesis] = []
 
     def to_test(self) -> list[RelocalizationHypothesis]:
@@ -84,7 +80,7 @@ class RelocalizationHypotheses:
         """
         place = hit.correction.compose(pose)
         for one in self.kept:
-            if is_same_place(one.correction.compose(pose), place):
+            if is_same_place(one.correction.compose(pose), place, self._agreement):
                 break
         else:
             one = RelocalizationHypothesis(hit.correction)
@@ -98,7 +94,7 @@ class RelocalizationHypotheses:
     def miss(self, one: RelocalizationHypothesis) -> None:
         """Count that a scan did not fit where a hypothesis says that it must."""
         one.misses += 1
-        if one.misses >= MISSES and one in self.kept:
+        if one.misses >= self._config.misses and one in self.kept:
             self.kept.remove(one)
 
     def winner(self) -> RelocalizationHypothesis | None:
@@ -106,6 +102,6 @@ class RelocalizationHypotheses:
         if not self.kept:
             return None
         best = max(self.kept, key=lambda one: len(one.hits))
-        enough = max(RIVAL_HITS, RIVAL_SHARE * len(best.hits))
+        enough = max(self._config.rival_hits, self._config.rival_share * len(best.hits))
         has_rival = any(len(one.hits) >= enough for one in self.kept if one is not best)
-        return best if best.is_borne_out() and not has_rival else None
+        return best if best.is_borne_out(self._config) and not has_rival else None

@@ -22,14 +22,11 @@ from slamfusion.slam.graph.node_map import Node
 from slamfusion.slam.graph.state import LocalMapState
 from slamfusion.slam.graph.submap import UNSEEN_WALL, Submap, seen_score
 from slamfusion.slam.graph.surfaces import fill_walls
-from slamfusion.slam.graph.tracking_quality import RESET_SHARE
 
 __all__ = ["LocalMap"]
 
 F64 = npt.NDArray[np.float64]
 
-# Share of a scan's hits in the unseen from which on its match says little: it is not bad then.
-MOST_UNSEEN = 0.8
 # Distance between hits that are filled in on a wall, cells: a submap's walls have no gaps.
 WALL_CELLS = 1.0
 
@@ -52,7 +49,7 @@ class LocalMap:
         """Start empty.
 
         Args:
-            config: cell size, and how many nodes a submap holds.
+            config: cell size, how many nodes a submap holds, and what match says little.
             device: where the submaps live.
             health: where submaps and map components are counted.
         """
@@ -126,10 +123,13 @@ class LocalMap:
         Returns:
             Its score in the mean score; 1 where it is not much lower, or says little.
         """
-        if mean_score is None or match.score >= RESET_SHARE * mean_score:
+        if mean_score is None:
+            return 1.0
+        config = self._config.tracking
+        if match.score >= max(config.bad_share, config.reset_share) * mean_score:
             return 1.0
         unseen = self._scan(points).unseen_share(match.pose, UNSEEN_WALL)
-        if unseen >= MOST_UNSEEN:
+        if unseen >= config.most_unseen:
             return 1.0
         return seen_score(match.score, unseen) / mean_score
 

@@ -8,11 +8,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.hypotheses import RelocalizationHypothesis
 from slamfusion.slam.graph.pending_closures import How
 
-__all__ = ["DRIFT_SHARE", "LoopCandidate"]
-
-# Drift of the robot, a share of the distance that it has travelled since a submap was last tied to
-# it; of matched scans the error is far smaller.
-DRIFT_SHARE = 0.02
+__all__ = ["LoopCandidate"]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from slamfusion.config import GraphClosureConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.graph.constraints import Constraint
 
@@ -15,12 +16,6 @@ __all__ = ["How", "PendingClosure", "PendingClosures", "is_same_place"]
 # over.
 How = Literal["known", "odometry", "anywhere"]
 
-# Correction of the robot's pose, metres and radians, up to which one closure is believed alone:
-# what a robot drifts on a short loop.
-SMALL_STEP_M, SMALL_STEP_RAD = 0.4, 0.1
-# Difference between the corrected poses of two closures, metres and radians, up to which they say
-# the same: a few cells, and what matches differ by.
-AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.05
 # What it takes to believe closures that move the robot, by how it was searched: nodes that agree,
 # metres driven between the first and the last of them, and nodes for which they wait. For those
 # found anywhere see ``slamfusion.slam.graph.relocalization``.
@@ -54,7 +49,9 @@ class PendingClosures:
         closures: the ones of the last nodes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, config: GraphClosureConfig) -> None:
+        """Start with none; ``config`` tells what is believed alone, and what says the same."""
+        self._config = config
         self.closures: list[PendingClosure] = []
 
     def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
@@ -64,13 +61,13 @@ class PendingClosures:
             closure: a new one, not found ``anywhere``.
             pose: of its node in the map frame, before any correction.
         """
-        number = closure.constraint.end
+        config, number = self._config, closure.constraint.end
         moved = closure.correction.compose(pose)
         self.closures = [c for c in self.closures if number - c.constraint.end <= TRUST[c.how][2]]
-        if closure.how == "known" and _is_small(pose, moved):
+        if closure.how == "known" and _is_small(pose, moved, config):
             return [closure]
         earlier = [c for c in self.closures if c.constraint.end != number]
-        agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved)]
+        agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved, config)]
         self.closures.append(closure)
         least_nodes, least_m, _ = TRUST[closure.how]
         nodes = {c.constraint.end for c in agreeing}
@@ -83,13 +80,15 @@ class PendingClosures:
         return [closure, *agreeing]
 
 
-def is_same_place(one: Pose2, other: Pose2) -> bool:
+def is_same_place(one: Pose2, other: Pose2, config: GraphClosureConfig) -> bool:
     """Return whether two corrected poses of the robot are one place."""
     away = math.hypot(one.x - other.x, one.y - other.y)
-    return away < AGREEMENT_M and abs(wrap_angle(one.yaw_rad - other.yaw_rad)) < AGREEMENT_RAD
+    turn = abs(wrap_angle(one.yaw_rad - other.yaw_rad))
+    return away < config.agreement_m and turn < config.agreement_rad
 
 
-def _is_small(pose: Pose2, moved: Pose2) -> bool:
+def _is_small(pose: Pose2, moved: Pose2, config: GraphClosureConfig) -> bool:
     """Return whether a closure leaves the robot about where it was believed to be."""
     away = math.hypot(moved.x - pose.x, moved.y - pose.y)
-    return away <= SMALL_STEP_M and abs(wrap_angle(moved.yaw_rad - pose.yaw_rad)) <= SMALL_STEP_RAD
+    turn = abs(wrap_angle(moved.yaw_rad - pose.yaw_rad))
+    return away <= config.small_step_m and turn <= config.small_step_rad

@@ -7,25 +7,17 @@ and every old submap has been searched.
 
 from __future__ import annotations
 
+from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.hypotheses import RelocalizationHypotheses, RelocalizationHypothesis
 from slamfusion.slam.graph.local_map import LocalMap
-from slamfusion.slam.graph.loop_candidates import DRIFT_SHARE, LoopCandidate
+from slamfusion.slam.graph.loop_candidates import LoopCandidate
 from slamfusion.slam.graph.map_graph import MapGraph
 from slamfusion.slam.graph.pending_closures import PendingClosure
 from slamfusion.slam.graph.state import RelocalizationState
 
-__all__ = ["KIDNAPPED_DRIFT_M", "Relocalization"]
+__all__ = ["Relocalization"]
 
-# Distance from where odometry has it, metres, within which a kidnapped robot is searched first.
-KIDNAPPED_DRIFT_M = 1.2
-# Searches there in vain after which it may be anywhere, nodes.
-LOCAL_SEARCHES = 12
-# Distance from the robot's places in an old submap, metres, up to which a hypothesis that puts the
-# robot there is tested on it.
-INSIDE_M = 0.5
-# Error of a hypothesis, metres: of its last hit, and of the drift since.
-HYPOTHESIS_DRIFT_M = 0.6
 # Submaps that are searched all over at a node; and once each has been, nodes until the next round.
 SEARCHED_AT_NODE, ROUND_NODES = 3, 4
 
@@ -37,8 +29,10 @@ class Relocalization:
         hypotheses: where it may be.
     """
 
-    def __init__(self) -> None:
-        self.hypotheses = RelocalizationHypotheses()
+    def __init__(self, config: GraphConfig) -> None:
+        """Start with nothing searched; ``config`` tells how far and how often it is."""
+        self._config = config
+        self.hypotheses = RelocalizationHypotheses(config)
         # How often submaps of other components were searched all over.
         self._searched: dict[int, int] = {}
         # Searches where odometry has it, and the distance travelled when it was kidnapped.
@@ -54,7 +48,7 @@ class Relocalization:
     def forget(self) -> None:
         """Forget what was searched, and every hypothesis: the robot is somewhere else now."""
         self._searched = {}
-        self.hypotheses = RelocalizationHypotheses()
+        self.hypotheses = RelocalizationHypotheses(self._config)
 
     def candidates(self, graph: MapGraph, local_map: LocalMap, pose: Pose2) -> list[LoopCandidate]:
         """Return the submaps that a kidnapped robot is searched in at a node.
@@ -69,11 +63,12 @@ class Relocalization:
         others = local_map.in_other_components()
         away_m = local_map.distances_m(pose, graph.poses)
         # First near where odometry has it.
-        drift_m = KIDNAPPED_DRIFT_M + DRIFT_SHARE * (graph.travelled_m - self._kidnapped_m)
+        config, drift_share = self._config.relocalization, self._config.closure.drift_share
+        drift_m = config.kidnapped_drift_m + drift_share * (graph.travelled_m - self._kidnapped_m)
         nearest = others[int(away_m[others].argmin())]
         candidates = [LoopCandidate(nearest, pose, drift_m, "odometry")]
         self._failed_searches += 1
-        if self._failed_searches <= LOCAL_SEARCHES:
+        if self._failed_searches <= config.local_searches:
             return candidates
         # Then where hypotheses have it.
         for hypothesis in self.hypotheses.to_test():
@@ -81,10 +76,10 @@ class Relocalization:
             expected = hypothesis.correction.compose(pose)
             outside_m = local_map.distances_m(expected, graph.poses)[others]
             place = int(outside_m.argmin())
-            if outside_m[place] < INSIDE_M:
+            if outside_m[place] < config.inside_m:
                 candidates.append(
                     LoopCandidate(
-                        others[place], expected, HYPOTHESIS_DRIFT_M, "anywhere", hypothesis
+                        others[place], expected, config.hypothesis_drift_m, "anywhere", hypothesis
                     )
                 )
         # Then anywhere: submaps that have not been searched yet first, and of these the near ones.

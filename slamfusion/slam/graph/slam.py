@@ -42,7 +42,7 @@ from slamfusion.trajectory import Trajectory
 __all__ = ["GraphSlam"]
 
 NAME = "graph"
-STATE_FORMAT = 4
+STATE_FORMAT = 5
 
 
 class GraphSlam:

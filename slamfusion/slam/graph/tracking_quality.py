@@ -5,20 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = ["BAD_SHARE", "RESET_SHARE", "TrackingQuality", "TrackingStatus"]
+from slamfusion.config import GraphTrackingConfig
 
-# What a match is worth where the local map has seen something, in the running mean score.
-# Below this share it is bad: its scan is not mapped, and odometry is believed instead.
-BAD_SHARE = 0.6
-# The same right after a reset of the odometry: one scan below it is enough for a kidnapped robot,
-# which was perhaps switched off and moved.
-RESET_SHARE = 0.8
-# Scans in a row, no place of which is sure, after which the robot is kidnapped: one or two are a
-# door or a crowd.
-LOST_SCANS = 4
-# Bad scans among the last ones after which tracking has failed: what comes now may not lie rightly
-# to what was before.
-FAILED_BAD, FAILED_SCANS = 3, 10
+__all__ = ["TrackingQuality", "TrackingStatus"]
+
 
 TrackingStatus = Literal["tracked", "unsure", "failed", "kidnapped"]
 
@@ -29,18 +19,27 @@ class TrackingQuality:
 
     Attributes:
         unsure_row: scans in a row whose place was not sure.
-        bad: numbers of the bad scans among the last ``FAILED_SCANS``.
+        bad: numbers of the bad scans among the last ``failed_scans``.
     """
 
     unsure_row: int = 0
     bad: list[int] = field(default_factory=list)
 
-    def judge(self, number: int, fit: float, *, is_sure: bool, has_jumped: bool) -> TrackingStatus:
+    def judge(
+        self,
+        number: int,
+        fit: float,
+        config: GraphTrackingConfig,
+        *,
+        is_sure: bool,
+        has_jumped: bool,
+    ) -> TrackingStatus:
         """Take how a scan fitted, and return what that says of the robot.
 
         Args:
             number: of the scan.
             fit: what its match is worth, in the running mean score.
+            config: from where on a fit is bad, and how many bad ones are too many.
             is_sure: whether its place may be trusted.
             has_jumped: whether odometry has just been reset.
 
@@ -50,14 +49,14 @@ class TrackingQuality:
             reckoning places.
         """
         self.unsure_row = 0 if is_sure else self.unsure_row + 1
-        if self.unsure_row >= LOST_SCANS or (has_jumped and fit < RESET_SHARE):
+        if self.unsure_row >= config.lost_scans or (has_jumped and fit < config.reset_share):
             return "kidnapped"
-        self.bad = [bad for bad in self.bad if number - bad < FAILED_SCANS]
-        if fit < BAD_SHARE:
+        self.bad = [bad for bad in self.bad if number - bad < config.failed_scans]
+        if fit < config.bad_share:
             self.bad.append(number)
         if not is_sure:
             return "unsure"
-        return "failed" if len(self.bad) >= FAILED_BAD else "tracked"
+        return "failed" if len(self.bad) >= config.failed_bad else "tracked"
 
     def reset(self) -> None:
         """Forget what was: a new local map begins."""

@@ -135,6 +135,18 @@ def test_odometry_that_jumps_is_named_and_not_believed(step: Pose2) -> None:
     assert not found.has_jumped
 
 
+@pytest.mark.parametrize(("jump_m", "step_m"), [(0.5, 0.6), (40.0, 40.1)])
+def test_how_far_a_step_may_be_is_a_setting(jump_m: float, step_m: float) -> None:
+    for far_m, count in ((jump_m, 2), (step_m, 1)):
+        found = tracker(MatcherConfig(jump_m=jump_m))
+        found.advance(Pose2(), Pose2(), 10.0)
+        assert len(HYPOTHESES(found, 11.0, Pose2(0.0, far_m))) == count
+        assert found.has_jumped == (count == 1)
+    assert list(found.health.skips.counts) == [
+        f"odometry jumped by more than {jump_m:g} m: not believed"
+    ]
+
+
 def test_nothing_has_jumped_before_the_first_scan() -> None:
     assert not tracker().has_jumped
 

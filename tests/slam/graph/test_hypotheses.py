@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.hypotheses import (
-    BORNE_OUT_M,
-    BORNE_OUT_NODES,
-    MISSES,
     MOST_HYPOTHESES,
     TESTED,
     RelocalizationHypotheses,
@@ -19,6 +17,9 @@ from slamfusion.slam.graph.pending_closures import PendingClosure
 
 pytestmark = pytest.mark.once
 
+CONFIG = GraphConfig()
+BORNE_OUT_NODES = CONFIG.relocalization.borne_out_nodes
+BORNE_OUT_M, MISSES = CONFIG.relocalization.borne_out_m, CONFIG.relocalization.misses
 HERE = Pose2(3.0, -2.0, 0.5)
 TRUE, TWIN = Pose2(4.0, 1.0, 1.0), Pose2(-6.0, 2.0, -2.0)
 
@@ -37,7 +38,7 @@ def told(
 
 
 def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     for node in range(BORNE_OUT_NODES - 1):
         hypotheses.add(hit(node, TRUE), HERE)
         assert hypotheses.winner() is None
@@ -51,7 +52,7 @@ def test_a_hypothesis_is_believed_after_enough_hits_over_a_distance():
 
 
 def test_a_robot_that_hardly_drives_is_not_found():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     told(
         hypotheses,
         TRUE,
@@ -62,14 +63,14 @@ def test_a_robot_that_hardly_drives_is_not_found():
 
 
 def test_closures_of_one_node_count_once():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     for _ in range(BORNE_OUT_NODES):
         told(hypotheses, TRUE, range(0, 2 * BORNE_OUT_NODES - 2, 2))
     assert hypotheses.winner() is None
 
 
 def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     for node in range(4 * BORNE_OUT_NODES):
         hypotheses.add(hit(node, TRUE), HERE)
         twin = hypotheses.add(hit(node, TWIN), HERE)
@@ -84,7 +85,7 @@ def test_of_two_places_that_look_alike_none_is_believed_until_one_fails():
 
 
 def test_misses_count_in_a_row():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     told(hypotheses, TRUE, range(2))
     hypothesis = hypotheses.kept[0]
     for _ in range(3):
@@ -99,7 +100,7 @@ def test_misses_count_in_a_row():
 
 
 def test_a_false_lead_that_cannot_be_tested_does_not_stand_in_the_way_forever():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     told(hypotheses, TWIN, range(8))
     told(hypotheses, TRUE, range(8, 16))
     assert hypotheses.winner() is None
@@ -112,7 +113,7 @@ def test_a_false_lead_that_cannot_be_tested_does_not_stand_in_the_way_forever():
 @pytest.mark.parametrize(("away", "count"), [((0.1, 0.1, 0.02), 1), ((0.5, 0.0, 0.0), 2)])
 def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, float], count: int):
     """The same at the robot; what a correction does at the frame's origin is no matter."""
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     place = TRUE.compose(HERE)
     other = Pose2(place.x + away[0], place.y + away[1], place.yaw_rad + away[2])
     hypotheses.add(hit(0, TRUE), HERE)
@@ -121,7 +122,7 @@ def test_hits_that_say_the_same_are_one_hypothesis(away: tuple[float, float, flo
 
 
 def test_few_are_tested_at_a_node_and_each_in_its_turn():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     for number in range(5):
         hypotheses.add(hit(0, Pose2(3.0 * number, 0.0)), HERE)
     tested = []
@@ -135,7 +136,7 @@ def test_few_are_tested_at_a_node_and_each_in_its_turn():
 
 
 def test_the_least_supported_hypothesis_makes_room():
-    hypotheses = RelocalizationHypotheses()
+    hypotheses = RelocalizationHypotheses(CONFIG)
     told(hypotheses, TRUE, range(3))
     for number in range(2 * MOST_HYPOTHESES):
         hypotheses.add(hit(0, Pose2(30.0 + 3.0 * number, 0.0)), HERE)

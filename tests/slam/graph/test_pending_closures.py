@@ -10,12 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slamfusion.config import GraphClosureConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.pending_closures import (
-    AGREEMENT_M,
-    SMALL_STEP_M,
-    SMALL_STEP_RAD,
     TRUST,
     How,
     PendingClosure,
@@ -24,6 +22,9 @@ from slamfusion.slam.graph.pending_closures import (
 
 pytestmark = pytest.mark.once
 
+CONFIG = GraphClosureConfig()
+AGREEMENT_M = CONFIG.agreement_m
+SMALL_STEP_M, SMALL_STEP_RAD = CONFIG.small_step_m, CONFIG.small_step_rad
 F64 = npt.NDArray[np.float64]
 
 
@@ -64,13 +65,13 @@ def moving(x: float, y: float, yaw_rad: float) -> Pose2:
     ],
 )
 def test_a_small_step_is_believed_at_once(step: tuple[float, float, float], is_small: bool):
-    pending, closure = PendingClosures(), closure_of(7, moving(*step))
+    pending, closure = PendingClosures(CONFIG), closure_of(7, moving(*step))
     assert pending.confirmed(closure, HERE) == ([closure] if is_small else [])
     assert pending.closures == ([] if is_small else [closure])
 
 
 def test_a_big_step_waits_for_one_that_says_the_same():
-    pending = PendingClosures()
+    pending = PendingClosures(CONFIG)
     first, second = closure_of(7, BIG), closure_of(9, BIG)
     assert pending.confirmed(first, HERE) == []
     assert pending.confirmed(second, HERE) == [second, first]
@@ -80,7 +81,7 @@ def test_a_big_step_waits_for_one_that_says_the_same():
 
 
 def test_a_small_step_says_nothing_of_those_that_wait():
-    pending, first = PendingClosures(), closure_of(7, BIG)
+    pending, first = PendingClosures(CONFIG), closure_of(7, BIG)
     pending.confirmed(first, HERE)
     small = closure_of(8, moving(0.1, 0.0, 0.0))
     assert pending.confirmed(small, HERE) == [small]
@@ -103,7 +104,7 @@ def test_a_small_step_says_nothing_of_those_that_wait():
 def test_what_would_move_the_robot_elsewhere_confirms_nothing(
     other: tuple[float, float, float], agrees: bool
 ):
-    pending = PendingClosures()
+    pending = PendingClosures(CONFIG)
     pending.confirmed(closure_of(7, moving(2.0, 1.0, 0.5)), HERE)
     assert len(pending.confirmed(closure_of(8, moving(*other)), HERE)) == (2 if agrees else 0)
 
@@ -112,13 +113,13 @@ def test_agreement_is_about_the_robot_of_now():
     """Two corrections that turn differently agree at the place where one was found, not far on."""
     one, other = moving(2.0, 0.0, 0.0), moving(2.0, 0.0, 0.04)
     for far_m, agrees in ((0.0, True), (20.0, False)):
-        pending, pose = PendingClosures(), HERE.compose(Pose2(far_m))
+        pending, pose = PendingClosures(CONFIG), HERE.compose(Pose2(far_m))
         pending.confirmed(closure_of(7, one), HERE)
         assert len(pending.confirmed(closure_of(8, other), pose)) == (2 if agrees else 0)
 
 
 def test_two_of_one_node_do_not_confirm_each_other():
-    pending = PendingClosures()
+    pending = PendingClosures(CONFIG)
     assert pending.confirmed(closure_of(7, BIG, start=1), HERE) == []
     assert pending.confirmed(closure_of(7, BIG, start=2), HERE) == []
     assert len(pending.confirmed(closure_of(8, BIG, start=1), HERE)) == 3
@@ -127,14 +128,14 @@ def test_two_of_one_node_do_not_confirm_each_other():
 @pytest.mark.parametrize("confirms", [True, False])
 def test_old_ones_expire(*, confirms: bool):
     later = TRUST["known"][2] + (0 if confirms else 1)
-    pending, second = PendingClosures(), closure_of(7 + later, BIG)
+    pending, second = PendingClosures(CONFIG), closure_of(7 + later, BIG)
     pending.confirmed(closure_of(7, BIG), HERE)
     assert len(pending.confirmed(second, HERE)) == (2 if confirms else 0)
     assert pending.closures == ([] if confirms else [second])
 
 
 def test_only_those_that_agree_are_believed():
-    pending, other = PendingClosures(), moving(-5.0, 0.0, 1.0)
+    pending, other = PendingClosures(CONFIG), moving(-5.0, 0.0, 1.0)
     first, false, last = closure_of(7, BIG), closure_of(8, other), closure_of(9, BIG)
     for closure in (first, false):
         assert pending.confirmed(closure, HERE) == []
@@ -147,7 +148,7 @@ LOST: tuple[How, ...] = ("odometry",)
 
 def told(how: How, ones: list[tuple[int, Pose2]], every_m: float = 1.0) -> list[int]:
     """Return how many closures of a lost robot were believed, after each of them."""
-    pending = PendingClosures()
+    pending = PendingClosures(CONFIG)
     return [
         len(
             pending.confirmed(
@@ -237,7 +238,7 @@ def test_what_is_believed_does_not_depend_on_the_map_frame(
 ):
     """And every closure is believed once at most, after it was told, within its time."""
     turn = Pose2(*frame)
-    here, there = PendingClosures(), PendingClosures()
+    here, there = PendingClosures(CONFIG), PendingClosures(CONFIG)
     pose, number, believed = HERE, 0, []
     for further, step, how in ones:
         number += further

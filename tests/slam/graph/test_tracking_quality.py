@@ -6,16 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.slam.graph.tracking_quality import (
-    BAD_SHARE,
-    FAILED_BAD,
-    FAILED_SCANS,
-    LOST_SCANS,
-    RESET_SHARE,
-    TrackingQuality,
-    TrackingStatus,
-)
+from slamfusion.config import GraphTrackingConfig
+from slamfusion.slam.graph.tracking_quality import TrackingQuality, TrackingStatus
 
+CONFIG = GraphTrackingConfig()
+BAD_SHARE, RESET_SHARE = CONFIG.bad_share, CONFIG.reset_share
+LOST_SCANS, FAILED_BAD, FAILED_SCANS = CONFIG.lost_scans, CONFIG.failed_bad, CONFIG.failed_scans
 GOOD, BAD = BAD_SHARE, BAD_SHARE - 1e-9
 
 
@@ -23,7 +19,7 @@ def judged(fits: list[float], *, is_sure: bool = True) -> list[TrackingStatus]:
     """Return what is said of scans in a row, numbered from 1, all sure or none."""
     quality = TrackingQuality()
     return [
-        quality.judge(number, fit, is_sure=is_sure, has_jumped=False)
+        quality.judge(number, fit, CONFIG, is_sure=is_sure, has_jumped=False)
         for number, fit in enumerate(fits, 1)
     ]
 
@@ -44,9 +40,9 @@ def test_one_sure_scan_begins_the_row_again():
     for round_number in range(3):
         for step in range(LOST_SCANS - 1):
             number = 100 * round_number + step
-            status = quality.judge(number, GOOD, is_sure=False, has_jumped=False)
+            status = quality.judge(number, GOOD, CONFIG, is_sure=False, has_jumped=False)
             assert status == "unsure"
-        assert quality.judge(number + 1, GOOD, is_sure=True, has_jumped=False) == "tracked"
+        assert quality.judge(number + 1, GOOD, CONFIG, is_sure=True, has_jumped=False) == "tracked"
 
 
 @pytest.mark.parametrize(
@@ -60,7 +56,7 @@ def test_one_sure_scan_begins_the_row_again():
 def test_after_a_reset_of_the_odometry_one_scan_that_fits_worse_is_enough(
     fit: float, *, has_jumped: bool, status: TrackingStatus
 ):
-    assert TrackingQuality().judge(1, fit, is_sure=True, has_jumped=has_jumped) == status
+    assert TrackingQuality().judge(1, fit, CONFIG, is_sure=True, has_jumped=has_jumped) == status
 
 
 @pytest.mark.parametrize(
@@ -77,16 +73,16 @@ def test_tracking_fails_with_as_many_bad_scans_among_the_last(later: int, last: 
 def test_a_bad_scan_that_is_unsure_counts_and_fails_with_the_next_sure_one():
     quality = TrackingQuality()
     for number in range(FAILED_BAD - 1):
-        quality.judge(number, BAD, is_sure=False, has_jumped=False)
-    assert quality.judge(FAILED_BAD, BAD, is_sure=True, has_jumped=False) == "failed"
+        quality.judge(number, BAD, CONFIG, is_sure=False, has_jumped=False)
+    assert quality.judge(FAILED_BAD, BAD, CONFIG, is_sure=True, has_jumped=False) == "failed"
 
 
 def test_a_new_local_map_forgets_what_was():
     quality = TrackingQuality()
     for number in range(LOST_SCANS - 1):
-        quality.judge(number, BAD, is_sure=False, has_jumped=False)
+        quality.judge(number, BAD, CONFIG, is_sure=False, has_jumped=False)
     quality.reset()
-    assert quality.judge(LOST_SCANS, BAD, is_sure=True, has_jumped=False) == "tracked"
+    assert quality.judge(LOST_SCANS, BAD, CONFIG, is_sure=True, has_jumped=False) == "tracked"
     assert quality == TrackingQuality(0, [LOST_SCANS])
 
 
