@@ -53,7 +53,7 @@ class GraphTrackingConfig(Checked):
         level="expert",
     )
     failed_scans: int = option(
-        10, "how many the last ones are", unit="scans", low=1, high=10_000, level="expert"
+        10, "how many of the last scans count", unit="scans", low=1, high=10_000, level="expert"
     )
     most_unseen: float = option(
         0.8,
@@ -190,6 +190,16 @@ class GraphClosureConfig(Checked):
     agreement_rad: float = option(
         0.05, "the same for its heading", unit="rad", low=0.001, high=3.2, level="expert"
     )
+    agreeing_nodes: int = option(
+        2,
+        "nodes whose closures must say the same before one that moves the robot far is believed",
+        low=2,
+        high=1000,
+        level="expert",
+    )
+    wait_nodes: int = option(
+        12, "nodes for which a closure waits for others", low=1, high=100_000, level="expert"
+    )
 
 
 @dataclass(frozen=True)
@@ -214,6 +224,21 @@ class GraphRelocalizationConfig(Checked):
         "searches there in vain, one for each node, after which it may be anywhere",
         low=0,
         high=100_000,
+        level="expert",
+    )
+    odometry_nodes: int = option(
+        3,
+        "nodes whose closures there must say the same before the robot is relocalized by them",
+        low=2,
+        high=1000,
+        level="expert",
+    )
+    odometry_m: float = option(
+        0.8,
+        "way between the first and the last of these",
+        unit="m",
+        low=0.0,
+        high=1000.0,
         level="expert",
     )
     inside_m: float = option(

@@ -63,7 +63,7 @@ class LoopClosure:
         self._local_map = local_map
         self._search = search
         self._health = health
-        self._pending = PendingClosures(config.closure)
+        self._pending = PendingClosures(config)
         # By submap: the node that was last searched in it, and the distance travelled when it was
         # last tied to the robot by a closure.
         self._last_searched: dict[int, int] = {}

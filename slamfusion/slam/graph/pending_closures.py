@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from slamfusion.config import GraphClosureConfig
+from slamfusion.config import GraphClosureConfig, GraphConfig
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.graph.constraints import Constraint
 
@@ -15,14 +15,6 @@ __all__ = ["How", "PendingClosure", "PendingClosures", "is_same_place"]
 # How a place was searched: where the graph has the robot; where odometry has a kidnapped one; all
 # over.
 How = Literal["known", "odometry", "anywhere"]
-
-# What it takes to believe closures that move the robot, by how it was searched: nodes that agree,
-# metres driven between the first and the last of them, and nodes for which they wait. For those
-# found anywhere see ``slamfusion.slam.graph.relocalization``.
-TRUST: dict[str, tuple[int, float, int]] = {
-    "known": (2, 0.0, 12),
-    "odometry": (3, 0.8, 12),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +41,9 @@ class PendingClosures:
         closures: the ones of the last nodes.
     """
 
-    def __init__(self, config: GraphClosureConfig) -> None:
+    def __init__(self, config: GraphConfig) -> None:
         """Start with none; ``config`` tells what is believed alone, and what says the same."""
-        self._config = config
+        self._config, self._lost = config.closure, config.relocalization
         self.closures: list[PendingClosure] = []
 
     def confirmed(self, closure: PendingClosure, pose: Pose2) -> list[PendingClosure]:
@@ -63,13 +55,15 @@ class PendingClosures:
         """
         config, number = self._config, closure.constraint.end
         moved = closure.correction.compose(pose)
-        self.closures = [c for c in self.closures if number - c.constraint.end <= TRUST[c.how][2]]
+        self.closures = [c for c in self.closures if number - c.constraint.end <= config.wait_nodes]
         if closure.how == "known" and _is_small(pose, moved, config):
             return [closure]
         earlier = [c for c in self.closures if c.constraint.end != number]
         agreeing = [c for c in earlier if is_same_place(c.correction.compose(pose), moved, config)]
         self.closures.append(closure)
-        least_nodes, least_m, _ = TRUST[closure.how]
+        least_nodes, least_m = config.agreeing_nodes, 0.0
+        if closure.how != "known":  # see ``Relocalization`` for those that are found anywhere
+            least_nodes, least_m = self._lost.odometry_nodes, self._lost.odometry_m
         nodes = {c.constraint.end for c in agreeing}
         driven_m = closure.travelled_m - min((c.travelled_m for c in agreeing), default=math.inf)
         if len(nodes) + 1 < least_nodes or driven_m < least_m:

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.config import GraphClosureConfig
+from slamfusion.config import GraphConfig
 from slamfusion.geometry import Pose2
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.pending_closures import (
-    TRUST,
     How,
     PendingClosure,
     PendingClosures,
@@ -22,9 +21,15 @@ from slamfusion.slam.graph.pending_closures import (
 
 pytestmark = pytest.mark.once
 
-CONFIG = GraphClosureConfig()
-AGREEMENT_M = CONFIG.agreement_m
-SMALL_STEP_M, SMALL_STEP_RAD = CONFIG.small_step_m, CONFIG.small_step_rad
+CONFIG = GraphConfig()
+CLOSURE, LOST_ROBOT = CONFIG.closure, CONFIG.relocalization
+AGREEMENT_M = CLOSURE.agreement_m
+SMALL_STEP_M, SMALL_STEP_RAD = CLOSURE.small_step_m, CLOSURE.small_step_rad
+# By how it was searched: nodes that must agree, the way between them, nodes for which they wait.
+TRUST = {
+    "known": (CLOSURE.agreeing_nodes, 0.0, CLOSURE.wait_nodes),
+    "odometry": (LOST_ROBOT.odometry_nodes, LOST_ROBOT.odometry_m, CLOSURE.wait_nodes),
+}
 F64 = npt.NDArray[np.float64]
 
 

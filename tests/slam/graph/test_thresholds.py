@@ -49,6 +49,7 @@ SECTIONS = {
     "relocalization": GraphRelocalizationConfig,
 }
 HERE = Pose2(3.0, -2.0, 0.5)
+FAR = (2.0, 1.0, 0.5)
 
 
 @functools.cache
@@ -202,12 +203,17 @@ def closure_of(node: int, step: tuple[float, float, float], how: How = "known") 
     return PendingClosure(edge, moved.compose(HERE.inverse()), 0.5 * node, how)
 
 
-def believed(*steps: tuple[float, float, float]) -> Callable[[GraphConfig], int]:
-    """Return how many closures are believed with the last of some."""
+def believed(
+    *steps: tuple[float, float, float], how: How = "known", every: int = 1
+) -> Callable[[GraphConfig], int]:
+    """Return how many closures are believed with the last of some, ``every`` nodes apart."""
 
     def decide(config: GraphConfig) -> int:
-        pending = PendingClosures(config.closure)
-        told = [pending.confirmed(closure_of(node, step), HERE) for node, step in enumerate(steps)]
+        pending = PendingClosures(config)
+        told = [
+            pending.confirmed(closure_of(every * node, step, how), HERE)
+            for node, step in enumerate(steps)
+        ]
         return len(told[-1])
 
     return decide
@@ -336,6 +342,10 @@ CASES: dict[str, Case] = {
     "closure.small_step_rad": (0.2, believed((0.0, 0.0, 0.15)), 0, 1),
     "closure.agreement_m": (0.5, believed((2.0, 1.0, 0.5), (2.4, 1.0, 0.5)), 0, 2),
     "closure.agreement_rad": (0.1, believed((2.0, 1.0, 0.5), (2.0, 1.0, 0.57)), 0, 2),
+    "closure.agreeing_nodes": (3, believed(FAR, FAR), 2, 0),
+    "closure.wait_nodes": (15, believed(FAR, FAR, every=14), 0, 2),
+    "relocalization.odometry_nodes": (4, believed(FAR, FAR, FAR, how="odometry"), 3, 0),
+    "relocalization.odometry_m": (1.2, believed(FAR, FAR, FAR, how="odometry"), 3, 0),
     "relocalization.kidnapped_drift_m": (2.0, lambda c: lost(c)[0].drift_m, 1.2, 2.0),
     "relocalization.local_searches": (0, lambda c: len(lost(c)) > 1, False, True),
     "relocalization.inside_m": (1.0, is_tested, False, True),
