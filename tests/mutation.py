@@ -112,12 +112,14 @@ TRACKING = {
     ): "scores are sums of bytes over 255 times the hits: none is just a tenth of 1 above another "
     "but by the rounding of float32",
 }
-LIVE_JUDGE = {
+SUPERVISOR = {
     (
-        "Judge.__init__",
+        "InputSupervisor.__init__",
         "self._now_s = 0.0 => self._now_s = 0.1",
     ): "every round sets it first",
 }
+
+LIVE_TESTS = ("tests/fusion/live/test_supervisor.py", "tests/fusion/live/test_fusion.py")
 
 TARGETS = (
     Target("slamfusion.fusion.accept", ("tests/fusion/test_accept.py",), ACCEPT),
@@ -125,10 +127,11 @@ TARGETS = (
     Target("slamfusion.slam.common.tracking", ("tests/slam/common/test_tracking.py",), TRACKING),
     Target("slamfusion.slam.common.state", ("tests/slam/common/test_state.py",), {}),
     Target(
-        "slamfusion.fusion.live_judge",
-        ("tests/fusion/test_live_supervisor.py", "tests/fusion/test_live.py"),
-        LIVE_JUDGE,
+        "slamfusion.fusion.live.supervisor",
+        LIVE_TESTS,
+        SUPERVISOR,
     ),
+    Target("slamfusion.fusion.live.recovery", LIVE_TESTS, {}),
 )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.fusion.live import LiveFusion
-from slamfusion.fusion.live_state import LiveState, StateError, is_state
+from slamfusion.fusion.live.state import LiveState, StateError, is_state
 from slamfusion.io.atomic import write_atomic
 from slamfusion.io.memory import check_memory
 from slamfusion.ros.base import Level, NodeBase

@@ -14,7 +14,7 @@ from slamfusion.compute import open_device
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.ros import messages, qos
-from tests.fusion.live_maps import live_fusion, three, touched
+from tests.fusion.live.maps import live_fusion, three, touched
 from tests.ros.live import Observer, Processes, values
 
 INPUTS = ["a/map", "b/map", "c/map"]

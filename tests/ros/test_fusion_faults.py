@@ -21,7 +21,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io import LogScan
 from slamfusion.ros import messages, qos
-from tests.fusion.live_maps import (
+from tests.fusion.live.maps import (
     assert_same_lattice,
     mirrored,
     moved_frame,

@@ -29,7 +29,7 @@ from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
 from slamfusion.ros.map_source import load_saved
-from tests.fusion.live_maps import assert_same_lattice, share_standing, three, touched
+from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (
     Makers,

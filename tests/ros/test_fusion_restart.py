@@ -16,13 +16,13 @@ from rclpy.context import Context
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import ConfigError
-from slamfusion.fusion.live_canvas import Lattice
-from slamfusion.fusion.live_state import LiveState
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.state_keeper import StateKeeper
-from tests.fusion.live_maps import assert_same_lattice, share_standing, three, touched
+from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros.fused import Makers, start_fusion
 from tests.ros.live import Observer, Processes, values
 

@@ -18,7 +18,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
 from slamfusion.ros.stamps import AHEAD_S, Stamps
-from tests.fusion.live_maps import three, touched
+from tests.fusion.live.maps import three, touched
 from tests.ros.fused import Makers, Robot, start_fusion, told_transforms
 from tests.ros.live import Observer, Processes
 

@@ -1,4 +1,4 @@
-"""Which inputs of the live fusion are believed, and where: the rules that ``live`` states."""
+"""Which inputs of the live fusion are believed, and where: the rules that ``fusion`` states."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ from collections.abc import Callable, Mapping, Sequence
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.fusion.live_align import Aligner, Held
-from slamfusion.fusion.live_begin import align_first, fusable, place_all
-from slamfusion.fusion.live_canvas import Lattice
-from slamfusion.fusion.live_input import Track
-from slamfusion.fusion.live_limits import unusable
-from slamfusion.fusion.live_pause import PausedError
-from slamfusion.fusion.pipeline import AlignedGroup
+from slamfusion.fusion.cancel import PausedError
+from slamfusion.fusion.live.align import Aligner, Held
+from slamfusion.fusion.live.begin import align_first, believe_first, fusable
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.recovery import recover
+from slamfusion.fusion.live.track import Track
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["Judge"]
+__all__ = ["InputSupervisor"]
 
-LAST_FUSED = "the last fused map"
 NEVER = float("-inf")
-# A steady voter is aligned again, whatever waits, when so many times the usual share has changed.
+# A steady voter is aligned again, whatever waits, when the usual share has changed this many times.
 LATE = 20.0
 
 
-class Judge:
+class InputSupervisor:
     """Aligns what changed and decides who votes.
 
     Attributes:
@@ -43,7 +41,7 @@ class Judge:
         self._live = live
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
         self._now_s = 0.0
-        self._fused: Callable[[], OccupancyGrid | None] | None = None
+        self._fused: Callable[[], OccupancyGrid | None] = lambda: None
         self._is_wanted: Callable[[], bool] | None = None
 
     def configure(self, live: LiveConfig) -> None:
@@ -75,7 +73,7 @@ class Judge:
         """The inputs that vote, in order."""
         return [track for track in self.tracks.values() if track.votes]
 
-    def judge(
+    def align(
         self,
         now_s: float,
         fused: Callable[[], OccupancyGrid | None],
@@ -122,23 +120,8 @@ class Judge:
         except SlamFusionError as error:
             self._doubt(usable, str(error))
         else:
-            self._fix(group, lattice)
-
-    def _fix(self, group: AlignedGroup, lattice: Lattice) -> None:
-        """Fix the fused frame, and let the group vote."""
-        aligner = self._aligner
-        aligner.lattice, self.reference = lattice, group.reference
-        place_all(self.tracks.values(), aligner)
-        for name, pair in group.alignments.items():
-            aligner.believe(self.tracks[name], pair.transform, pair, is_tracked=False)
-        for pair in group.pairs:
-            if pair.accepted:
-                aligner.note(pair)
-        for name, (reason, shown) in group.left_out.items():
-            track = self.tracks[name]
-            track.refuse(reason)
-            if shown is not None:
-                track.score, track.overlap = shown.score, shown.overlap
+            self.reference = group.reference
+            believe_first(group, lattice, self.tracks, self._aligner)
 
     # -- every round after it ---------------------------------------------------------------------
 
@@ -176,7 +159,7 @@ class Judge:
                 return
             if track is reference:
                 continue
-            own = 0 if track.sheet is None else track.sheet.box.area
+            own = 0 if track.layer is None else track.layer.box.area
             may_wait = track.votes and cells + own > self._live.track_cells
             if may_wait and track.drift <= LATE * self._few(track, reference):
                 if not (is_idle and cells == 0):
@@ -278,85 +261,14 @@ class Judge:
         for track in tracks:
             track.refuse(problem)
 
-    # -- when no input is left to align to --------------------------------------------------------
-
     def _recover(self) -> None:
-        """Go by the last fused map.
-
-        Inputs that fit it and each other come back together; one that fits it, when no other
-        does. Those that fit it and not each other stay in doubt. One that does not is searched.
-        """
+        """Go by the last fused map: no input is left to align to."""
         live = [track for track in self.tracks.values() if track.is_live]
-        names = "/".join(track.name for track in live)
-        if not live:
-            self.problem = "no input is left"
-            return
-        is_tried = all(track.tried == (track.version, names, -1) for track in live)
-        if is_tried and not any(self._aligner.may_confirm(track) for track in live):
-            return
-        last = self._last_fused()
-        if last is None:
-            self._doubt(live, f"{LAST_FUSED} has too few walls to go by")
-            return
-        for track in live:
-            track.tried = (track.version, names, -1)
-            track.accepted = False
-        found = {
-            track.name: fit
-            for track in live
-            if track.transform is not None and (fit := self._aligner.fit(track, last)) is not None
-        }
-        group = self._largest_group([self.tracks[name] for name in found])
-        if len(group) == 1 and len(found) > 1:
-            self._doubt(live, f"{', '.join(found)} disagree and nobody can say who is right")
-            return
-        for track in group:
-            pair, moved = found[track.name]
-            self._aligner.believe(track, moved, pair, is_tracked=True)
-        for track in live:
-            if group and track not in group:
-                track.refuse(f"does not fit {LAST_FUSED}")
-        if group:
-            self._hand_over(max(group, key=lambda track: track.walls))
-        else:
-            self._search_by(last, live)
-
-    def _search_by(self, last: Held, live: list[Track]) -> None:
-        """Search the input that waited longest on the last fused map."""
-        jumped = [track for track in live if self._aligner.may_confirm(track)]
-        chosen = min(jumped or live, key=lambda track: track.searched_s)
-        for track in live:
-            if track.jump is None:
-                track.refuse(f"does not fit {LAST_FUSED}")
-        self.problem = f"no input fits {LAST_FUSED}"
-        if self._aligner.may_search(chosen):
-            if jumped:
-                self._aligner.confirm(chosen, [last])
-            else:
-                self._aligner.search(chosen, last)
-        if any(self._now_s - t.searched_s >= self._live.search_pause_s for t in live):
-            for track in live:
-                track.tried = None
-
-    def _largest_group(self, tracks: list[Track]) -> list[Track]:
-        """Return the most inputs that fit one of them where they stand, that one first."""
-        best: list[Track] = []
-        for seed in tracks:
-            others = [
-                t
-                for t in tracks
-                if t is not seed and self._aligner.fit(t, self._aligner.held(seed))
-            ]
-            if len(others) >= len(best):
-                best = [seed, *others]
-        return best
-
-    def _last_fused(self) -> Held | None:
-        """Return the last fused map as something to align to; None without walls."""
-        fused = None if self._fused is None else self._fused()
-        if fused is None or unusable(fused, self._config.normalize) is not None:
-            return None
-        return self._aligner.hold_grid(LAST_FUSED, fused)
+        found = recover(live, self._aligner, self._fused)
+        if found.problem is not None:
+            self.problem = found.problem
+        if found.reference is not None:
+            self._hand_over(found.reference)
 
 
 def _waits(track: Track) -> str:

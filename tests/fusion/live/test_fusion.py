@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig, VoteConfig
-from slamfusion.fusion import fuse_grids, live_canvas
-from slamfusion.fusion.live_canvas import Canvas
+from slamfusion.fusion import fuse_grids
+from slamfusion.fusion.live import boxes
+from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import memory
 from tests.fusion.drawings import building, fusion_config, off_by, padded
-from tests.fusion.live_maps import (
+from tests.fusion.live.maps import (
     AWAY,
     Drive,
     assert_same_lattice,
@@ -161,7 +162,7 @@ def test_what_was_not_voted_on_again_is_as_if_it_had_been(
     device: ComputeDevice, mode: str, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What changed in several places is several votes also in a small map.
-    monkeypatch.setattr(live_canvas, "SPARE_CELLS", 0)
+    monkeypatch.setattr(boxes, "SPARE_CELLS", 0)
     drive = Drive(live_fusion(device, mode))
     drive.step(*three().values())
     rng = np.random.default_rng(4)
@@ -175,21 +176,21 @@ def test_what_was_not_voted_on_again_is_as_if_it_had_been(
             grids.append(replace(grid, cells=cells))
         drive.step(*grids)
     live = drive.live
-    canvas = live._canvas
-    assert canvas is not None
-    assert canvas.box is not None
-    fresh = Canvas(canvas.lattice, live._config, device)
-    fresh.grow(canvas.box, "all")
+    layers = live._voting.layers
+    assert layers is not None
+    assert layers.box is not None
+    fresh = FusedLayers(layers.lattice, live._config, device)
+    fresh.grow(layers.box, "all")
     for track in live._tracks.values():
-        assert track.sheet is not None
+        assert track.layer is not None
         assert track.known is not None
         assert track.transform is not None
-        fresh.lay(track.name, track.sheet, track.known, track.transform, None)
-    fresh.vote("abc", canvas.box)
-    for one, other in zip(canvas.grids(), fresh.grids(), strict=True):
+        fresh.lay(track.name, track.layer, track.known, track.transform, None)
+    fresh.vote("abc", layers.box)
+    for one, other in zip(layers.grids(), fresh.grids(), strict=True):
         assert np.array_equal(one.cells, other.cells)
         assert one.origin == other.origin
-    assert canvas.phantom_cells == fresh.phantom_cells
+    assert layers.phantom_cells == fresh.phantom_cells
 
 
 def test_only_what_changed_is_voted_on_again(device: ComputeDevice) -> None:
@@ -496,7 +497,7 @@ def test_a_place_that_looks_alike_from_two_sides_is_believed_on_the_side_where_i
     for has_boxes in (True, False):
         drive.step(*(room(name, pose, has_boxes=has_boxes) for name, pose in frames.items()))
         assert drive.accepted() == "ab"
-    judge = drive.live._judge
+    judge = drive.live._supervisor
     track = judge.tracks["b"]
     aligner = judge._aligner
     aligner.search(track, aligner.held(judge.tracks["a"]))

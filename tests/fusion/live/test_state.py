@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
 from slamfusion.fusion.live import LiveFusion
-from slamfusion.fusion.live_canvas import Lattice
-from slamfusion.fusion.live_state import KIND, LiveState, StateError, is_state
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.state import KIND, LiveState, StateError, is_state
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 from tests.fusion.drawings import building
-from tests.fusion.live_maps import (
+from tests.fusion.live.maps import (
     AWAY,
     Drive,
     assert_same_lattice,

@@ -15,7 +15,7 @@ from slamfusion.fusion import align
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from tests.fusion.drawings import building
-from tests.fusion.live_maps import (
+from tests.fusion.live.maps import (
     AWAY,
     Drive,
     live_fusion,
@@ -250,7 +250,7 @@ def test_a_new_input_is_searched_once_on_each_voter_and_then_left_alone(
     reasons = [drive.input("d").reason]
     for _ in range(4):
         drive.maybe()
-        searched.append(drive.live._judge.has_searched)
+        searched.append(drive.live._supervisor.has_searched)
         reasons.append(drive.input("d").reason)
     assert searched == [True, True, True, False, False]
     assert [reason.partition(":")[0] for reason in reasons[:3]] == ["to a", "to b", "to c"]
@@ -327,14 +327,14 @@ def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
     drive = started(device, search_pause_s=20.0)
     drive.live.drop("c", "gone")
     asked = 0
-    last_fused = drive.live._last_fused
+    last_fused = drive.live._voting.last_fused
 
     def counted() -> OccupancyGrid | None:
         nonlocal asked
         asked += 1
         return last_fused()
 
-    monkeypatch.setattr(drive.live, "_last_fused", counted)
+    monkeypatch.setattr(drive.live._voting, "last_fused", counted)
     drive.step(stranger("a", 97), stranger("b", 98))
     for _ in range(4):
         drive.maybe()
@@ -347,13 +347,13 @@ def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
     drive.now_s += 20.0
     drive.step(stranger("a", 96))
     assert asked > before
-    assert drive.live._judge.has_searched
+    assert drive.live._supervisor.has_searched
 
 
 def test_nothing_is_proven_while_maps_wait(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def prove(*_: object) -> None:
+    def prove(*_: object, **__: object) -> None:
         pytest.fail("a proof takes seconds")
 
     monkeypatch.setattr(align, "_prove", prove)

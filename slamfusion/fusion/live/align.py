@@ -11,11 +11,11 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
 from slamfusion.fusion.align import align_features, track_features
+from slamfusion.fusion.cancel import Pausable, PausedError
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.live_canvas import Lattice
-from slamfusion.fusion.live_input import Track
-from slamfusion.fusion.live_mirror import refuse_mirrored
-from slamfusion.fusion.live_pause import Pausable, PausedError
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.mirror import refuse_mirrored
+from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2

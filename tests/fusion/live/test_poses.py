@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from slamfusion.config import LiveConfig
-from slamfusion.fusion.live_poses import LINK_M, LINK_SHARE, RETURN_SHARE, PoseWatch
+from slamfusion.fusion.live.poses import LINK_M, LINK_SHARE, RETURN_SHARE, PoseWatch
 from slamfusion.geometry import Pose2
 
 LIVE = LiveConfig()

@@ -12,7 +12,7 @@ from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.registry import make_producer
-from tests.fusion.live_maps import (
+from tests.fusion.live.maps import (
     Drive,
     assert_same_lattice,
     live_fusion,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion import live_canvas
+from slamfusion.fusion.live import layers as fused_layers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from tests.fusion.drawings import off_by, padded
-from tests.fusion.live_maps import (
+from tests.fusion.live.maps import (
     AWAY,
     Drive,
     assert_same_lattice,
@@ -160,7 +160,7 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     device: ComputeDevice, bad: OccupancyGrid, words: str
 ) -> None:
     drive = started(device)
-    box = drive.live._canvas.box if drive.live._canvas is not None else None
+    box = drive.live._voting.layers.box if drive.live._voting.layers is not None else None
     tracemalloc.start()
     update = drive.step(bad, touched(three()["a"], 1))
     _, peak = tracemalloc.get_traced_memory()
@@ -169,8 +169,8 @@ def test_implausible_numbers_are_refused_by_name_and_the_others_go_on(
     assert drive.accepted() == "ac"
     assert drive.input("b").rejected == 1
     assert update.fused is not None
-    assert drive.live._canvas is not None
-    assert drive.live._canvas.box == box
+    assert drive.live._voting.layers is not None
+    assert drive.live._voting.layers.box == box
     assert peak < 20 * MEGABYTE
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
@@ -185,8 +185,8 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     device: ComputeDevice,
 ) -> None:
     drive = started(device)
-    assert drive.live._canvas is not None
-    first, box = drive.fused, drive.live._canvas.box
+    assert drive.live._voting.layers is not None
+    first, box = drive.fused, drive.live._voting.layers.box
     tracemalloc.start()
     drive.step(moved_frame(three()["b"], Pose2(10_000.0, -7_000.0, 0.0)), touched(three()["a"], 1))
     _, peak = tracemalloc.get_traced_memory()
@@ -194,33 +194,33 @@ def test_an_origin_that_jumps_by_10_km_takes_no_memory_and_is_followed(
     assert peak < 30 * MEGABYTE
     assert drive.accepted() == "ac"
     assert wait(drive, 5.0) <= 4.0
-    assert drive.live._canvas.box == box
+    assert drive.live._voting.layers.box == box
     assert first is not None
     assert drive.fused is not None
     assert share_standing(first, drive.fused) > 0.97
 
 
-def test_the_canvas_gives_back_what_a_far_cell_took_and_the_frame_stays(
+def test_the_layers_give_back_what_a_far_cell_took_and_the_frame_stays(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_canvas, "SHRUNK_CELLS", 1 << 16)
+    monkeypatch.setattr(fused_layers, "SHRUNK_CELLS", 1 << 16)
     drive = started(device)
-    canvas, first = drive.live._canvas, drive.fused
-    assert canvas is not None
-    assert canvas.box is not None
+    layers, first = drive.live._voting.layers, drive.fused
+    assert layers is not None
+    assert layers.box is not None
     assert first is not None
-    before = canvas.box.area
+    before = layers.box.area
     far = padded(three()["b"], 0, 0, 0, 3000)
     cells = far.cells.copy()
     cells[0, -1] = 0
     drive.step(replace(far, cells=cells))
     assert drive.accepted() == "abc"
-    assert canvas.box.area > 10 * before
+    assert layers.box.area > 10 * before
     # A stray cell that is gone, an input that is lost: neither keeps the room.
     update = drive.step(three()["b"])
     assert update.fused is not None
-    assert canvas.box.area <= before
-    assert update.fused.cells.size == canvas.box.area
+    assert layers.box.area <= before
+    assert update.fused.cells.size == layers.box.area
     assert_same_lattice(first, update.fused)
     assert share_standing(first, update.fused) > 0.999
     assert np.array_equal(
@@ -231,7 +231,7 @@ def test_the_canvas_gives_back_what_a_far_cell_took_and_the_frame_stays(
 def test_an_input_that_leaves_does_not_change_the_size_of_what_is_published(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_canvas, "SHRUNK_CELLS", 1)
+    monkeypatch.setattr(fused_layers, "SHRUNK_CELLS", 1)
     drive = started(device)
     assert drive.fused is not None
     shape = drive.fused.cells.shape

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import AlignmentError, MemoryBudgetError
-from slamfusion.fusion.live_align import Aligner
-from slamfusion.fusion.live_canvas import Lattice
-from slamfusion.fusion.live_input import Track
-from slamfusion.fusion.live_limits import odd_resolution, odd_resolutions, too_large
+from slamfusion.fusion.live.align import Aligner
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.limits import odd_resolution, odd_resolutions, too_large
+from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.normalize import common_resolution
 from slamfusion.fusion.pipeline import AlignedGroup, align_group
 
-__all__ = ["align_first", "fusable", "place_all"]
+__all__ = ["align_first", "believe_first", "fusable"]
 
 
 def fusable(tracks: Sequence[Track], config: NormalizeConfig) -> list[Track]:
@@ -38,7 +38,7 @@ def align_first(
 
     Args:
         tracks: inputs that can be brought to one resolution.
-        least: so many must agree.
+        least: how many must agree.
         aligner: gives the settings, computes, and tells mirrored maps.
 
     Raises:
@@ -62,7 +62,32 @@ def align_first(
     return group, Lattice(base.resolution, base.origin)
 
 
-def place_all(tracks: Iterable[Track], aligner: Aligner) -> None:
+def believe_first(
+    group: AlignedGroup, lattice: Lattice, tracks: Mapping[str, Track], aligner: Aligner
+) -> None:
+    """Fix the fused frame, and let the group vote.
+
+    Args:
+        group: the inputs that agree, and why others do not.
+        lattice: of the fused frame.
+        tracks: all inputs by name.
+        aligner: keeps the frame, and what was found of each pair.
+    """
+    aligner.lattice = lattice
+    _place_all(tracks.values(), aligner)
+    for name, pair in group.alignments.items():
+        aligner.believe(tracks[name], pair.transform, pair, is_tracked=False)
+    for pair in group.pairs:
+        if pair.accepted:
+            aligner.note(pair)
+    for name, (reason, shown) in group.left_out.items():
+        track = tracks[name]
+        track.refuse(reason)
+        if shown is not None:
+            track.score, track.overlap = shown.score, shown.overlap
+
+
+def _place_all(tracks: Iterable[Track], aligner: Aligner) -> None:
     """Lay every input's map out on the fused lattice; one that cannot be begins with its next."""
     lattice, thresholds = aligner.fixed(), aligner.config.normalize
     for track in tracks:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.fusion.cancel import Pausable, PausedError
 from slamfusion.fusion.live import LiveInput, LiveUpdate
-from slamfusion.fusion.live_pause import Pausable, PausedError
-from tests.fusion.live_maps import Drive, started, three, touched
+from tests.fusion.live.maps import Drive, started, three, touched
 
 
 class Doorbell:

@@ -13,8 +13,9 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.live_canvas import Sheet, carry, hull, lay_out, overlap, padded
-from slamfusion.fusion.live_limits import bands
+from slamfusion.fusion.live.boxes import hull, overlap, padded
+from slamfusion.fusion.live.lattice import Layer, carry, lay_out
+from slamfusion.fusion.live.limits import bands
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
@@ -65,7 +66,7 @@ class Change:
 
 
 def compare(
-    old: Sheet, new: Sheet, walls: int, thresholds: NormalizeConfig, device: ComputeDevice
+    old: Layer, new: Layer, walls: int, thresholds: NormalizeConfig, device: ComputeDevice
 ) -> Change:
     """Compare two maps of one input, cell by cell where both lie in its frame.
 
@@ -104,7 +105,7 @@ def compare(
     return Change(box, differ, walls - lost, contradicted, walls, total, is_lost)
 
 
-def _replaced(new: Sheet, box: CellBox, walls: int, thresholds: NormalizeConfig) -> Change:
+def _replaced(new: Layer, box: CellBox, walls: int, thresholds: NormalizeConfig) -> Change:
     """Return what a map changed that lies far from the one before: nothing stands.
 
     No array of the cells between both is made: for maps 10 km apart it would take gigabytes.
@@ -114,8 +115,8 @@ def _replaced(new: Sheet, box: CellBox, walls: int, thresholds: NormalizeConfig)
     return Change(box, walls + after, 0, 0, walls, after)
 
 
-def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
-    """Return the box of cells that differ; outside of a sheet all is unknown."""
+def _changed_box(old: Layer, new: Layer) -> CellBox | None:
+    """Return the box of cells that differ; outside of a layer all is unknown."""
     common = overlap(old.box, new.box)
     boxes = []
     if common is None:
@@ -124,8 +125,8 @@ def _changed_box(old: Sheet, new: Sheet) -> CellBox | None:
         found = _differing(old.window(common), new.window(common))
         if found is not None:
             boxes.append(_moved(found, common.row0, common.col0))
-        for sheet in (old, new):
-            boxes += [_known(sheet, strip) for strip in _around(sheet.box, common)]
+        for layer in (old, new):
+            boxes += [_known(layer, strip) for strip in _around(layer.box, common)]
     out: CellBox | None = None
     for box in boxes:
         if box is not None:
@@ -149,8 +150,8 @@ def _differing(a: I8, b: I8) -> CellBox | None:
     return out
 
 
-def _known_after(old: CellBox | None, new: Sheet, change: Change) -> CellBox | None:
-    """Return the box of a sheet's known cells, from that of the one before on its lattice."""
+def _known_after(old: CellBox | None, new: Layer, change: Change) -> CellBox | None:
+    """Return the box of a layer's known cells, from that of the one before on its lattice."""
     box = change.box
     if box is None:
         return old
@@ -180,9 +181,9 @@ def _around(outer: CellBox, inner: CellBox) -> list[CellBox]:
     return [strip for strip in strips if strip.height > 0 and strip.width > 0]
 
 
-def _known(sheet: Sheet, box: CellBox) -> CellBox | None:
-    """Return the box of known cells inside a box of the sheet's lattice."""
-    found = known_box(sheet.window(box))
+def _known(layer: Layer, box: CellBox) -> CellBox | None:
+    """Return the box of known cells inside a box of the layer's lattice."""
+    found = known_box(layer.window(box))
     return None if found is None else _moved(found, box.row0, box.col0)
 
 
@@ -205,9 +206,9 @@ class Track:
         name: of the input.
         grid: its newest usable map.
         version: counts the maps that differed from the one before.
-        sheet: ``grid`` at the fused resolution; None before the first fusion.
-        known: cells of the sheet's lattice that hold every known one.
-        walls: wall cells of the sheet.
+        layer: ``grid`` at the fused resolution; None before the first fusion.
+        known: cells of the layer's lattice that hold every known one.
+        walls: wall cells of the layer.
         is_live: whether its newest message was a usable map, and recent.
         is_steady: whether the newest map stands where ``transform`` belongs.
         accepted: whether its last alignment was believed; it votes while it is steady too.
@@ -228,14 +229,14 @@ class Track:
         rest_s: the least pause after that search.
         patience_s: how long maps of others wait for its next search.
         maps: usable messages that came.
-        unlaid: cells of the sheet's lattice that the canvas has not seen.
-        relay: whether the canvas has to take the whole sheet anew.
+        unlaid: cells of the layer's lattice that the fused layers have not seen.
+        relay: whether the fused layers have to take all of the layer again.
     """
 
     name: str
     grid: OccupancyGrid | None = None
     version: int = 0
-    sheet: Sheet | None = None
+    layer: Layer | None = None
     known: CellBox | None = None
     walls: int = 0
     is_live: bool = False
@@ -247,7 +248,7 @@ class Track:
     overlap: float = 0.0
     is_tracked: bool = False
     drift: int = 0
-    key: tuple[Sheet, int] | None = None
+    key: tuple[Layer, int] | None = None
     key_drift: int = 0
     jump: Pose2 | None = None
     jump_version: int = -1
@@ -289,16 +290,16 @@ class Track:
             self.relay = True
 
     def _take(
-        self, sheet: Sheet, thresholds: NormalizeConfig, change: Change | None = None
+        self, layer: Layer, thresholds: NormalizeConfig, change: Change | None = None
     ) -> None:
-        """Keep a sheet; ``change`` is what it changed, so that only that is looked at."""
-        self.sheet = sheet
+        """Keep a layer; ``change`` is what it changed, so that only that is looked at."""
+        self.layer = layer
         if change is not None and change.after is not None:
-            self.known, self.walls = _known_after(self.known, sheet, change), change.after
+            self.known, self.walls = _known_after(self.known, layer, change), change.after
             return
-        self.known = _known(sheet, sheet.box)
+        self.known = _known(layer, layer.box)
         occupied = math.ceil(thresholds.occupied_percent)
-        self.walls = int(np.count_nonzero(sheet.cells >= occupied))
+        self.walls = int(np.count_nonzero(layer.cells >= occupied))
 
     def follow(
         self,
@@ -317,7 +318,7 @@ class Track:
             live: the share of the old walls that must stand for the transform to hold.
             device: resamples.
         """
-        before, walls, last = self.sheet, self.walls, self.grid
+        before, walls, last = self.layer, self.walls, self.grid
         self.grid = grid
         self.maps += 1
         if resolution is None or before is None:
@@ -328,20 +329,20 @@ class Track:
             if resolution is not None:
                 self.place(resolution, thresholds, device)
             return None
-        sheet = lay_out(grid, before.lattice, resolution, thresholds, device)
-        change = compare(before, sheet, walls, thresholds, device)
+        layer = lay_out(grid, before.lattice, resolution, thresholds, device)
+        change = compare(before, layer, walls, thresholds, device)
         if change.box is None:
-            self.sheet = sheet
+            self.layer = layer
             return change
         self.version += 1
-        self._take(sheet, thresholds, change)
+        self._take(layer, thresholds, change)
         self.drift += change.walls
         self._features_drift += change.walls
         self.key_drift += change.walls
         if not (change.is_steady(live.steady_share) and self._stands(thresholds, live, device)):
             self.is_steady = False
             self._features = None
-        if sheet.lattice != before.lattice:
+        if layer.lattice != before.lattice:
             self.relay = True
         else:
             self.unlaid = change.box if self.unlaid is None else hull(self.unlaid, change.box)
@@ -349,13 +350,13 @@ class Track:
 
     def _stands(self, thresholds: NormalizeConfig, live: LiveConfig, device: ComputeDevice) -> bool:
         """Whether the walls still stand as in the map that was last aligned."""
-        if self.key is None or self.sheet is None:
+        if self.key is None or self.layer is None:
             return True
         if self.key_drift <= live.track_share * self.walls:
             return True
         self.key_drift = 0
         before, walls = self.key
-        change = compare(before, self.sheet, walls, thresholds, device)
+        change = compare(before, self.layer, walls, thresholds, device)
         return change.is_steady(live.steady_share)
 
     def pin(self) -> None:
@@ -363,8 +364,8 @@ class Track:
         self.drift = self.key_drift = 0
         self.jump = None
         self.tried = None
-        if self.sheet is not None:
-            self.key = self.sheet, self.walls
+        if self.layer is not None:
+            self.key = self.layer, self.walls
 
     def features(
         self,
@@ -391,9 +392,9 @@ class Track:
 
     def corners(self) -> npt.NDArray[np.float64]:
         """Return the corners of the known box in the input's frame, (4, 2) metres."""
-        if self.sheet is None or self.known is None:
+        if self.layer is None or self.known is None:
             return np.zeros((4, 2))
-        box, lattice = self.known, self.sheet.lattice
+        box, lattice = self.known, self.layer.lattice
         cells = [(x, y) for x in (box.col0, box.col1) for y in (box.row0, box.row1)]
         return lattice.origin.transform(np.array(cells, dtype=np.float64) * lattice.resolution)
 

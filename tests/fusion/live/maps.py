@@ -11,8 +11,9 @@ import numpy as np
 from scipy import ndimage
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, LiveConfig, RunConfig, VoteConfig
+from slamfusion.config import FusionConfig, LiveConfig, NormalizeConfig, RunConfig, VoteConfig
 from slamfusion.fusion.live import LiveFusion, LiveInput, LiveUpdate
+from slamfusion.fusion.live.lattice import Layer, lay_out
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.fusion.drawings import building, degraded
@@ -75,6 +76,12 @@ def live_fusion(device: ComputeDevice, mode: str = "majority", **live: Any) -> L
         live=LiveConfig(**{"search_pause_s": 0.0, **live}),
     )
     return LiveFusion(config, device)
+
+
+def layer_of(grid: OccupancyGrid, device: ComputeDevice, before: Layer | None = None) -> Layer:
+    """Return a map as a layer of cells of 0.1 m, on the lattice of another one where given."""
+    lattice = None if before is None else before.lattice
+    return lay_out(grid, lattice, 0.1, NormalizeConfig(), device)
 
 
 class Drive:

@@ -1,0 +1,71 @@
+"""Boxes of cells: joined, grown and cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from slamfusion.grid import CellBox
+
+__all__ = ["grown_inside", "hull", "joined", "overlap", "padded", "slices"]
+
+# Cells between two boxes that are sooner voted on again than left out.
+SPARE_CELLS = 1 << 16
+
+
+def hull(a: CellBox, b: CellBox) -> CellBox:
+    """Return the smallest box that holds both."""
+    return CellBox(
+        min(a.row0, b.row0), min(a.col0, b.col0), max(a.row1, b.row1), max(a.col1, b.col1)
+    )
+
+
+def joined(boxes: Sequence[CellBox]) -> list[CellBox]:
+    """Return boxes that hold all the cells of some, joined where hardly any cell lies between."""
+    out: list[CellBox] = []
+    for box in boxes:
+        grown = box
+        # A box that took another in may reach a third one.
+        while True:
+            near = [
+                other
+                for other in out
+                if hull(grown, other).area <= grown.area + other.area + SPARE_CELLS
+            ]
+            if not near:
+                break
+            for other in near:
+                out.remove(other)
+                grown = hull(grown, other)
+        out.append(grown)
+    return out
+
+
+def overlap(a: CellBox, b: CellBox) -> CellBox | None:
+    """Return the cells of both boxes, None without any."""
+    box = CellBox(
+        max(a.row0, b.row0), max(a.col0, b.col0), min(a.row1, b.row1), min(a.col1, b.col1)
+    )
+    return box if box.row1 > box.row0 and box.col1 > box.col0 else None
+
+
+def padded(box: CellBox, cells: int) -> CellBox:
+    """Return the box with some cells more on every side."""
+    return CellBox(box.row0 - cells, box.col0 - cells, box.row1 + cells, box.col1 + cells)
+
+
+def slices(box: CellBox, row0: int, col0: int) -> tuple[slice, slice]:
+    """Return the indices of a box in an array whose first cell is (row0, col0)."""
+    return (
+        slice(box.row0 - row0, box.row1 - row0),
+        slice(box.col0 - col0, box.col1 - col0),
+    )
+
+
+def grown_inside(box: CellBox, cells: int, whole: CellBox) -> CellBox:
+    """Return a box with some cells more on each side, cut to another one."""
+    return CellBox(
+        max(box.row0 - cells, whole.row0),
+        max(box.col0 - cells, whole.col0),
+        min(box.row1 + cells, whole.row1),
+        min(box.col1 + cells, whole.col1),
+    )

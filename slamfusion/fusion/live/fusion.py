@@ -1,0 +1,283 @@
+"""Fuse maps that arrive again and again; the fused frame never moves.
+
+The rules, for a robot that drives by the fused map:
+
+* **Frame.** The first fusion needs two inputs that agree (``live.minimum_inputs``); one map alone
+  has nobody to check it, and its frame would bind all others. The reference of that fusion gives
+  the frame, the lattice and its phase, which then stay until ``reset``, whatever becomes of it.
+* **Held transforms.** An input's transform belongs to its map frame, not to its map: while most
+  of its old walls still stand where they stood, it is held. Changed walls are tracked from the
+  last transform against the reference. A better fit by less than ``live.hold_cells`` moves nothing.
+* **Search.** An input is searched everywhere when it is new, or when its tracked score falls below
+  a share of what the search last gave. A search that finds it elsewhere is believed when the next
+  map's search finds the same. Where the map does not change (the robot stands) it is searched once
+  more after ``live.confirm_s``, or at its second equal message, in another way: against another
+  voter, or with the roles swapped. Until then the input does not vote.
+* **Walls.** What votes matches: an input whose walls match the reference's no more loses its vote
+  until a search, or a third, says which of the two is right. One that fits clearly better mirrored
+  never votes (``live.mirror``).
+* **Poses.** Inputs of one robot whose poses contradict the others' lose their vote while that lasts
+  (``live.poses``); where nobody can say who is right, all of these do, and the last map stays.
+* **Limits.** Numbers that no place has, noise and maps that are all occupied are refused before
+  anything is done with them (``live.limits``); a map that is not believed takes no room in the
+  fused one. A search in vain is followed by a long pause, and a long one is put off while maps of
+  others wait, so that one bad map does not silence the others.
+* **Reference.** It is the input that others are aligned to. It hands over when it is lost, when its
+  walls moved, or when two others agree with each other and not with it; never because another
+  looks better.
+* **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
+  One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
+  decides, or else the last map that was agreed on: the one that still fits it goes on. Where both
+  do, or none, nobody can say who is right: both are named and nothing new is published, so that
+  the robot keeps that last map.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import LiveConfig, RunConfig
+from slamfusion.fusion.live.inbox import Inbox
+from slamfusion.fusion.live.intake import Intake
+from slamfusion.fusion.live.poses import PoseWatch
+from slamfusion.fusion.live.records import LiveInput, LiveUpdate
+from slamfusion.fusion.live.state import LiveState, StateError
+from slamfusion.fusion.live.supervisor import InputSupervisor
+from slamfusion.fusion.live.voting import Voting
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+
+__all__ = ["LiveFusion"]
+
+
+class LiveFusion:
+    """Fuse maps that arrive again and again; the fused frame never moves.
+
+    ``put``, ``reject`` and ``drop`` are quick and may be called from any thread; ``update`` and
+    ``reset`` from one, which does the work.
+    """
+
+    def __init__(self, config: RunConfig, device: ComputeDevice) -> None:
+        """Start without inputs.
+
+        Args:
+            config: ``fusion`` and ``live`` count; proofs are left out, they take seconds.
+            device: computes.
+        """
+        self._live = config.live
+        self._config = config.fusion
+        self._device = device
+        self._inbox = Inbox()
+        self._intake = Intake(self._inbox, config.fusion.normalize, config.live, device)
+        # Poses come from any thread.
+        self._poses_lock = threading.Lock()
+        self._clear()
+
+    def _clear(self) -> None:
+        self._supervisor = InputSupervisor(self._config, self._live, self._device)
+        self._tracks = self._supervisor.tracks
+        self._voting = Voting(self._config, self._live, self._device)
+        with self._poses_lock:
+            self._poses = PoseWatch(self._live)
+        self._restored: dict[str, Pose2] = {}
+
+    # -- inbox ------------------------------------------------------------------------------------
+
+    def put(
+        self, name: str, grid: OccupancyGrid, received_s: float, *, is_saved: bool = False
+    ) -> None:
+        """Take the newest map of an input; one that waits is replaced.
+
+        Args:
+            name: of the input.
+            grid: its map, in its own frame; whatever it is called, it goes by the input's name.
+            received_s: when it came, on the clock of ``update``.
+            is_saved: read from a file: it never grows stale.
+        """
+        self._inbox.put(name, grid, received_s, is_saved=is_saved)
+
+    def reject(self, name: str, reason: str, received_s: float) -> None:
+        """Count a message that could not be read; the input votes no more until one can."""
+        self._inbox.reject(name, reason, received_s)
+
+    def drop(self, name: str, reason: str) -> None:
+        """Take an input for lost; it votes no more and comes back with its next map."""
+        self._inbox.drop(name, reason)
+
+    def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
+        """Take a pose that an input tells; see ``live.poses`` for what it is compared with.
+
+        Args:
+            name: of the input.
+            stamp_s: of the scan that it is for, seconds.
+            pose: of the robot in the input's map frame; metres, radians.
+        """
+        with self._poses_lock:
+            self._poses.hear(name, stamp_s, pose)
+
+    def recall(self, name: str) -> None:
+        """Take an input that was dropped for present again, with the last map that it sent."""
+        track = self._tracks.get(name)
+        self._inbox.recall(name, None if track is None else track.grid)
+
+    def reset(self) -> None:
+        """Forget the fused frame; every input's newest map starts the next one."""
+        self._inbox.refill({t.name: t.grid for t in self._tracks.values() if t.is_live})
+        self._clear()
+
+    def configure(self, live: LiveConfig) -> None:
+        """Take other settings for what comes; from the thread of updates."""
+        self._live = live
+        self._supervisor.configure(live)
+        self._voting.live = self._intake.live = live
+        with self._poses_lock:
+            self._poses.live = live
+
+    # -- over a restart ---------------------------------------------------------------------------
+
+    def state(self, stamp_s: float = 0.0) -> LiveState | None:
+        """Return what another one needs to go on from here; from the thread of updates.
+
+        Args:
+            stamp_s: of the newest map in the fused one, to be kept beside it.
+
+        Returns:
+            None before the first fusion.
+        """
+        layers = self._voting.layers
+        if layers is None or layers.box is None:
+            return None
+        fused, agreement = layers.grids()
+        placed = {t.name: t.transform for t in self._tracks.values() if t.transform is not None}
+        return LiveState(
+            layers.lattice,
+            layers.box.row0,
+            layers.box.col0,
+            fused.cells,
+            agreement.cells,
+            {**self._restored, **placed},
+            self._supervisor.reference,
+            self._supervisor.scores,
+            stamp_s,
+        )
+
+    def restore(self, state: LiveState) -> None:
+        """Go on in the fused frame of a state; before the first update.
+
+        Inputs are tried where they lay, against the last fused map, and are searched when they fit
+        there no more; none that fits nowhere votes.
+
+        Raises:
+            StateError: its cells are of another size than the settings ask for.
+        """
+        wanted, found = self._config.normalize.resolution, state.lattice.resolution
+        if wanted is not None and wanted != found:
+            message = f"the state has cells of {found:g} m, and resolution asks for {wanted:g} m"
+            raise StateError(message)
+        self._clear()
+        self._supervisor.restore(state.lattice, state.scores)
+        self._voting.restore(state)
+        self._restored = dict(state.transforms)
+
+    # -- update -----------------------------------------------------------------------------------
+
+    def update(
+        self, now_s: float, is_wanted: Callable[[], bool] | None = None
+    ) -> LiveUpdate | None:
+        """Bring the fused map up to date; None when nothing came and nothing changed.
+
+        Call it for every map that comes, and again until it answers None: what can wait (aligning
+        large maps again) is done while no map does, and given up for one that comes.
+
+        Args:
+            now_s: on the clock of ``put``.
+            is_wanted: whether maps wait that were not put yet; asked often, so it must be quick.
+        """
+        clock = [time.perf_counter()]
+        before, resolution = self._state(), self._voting.resolution
+        has_news = self._intake.collect(self._supervisor, self._restored, resolution, now_s)
+        self._contradict()
+        clock.append(time.perf_counter())
+        self._supervisor.align(
+            now_s,
+            self._voting.last_fused,
+            is_idle=not has_news,
+            is_wanted=lambda: self._inbox.has_new or (is_wanted is not None and is_wanted()),
+        )
+        self._place()
+        if self._voting.layers is None and self._supervisor.lattice is not None:
+            self._voting.begin(self._supervisor.lattice)
+        clock.append(time.perf_counter())
+        supervisor = self._supervisor
+        box = self._voting.vote(self._tracks.values(), supervisor.voters, supervisor.reference)
+        fused = agreement = None
+        if box is not None:
+            fused, agreement = self._voting.grids()
+        clock.append(time.perf_counter())
+        if not has_news and box is None and self._state() == before:
+            return None
+        steps = zip(("prepare", "align", "vote"), clock, clock[1:], strict=False)
+        return LiveUpdate(
+            fused,
+            agreement,
+            self.inputs(now_s),
+            self._voting.phantom_cells,
+            {step: end - begin for step, begin, end in steps},
+            self._supervisor.has_searched,
+            self._supervisor.reference,
+            box,
+            "" if self._voting.names else self._supervisor.problem,
+        )
+
+    def _state(self) -> tuple[object, ...]:
+        inputs = tuple((t.name, t.votes, t.why) for t in self._tracks.values())
+        return (self._supervisor.reference, self._voting.names, inputs)
+
+    def inputs(self, now_s: float) -> tuple[LiveInput, ...]:
+        """Return the inputs as they stand; from the thread of updates."""
+        out = []
+        counts = self._inbox.counts()
+        for name, track in self._tracks.items():
+            came = counts[name]
+            is_reference = name == self._supervisor.reference and track.votes
+            reason = track.why
+            if self._voting.names == (name,) and self._live.minimum_inputs > 1:
+                reason = "goes on alone: no other input to agree with"
+            out.append(
+                LiveInput(
+                    name,
+                    now_s - came.received_s,
+                    came.rate_hz,
+                    track.votes,
+                    reason,
+                    track.transform,
+                    1.0 if is_reference else track.score,
+                    1.0 if is_reference else track.overlap,
+                    came.maps,
+                    came.rejected,
+                    track.is_tracked,
+                )
+            )
+        return tuple(out)
+
+    # -- poses ------------------------------------------------------------------------------------
+
+    def _contradict(self) -> None:
+        """Take the vote of those whose poses contradict the others', and give it back."""
+        with self._poses_lock:
+            reasons = self._poses.contradictions()
+        for name, track in self._tracks.items():
+            track.contradiction = reasons.get(name, "")
+
+    def _place(self) -> None:
+        """Let the poses of those be compared whose maps are believed."""
+        placed = {
+            name: track.transform
+            for name, track in self._tracks.items()
+            if track.stands and track.transform is not None
+        }
+        with self._poses_lock:
+            self._poses.place(placed)

@@ -1,0 +1,175 @@
+"""``Lattice``, where cells may lie, and ``Layer``, the cells of one input on its own lattice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.config import NormalizeConfig
+from slamfusion.fusion.live.boxes import overlap, padded, slices
+from slamfusion.fusion.normalize import pool_cells
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+
+__all__ = ["Lattice", "Layer", "carry", "lay_out"]
+
+I8 = npt.NDArray[np.int8]
+
+# Origins this near to a whole number of cells apart lie on one lattice.
+SAME_PHASE = 1e-3
+SAME_YAW_RAD = 1e-6
+SAME_RESOLUTION = 1e-4
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Where the cells of a grid may lie; cell [0, 0] and all others, also of negative indices.
+
+    Attributes:
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0] in its frame; metres, radians.
+    """
+
+    resolution: float
+    origin: Pose2
+
+    def corner(self, row: int, col: int) -> Pose2:
+        """Return the pose of the lower-left corner of a cell in the lattice's frame."""
+        if row == 0 and col == 0:
+            return self.origin
+        x, y = self.origin.transform((col * self.resolution, row * self.resolution))
+        return Pose2(float(x), float(y), self.origin.yaw_rad)
+
+    def cell_of(self, grid: OccupancyGrid) -> tuple[int, int] | None:
+        """Return the row and column of a grid's first cell, or None when it lies on none."""
+        if abs(grid.resolution / self.resolution - 1.0) > SAME_RESOLUTION:
+            return None
+        own = self.origin.inverse().compose(grid.origin)
+        cells = np.array((own.y, own.x)) / self.resolution
+        whole = np.rint(cells)
+        if abs(own.yaw_rad) > SAME_YAW_RAD or np.abs(cells - whole).max() > SAME_PHASE:
+            return None
+        return int(whole[0]), int(whole[1])
+
+    def box_of(self, box: CellBox, other: Lattice, transform: Pose2) -> CellBox:
+        """Return the cells of this lattice that hold a box of another's.
+
+        Args:
+            box: cells of ``other``.
+            other: a lattice of another frame.
+            transform: maps ``other``'s frame into this one's, metres.
+        """
+        rows, cols = (box.row0, box.row1), (box.col0, box.col1)
+        corners = np.array([(x, y) for x in cols for y in rows], dtype=np.float64)
+        mapped = transform.transform(other.origin.transform(corners * other.resolution))
+        own = self.origin.inverse().transform(mapped) / self.resolution
+        low = np.floor(own.min(axis=0) + 1e-6).astype(int)
+        high = np.ceil(own.max(axis=0) - 1e-6).astype(int)
+        return CellBox(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Cells on a lattice of their own frame.
+
+    Attributes:
+        cells: (H, W) int8, -1 unknown, 0..100 percent.
+        lattice: on which they lie.
+        row, col: the lattice's indices of ``cells[0, 0]``.
+    """
+
+    cells: I8
+    lattice: Lattice
+    row: int = 0
+    col: int = 0
+
+    @property
+    def box(self) -> CellBox:
+        """The cells of the lattice that it covers."""
+        height, width = self.cells.shape
+        return CellBox(self.row, self.col, self.row + height, self.col + width)
+
+    def window(self, box: CellBox) -> I8:
+        """Return the cells of a box of the lattice; unknown outside of the layer."""
+        common = overlap(box, self.box)
+        if common == box:
+            return self.cells[slices(box, self.row, self.col)]
+        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        if common is not None:
+            out[slices(common, box.row0, box.col0)] = self.cells[slices(common, self.row, self.col)]
+        return out
+
+
+def lay_out(
+    grid: OccupancyGrid,
+    lattice: Lattice | None,
+    resolution: float,
+    thresholds: NormalizeConfig,
+    device: ComputeDevice,
+) -> Layer:
+    """Return a grid as a layer of cells of the given size.
+
+    Args:
+        grid: the map.
+        lattice: where this input's cells lay before; None for a new input. A grid that lies on
+            none of its cells starts a lattice of its own.
+        resolution: metres per cell of the layer.
+        thresholds: what makes a wall, where cells are joined.
+        device: resamples. The nearest cell, or where the layer is coarser any wall in a cell.
+    """
+    own = Lattice(grid.resolution, grid.origin)
+    if lattice is not None:
+        before = Lattice(grid.resolution, lattice.origin)
+        own = before if before.cell_of(grid) is not None else own
+    row, col = own.cell_of(grid) or (0, 0)
+    fused = Lattice(resolution, own.origin)
+    ratio = resolution / grid.resolution
+    if abs(ratio - 1.0) < SAME_RESOLUTION:
+        return Layer(grid.cells, fused, row, col)
+    parts = max(1, int(np.ceil(ratio - 1e-9)))
+    box = fused.box_of(CellBox(row, col, row + grid.height, col + grid.width), own, Pose2())
+    scale = round(ratio / parts * FIXED_ONE)
+    shift_x = 2 * (scale * box.col0 * parts - FIXED_ONE * col)
+    shift_y = 2 * (scale * box.row0 * parts - FIXED_ONE * row)
+    poses = np.array([[scale, 0, shift_x, shift_y]], dtype=np.int64)
+    shape = (box.height * parts, box.width * parts)
+    fine = device.download(device.warp(device.upload(grid.cells), poses, shape, UNKNOWN))[0]
+    if parts > 1:
+        fine = pool_cells(fine.reshape(box.height, parts, box.width, parts), thresholds)
+    return Layer(np.ascontiguousarray(fine), fused, box.row0, box.col0)
+
+
+def carry(
+    layer: Layer, transform: Pose2, lattice: Lattice, box: CellBox, device: ComputeDevice
+) -> I8:
+    """Return a box of a lattice as a layer sees it, nearest cell, unknown outside.
+
+    The motion is rounded once for cell [0, 0] of both lattices and then moved by whole cells: a
+    cell gets the same answer whatever box it is asked with, and however the layer grew.
+
+    Args:
+        layer: the cells, of the lattice's resolution.
+        transform: maps the layer's frame into the lattice's, metres.
+        lattice: onto which.
+        box: cells of the lattice; the answer is (height, width) int8.
+        device: resamples.
+    """
+    away = transform.inverse()
+    into = layer.lattice.origin.inverse().compose(away).compose(lattice.origin)
+    size = lattice.resolution
+    pose = fixed_poses((into.x / size, into.y / size, into.yaw_rad))[0]
+    cos, sin = int(pose[0]), int(pose[1])
+    source = layer.lattice.box_of(box, lattice, away)
+    needed = overlap(padded(source, 2), layer.box)
+    if needed is None:
+        return np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+    pose[2] += 2 * (cos * box.col0 - sin * box.row0 - FIXED_ONE * needed.col0)
+    pose[3] += 2 * (sin * box.col0 + cos * box.row0 - FIXED_ONE * needed.row0)
+    cells = device.upload(np.ascontiguousarray(layer.window(needed)))
+    warped = device.warp(cells, pose[None], (box.height, box.width), UNKNOWN)
+    return np.asarray(device.download(warped)[0])

@@ -1,0 +1,243 @@
+"""The fused layers: one lattice that never moves, what each input says on it, and the vote.
+
+Each input's layer is kept as the lattice sees it, so that a new map costs what it changed: the
+changed cells are carried over and voted on again, everything else stays as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.fusion.live.boxes import grown_inside, hull, overlap, padded, slices
+from slamfusion.fusion.live.lattice import Lattice, Layer, carry
+from slamfusion.fusion.pipeline import agreement_weights
+from slamfusion.fusion.vote import double_reach_cells, vote_grids, vote_reach_cells
+from slamfusion.geometry import Pose2
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
+from slamfusion.io.memory import check_memory
+
+__all__ = ["FusedLayers"]
+
+I8 = npt.NDArray[np.int8]
+
+# Layers, results and copies of a fused cell, in bytes.
+CELL_BYTES = 6
+# Fused layers of this many cells or more shrink where this share of them would do.
+SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
+
+
+class FusedLayers:
+    """The fused cells, and what every input says of them.
+
+    They grow by whole cells of their lattice and never move. They shrink only where four times
+    fewer cells would do, so that an input which leaves for a while does not change the size of what
+    is published, and one that lay far away gives the memory back.
+
+    Attributes:
+        lattice: of the fused frame.
+        box: cells of the lattice that are kept; None before the first ``grow``.
+        phantom_cells: occupied in the fused cells, occupied in no layer that voted.
+    """
+
+    def __init__(self, lattice: Lattice, config: FusionConfig, device: ComputeDevice) -> None:
+        """Start without cells; ``config`` gives the vote and its thresholds."""
+        self.lattice = lattice
+        self.box: CellBox | None = None
+        self.phantom_cells = 0
+        self._config = config
+        self._device = device
+        self._carried: dict[str, I8] = {}
+        self._covered: dict[str, CellBox] = {}
+        self._fused = np.zeros((0, 0), dtype=np.int8)
+        self._agreement = self._fused
+        self._trinary = trinary_cells(
+            np.arange(256, dtype=np.uint8).view(np.int8), config.normalize
+        ).view(np.uint8)
+
+    def grow(self, box: CellBox, name: str) -> CellBox | None:
+        """Make room for a box of the lattice; return all their cells where they grew.
+
+        Args:
+            box: cells of the lattice.
+            name: the input that needs them.
+
+        Raises:
+            MemoryBudgetError: the grown layers would not fit; nothing was changed.
+        """
+        if self.box is not None and hull(self.box, box) == self.box:
+            return None
+        grown = box if self.box is None else hull(self.box, box)
+        room = grown.area * (CELL_BYTES + len(self._carried))
+        check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
+        self._fused = self._moved(self._fused, grown)
+        self._agreement = self._moved(self._agreement, grown)
+        self._carried = {name: self._moved(cells, grown) for name, cells in self._carried.items()}
+        self.box = grown
+        return grown
+
+    def shrink(self, box: CellBox) -> CellBox | None:
+        """Give back the memory of cells that nobody needs; return what is left where they shrank.
+
+        Args:
+            box: cells of the lattice that the voters need.
+        """
+        if self.box is None or self.box.area < SHRUNK_CELLS:
+            return None
+        if box.area > SHRUNK_SHARE * self.box.area or hull(self.box, box) != self.box:
+            return None
+        self._fused = self._cut(self._fused, box)
+        self._agreement = self._cut(self._agreement, box)
+        self._carried = {name: self._cut(cells, box) for name, cells in self._carried.items()}
+        kept = {name: overlap(covered, box) for name, covered in self._covered.items()}
+        self._covered = {name: part for name, part in kept.items() if part is not None}
+        self.box = box
+        return box
+
+    def _cut(self, cells: I8, box: CellBox) -> I8:
+        whole = self.box
+        if whole is None:
+            return cells
+        return cells[slices(box, whole.row0, whole.col0)].copy()
+
+    def restore(self, box: CellBox, fused: I8, agreement: I8) -> None:
+        """Begin with fused cells of an earlier run on this lattice, which no layer is under yet.
+
+        Args:
+            box: cells of the lattice; those of the arrays.
+            fused: (H, W) int8, cells -1, 0, 100, as ``grids`` gives them.
+            agreement: (H, W) int8, 0..100, -1 without votes.
+        """
+        classes = np.array([UNKNOWN] * 256, dtype=np.int8)
+        classes[FREE], classes[OCCUPIED] = 0, 1
+        self._fused = np.asarray(cv2.LUT(fused.view(np.uint8), classes.view(np.uint8))).view(
+            np.int8
+        )
+        self._agreement = agreement.copy()
+        self.box = box
+
+    def _moved(self, cells: I8, grown: CellBox) -> I8:
+        out = np.full((grown.height, grown.width), UNKNOWN, dtype=np.int8)
+        if self.box is not None:
+            out[slices(self.box, grown.row0, grown.col0)] = cells
+        return out
+
+    def lay(
+        self, name: str, layer: Layer, known: CellBox, transform: Pose2, changed: CellBox | None
+    ) -> CellBox | None:
+        """Carry an input's cells onto its layer; return the cells of the lattice that it touched.
+
+        Args:
+            name: the input.
+            layer: all of its cells.
+            known: cells of the layer's lattice that hold every known one.
+            transform: maps the layer's frame into the fused frame, metres.
+            changed: cells of the layer's lattice that differ from what was laid here before with
+                the same transform and lattice; None for all.
+        """
+        box = self.box
+        if box is None:
+            message = "grow the layers before anything is laid on them"
+            raise ValueError(message)
+        before = self._covered.get(name)
+        if name not in self._carried:
+            self._carried[name] = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        carried = self._carried[name]
+        now = overlap(self.lattice.box_of(known, layer.lattice, transform), box)
+        if changed is None:
+            target = now
+            if before is not None:
+                carried[slices(before, box.row0, box.col0)] = UNKNOWN
+            touched = now if before is None or now is None else hull(before, now)
+            touched = touched or before
+        else:
+            near = self.lattice.box_of(changed, layer.lattice, transform)
+            target = touched = overlap(padded(near, 1), box)
+        self._covered.pop(name, None)
+        if now is not None:
+            self._covered[name] = now if before is None or changed is None else hull(before, now)
+        if target is not None:
+            carried[slices(target, box.row0, box.col0)] = carry(
+                layer, transform, self.lattice, target, self._device
+            )
+        return touched
+
+    def lift(self, name: str) -> CellBox | None:
+        """Take an input's layer away; return the cells that it had covered."""
+        self._carried.pop(name, None)
+        return self._covered.pop(name, None)
+
+    def vote(self, names: Sequence[str], box: CellBox) -> CellBox:
+        """Let the layers of some inputs vote again on a box of the lattice.
+
+        Args:
+            names: the voters, one or more, in order; each has a layer.
+            box: cells of the lattice, inside of those kept. Weighted votes take all of these,
+                since the weights follow from all of it.
+
+        Returns:
+            The cells that were voted on.
+        """
+        whole = self.box
+        if whole is None:
+            message = "grow the layers before their cells are voted on"
+            raise ValueError(message)
+        config = self._config.vote
+        if config.mode == "weighted":
+            box = whole
+        # A wall decides what its neighbours become, and theirs are needed to say what it is.
+        reach = vote_reach_cells(config, self.lattice.resolution)
+        box, seen = (grown_inside(box, cells, whole) for cells in (reach, 2 * reach))
+        window = slices(seen, whole.row0, whole.col0)
+        percents = [np.ascontiguousarray(self._carried[name][window]) for name in names]
+        aligned = [self._classes(cells) for cells in percents]
+        weights = agreement_weights(aligned) if config.mode == "weighted" else None
+        voted = vote_grids(
+            aligned,
+            config,
+            self._device,
+            weights=weights,
+            percents=percents if config.mode == "log-odds" else None,
+            thresholds=self._config.normalize,
+            reach_cells=double_reach_cells(config, self.lattice.resolution),
+        )
+        window, part = slices(box, whole.row0, whole.col0), slices(box, seen.row0, seen.col0)
+        self._fused[window] = voted.fused[part]
+        self._agreement[window] = voted.agreement[part]
+        if box == whole:
+            self.phantom_cells = voted.phantom_cells
+        elif voted.phantom_cells or self.phantom_cells:
+            self.phantom_cells = self._count_phantoms(names)
+        return box
+
+    def _classes(self, cells: I8) -> I8:
+        return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
+
+    def _count_phantoms(self, names: Sequence[str]) -> int:
+        """Count the fused walls of all cells that were voted for and that no voter has."""
+        alone = (self._fused == 1) & (self._agreement >= 0)
+        for name in names:
+            alone &= self._classes(self._carried[name]) != 1
+        return int(np.count_nonzero(alone))
+
+    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
+        """Return the fused map (cells -1, 0, 100) and the agreement (0..100, -1 without votes)."""
+        if self.box is None:
+            message = "layers without cells are no map"
+            raise ValueError(message)
+        values = np.array([FREE, OCCUPIED] + [UNKNOWN] * 254, dtype=np.int8).view(np.uint8)
+        cells = np.asarray(cv2.LUT(self._fused.view(np.uint8), values)).view(np.int8)
+        agreement = self._agreement.copy()
+        for array in (cells, agreement):
+            array.flags.writeable = False
+        origin = self.lattice.corner(self.box.row0, self.box.col0)
+        size = self.lattice.resolution
+        return (
+            OccupancyGrid(cells, size, origin, "fused"),
+            OccupancyGrid(agreement, size, origin, "agreement"),
+        )

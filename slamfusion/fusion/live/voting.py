@@ -1,0 +1,158 @@
+"""``Voting``: keeps the fused layers as the voters want them, and votes on what changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, LiveConfig
+from slamfusion.errors import MemoryBudgetError
+from slamfusion.fusion.live.boxes import hull, joined
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.layers import FusedLayers
+from slamfusion.fusion.live.state import LiveState
+from slamfusion.fusion.live.track import Track
+from slamfusion.grid import CellBox, OccupancyGrid
+
+__all__ = ["Voting"]
+
+
+class Voting:
+    """Lays what changed of each voter and votes on it.
+
+    Attributes:
+        live: its ``extent`` counts; may be replaced.
+        layers: None before the first fusion.
+        names: who voted last.
+    """
+
+    def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
+        """Start without layers; ``config`` gives the vote."""
+        self.live = live
+        self.layers: FusedLayers | None = None
+        self.names: tuple[str, ...] = ()
+        self._config = config
+        self._device = device
+
+    @property
+    def resolution(self) -> float | None:
+        """Metres per fused cell; None before the first fusion."""
+        return None if self.layers is None else self.layers.lattice.resolution
+
+    @property
+    def phantom_cells(self) -> int:
+        """Fused walls that no voter has."""
+        return 0 if self.layers is None else self.layers.phantom_cells
+
+    def begin(self, lattice: Lattice) -> FusedLayers:
+        """Begin with empty layers on a lattice."""
+        self.layers = FusedLayers(lattice, self._config, self._device)
+        return self.layers
+
+    def restore(self, state: LiveState) -> None:
+        """Begin with the last fused map of an earlier run, which no layer is under yet."""
+        self.begin(state.lattice).restore(state.box, state.fused, state.agreement)
+
+    def last_fused(self) -> OccupancyGrid | None:
+        """Return the last fused map; None before the first."""
+        if self.layers is None or self.layers.box is None:
+            return None
+        return self.layers.grids()[0]
+
+    def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:
+        """Return the fused map and the agreement.
+
+        Raises:
+            ValueError: nothing was fused yet.
+        """
+        if self.layers is None:
+            message = "nothing was fused yet"
+            raise ValueError(message)
+        return self.layers.grids()
+
+    def vote(
+        self, tracks: Iterable[Track], voters: Sequence[Track], reference: str
+    ) -> CellBox | None:
+        """Lay what changed and vote on it.
+
+        Args:
+            tracks: all inputs; the layers of those that do not vote are lifted.
+            voters: the inputs that vote, in order; one that finds no room is refused.
+            reference: name of the input that others are aligned to.
+
+        Returns:
+            Those cells of the fused map, counted from its first cell; None without any.
+        """
+        layers = self.layers
+        if layers is None:
+            return None
+        grown = [self._make_room(layers, track, reference) for track in voters]
+        voters = [track for track in voters if track.votes]
+        names = tuple(track.name for track in voters)
+        for track in tracks:
+            if track.name not in names:
+                layers.lift(track.name)
+                track.relay = True
+        if layers.box is None or not names:
+            self.names = names
+            return None
+        has_shrunk = self._shrink(layers, voters, reference)
+        parts = [_lay(layers, track) for track in voters]
+        boxes = [part for part in parts if part is not None]
+        if has_shrunk or any(grown) or names != self.names or (boxes and self._is_weighted):
+            boxes = [layers.box]
+        self.names = names
+        if not boxes:
+            return None
+        box, *others = (layers.vote(names, part) for part in joined(boxes))
+        for other in others:
+            box = hull(box, other)
+        whole = layers.box
+        rows, cols = (box.row0 - whole.row0, box.row1 - whole.row0), box.col0 - whole.col0
+        return CellBox(rows[0], cols, rows[1], cols + box.width)
+
+    @property
+    def _is_weighted(self) -> bool:
+        """Whether what changed in one place weighs in all others."""
+        return self._config.vote.mode == "weighted"
+
+    def _make_room(self, layers: FusedLayers, track: Track, reference: str) -> bool:
+        """Grow the layers to hold an input's new cells; return whether they grew."""
+        needed = self._needed(layers, track, reference)
+        if needed is None:
+            return False
+        try:
+            return layers.grow(needed, track.name) is not None
+        except MemoryBudgetError as error:
+            track.refuse(str(error))
+            return False
+
+    def _shrink(self, layers: FusedLayers, voters: Sequence[Track], reference: str) -> bool:
+        """Give back what the layers hold for no voter; return whether there was any."""
+        found = [self._needed(layers, track, reference) for track in voters]
+        boxes = [box for box in found if box is not None]
+        if not boxes:
+            return False
+        needed = boxes[0]
+        for box in boxes[1:]:
+            needed = hull(needed, box)
+        return layers.shrink(needed) is not None
+
+    def _needed(self, layers: FusedLayers, track: Track, reference: str) -> CellBox | None:
+        """Return the cells of the lattice that an input needs; None where it gives no extent."""
+        if track.layer is None or track.known is None or track.transform is None:
+            return None
+        if self.live.extent == "reference" and track.name != reference:
+            return None
+        return layers.lattice.box_of(track.known, track.layer.lattice, track.transform)
+
+
+def _lay(layers: FusedLayers, track: Track) -> CellBox | None:
+    """Lay what the layers have not seen of an input; return the cells of the lattice."""
+    if track.layer is None or track.known is None or track.transform is None:
+        return None
+    if not track.relay and track.unlaid is None:
+        return None
+    changed = None if track.relay else track.unlaid
+    track.relay, track.unlaid = False, None
+    return layers.lay(track.name, track.layer, track.known, track.transform, changed)

@@ -1,0 +1,95 @@
+"""The lattice: a cell is the same in whatever box, and keeps its phase while a map grows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import NormalizeConfig
+from slamfusion.fusion.live.lattice import Lattice, carry
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid
+from tests.fusion.drawings import padded, random_cells, random_grid
+from tests.fusion.live.maps import layer_of
+
+RULES = NormalizeConfig()
+POSES = st.builds(
+    Pose2, st.floats(-30.0, 30.0), st.floats(-30.0, 30.0), st.floats(-math.pi, math.pi)
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 999),
+    transform=POSES,
+    origin=POSES,
+    margins=st.tuples(*[st.integers(0, 90)] * 4),
+    inner=st.tuples(*[st.integers(0, 30)] * 4),
+)
+def test_a_cell_is_the_same_in_whatever_box_and_however_the_map_grew(
+    device: ComputeDevice,
+    twins: ComputeDevice,
+    seed: int,
+    transform: Pose2,
+    origin: Pose2,
+    margins: tuple[int, int, int, int],
+    inner: tuple[int, int, int, int],
+) -> None:
+    grid = replace(random_grid(seed), origin=origin)
+    layer = layer_of(grid, device)
+    grown = layer_of(padded(grid, *margins), device, layer)
+    assert grown.lattice == layer.lattice
+    lattice = Lattice(0.1, Pose2(2.0, -1.0, 0.3))
+    box = lattice.box_of(layer.box, layer.lattice, transform)
+    whole = carry(layer, transform, lattice, box, device)
+    part = CellBox(
+        box.row0 + inner[0], box.col0 + inner[1], box.row1 - inner[2], box.col1 - inner[3]
+    )
+    if part.height > 0 and part.width > 0:
+        alone = carry(grown, transform, lattice, part, twins)
+        rows = slice(inner[0], inner[0] + part.height)
+        cols = slice(inner[1], inner[1] + part.width)
+        assert np.array_equal(alone, whole[rows, cols])
+    assert (whole >= 0).sum() > 0.8 * (grid.cells >= 0).sum()
+
+
+@pytest.mark.parametrize("size", [0.05, 0.04, 0.2, 0.25])
+def test_cells_of_another_size_keep_their_phase_while_the_map_grows(
+    device: ComputeDevice, size: float
+) -> None:
+    grid = OccupancyGrid(random_cells(5), size, Pose2(4.0, 2.0, 0.6))
+    first = layer_of(grid, device)
+    assert first.lattice.resolution == 0.1
+    for south, west in ((1, 0), (3, 7), (10, 5)):
+        grown = layer_of(padded(grid, south, west, 2, 9), device, first)
+        assert grown.lattice == first.lattice
+        assert np.array_equal(grown.window(first.box), first.cells)
+    walls = grid.cells >= 65
+    if size < 0.1:
+        # No wall is lost where cells are joined.
+        rows, cols = np.nonzero(walls)
+        place = grid.origin.inverse().transform(grid.cell_centres(rows, cols)) / 0.1
+        found = first.cells[
+            np.floor(place[:, 1]).astype(int) - first.row,
+            np.floor(place[:, 0]).astype(int) - first.col,
+        ]
+        assert (found >= 65).all()
+
+
+def test_a_map_beside_the_lattice_begins_its_own(device: ComputeDevice) -> None:
+    grid = random_grid(3)
+    first = layer_of(grid, device)
+    beside = replace(grid, origin=Pose2(0.03, 0.0, 0.0))
+    assert layer_of(beside, device, first).lattice != first.lattice
+    turned = replace(grid, origin=Pose2(0.0, 0.0, 0.01))
+    assert layer_of(turned, device, first).lattice != first.lattice
+    whole = replace(grid, origin=Pose2(-0.3, 0.5, 0.0))
+    again = layer_of(whole, device, first)
+    assert (again.row, again.col) == (5, -3)
+    assert again.lattice == first.lattice

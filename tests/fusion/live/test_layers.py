@@ -1,0 +1,81 @@
+"""The fused layers: boxes voted on one by one are one vote, and how they grow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
+from slamfusion.errors import MemoryBudgetError
+from slamfusion.fusion.live.lattice import Lattice, Layer
+from slamfusion.fusion.live.layers import FusedLayers
+from slamfusion.fusion.vote import double_reach_cells, vote_grids
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, trinary_cells
+from slamfusion.io import memory
+from tests.fusion.drawings import random_cells
+
+RULES = NormalizeConfig()
+
+
+@pytest.mark.parametrize(
+    ("mode", "unknown"),
+    [
+        ("majority", "auto"),
+        ("majority", "value"),
+        ("majority", "abstain"),
+        ("consensus", "auto"),
+        ("log-odds", "auto"),
+    ],
+)
+def test_boxes_voted_on_one_by_one_are_one_vote(
+    device: ComputeDevice, mode: str, unknown: str
+) -> None:
+    config = FusionConfig(vote=VoteConfig(mode=mode, unknown=unknown))
+    stack = [random_cells(seed, 40, 40) for seed in (1, 2, 3)]
+    size = tuple(max(cells.shape[axis] for cells in stack) for axis in (0, 1))
+    full = [np.full(size, -1, dtype=np.int8) for _ in stack]
+    for out, cells in zip(full, stack, strict=True):
+        out[: cells.shape[0], : cells.shape[1]] = cells
+    layers = FusedLayers(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), config, device)
+    box = CellBox(0, 0, *size)
+    layers.grow(box, "all")
+    for name, cells in zip("abc", full, strict=True):
+        layer = Layer(cells, layers.lattice)
+        layers.lay(name, layer, box, Pose2(), None)
+    for row in range(0, size[0], 13):
+        for col in range(0, size[1], 17):
+            part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
+            layers.vote("abc", part)
+    reach = double_reach_cells(config.vote, 0.1)
+    stack = [trinary_cells(cells, RULES) for cells in full]
+    wanted = vote_grids(stack, config.vote, device, percents=full, reach_cells=reach)
+    fused, agreement = layers.grids()
+    assert np.array_equal(trinary_cells(fused.cells, RULES), wanted.fused)
+    assert np.array_equal(agreement.cells, wanted.agreement)
+    assert layers.phantom_cells == wanted.phantom_cells
+    assert fused.origin == Pose2(1.0, 2.0, 0.2)
+
+
+def test_fused_layers_grow_by_whole_cells_and_never_beyond_memory(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layers = FusedLayers(Lattice(0.1, Pose2(1.0, 2.0, 0.2)), FusionConfig(), device)
+    layer = Layer(random_cells(1), layers.lattice)
+    layers.grow(layer.box, "a")
+    layers.lay("a", layer, layer.box, Pose2(), None)
+    layers.vote("a", layer.box)
+    before = layers.grids()[0]
+    assert layers.grow(CellBox(1, 1, 3, 3), "a") is None
+    grown = layers.grow(CellBox(-5, -7, 3, 3), "b")
+    assert grown is not None
+    assert (grown.row0, grown.col0) == (-5, -7)
+    after = layers.grids()[0]
+    assert np.array_equal(after.crop(CellBox(5, 7, after.height, after.width)).cells, before.cells)
+    corner = after.origin.transform((0.7, 0.5))
+    assert np.allclose(corner, (before.origin.x, before.origin.y))
+    monkeypatch.setattr(memory, "available_memory", lambda: 10_000)
+    with pytest.raises(MemoryBudgetError, match="b: a fused map"):
+        layers.grow(CellBox(0, 0, 5000, 5000), "b")
+    assert layers.box == grown
