@@ -24,10 +24,11 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.fusion.align import track_features
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.proof import LatticeScore
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.search import SearchWindow, displacement
+from slamfusion.fusion.search import SearchWindow
 from slamfusion.fusion.vote import vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid

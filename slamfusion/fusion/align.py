@@ -13,23 +13,15 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.fusion.accept import Evidence, decide
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures, spread_sample
 from slamfusion.fusion.fixed_step import fixed_step_search
+from slamfusion.fusion.motions import displacement, invert, to_lattice
 from slamfusion.fusion.normalize import check_resampling, common_resolution, normalize_grid
 from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
 from slamfusion.fusion.records import Alignment, RunnerUp
-from slamfusion.fusion.search import (
-    CoarseSearch,
-    SearchWindow,
-    displacement,
-    inside,
-    invert,
-    rank,
-    refine,
-    search,
-    settle,
-    to_lattice,
-)
+from slamfusion.fusion.refine import rank, refine, settle
+from slamfusion.fusion.search import CoarseSearch, SearchWindow, inside, search
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 
@@ -107,8 +99,17 @@ def align_features(
     config: AlignConfig,
     device: ComputeDevice,
     start: Pose2 | None = None,
+    cancel: CancelToken | None = None,
 ) -> Alignment:
-    """Align two prepared grids; see ``align_grids``."""
+    """Align two prepared grids; see ``align_grids``.
+
+    Args:
+        reference, moving, config, device, start: as there.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so; what was computed of the grids is kept.
+    """
     began = time.perf_counter()
     for features in (reference, moving):
         if not len(features.wall_points):
@@ -116,21 +117,21 @@ def align_features(
             return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     window = _window(reference, moving, config, start)
     if config.step is not None:
-        motion = fixed_step_search(reference, moving, config.step, window, device)
-        score = rank(reference, moving, motion[None], 1, FINE_TABLE, device)
+        motion = fixed_step_search(reference, moving, config.step, window, device, cancel)
+        score = rank(reference, moving, motion[None], 1, FINE_TABLE, device, cancel=cancel)
         found = _Found(motion[None], score, None, None, "fixed step")
     else:
-        coarse, motions, scores = search(reference, moving, config, window, device)
+        coarse, motions, scores = search(reference, moving, config, window, device, cancel)
         is_full = window.shift_cells is None and window.yaw_rad >= math.pi
         found = _Found(motions, scores, coarse, None, "full" if is_full else "window")
         if config.prove and len(motions):
-            found = _prove(reference, moving, config, window, device, found)
+            found = _prove(reference, moving, config, window, device, found, cancel)
     if not len(found.motions):
         reason = "no fit inside the window; widen it or give a better start"
         return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     if start is None and config.shared_frame:
         start = Pose2()
-    return _conclude(reference, moving, device, found, start, began)
+    return _conclude(reference, moving, device, found, start, began, cancel)
 
 
 def track_features(
@@ -138,6 +139,7 @@ def track_features(
     moving: GridFeatures,
     device: ComputeDevice,
     start: Pose2,
+    cancel: CancelToken | None = None,
 ) -> Alignment:
     """Refine a known transform without a search; the decision rests on the fit alone.
 
@@ -146,14 +148,17 @@ def track_features(
         device: computes.
         start: pose of the moving map frame in the reference's, within about half a metre and a few
             degrees.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
     """
     began = time.perf_counter()
     motion = _motion(reference, moving, start)[None]
-    motion = settle(reference, moving, motion, device)
-    score = rank(reference, moving, motion, 1, FINE_TABLE, device)
-    return _conclude(
-        reference, moving, device, _Found(motion, score, None, None, "tracked"), start, began
-    )
+    motion = settle(reference, moving, motion, device, cancel)
+    score = rank(reference, moving, motion, 1, FINE_TABLE, device, cancel=cancel)
+    found = _Found(motion, score, None, None, "tracked")
+    return _conclude(reference, moving, device, found, start, began, cancel)
 
 
 def rejected_alignment(
@@ -210,6 +215,7 @@ def _prove(
     window: SearchWindow,
     device: ComputeDevice,
     found: _Found,
+    cancel: CancelToken | None = None,
 ) -> _Found:
     """Bound the whole search set; rivals that the proof turns up are refined and may win."""
     end = time.perf_counter() + config.deadline_s
@@ -220,12 +226,13 @@ def _prove(
         return replace(found, bound_gap=1.0)
     gap, rival = 0.0, False
     for _ in range(PROOF_ROUNDS):
+        check_cancelled(cancel)
         best, _ = neighbourhood_best(lattice, motions[0], NEIGHBOURHOOD_CELLS)
         proof = prove(lattice, best, max(0.0, end - time.perf_counter()))
         gap, rival = proof.bound_gap, False
         if not len(proof.rivals):
             break
-        others = inside(window, settle(reference, moving, proof.rivals[:RIVALS], device))
+        others = inside(window, settle(reference, moving, proof.rivals[:RIVALS], device, cancel))
         elsewhere = [other for other in others if not _is_same(other, motions[0])]
         if not elsewhere:
             # All that scores above the answer runs into it when refined: it is their optimum.
@@ -233,7 +240,7 @@ def _prove(
             break
         rival = any(_is_distinct(other, motions[0]) for other in elsewhere)
         everything = np.concatenate((motions, np.array(elsewhere)))
-        ranked = rank(reference, moving, everything, 1, FINE_TABLE, device)
+        ranked = rank(reference, moving, everything, 1, FINE_TABLE, device, cancel=cancel)
         order = np.argsort(-ranked, kind="stable")
         changed = order[0] >= len(motions)
         motions, scores = everything[order], ranked[order]
@@ -261,17 +268,20 @@ def _conclude(
     found: _Found,
     start: Pose2 | None,
     began: float,
+    cancel: CancelToken | None,
 ) -> Alignment:
     """Measure the best motion and its runner-up, decide, and write the record."""
     best, score = found.motions[0], float(found.scores[0])
-    statistics = measure(reference, moving, best, device)
+    statistics = measure(reference, moving, best, device, cancel)
     is_bent = max(statistics["wall_match_moving"], statistics["wall_match_reference"]) < BENT_MATCH
     runner_up = _runner_up(reference, moving, found, BENT_CELLS if is_bent else DISTINCT_CELLS)
     if is_bent:
         # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
         # leaves the rest; the wide one spreads the misfit over the whole map.
-        best = refine(reference, moving, best[None], 1, BENT_SCALES, device, iterations=8)[0]
-        statistics = measure(reference, moving, best, device)
+        best = refine(
+            reference, moving, best[None], 1, BENT_SCALES, device, iterations=8, cancel=cancel
+        )[0]
+        statistics = measure(reference, moving, best, device, cancel)
     transform = _transform(reference, moving, best)
     overlap, error = statistics.pop("overlap"), statistics.pop("error")
     profile = None
@@ -353,7 +363,11 @@ def _separation(coarse: CoarseSearch, yaw: float) -> tuple[float, float]:
 
 
 def measure(
-    reference: GridFeatures, moving: GridFeatures, motion: F64, device: ComputeDevice
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motion: F64,
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
 ) -> dict[str, float]:
     """Return the numbers by which a motion is judged.
 
@@ -363,7 +377,7 @@ def measure(
     two shares of known cells within 0.15 m of a wall, what a random place would match.
     """
     lattice = to_lattice(motion[None], moving.centre)
-    ref, mov = reference.level(1), moving.level(1)
+    ref, mov = reference.level(1, cancel), moving.level(1, cancel)
     size = reference.grid.grid.resolution
     near2 = int(max(NEAR_M / size, NEAR_CELLS_MIN) ** 2 + 1e-9)
     clashes2 = [
@@ -378,6 +392,7 @@ def measure(
     ):
         sample = spread_sample(points, EVIDENCE_POINTS)
         for far2, shares in zip(clashes2, clash, strict=True):
+            check_cancelled(cancel)
             counts = device.pose_counts(
                 sample,
                 fixed_poses(pose),
@@ -391,8 +406,9 @@ def measure(
             shares.append(counts[2] / len(sample))
         match.append(counts[1] / len(sample))
         known.append(counts[0] / len(sample))
+        check_cancelled(cancel)
         chance.append(features.near_wall_share(near2))
-    overlap, error = _overlap_and_error(reference, moving, lattice, device)
+    overlap, error = _overlap_and_error(reference, moving, lattice, device, cancel)
     return {
         "wall_match": float(min(match)),
         "wall_match_moving": float(match[0]),
@@ -407,10 +423,16 @@ def measure(
 
 
 def _overlap_and_error(
-    reference: GridFeatures, moving: GridFeatures, lattice: F64, device: ComputeDevice
+    reference: GridFeatures,
+    moving: GridFeatures,
+    lattice: F64,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
 ) -> tuple[float, float]:
     """Return the share of known cells in common, and the [F16] error over the reference's box."""
+    check_cancelled(cancel)
     warped = device.warp(moving.cells, fixed_poses(invert(lattice)), reference.shape, -1)
+    check_cancelled(cancel)
     counts = device.confusion(reference.cells, warped)
     both = float(counts[1:, 1:].sum())
     smaller = max(1, min(reference.known_cells, moving.known_cells))

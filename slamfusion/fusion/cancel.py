@@ -1,48 +1,53 @@
-"""``Pausable``: a device whose work is given up, between two operations, when something waits."""
+"""``CancelToken``: asked between the operations of a search whether to give it up."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
+from typing import Protocol
 
-from slamfusion.compute import ComputeDevice
-
-__all__ = ["Pausable", "PausedError"]
+__all__ = ["CancelToken", "CancelledSearchError", "check_cancelled"]
 
 
-class PausedError(Exception):
-    """Work was given up since something else waits; nothing of it was kept but features."""
+class _Finishes(Protocol):
+    """A device that may take orders ahead."""
+
+    def finish(self) -> object:
+        """Wait until all orders are done."""
 
 
-class Pausable:
-    """A device that asks, inside of ``until``, before each operation whether to give up.
+class CancelledSearchError(Exception):
+    """A search was given up since something else waits; nothing of it was kept but features."""
+
+
+class CancelToken:
+    """Asks whether something else waits.
 
     An alignment of maps of 16 million cells takes half a second in two hundred operations, so
-    what waits for it waits no longer than the longest of these: a device that takes orders ahead
-    finishes each before the next is given.
+    what waits for it waits no longer than the longest of these. A device that takes orders ahead
+    finishes them before each question, so that a search which goes on has nothing left to wait for.
     """
 
-    def __init__(self, device: ComputeDevice) -> None:
-        """Start without asking; ``device`` does the operations."""
+    def __init__(self, is_wanted: Callable[[], bool], device: _Finishes) -> None:
+        """Ask ``is_wanted``; ``device`` does the operations of the search."""
+        self._is_wanted = is_wanted
         self._device = device
-        self._is_wanted: Callable[[], bool] | None = None
-        self._finish: Callable[[], None] | None = getattr(device, "finish", None)
 
-    @contextlib.contextmanager
-    def until(self, is_wanted: Callable[[], bool] | None) -> Iterator[None]:
-        """Raise ``PausedError`` from the next operation once ``is_wanted`` answers True."""
-        before, self._is_wanted = self._is_wanted, is_wanted
-        try:
-            yield
-        finally:
-            self._is_wanted = before
+    def check(self) -> None:
+        """Return where the search may go on.
 
-    def __getattr__(self, name: str) -> Any:
-        """Return an operation of the device."""
-        if self._is_wanted is not None:
-            if self._finish is not None:
-                self._finish()
-            if self._is_wanted():
-                raise PausedError
-        return getattr(self._device, name)
+        Raises:
+            CancelledSearchError: something else waits.
+        """
+        self._device.finish()
+        if self._is_wanted():
+            raise CancelledSearchError
+
+
+def check_cancelled(cancel: CancelToken | None) -> None:
+    """Return where a search may go on, as one without a token always may.
+
+    Raises:
+        CancelledSearchError: something else waits.
+    """
+    if cancel is not None:
+        cancel.check()

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.fields import FieldDevice
 from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_TABLE
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.normalize import NormalizedGrid
 
 __all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"]
@@ -97,7 +98,10 @@ class Level:
 
 
 class GridFeatures:
-    """The levels and fields of one normalised grid on one device."""
+    """The levels and fields of one normalised grid on one device.
+
+    What takes several operations can be cancelled between them; what was finished is kept.
+    """
 
     def __init__(self, grid: NormalizedGrid, device: FieldDevice) -> None:
         """Upload the cells; everything else is computed when first asked for."""
@@ -107,6 +111,8 @@ class GridFeatures:
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
+        self._surface_walls: DeviceArray[Any] | None = None
+        self._solid_level: Level | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -141,42 +147,70 @@ class GridFeatures:
             self._near_wall_share[near2] = near / max(1, self.known_cells)
         return self._near_wall_share[near2]
 
-    @cached_property
-    def _surface(self) -> DeviceArray[Any]:
-        """Surface walls; all solid walls where none touches free space."""
-        solid = self.device.upload(self.grid.solid)
-        surface = self.device.surface_walls(self.cells, solid)
-        return surface if self.device.download(surface).any() else solid
+    def _surface(self, cancel: CancelToken | None) -> DeviceArray[Any]:
+        """Return the surface walls; all solid walls where none touches free space."""
+        if self._surface_walls is None:
+            check_cancelled(cancel)
+            solid = self.device.upload(self.grid.solid)
+            surface = self.device.surface_walls(self.cells, solid)
+            check_cancelled(cancel)
+            self._surface_walls = surface if self.device.download(surface).any() else solid
+        return self._surface_walls
 
-    def level(self, step: int) -> Level:
-        """Return the grid at ``step`` fine cells a cell."""
+    def level(self, step: int, cancel: CancelToken | None = None) -> Level:
+        """Return the grid at ``step`` fine cells a cell.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
         if step not in self._levels:
+            wall = self._surface(cancel)
+            check_cancelled(cancel)
             if step == 1:
-                wall = self._surface
                 free = self.device.upload((self.grid.cells == 0).astype(np.uint8) * np.uint8(255))
             else:
-                wall, free = self.device.shrink(self._surface, self.cells, step)
+                wall, free = self.device.shrink(wall, self.cells, step)
+            check_cancelled(cancel)
             distance2 = self.device.distance_squared(wall)
+            check_cancelled(cancel)
             distance = self.device.look_up(distance2, DISTANCE_TABLE)
+            check_cancelled(cancel)
             mask = self.device.download(wall)
             self._levels[step] = Level(
                 step, mask.shape, wall, free, distance2, distance, _lattice_points(mask != 0)
             )
         return self._levels[step]
 
-    @cached_property
-    def solid_level(self) -> Level:
-        """The finest level with every solid wall cell, not only the surfaces."""
-        wall = self.device.upload(self.grid.solid)
-        distance2 = self.device.distance_squared(wall, SOLID_REACH)
-        distance = self.device.look_up(distance2, DISTANCE_TABLE)
-        return Level(1, self.shape, wall, self.level(1).free, distance2, distance, self.wall_points)
+    def solid_level(self, cancel: CancelToken | None = None) -> Level:
+        """Return the finest level with every solid wall cell, not only the surfaces.
 
-    def field(self, step: int, table: ScoreTable) -> DeviceArray[Any]:
-        """Return the score field of a level, uint8 on the device."""
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
+        if self._solid_level is None:
+            free = self.level(1, cancel).free
+            check_cancelled(cancel)
+            wall = self.device.upload(self.grid.solid)
+            distance2 = self.device.distance_squared(wall, SOLID_REACH)
+            check_cancelled(cancel)
+            distance = self.device.look_up(distance2, DISTANCE_TABLE)
+            self._solid_level = Level(
+                1, self.shape, wall, free, distance2, distance, self.wall_points
+            )
+        return self._solid_level
+
+    def field(
+        self, step: int, table: ScoreTable, cancel: CancelToken | None = None
+    ) -> DeviceArray[Any]:
+        """Return the score field of a level, uint8 on the device.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
         key = (step, table.name)
         if key not in self._fields:
-            level = self.level(step)
+            level = self.level(step, cancel)
+            check_cancelled(cancel)
             self._fields[key] = self.device.score_field(
                 level.distance2, level.free, table.hit, table.miss, table.base
             )

@@ -18,8 +18,10 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.errors import ConfigError
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.search import SearchWindow, invert, to_lattice
+from slamfusion.fusion.motions import invert, to_lattice
+from slamfusion.fusion.search import SearchWindow
 
 __all__ = ["fixed_step_search"]
 
@@ -36,13 +38,14 @@ def fixed_step_search(
     step: int,
     window: SearchWindow,
     device: ComputeDevice,
+    cancel: CancelToken | None = None,
 ) -> F64:
     """Return the motion (3,) of least [F16] error: where the centre lands in cells, and yaw.
 
     Args:
         reference, moving: the two grids. step: first step, cells and degrees. window: the start,
         and how far to look; a quarter of the reference's longer side unless given. device:
-        computes the errors.
+        computes the errors. cancel: asked before each batch of poses.
     """
     reach = window.shift_cells
     if reach is None:
@@ -60,7 +63,7 @@ def fixed_step_search(
             )
             raise ConfigError(message)
         grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)
-        best = _least_error(reference, moving, best + grid, max(1, step // 2), device)
+        best = _least_error(reference, moving, best + grid, max(1, step // 2), device, cancel)
         if step == 1:
             return best
         reach, turn = float(step), float(step)
@@ -68,11 +71,17 @@ def fixed_step_search(
 
 
 def _least_error(
-    reference: GridFeatures, moving: GridFeatures, motions: F64, stride: int, device: ComputeDevice
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motions: F64,
+    stride: int,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
 ) -> F64:
     """Return the motion of least error; of equals the first."""
     errors = []
     for start in range(0, len(motions), BATCH):
+        check_cancelled(cancel)
         poses = invert(to_lattice(motions[start : start + BATCH], moving.centre))
         errors.append(
             device.squared_error(reference.cells, moving.cells, fixed_poses(poses), stride)

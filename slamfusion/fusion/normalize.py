@@ -12,6 +12,7 @@ from slamfusion.compute.fields import FieldDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.memory import check_memory
@@ -98,7 +99,11 @@ def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
 
 
 def normalize_grid(
-    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: FieldDevice
+    grid: OccupancyGrid,
+    resolution: float,
+    config: NormalizeConfig,
+    device: FieldDevice,
+    cancel: CancelToken | None = None,
 ) -> NormalizedGrid:
     """Resample to ``resolution``, threshold, and crop to the known cells.
 
@@ -107,8 +112,10 @@ def normalize_grid(
         resolution: metres per cell of the result.
         config: thresholds.
         device: does the resampling.
+        cancel: asked between the operations.
 
     Raises:
+        CancelledSearchError: ``cancel`` says so.
         GridError: no cell of the grid is known under these thresholds.
     """
     nothing_known = (
@@ -122,9 +129,12 @@ def normalize_grid(
     # Margins go first: a map of a small place on a huge canvas costs no more than the place.
     grid = grid.crop(given)
     cells = trinary_cells(grid.cells, config)
+    check_cancelled(cancel)
     solid = device.download(device.solid_walls(device.upload(cells))).astype(np.int8)
+    check_cancelled(cancel)
     resampled = _resample(grid, resolution, config, device)
     if resampled is not grid:
+        check_cancelled(cancel)
         mask = OccupancyGrid(solid * np.int8(OCCUPIED), grid.resolution, grid.origin, grid.name)
         solid = (_resample(mask, resolution, config, device).cells > 0).astype(np.int8)
         cells = trinary_cells(resampled.cells, config)

@@ -17,8 +17,10 @@ from slamfusion.errors import GridError
 from slamfusion.fusion import align_grids
 from slamfusion.fusion.align import _Found, _prove, align_features, track_features
 from slamfusion.fusion.features import FINE_TABLE
+from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.search import SearchWindow, displacement, rank
+from slamfusion.fusion.refine import rank
+from slamfusion.fusion.search import SearchWindow
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import (

@@ -11,20 +11,9 @@ from scipy import ndimage
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures, score_table, spread_sample
-from slamfusion.fusion.search import (
-    SearchWindow,
-    coarse_search,
-    coarse_step,
-    displacement,
-    distinct,
-    invert,
-    rank,
-    refine,
-    search,
-    settle,
-    shift_range,
-    to_lattice,
-)
+from slamfusion.fusion.motions import displacement, distinct, invert, to_lattice
+from slamfusion.fusion.refine import rank, refine, settle
+from slamfusion.fusion.search import SearchWindow, coarse_search, coarse_step, search, shift_range
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, features_of, random_grid
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
 from slamfusion.fusion.align import align_features, track_features
-from slamfusion.fusion.cancel import Pausable, PausedError
+from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.mirror import refuse_mirrored
@@ -89,8 +88,7 @@ class Aligner:
         self.has_searched = False
         self.now_s = 0.0
         self.is_wanted: Callable[[], bool] | None = None
-        self._pausable = Pausable(device)
-        self.device = cast("ComputeDevice", self._pausable)
+        self.device = device
         self._found: dict[frozenset[str], _Searched] = {}
 
     # -- what is aligned --------------------------------------------------------------------------
@@ -102,10 +100,10 @@ class Aligner:
             raise ValueError(message)
         return self.lattice
 
-    def features(self, track: Track) -> GridFeatures:
+    def features(self, track: Track, cancel: CancelToken | None = None) -> GridFeatures:
         """Return what alignment looks at in an input's map."""
         size, thresholds = self.fixed().resolution, self.config.normalize
-        return track.features(size, thresholds, self.live.track_share, self.device)
+        return track.features(size, thresholds, self.live.track_share, self.device, cancel)
 
     def held(self, track: Track) -> Held:
         """Return an input as something to align others to."""
@@ -140,10 +138,14 @@ class Aligner:
         self._found = {pair: _Searched(score, 1.0, 0.0, "") for pair, score in scores.items()}
 
     def second_look(
-        self, pair: Alignment, reference: GridFeatures, moving: GridFeatures
+        self,
+        pair: Alignment,
+        reference: GridFeatures,
+        moving: GridFeatures,
+        cancel: CancelToken | None = None,
     ) -> Alignment:
         """Return a pair, refused where its maps fit better mirrored."""
-        return refuse_mirrored(pair, reference, moving, self.config.align, self.device)
+        return refuse_mirrored(pair, reference, moving, self.config.align, self.device, cancel)
 
     # -- tracking ---------------------------------------------------------------------------------
 
@@ -151,38 +153,44 @@ class Aligner:
         """Track an input from its last transform and believe it where it still fits.
 
         Raises:
-            PausedError: ``is_wanted`` answered True meanwhile; nothing was changed.
+            CancelledSearchError: ``is_wanted`` answered True meanwhile; nothing was changed.
         """
-        with self._pausable.until(is_wanted):
-            fit = self.fit(track, held)
-            if fit is not None and not track.is_steady:
-                fit = self._unmirrored(track, held, *fit)
+        cancel = None if is_wanted is None else CancelToken(is_wanted, self.device)
+        fit = self.fit(track, held, cancel)
+        if fit is not None and not track.is_steady:
+            fit = self._unmirrored(track, held, *fit, cancel)
         if fit is not None:
             self.believe(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
 
     def _unmirrored(
-        self, track: Track, held: Held, pair: Alignment, moved: Pose2
+        self, track: Track, held: Held, pair: Alignment, moved: Pose2, cancel: CancelToken | None
     ) -> tuple[Alignment, Pose2] | None:
         """Look at new walls that fit much worse than the old ones did: are they mirrored?"""
         found = self._found.get(frozenset((track.name, held.name)))
         if found is not None and pair.score >= MIRROR_SHARE * found.score:
             return pair, moved
         believed = replace(pair, accepted=True)
-        looked = self.second_look(believed, held.features, self.features(track))
+        looked = self.second_look(believed, held.features, self.features(track, cancel), cancel)
         if looked.accepted:
             return pair, moved
         track.mismatch = looked.reason
         return None
 
-    def fit(self, track: Track, held: Held) -> tuple[Alignment, Pose2] | None:
+    def fit(
+        self, track: Track, held: Held, cancel: CancelToken | None = None
+    ) -> tuple[Alignment, Pose2] | None:
         """Track an input from its last transform; None where it fits there no more.
 
         ``track.mismatch`` says so where its walls do not match, and is empty otherwise.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so; nothing was changed.
         """
         last = track.transform or IDENTITY
         start = held.transform.inverse().compose(last)
-        pair = track_features(held.features, self.features(track), self.device, start)
+        own = self.features(track, cancel)
+        pair = track_features(held.features, own, self.device, start, cancel)
         track.score, track.overlap = pair.score, pair.overlap
         moved = held.transform.compose(pair.transform)
         found = self._found.get(frozenset((track.name, held.name)))
@@ -291,16 +299,16 @@ class Aligner:
             return wanted is not None and time.perf_counter() > until_s and wanted()
 
         config, device = self.config.align, self.device
+        cancel = CancelToken(is_wanted, device)
         try:
-            with self._pausable.until(is_wanted):
-                if is_swapped:
-                    back = None if start is None else start.inverse()
-                    pair = align_features(own, held.features, config, device, back)
-                    pair = replace(pair, transform=pair.transform.inverse())
-                else:
-                    pair = align_features(held.features, own, config, device, start)
-                pair = self.second_look(pair, held.features, own)
-        except PausedError:
+            if is_swapped:
+                back = None if start is None else start.inverse()
+                pair = align_features(own, held.features, config, device, back, cancel)
+                pair = replace(pair, transform=pair.transform.inverse())
+            else:
+                pair = align_features(held.features, own, config, device, start, cancel)
+            pair = self.second_look(pair, held.features, own, cancel)
+        except CancelledSearchError:
             track.patience_s *= 2.0
             track.searches -= 1
             if not track.votes:

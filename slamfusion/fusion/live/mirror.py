@@ -17,6 +17,7 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.align import align_features
+from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import NormalizedGrid
 from slamfusion.fusion.records import Alignment
@@ -35,6 +36,7 @@ def refuse_mirrored(
     moving: GridFeatures,
     config: AlignConfig,
     device: ComputeDevice,
+    cancel: CancelToken | None = None,
 ) -> Alignment:
     """Return an alignment, refused with the reason where the maps fit better mirrored.
 
@@ -46,13 +48,17 @@ def refuse_mirrored(
         moving: the one that is mirrored.
         config: settings of the search; its window and start do not hold for a mirror image.
         device: computes.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
     """
     if not pair.accepted or pair.score >= SURE_SCORE:
         return pair
     free = replace(
         config, prove=False, step=None, window_m=None, window_yaw_rad=math.pi, shared_frame=False
     )
-    other = align_features(reference, _mirrored(moving, device), free, device)
+    other = align_features(reference, _mirrored(moving, device), free, device, cancel=cancel)
     if other.score < pair.score + GAIN_MIN:
         return pair
     reason = (

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.fusion.cancel import PausedError
+from slamfusion.fusion.cancel import CancelledSearchError
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
 from slamfusion.fusion.live.lattice import Lattice
@@ -166,7 +166,7 @@ class InputSupervisor:
                     continue
                 try:
                     self._align(track, reference, self._is_wanted)
-                except PausedError:
+                except CancelledSearchError:
                     return
             else:
                 self._align_or_refuse(track, reference)
@@ -201,7 +201,7 @@ class InputSupervisor:
         """Align an input to the reference: tracked, or else searched everywhere.
 
         Raises:
-            PausedError: ``is_wanted`` answered True while it was tracked; nothing was changed.
+            CancelledSearchError: ``is_wanted`` answered True meanwhile; nothing was changed.
         """
         aligner, was_voting = self._aligner, track.votes
         if track.transform is not None and aligner.follow(

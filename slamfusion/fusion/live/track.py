@@ -12,6 +12,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
+from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.boxes import hull, overlap, padded
 from slamfusion.fusion.live.lattice import Layer, carry, lay_out
@@ -373,13 +374,18 @@ class Track:
         thresholds: NormalizeConfig,
         stale_share: float,
         device: ComputeDevice,
+        cancel: CancelToken | None = None,
     ) -> GridFeatures:
-        """Return what alignment looks at; that of an older map while few walls have changed."""
+        """Return what alignment looks at; that of an older map while few walls have changed.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
         if self._features is None or self._features_drift > stale_share * self.walls:
             if self.grid is None:
                 message = f"{self.name} has no map"
                 raise ValueError(message)
-            normalized = normalize_grid(self.grid, resolution, thresholds, device)
+            normalized = normalize_grid(self.grid, resolution, thresholds, device, cancel)
             self._features = GridFeatures(normalized, device)
             self._features_drift = 0
         return self._features

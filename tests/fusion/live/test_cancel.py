@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.cancel import Pausable, PausedError
+from slamfusion.fusion.cancel import CancelledSearchError, CancelToken, check_cancelled
 from slamfusion.fusion.live import LiveInput, LiveUpdate
 from tests.fusion.live.maps import Drive, started, three, touched
 
@@ -91,14 +91,13 @@ def test_what_a_device_was_told_is_done_before_it_is_asked_whether_to_go_on(
 ) -> None:
     said: list[str] = []
     monkeypatch.setattr(device, "finish", lambda: said.append("done"), raising=False)
-    pausable = Pausable(device)
-    cells = pausable.upload(np.zeros((3, 4), np.uint8))
-    assert not said
     bell = Doorbell(2)
-    with pausable.until(lambda: said.append("asked") or bell()):
-        assert pausable.download(cells).shape == (3, 4)
-        with pytest.raises(PausedError):
-            pausable.download(cells)
+    token = CancelToken(lambda: bool(said.append("asked")) or bell(), device)
+    assert not said
+    token.check()
+    with pytest.raises(CancelledSearchError):
+        token.check()
+    check_cancelled(None)
     assert said == ["done", "asked"] * 2
 
 

@@ -1,0 +1,48 @@
+"""Rigid motions of one grid onto another, in cells.
+
+A motion is in cells of the common lattice: (x, y, yaw) maps the moving grid's lattice into the
+reference's, as x_ref = R(yaw) (x - centre of moving) + (x, y): (x, y) is where the centre lands.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["displacement", "distinct", "invert", "to_lattice"]
+
+F64 = npt.NDArray[np.float64]
+
+
+def to_lattice(motions: F64, centre: tuple[float, float]) -> F64:
+    """Return motions given by where the centre lands as (x, y, yaw) that map lattice origins."""
+    cos, sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
+    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
+    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
+    return np.stack((x, y, motions[:, 2]), axis=1)
+
+
+def invert(motions: F64) -> F64:
+    """Return the inverse of lattice motions (N, 3)."""
+    cos, sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
+    x = -cos * motions[:, 0] - sin * motions[:, 1]
+    y = sin * motions[:, 0] - cos * motions[:, 1]
+    return np.stack((x, y, -motions[:, 2]), axis=1)
+
+
+def displacement(a: F64, b: F64) -> tuple[float, float]:
+    """Return how far two motions carry the moving centre apart (cells), and the turn (rad)."""
+    turn = (a[2] - b[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return float(math.hypot(a[0] - b[0], a[1] - b[1])), abs(float(turn))
+
+
+def distinct(motions: F64, shift: float, turn: float) -> F64:
+    """Return motions (best first) without those within ``shift`` cells and ``turn`` of a better."""
+    kept: list[F64] = []
+    for motion in motions:
+        near = (displacement(motion, other) for other in kept)
+        if not any(s < shift and t < turn for s, t in near):
+            kept.append(motion)
+    return np.array(kept)
