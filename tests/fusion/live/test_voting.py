@@ -1,0 +1,84 @@
+"""Voting: layers are laid once, room is made, given back and refused by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, LiveConfig
+from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.voting import Voting
+from slamfusion.geometry import Pose2
+from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.io import memory
+from tests.fusion.drawings import random_cells
+
+SIZE = 0.1
+
+
+def voter(name: str, x: float, device: ComputeDevice) -> Track:
+    grid = OccupancyGrid(random_cells(3, 30, 40), SIZE, Pose2(x, 0.0, 0.0), name)
+    track = Track(name)
+    config = FusionConfig()
+    track.follow(grid, SIZE, config.normalize, LiveConfig(), device)
+    track.place(SIZE, config.normalize, device)
+    track.transform, track.accepted, track.is_steady = Pose2(), True, True
+    return track
+
+
+def voting_of(device: ComputeDevice, **live: str) -> Voting:
+    voting = Voting(FusionConfig(), LiveConfig(**live), device)
+    voting.begin(Lattice(SIZE, Pose2()))
+    return voting
+
+
+def test_without_layers_nothing_is_voted_on(device: ComputeDevice) -> None:
+    voting = Voting(FusionConfig(), LiveConfig(), device)
+    track = voter("a", 0.0, device)
+    assert voting.vote([track], [track], "a") is None
+    assert voting.last_fused() is None
+    assert voting.resolution is None
+    assert voting.phantom_cells == 0
+    with pytest.raises(ValueError, match="nothing was fused yet"):
+        voting.grids()
+
+
+def test_what_was_laid_is_not_laid_again_until_a_voter_leaves(device: ComputeDevice) -> None:
+    voting = voting_of(device)
+    tracks = [voter("a", 0.0, device), voter("b", 1.0, device)]
+    box = voting.vote(tracks, tracks, "a")
+    fused, _ = voting.grids()
+    assert box == CellBox(0, 0, fused.height, fused.width)
+    assert voting.names == ("a", "b")
+    assert voting.vote(tracks, tracks, "a") is None
+    # Without b its cells are voted on again, and the frame keeps its size.
+    tracks[1].refuse("gone")
+    assert voting.vote(tracks, tracks[:1], "a") == box
+    assert tracks[1].relay
+    assert voting.grids()[0].cells.shape == fused.cells.shape
+    assert voting.vote(tracks, [], "a") is None
+    assert voting.names == ()
+
+
+def test_the_extent_of_the_reference_cuts_the_others(device: ComputeDevice) -> None:
+    tracks = [voter("a", 0.0, device), voter("b", 20.0, device)]
+    wide, narrow = voting_of(device), voting_of(device, extent="reference")
+    for voting in (wide, narrow):
+        for track in tracks:
+            track.relay = True
+        voting.vote(tracks, tracks, "a")
+    assert wide.grids()[0].width > 200
+    assert narrow.grids()[0].width <= 40
+
+
+def test_a_voter_that_memory_has_no_room_for_is_refused_and_the_others_vote(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    voting = voting_of(device)
+    tracks = [voter("a", 0.0, device), voter("b", 5000.0, device)]
+    monkeypatch.setattr(memory, "available_memory", lambda: 1_000_000)
+    assert voting.vote(tracks, tracks, "a") is not None
+    assert voting.names == ("a",)
+    assert not tracks[1].votes
+    assert "b: a fused map" in tracks[1].reason
