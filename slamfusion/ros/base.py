@@ -30,7 +30,7 @@ from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, unknown_parameters
 
-__all__ = ["Level", "NodeBase", "Status", "Troubles", "run_node"]
+__all__ = ["Diagnostics", "Level", "NodeBase", "Status", "run_node"]
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -68,7 +68,7 @@ class Status:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-class Troubles:
+class Diagnostics:
     """What is wrong now, each by a key; said once in the log when it comes and when it goes.
 
     Safe between threads.
@@ -90,7 +90,7 @@ class Troubles:
             key: what; the same key replaces the words that it had.
             level: how bad.
             text: why, for people, with what to do.
-            for_s: it is over by itself after so many seconds; default: until ``clear``.
+            for_s: it is over after this time, seconds; default: until ``clear``.
         """
         until_s = None if for_s is None else time.monotonic() + for_s
         with self._lock:
@@ -156,7 +156,7 @@ class NodeBase:
     Attributes:
         node: the rclpy node.
         log: its logger.
-        troubles: what is wrong now.
+        diagnostics: what is wrong now.
         is_stopped: whether ``stop`` was called.
         exit_code: of the process, see ``stop``.
     """
@@ -166,7 +166,7 @@ class NodeBase:
     ) -> None:
         self.node = TypedNode(name, context=context, cli_args=arguments)
         self.log = self.node.get_logger()
-        self.troubles = Troubles(self.log)
+        self.diagnostics = Diagnostics(self.log)
         self.is_stopped = False
         self.exit_code = 0
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -186,8 +186,8 @@ class NodeBase:
     # --- for subclasses ----------------------------------------------------------------------
 
     def statuses(self) -> list[Status]:
-        """Return the lines of the diagnostics; one with the troubles unless overridden."""
-        return [Status("node", *self.troubles.worst())]
+        """Return the lines of the diagnostics; one with all that is wrong unless overridden."""
+        return [Status("node", *self.diagnostics.worst())]
 
     def on_time_jump(self, delta_s: float) -> None:
         """Act on a jump of the node's clock (simulated time): back, or far forward; seconds."""
@@ -226,7 +226,7 @@ class NodeBase:
 
         def on_mismatch(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-            self.troubles.add(
+            self.diagnostics.add(
                 key,
                 Level.WARN,
                 f"a writer on {self.node.resolve_topic_name(topic)!r} offers less than is asked "
@@ -270,9 +270,9 @@ class NodeBase:
                 "parameters and diagnostics cannot be told apart; end one, or rename it with "
                 "-r __node:=NAME (one that was killed is known for half a minute)"
             )
-            self.troubles.add("namesake", Level.WARN, text)
+            self.diagnostics.add("namesake", Level.WARN, text)
         else:
-            self.troubles.clear("namesake")
+            self.diagnostics.clear("namesake")
 
     def _status(self, status: Status) -> DiagnosticStatus:
         return DiagnosticStatus(
@@ -288,7 +288,7 @@ class NodeBase:
         if delta_s > 0.0 and self.clock_s() - delta_s <= 0.0:
             return  # the first time that was ever heard
         how = "forward" if delta_s > 0.0 else "back"
-        self.troubles.add(
+        self.diagnostics.add(
             "time jump",
             Level.WARN,
             f"time jumped {how} by {abs(delta_s):.3f} s to {self.clock_s():.3f} s",
@@ -302,10 +302,10 @@ class NodeBase:
         try:
             callback(*arguments)
         except Exception as error:  # noqa: BLE001  (a node must outlive a bad message)
-            if not self.troubles.is_on(key):
+            if not self.diagnostics.is_on(key):
                 self.log.error(traceback.format_exc())
             text = f"{what}: {type(error).__name__}: {error}"
-            self.troubles.add(key, Level.ERROR, text, JUMP_SHOWN_S)
+            self.diagnostics.add(key, Level.ERROR, text, JUMP_SHOWN_S)
 
 
 def _shown(value: object) -> str:

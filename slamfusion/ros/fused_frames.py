@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -12,14 +11,14 @@ from nav_msgs.msg import Odometry
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import TrajectoryError
-from slamfusion.fusion.live import LiveInput
+from slamfusion.fusion.live.session import Believed
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.frames import TransformError, TransformInput, TransformOutput, TransformStore
 from slamfusion.ros.map_source import HeardPose, MapSource
 
-__all__ = ["Believed", "FusedFrames"]
+__all__ = ["FusedFrames"]
 
 ODOM_TOPIC, POSE_TOPIC = "odom", "fused/pose"
 # publish_tf that has sent nothing for so long since somebody votes is named, seconds.
@@ -32,24 +31,6 @@ STEP_NS = 1000
 # A pose that is older says nothing of its producer's health now.
 POSE_FRESH_S = 2.0
 SHOWN_S = 10.0
-
-
-@dataclass(frozen=True)
-class Believed:
-    """What the last fusion believes; replaced as a whole, so that threads need no lock.
-
-    Attributes:
-        inputs: by name.
-        reference: name of the input that others are aligned to.
-    """
-
-    inputs: Mapping[str, LiveInput] = field(default_factory=dict)
-    reference: str = ""
-
-    def transform(self, name: str) -> Pose2 | None:
-        """Return an input's map frame in the fused frame; None while it does not vote."""
-        record = self.inputs.get(name)
-        return None if record is None or not record.accepted else record.transform
 
 
 class FusedFrames:
@@ -219,16 +200,16 @@ class FusedFrames:
 
     def _send_odometry(self, pose: Pose2, heard: HeardPose, *, is_revised: bool) -> None:
         """Send where the odometry frame lies, from the robot's pose in the fused frame."""
-        settings, troubles = self.settings, self._base.troubles
+        settings, diagnostics = self.settings, self._base.diagnostics
         parent, child = settings.fused_frame, settings.odom_frame
         try:
             odometry = self._odometry.lookup(
                 child, settings.base_frame, messages.stamp_s(heard.stamp)
             )
         except TransformError as error:
-            troubles.add("odometry", Level.WARN, f"no odometry for {parent} -> {child}: {error}")
+            diagnostics.add("odometry", Level.WARN, f"no odometry for {parent} -> {child}: {error}")
             return
-        troubles.clear("odometry")
+        diagnostics.clear("odometry")
         moved = pose.compose(odometry.inverse())
         stamp = self._fresh(child, heard.stamp, moved, is_revised=is_revised)
         if stamp is not None and child != parent:
@@ -241,7 +222,7 @@ class FusedFrames:
             pose = messages.pose2_from_message(message.pose.pose)
         except TrajectoryError as error:
             text = f"odometry left out: {error}"
-            self._base.troubles.add("odometry values", Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.add("odometry values", Level.WARN, text, SHOWN_S)
             return
         names = self.settings.odom_frame, self.settings.base_frame
         stamp = message.header.stamp
@@ -305,6 +286,6 @@ class FusedFrames:
 
     def _say(self, key: str, text: str | None, level: Level = Level.WARN) -> None:
         if text is None:
-            self._base.troubles.clear(key)
+            self._base.diagnostics.clear(key)
         else:
-            self._base.troubles.add(key, level, text)
+            self._base.diagnostics.add(key, level, text)

@@ -73,7 +73,7 @@ class FusionServices:
             except Exception as error:  # noqa: BLE001  (a node must outlive a request)
                 self._base.log.error(traceback.format_exc())
                 text = f"{type(error).__name__}: {error}"
-                self._base.troubles.add("service", Level.ERROR, text, SHOWN_S)
+                self._base.diagnostics.add("service", Level.ERROR, text, SHOWN_S)
                 if hasattr(response, "success"):
                     response.success, response.message = False, text
                 return response
@@ -100,7 +100,7 @@ class FusionServices:
             path, _ = save_map(published[1], target)
         except (SlamFusionError, OSError) as error:
             response.success, response.message = False, f"not saved: {error}"
-            self._base.troubles.add("save", Level.WARN, response.message, SHOWN_S)
+            self._base.diagnostics.add("save", Level.WARN, response.message, SHOWN_S)
             return response
         response.success, response.message = True, str(path.resolve())
         self._base.log.info(f"the fused map is saved as {response.message!r}")

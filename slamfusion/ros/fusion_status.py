@@ -16,7 +16,7 @@ PREFIX = "input "
 
 def fusion_status(
     lines: Sequence[Status],
-    troubles: tuple[Level, str],
+    worst_else: tuple[Level, str],
     nothing: str,
     worst: Level,
     values: Mapping[str, object],
@@ -25,12 +25,12 @@ def fusion_status(
 
     Args:
         lines: those of its inputs.
-        troubles: the worst level of what else is wrong, and all of it in words.
+        worst_else: the worst level of what else is wrong, and all of it in words.
         nothing: why nothing is fused, where no input votes.
         worst: the level of that.
         values: its figures.
     """
-    level, message = troubles
+    level, message = worst_else
     out = [line.name.removeprefix(PREFIX) for line in lines if line.level != Level.OK]
     voters = len(lines) - len(out)
     if not voters:

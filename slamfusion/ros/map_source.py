@@ -231,7 +231,7 @@ class MapSource:
             f"the {what} of {self.name!r} is stamped {ahead_s:.0f} s ahead of the clock, and "
             f"other inputs are not: {outcome}; set the clock of its machine"
         )
-        self._base.troubles.add(f"ahead {what} {self.name}", Level.WARN, text, SHOWN_S)
+        self._base.diagnostics.add(f"ahead {what} {self.name}", Level.WARN, text, SHOWN_S)
         return True
 
     def _take_pose(self, message: Any) -> None:
@@ -240,7 +240,7 @@ class MapSource:
             pose = messages.pose2_from_message(message.pose)
         except TrajectoryError as error:
             text = f"a pose of {self.name!r} is left out: {error}"
-            self._base.troubles.add(key, Level.WARN, text, SHOWN_S)
+            self._base.diagnostics.add(key, Level.WARN, text, SHOWN_S)
             return
         if self._is_ahead("pose", messages.stamp_s(message), "it is left out"):
             return

@@ -77,9 +77,9 @@ class MapTransform:
                 f"another node sends the transform to {child!r} too (from {parent!r}): set "
                 "publish_tf to false in all but one"
             )
-            self._base.troubles.add("rival", Level.ERROR, text)
+            self._base.diagnostics.add("rival", Level.ERROR, text)
         else:
-            self._base.troubles.clear("rival")
+            self._base.diagnostics.clear("rival")
 
     def _name_unsent(self, *, is_due: bool) -> None:
         now_s = time.monotonic()
@@ -89,7 +89,7 @@ class MapTransform:
             self._due_since_s = now_s
         since_s = max(self._due_since_s or now_s, self._sent_s or 0.0)
         if now_s - since_s <= NEVER_SENT_S:
-            self._base.troubles.clear("unsent")
+            self._base.diagnostics.clear("unsent")
             return
         settings = self._settings
         wanted = {
@@ -102,4 +102,4 @@ class MapTransform:
             f"publish_tf is on and {self._map_frame!r} -> {self._child!r} cannot be sent: it needs "
             f"{wanted}"
         )
-        self._base.troubles.add("unsent", Level.ERROR, text)
+        self._base.diagnostics.add("unsent", Level.ERROR, text)

@@ -278,7 +278,7 @@ class PlayerNode(NodeBase):
         try:
             self._wait_for_answers(item, None)
         except SlamFusionError as error:
-            self.troubles.add("first", Level.WARN, f"playing all the same: {error}")
+            self.diagnostics.add("first", Level.WARN, f"playing all the same: {error}")
         self._due_s = time.monotonic()
 
     def _wait_for_answers(self, item: LogScan, before_s: float | None) -> None:
@@ -382,7 +382,9 @@ class PlayerNode(NodeBase):
 
     def statuses(self) -> list[Status]:
         """Return one line: how far the log is."""
-        level, message = self.troubles.worst("playing" if self._sent else "waiting for listeners")
+        level, message = self.diagnostics.worst(
+            "playing" if self._sent else "waiting for listeners"
+        )
         if self._transforms.rivals():
             child, parent = next(iter(self._transforms.rivals().items()))
             text = f"another node sends the transform to {child!r} too (from {parent!r})"

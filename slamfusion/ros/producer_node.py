@@ -211,7 +211,9 @@ class ProducerNode(NodeBase):
         self._transform = MapTransform(self, settings, self._map_frame)
         stores = {store for store in (self._transforms, self._odometry) if store is not None}
         frames = settings.odom_frame, settings.base_frame
-        self._gate = ScanGate(self.troubles, settings.reset_back_s, self._odometry, frames, stores)
+        self._gate = ScanGate(
+            self.diagnostics, settings.reset_back_s, self._odometry, frames, stores
+        )
         self.subscribe(LaserScan, SCAN_TOPIC, self._on_scan, qos.SENSOR)
 
     # --- callbacks, in the executor's thread -------------------------------------------------
@@ -238,7 +240,7 @@ class ProducerNode(NodeBase):
                 f"too slow for the scans: the oldest of {self.settings.scan_queue} that wait is "
                 "dropped for each new one; take a faster device or fewer scans"
             )
-            self.troubles.add("slow", Level.WARN, text, SHOWN_S)
+            self.diagnostics.add("slow", Level.WARN, text, SHOWN_S)
 
     def _begin_new_map(self) -> None:
         """Leave the old map behind: time has jumped back."""
@@ -253,11 +255,13 @@ class ProducerNode(NodeBase):
         try:
             pose = messages.pose2_from_message(message.pose.pose)
         except TrajectoryError as error:
-            self.troubles.add("odometry values", Level.WARN, f"odometry left out: {error}", SHOWN_S)
+            self.diagnostics.add(
+                "odometry values", Level.WARN, f"odometry left out: {error}", SHOWN_S
+            )
             return
         if max(abs(pose.x), abs(pose.y)) > FARTHEST_M:
             text = f"odometry left out: ({pose.x:g}, {pose.y:g}) m is nowhere near"
-            self.troubles.add("odometry values", Level.WARN, text, SHOWN_S)
+            self.diagnostics.add("odometry values", Level.WARN, text, SHOWN_S)
             return
         child = message.child_frame_id.lstrip("/")
         if child and child != self.settings.base_frame:
@@ -265,7 +269,7 @@ class ProducerNode(NodeBase):
                 f"odometry is that of {child!r}, not of base_frame {self.settings.base_frame!r}; "
                 "it is taken for the same"
             )
-            self.troubles.add("odometry frame", Level.WARN, text, SHOWN_S)
+            self.diagnostics.add("odometry frame", Level.WARN, text, SHOWN_S)
         settings = self.settings
         stamp = message.header.stamp
         store.add(
@@ -342,7 +346,7 @@ class ProducerNode(NodeBase):
             scan = messages.scan_from_message(item.message, mount.pose, is_flipped=mount.is_flipped)
         except ScanError as error:
             self._skip(NO_SCAN)
-            self.troubles.add("scan", Level.WARN, str(error), SHOWN_S)
+            self.diagnostics.add("scan", Level.WARN, str(error), SHOWN_S)
             return
         odometry = self._odometry_at(item)
         if odometry is None and self._is_before_odometry():
@@ -364,11 +368,11 @@ class ProducerNode(NodeBase):
             step = self._producer.feed(scan, odometry)
         except SlamFusionError as error:
             self._skip(NOT_FED)
-            self.troubles.add("slam", Level.ERROR, f"{NOT_FED}: {error}", SHOWN_S)
+            self.diagnostics.add("slam", Level.ERROR, f"{NOT_FED}: {error}", SHOWN_S)
             return None
         if not step.used:
             text = f"scans are not used: {step.reason}"
-            self.troubles.add("blind", Level.WARN, text, SHOWN_S)
+            self.diagnostics.add("blind", Level.WARN, text, SHOWN_S)
         return step
 
     def _mount(self, item: _Queued) -> Mount | None:
@@ -390,9 +394,9 @@ class ProducerNode(NodeBase):
                 f"scans in {frame!r} cannot be used: {error}; send the transform, or set "
                 "laser_source to parameter"
             )
-            self.troubles.add("laser", Level.ERROR, text)
+            self.diagnostics.add("laser", Level.ERROR, text)
             return None
-        self.troubles.clear("laser")
+        self.diagnostics.clear("laser")
         return mount
 
     def _odometry_at(self, item: _Queued) -> Pose2 | None:
@@ -411,9 +415,9 @@ class ProducerNode(NodeBase):
                 f"no odometry for the scans, which {does}: {error}; check {self._odometry_words()}"
                 ", or set odometry_source to none"
             )
-            self.troubles.add("odometry", Level.WARN, text)
+            self.diagnostics.add("odometry", Level.WARN, text)
             return None
-        self.troubles.clear("odometry")
+        self.diagnostics.clear("odometry")
         return pose
 
     def _odometry_words(self) -> str:
@@ -477,10 +481,10 @@ class ProducerNode(NodeBase):
 
     def _failed(self, _: Any, error: Exception) -> None:
         """Name what a worker stumbled over."""
-        if not self.troubles.is_on("worker"):
+        if not self.diagnostics.is_on("worker"):
             self.log.error("".join(traceback.format_exception(error)))
         text = f"{type(error).__name__}: {error}"
-        self.troubles.add("worker", Level.ERROR, text, SHOWN_S)
+        self.diagnostics.add("worker", Level.ERROR, text, SHOWN_S)
 
     # --- the thread of messages --------------------------------------------------------------
 
@@ -521,7 +525,7 @@ class ProducerNode(NodeBase):
         self._gate.name_odometry()
         health = self._producer.health
         counts = self._counts
-        level, message = self.troubles.worst("mapping" if counts.fed else "waiting for scans")
+        level, message = self.diagnostics.worst("mapping" if counts.fed else "waiting for scans")
         latency_ms = 1e3 * np.percentile([*self._latencies_s] or [0.0], (50.0, 95.0))
         odometry, now_s = self._odometry, time.monotonic()
         values = {
@@ -566,14 +570,14 @@ class ProducerNode(NodeBase):
             who = f"{writers} node(s) could send them" if writers else "nobody sends them"
             since = "yet" if not self._counts.received else "any more"
             # Without the time, which would be news each second.
-            self.troubles.add("scans", Level.STALE, f"no scans on {topic!r} {since}; {who}")
+            self.diagnostics.add("scans", Level.STALE, f"no scans on {topic!r} {since}; {who}")
         else:
-            self.troubles.clear("scans")
+            self.diagnostics.clear("scans")
         busy_s = self._busy_since_s
         if busy_s is not None and now_s - busy_s > SLOW_SCAN_S:
-            self.troubles.add("busy", Level.ERROR, "a scan has been worked on for over 5 s")
+            self.diagnostics.add("busy", Level.ERROR, "a scan has been worked on for over 5 s")
         else:
-            self.troubles.clear("busy")
+            self.diagnostics.clear("busy")
         self._transform.name(are_scans_coming=silent_s <= self.settings.scans_stale_s)
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from slamfusion.io.stamps import Passed, StampGate
 from slamfusion.ros import messages
-from slamfusion.ros.base import Level, Troubles
+from slamfusion.ros.base import Diagnostics, Level
 from slamfusion.ros.frames import TransformStore
 
 __all__ = ["ODOMETRY_ALIVE_S", "ArrivedScan", "ScanGate"]
@@ -46,7 +46,7 @@ class ScanGate:
     """A ``StampGate`` for scans: the odometry has a say in jumps, and all is named.
 
     Args:
-        troubles: of the node, where strays and jumps are named.
+        diagnostics: of the node, where strays and jumps are named.
         back_s: a scan older by more is held back, seconds; see ``StampGate``.
         odometry: where odometry is kept; None: there is none.
         frames: of the odometry: target and source.
@@ -59,7 +59,7 @@ class ScanGate:
 
     def __init__(
         self,
-        troubles: Troubles,
+        diagnostics: Diagnostics,
         back_s: float,
         odometry: TransformStore | None,
         frames: tuple[str, str],
@@ -67,7 +67,7 @@ class ScanGate:
     ) -> None:
         self.strays = 0
         self.jumps_back = 0
-        self._troubles = troubles
+        self._diagnostics = diagnostics
         self._gate: StampGate[ArrivedScan] = StampGate(back_s, _is_same)
         self._odometry = odometry
         self._frames = frames
@@ -106,7 +106,7 @@ class ScanGate:
                 "odometry (or another transform) is left out: its stamp is far from those before "
                 "and after it; check the clock of its sender"
             )
-            self._troubles.add("stray odometry", Level.WARN, text, SHOWN_S)
+            self._diagnostics.add("stray odometry", Level.WARN, text, SHOWN_S)
         self._strays_named = strays
 
     def _odometry_agrees(self, before_s: float, after_s: float) -> bool:
@@ -122,7 +122,7 @@ class ScanGate:
             f"scans jumped {_way(before_s, after_s)} and the odometry did not: they are left out, "
             "and the map stays; check the clocks of both"
         )
-        self._troubles.add("clocks", Level.ERROR, text)
+        self._diagnostics.add("clocks", Level.ERROR, text)
         return False
 
     def _name_strays(self, strays: tuple[ArrivedScan, ...], before_s: float) -> None:
@@ -136,19 +136,19 @@ class ScanGate:
             f"a scan is left out: its stamp {stamp_s:.3f} s is {off_s:.3f} s {how} the last one's, "
             f"and those after it are not ({self.strays} so far); check the clock of the laser"
         )
-        self._troubles.add("stray scan", Level.WARN, text, SHOWN_S)
+        self._diagnostics.add("stray scan", Level.WARN, text, SHOWN_S)
 
     def _name_jump(self, passed: Passed[ArrivedScan], before_s: float) -> None:
-        self._troubles.clear("clocks")
+        self._diagnostics.clear("clocks")
         after_s = passed.items[0].stamp_s
         if passed.jump is not None and passed.jump.is_back:
             self.jumps_back += 1
             text = f"scans jumped {_way(before_s, after_s)}: a new map begins"
-            self._troubles.clear("back")
-            self._troubles.add("back", Level.WARN, text, SHOWN_S)
+            self._diagnostics.clear("back")
+            self._diagnostics.add("back", Level.WARN, text, SHOWN_S)
         elif after_s > before_s + FORWARD_JUMP_S:
             text = f"scans jumped {_way(before_s, after_s)}"
-            self._troubles.add("forward", Level.WARN, text, SHOWN_S)
+            self._diagnostics.add("forward", Level.WARN, text, SHOWN_S)
 
 
 def _way(before_s: float, after_s: float) -> str:

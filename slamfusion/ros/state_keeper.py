@@ -94,7 +94,7 @@ class StateKeeper:
             self._give_up(f"{path}: {error}, and it cannot be moved aside ({failure.strerror})")
             return
         text = f"{path}: {error}; it is {aside.name!r} now, and a new fused frame begins"
-        self._base.troubles.add("state", Level.WARN, text, SHOWN_S)
+        self._base.diagnostics.add("state", Level.WARN, text, SHOWN_S)
 
     def keep(self, state: LiveState) -> None:
         """Let a state be written; returns at once."""
@@ -119,7 +119,7 @@ class StateKeeper:
         """Keep nothing, and say why for as long as the node runs."""
         self._path = None
         text = f"{problem}: no state is kept; start with another state_path"
-        self._base.troubles.add("state", Level.WARN, text)
+        self._base.diagnostics.add("state", Level.WARN, text)
 
     # --- the writer's thread -----------------------------------------------------------------
 
@@ -134,11 +134,11 @@ class StateKeeper:
             write_atomic(path, state.to_bytes())
         spent_s = time.monotonic() - began_s
         self._next_s = max(self._next_s, time.monotonic() + spent_s / SHARE)
-        self._base.troubles.clear("keep state")
+        self._base.diagnostics.clear("keep state")
 
     def _failed(self, _: LiveState | None, error: Exception) -> None:
         text = f"the state is not kept: {error}"
-        self._base.troubles.add("keep state", Level.WARN, text)
+        self._base.diagnostics.add("keep state", Level.WARN, text)
 
 
 class Memory:
@@ -184,16 +184,16 @@ class Memory:
         self.restored = state
         self._returning = {*placed}
         text = f"restored from {words}, no input confirmed yet; reset begins a new fused frame"
-        self._base.troubles.add("restored", Level.WARN, text)
+        self._base.diagnostics.add("restored", Level.WARN, text)
 
     @property
     def is_unconfirmed(self) -> bool:
         """Whether no input has voted since the restart."""
-        return self._base.troubles.is_on("restored")
+        return self._base.diagnostics.is_on("restored")
 
     def confirm(self) -> None:
         """Take note that an input votes."""
-        self._base.troubles.clear("restored")
+        self._base.diagnostics.clear("restored")
 
     def is_waiting(self, has_come: Callable[[str], bool]) -> bool:
         """Whether inputs that had a place before the restart are waited for."""

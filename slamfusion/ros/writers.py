@@ -80,6 +80,6 @@ class Writers:
 
     def _say(self, key: str, text: str | None, level: Level) -> None:
         if text is None:
-            self._base.troubles.clear(key)
+            self._base.diagnostics.clear(key)
         else:
-            self._base.troubles.add(key, level, text)
+            self._base.diagnostics.add(key, level, text)

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 
 from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
-from slamfusion.ros.base import Level, NodeBase, Status, Troubles, run_node
+from slamfusion.ros.base import Diagnostics, Level, NodeBase, Status, run_node
 from slamfusion.ros.messages import to_stamp
 from tests.cli.command import run
 from tests.ros.live import Observer, values
@@ -28,16 +28,16 @@ pytestmark = pytest.mark.ros
 
 def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCaptureFixture):
     caplog.set_level(logging.INFO)
-    troubles = Troubles(logging.getLogger("drawn"))
-    assert troubles.worst("fine") == (Level.OK, "fine")
+    diagnostics = Diagnostics(logging.getLogger("drawn"))
+    assert diagnostics.worst("fine") == (Level.OK, "fine")
     for _ in range(3):
-        troubles.add("a", Level.WARN, "a is low")
-    troubles.add("b", Level.ERROR, "b is gone")
-    assert troubles.worst() == (Level.ERROR, "b is gone; a is low")
-    assert troubles.count("a") == 3
-    troubles.clear("b")
-    troubles.clear("b")
-    assert troubles.worst() == (Level.WARN, "a is low")
+        diagnostics.add("a", Level.WARN, "a is low")
+    diagnostics.add("b", Level.ERROR, "b is gone")
+    assert diagnostics.worst() == (Level.ERROR, "b is gone; a is low")
+    assert diagnostics.count("a") == 3
+    diagnostics.clear("b")
+    diagnostics.clear("b")
+    assert diagnostics.worst() == (Level.WARN, "a is low")
     assert [record.message for record in caplog.records] == [
         "a is low",
         "b is gone",
@@ -47,18 +47,18 @@ def test_troubles_are_said_once_and_the_worst_comes_first(caplog: pytest.LogCapt
 
 def test_a_log_of_ros_takes_troubles_of_every_level():
     # rclpy ties a place in the code to one level, and raises at the second.
-    troubles = Troubles(rclpy.logging.get_logger("drawn"))
+    diagnostics = Diagnostics(rclpy.logging.get_logger("drawn"))
     for number, level in enumerate((Level.WARN, Level.ERROR, Level.STALE, Level.ERROR)):
-        troubles.add(f"trouble {number}", level, f"it is {level.name}")
-    assert troubles.worst()[0] == Level.STALE
+        diagnostics.add(f"trouble {number}", level, f"it is {level.name}")
+    assert diagnostics.worst()[0] == Level.STALE
 
 
 def test_a_trouble_may_end_by_itself():
-    troubles = Troubles(logging.getLogger("drawn"))
-    troubles.add("a", Level.WARN, "a is low", for_s=0.0)
-    assert not troubles.is_on("a")
-    troubles.add("a", Level.WARN, "a is low", for_s=1000.0)
-    assert troubles.is_on("a")
+    diagnostics = Diagnostics(logging.getLogger("drawn"))
+    diagnostics.add("a", Level.WARN, "a is low", for_s=0.0)
+    assert not diagnostics.is_on("a")
+    diagnostics.add("a", Level.WARN, "a is low", for_s=1000.0)
+    assert diagnostics.is_on("a")
 
 
 class Drawn(NodeBase):
@@ -80,7 +80,7 @@ class Drawn(NodeBase):
         self.jumps_s.append(delta_s)
 
     def statuses(self) -> list[Status]:
-        return [Status("ear", *self.troubles.worst(), {"words": len(self.heard), "share": 0.5})]
+        return [Status("ear", *self.diagnostics.worst(), {"words": len(self.heard), "share": 0.5})]
 
 
 class Spun:
@@ -150,7 +150,7 @@ def test_jumps_of_simulated_time_are_told(spun: Spun, observer: Observer):
 
         wait(observer, spun, is_there, f"the time {time_s}")
     assert base.jumps_s == pytest.approx([100.0, -595.3])
-    assert base.troubles.worst() == (
+    assert base.diagnostics.worst() == (
         Level.WARN,
         "time jumped back by 595.300 s to 5.000 s",
     )
@@ -161,7 +161,7 @@ def test_a_writer_that_offers_too_little_is_named(spun: Spun, observer: Observer
     _, words = wait(
         observer,
         spun,
-        lambda: spun.base.troubles.is_on("qos words") and spun.base.troubles.worst(),
+        lambda: spun.base.diagnostics.is_on("qos words") and spun.base.diagnostics.worst(),
         "the mismatch",
     )
     assert words == (

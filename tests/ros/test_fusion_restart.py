@@ -139,7 +139,7 @@ def test_a_keeper_writes_reads_and_clears_one_file(base: NodeBase, tmp_path: Pat
     again.clear()
     again.close(None)
     assert not path.exists()
-    assert base.troubles.worst() == (Level.OK, "ok")
+    assert base.diagnostics.worst() == (Level.OK, "ok")
 
 
 def test_a_keeper_leaves_files_of_others_alone(base: NodeBase, tmp_path: Path):
@@ -147,7 +147,7 @@ def test_a_keeper_leaves_files_of_others_alone(base: NodeBase, tmp_path: Path):
     path.write_bytes(b"P5\n1 1\n255\n\x00")
     keeper = StateKeeper(base, str(path))
     assert keeper.read() is None
-    assert "is no state of the fusion and is left as it is" in base.troubles.worst()[1]
+    assert "is no state of the fusion and is left as it is" in base.diagnostics.worst()[1]
     keeper.keep(a_state())
     keeper.clear()
     keeper.close(a_state())
@@ -164,7 +164,7 @@ def test_a_keeper_that_cannot_write_says_so_until_it_can(base: NodeBase, tmp_pat
     folder.write_text("no folder")
     keeper.keep(a_state())
     keeper.close(None)
-    assert "the state is not kept" in base.troubles.worst()[1]
+    assert "the state is not kept" in base.diagnostics.worst()[1]
 
 
 def test_without_a_path_nothing_is_kept(base: NodeBase):
