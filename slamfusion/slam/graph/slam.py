@@ -66,16 +66,14 @@ class GraphSlam:
         """
         self.health: GraphHealth = GraphHealth()
         self.last_stamp_s: float | None = None
-        self._config = config
-        self._seed = seed
+        self._config, self._seed = config, seed
         rng = np.random.default_rng(seed)
         search = ClosureSearch(config, device, rng)
         self._local_map = LocalMap(config, device, self.health)
         self._localizer = Localizer(config, device, rng, self._local_map, search, self.health)
         self._graph = MapGraph(self.health)
         self._loops = LoopClosure(config, self._graph, self._local_map, search, self.health)
-        self._path = DrivenPath()
-        self._map = NodeMap(config, device)
+        self._path, self._map = DrivenPath(), NodeMap(config, device)
 
     # -- from a scan to the graph --------------------------------------------------------------
 
