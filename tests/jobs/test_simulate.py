@@ -1,4 +1,4 @@
-"""Jobs beside the main work, used as a library: simulated drives and pose graphs."""
+"""``simulate_course`` as a library: courses by name, file and settings, and their files."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import pytest
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import RunConfig, SimulateConfig
-from slamfusion.errors import GraphError, SimulationError
+from slamfusion.errors import SimulationError
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.documents import plain
-from slamfusion.jobs.graph import optimize_graph, save_optimized_graph
 from slamfusion.jobs.simulate import choose_course, save_simulated_drive, simulate_course
-from tests.cli.test_graph_optimize import SQUARE
 from tests.support.documents import check_document
 
 DEVICE = NumpyDevice()
@@ -55,22 +53,3 @@ def test_a_course_is_chosen_by_name_file_and_settings(tmp_path: Path) -> None:
     assert choose_course("office", with_people).people == 5
     with pytest.raises(SimulationError, match="ofice"):
         simulate_course("ofice", device=DEVICE)
-
-
-def test_a_pose_graph_is_optimized_and_written(tmp_path: Path) -> None:
-    (tmp_path / "square.g2o").write_text(SQUARE, encoding="utf-8")
-    graph = optimize_graph(tmp_path / "square.g2o")
-    assert graph.found.is_converged
-    assert graph.doubted() == []
-    corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
-    np.testing.assert_allclose(graph.trajectory().poses[:, :2], corners, atol=1e-6)
-    document = save_optimized_graph(graph, tmp_path / "out.g2o", tum=tmp_path / "out.tum")
-    check_document(plain(document), "graph optimize")
-    again = optimize_graph(document["output"] or "")
-    assert again.found.chi2_start == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_pose_graph_that_is_none_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "bad.g2o").write_text("EDGE_SE2 0 1 nonsense\n", encoding="utf-8")
-    with pytest.raises(GraphError, match=r"bad\.g2o"):
-        optimize_graph(tmp_path / "bad.g2o")

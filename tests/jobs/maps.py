@@ -1,0 +1,27 @@
+"""Maps that the jobs are tested on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from slamfusion.compute import NumpyDevice
+from slamfusion.config import RunConfig
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import building, degraded, fusion_config
+
+DEVICE = NumpyDevice()
+CONFIG = replace(RunConfig(), fusion=fusion_config())
+
+
+def moved(seed: int = 3) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
+    """A building, a map of it in another frame, and where that lies."""
+    truth = building(seed)
+    grid, pose = degraded(truth, 1, shift_share=(0.1, -0.05), yaw_rad=0.2)
+    return truth, grid, pose
+
+
+def files(folder: Path) -> set[str]:
+    """Every file below a folder."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}

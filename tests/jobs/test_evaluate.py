@@ -1,0 +1,65 @@
+"""Maps against the truth and against measured distances, as a library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.errors import MapFileError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OCCUPIED, OccupancyGrid
+from slamfusion.jobs.documents import plain
+from slamfusion.jobs.evaluate import (
+    evaluate_document,
+    evaluate_maps,
+    measure_distances,
+    write_evaluation,
+)
+from tests.jobs.maps import CONFIG, DEVICE, files, moved
+from tests.support.documents import check_document
+
+
+def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
+    truth, grid, _ = moved()
+    told: list[tuple[str, int, int]] = []
+    aligned, itself = evaluate_maps(
+        [grid, truth], truth, CONFIG, DEVICE, progress=lambda *words: told.append(words)
+    )
+    (as_it_lies,) = evaluate_maps([grid], truth, CONFIG, DEVICE, align=False)
+    assert aligned.is_aligned
+    assert as_it_lies.alignment is None
+    assert itself.error.error == 0.0
+    assert 0.0 < aligned.error.error < 0.5 * as_it_lies.error.error
+    assert told == [("evaluate", 0, 2), ("evaluate", 1, 2), ("evaluate", 2, 2)]
+
+    write_evaluation(
+        [aligned, itself], CONFIG, report=tmp_path / "report", image=tmp_path / "image.png"
+    )
+    assert {"report/report.html", "image_moving.png", "image_building 3.png"} <= files(tmp_path)
+    document = evaluate_document([aligned], [], CONFIG, truth=Path("t.yaml"), device=DEVICE.name)
+    check_document(plain(document), "evaluate")
+    assert document["maps"][0]["error"] == aligned.error.error
+
+
+def test_an_evaluation_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    truth, *_ = moved()
+    found = evaluate_maps([truth], truth, CONFIG, DEVICE)
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(MapFileError, match=r"folder\.png: cannot write"):
+        write_evaluation(found, CONFIG, report=tmp_path / "report", image=tmp_path / "folder.png")
+    assert not files(tmp_path)
+    assert not (tmp_path / "report").exists()
+
+
+def test_measured_distances_are_compared(tmp_path: Path) -> None:
+    cells = np.zeros((23, 40), dtype=np.int8)
+    cells[[1, 21]] = OCCUPIED  # two walls, 20 cells of 0.1 m apart
+    corridor = OccupancyGrid(cells, 0.1, Pose2(0.0, -1.15), "corridor")
+    measured = tmp_path / "measured.csv"
+    measured.write_text("name,x1,y1,x2,y2,distance_m\nwidth,2.05,-0.9,2.05,1.2,1.9\n")
+    (found,) = measure_distances([corridor], measured)
+    assert found.mean_absolute_error_m == pytest.approx(0.1)
+    with pytest.raises(MapFileError, match="absent"):
+        measure_distances([corridor], tmp_path / "absent.csv")

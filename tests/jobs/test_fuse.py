@@ -1,0 +1,95 @@
+"""``fuse_maps`` as a library: the fused map, its files, and maps that do not fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slamfusion.errors import AlignmentError, MapFileError, SlamFusionError
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import AtomicFiles, load_map, save_map
+from slamfusion.jobs.documents import plain
+from slamfusion.jobs.fuse import (
+    AllRequiredError,
+    failed_fuse_document,
+    fuse_maps,
+    save_fused_maps,
+    write_failed_fusion,
+)
+from tests.fusion.drawings import building, degraded
+from tests.jobs.maps import CONFIG, DEVICE, files, moved
+from tests.support.documents import check_document
+
+
+def test_maps_are_fused_measured_and_written(tmp_path: Path) -> None:
+    truth, grid, _ = moved()
+    other, _ = degraded(truth, 2, "other", yaw_rad=-0.4)
+    told: list[str] = []
+    fused = fuse_maps(
+        [truth, grid, other],
+        CONFIG,
+        DEVICE,
+        truth=truth,
+        progress=lambda *words: told.append(words[0]),
+    )
+    assert len(fused.result.accepted) == 3
+    assert [item.error.name for item in fused.evaluations][-1] == "fused"
+    assert "evaluate" in told
+    (tmp_path / "report" / "failed").mkdir(parents=True)
+    (tmp_path / "report" / "failed" / "report.html").write_text("old", encoding="utf-8")
+    document = save_fused_maps(fused, tmp_path / "all", report=tmp_path / "report")
+    check_document(plain(document), "fuse")
+    assert document["fused"] == str(tmp_path / "all.yaml")
+    assert load_map(document["fused"]).cells.tolist() == fused.grid.cells.tolist()
+    assert load_map(document["agreement"]).cells.tolist() == fused.agreement.cells.tolist()
+    # The report of a fusion that failed before goes with its folder.
+    assert not (tmp_path / "report" / "failed").exists()
+    assert (tmp_path / "report" / "report.html").exists()
+
+
+def test_files_of_a_caller_are_joined_and_stay_out_where_it_fails(tmp_path: Path) -> None:
+    truth, grid, _ = moved()
+    fused = fuse_maps([truth, grid], CONFIG, DEVICE)
+    (tmp_path / "taken.pgm").mkdir()
+
+    def save_both() -> None:
+        with AtomicFiles() as together:
+            save_fused_maps(fused, tmp_path / "fused", files=together)
+            save_map(truth, tmp_path / "taken", files=together)
+
+    with pytest.raises(MapFileError, match="taken"):
+        save_both()
+    assert not files(tmp_path)
+
+
+def test_maps_that_do_not_fit_are_refused_with_what_was_tried(tmp_path: Path) -> None:
+    grids = [building(3), building(4)]
+    with pytest.raises(AlignmentError) as caught:
+        fuse_maps(grids, CONFIG, DEVICE)
+    assert len(caught.value.pairs) == 1
+    document = failed_fuse_document(caught.value, grids, CONFIG, DEVICE.name)
+    check_document(plain(document), "fuse", failed=True)
+    assert document["fused"] is None
+    first = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=DEVICE.name)
+    assert first == tmp_path / "report.html"
+    # An earlier report is not replaced.
+    again = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=DEVICE.name)
+    assert again == tmp_path / "failed" / "report.html"
+
+
+def test_all_of_them_may_be_required() -> None:
+    truth, grid, _ = moved()
+    maps = [truth, grid, building(4)]
+    assert len(fuse_maps(maps, CONFIG, DEVICE).result.rejected) == 1
+    strict = replace(CONFIG, fusion=replace(CONFIG.fusion, require_all=True))
+    with pytest.raises(AllRequiredError, match=r"building 4 .*nothing was fused") as caught:
+        fuse_maps(maps, strict, DEVICE)
+    assert len(caught.value.result.accepted) == 2
+
+
+@pytest.mark.parametrize("maps", [[], [building(3)]])
+def test_one_map_alone_is_no_fusion(maps: list[OccupancyGrid]) -> None:
+    with pytest.raises(SlamFusionError, match="fuse needs at least two"):
+        fuse_maps(maps, CONFIG, DEVICE)

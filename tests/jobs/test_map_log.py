@@ -1,0 +1,63 @@
+"""``map_log`` as a library: one producer on a log, its files, and going on from a state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slamfusion.compute import NumpyDevice
+from slamfusion.errors import LogError, SlamFusionError
+from slamfusion.io import load_map
+from slamfusion.jobs.documents import plain
+from slamfusion.jobs.map_log import map_log, save_mapped_log
+from tests.cli.command import tree
+from tests.support.documents import check_document
+
+DEVICE = NumpyDevice()
+
+
+def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    begun = map_log(
+        place / "flat.log", "graph", limit=20, truth=place / "truth.tum",
+        relations=place / "flat.relations", progress=lambda *words: told.append(words),
+    )  # fmt: skip
+    assert begun.failure is not None  # the relation ends after the last scan of these
+    assert begun.notices()[0].startswith("stopped after 20 scans, as asked for")
+    assert told[0][0] == "graph"
+    assert told[-1][1] <= told[-1][2]
+    record = save_mapped_log(begun, tmp_path / "begun", state=tmp_path / "state")
+    assert record["producers"][0]["files"] == [
+        str(tmp_path / f"begun{end}") for end in (".yaml", ".pgm", ".tum", ".json")
+    ] + [str(tmp_path / "state")]
+
+    ended = map_log(
+        place / "flat.log", "graph", truth=str(place / "truth.tum"),
+        relations=place / "flat.relations", truth_map=tmp_path / "begun.yaml",
+        resume=tmp_path / "state",
+    )  # fmt: skip
+    assert ended.failure is None
+    assert ended.result.run.known_scans == 20
+    assert len(ended.trajectory) == 32
+    document = save_mapped_log(ended, tmp_path / "end" / "map", report=tmp_path / "report")
+    check_document(plain(document), "slam")
+    assert document["producers"][0]["ate"]["rmse"] < 0.1
+    assert document["producers"][0]["map_error"] is not None
+    assert (tmp_path / "report" / "report.html").exists()
+    assert load_map(tmp_path / "end" / "map.yaml").cells.shape == ended.grid.cells.shape
+
+
+def test_what_cannot_be_mapped_is_an_error(place: Path, tmp_path: Path) -> None:
+    with pytest.raises(SlamFusionError, match="no producer 'nobody'"):
+        map_log(place / "flat.log", "nobody", device=DEVICE)
+    (tmp_path / "empty.log").write_text("nothing\n", encoding="utf-8")
+    with pytest.raises(LogError, match=r"empty\.log"):
+        map_log(tmp_path / "empty.log", "tinyslam", device=DEVICE)
+
+
+def test_a_state_that_cannot_be_saved_leaves_nothing(place: Path, tmp_path: Path) -> None:
+    mapped = map_log(place / "flat.log", "tinyslam", limit=3)
+    with pytest.raises(SlamFusionError, match="tinyslam cannot save its state"):
+        save_mapped_log(mapped, tmp_path / "map", state=tmp_path / "state")
+    assert not tree(tmp_path)

@@ -1,0 +1,68 @@
+"""``run_log`` as a library: the main job, its files, and what ends it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.io import load_map
+from slamfusion.jobs.defaults import RUN_DEFAULTS
+from slamfusion.jobs.documents import plain
+from slamfusion.jobs.run import run_log
+from slamfusion.jobs.run_files import save_run
+from tests.cli.command import tree
+from tests.support.documents import check_document
+
+
+def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
+    config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
+    prepared: list[bool] = []
+    told: list[str] = []
+    run = run_log(
+        place / "flat.log", config, truth=place / "truth.tum",
+        progress=lambda *words: told.append(words[0]), prepare=lambda: prepared.append(True),
+    )  # fmt: skip
+    assert prepared == [True]
+    assert {"tinyslam", "graph"} <= set(told)
+    assert [grid.name for grid in run.grids] == ["tinyslam", "graph"]
+    assert run.failure is None
+    assert run.grid is not None
+    saved = save_run(run, tmp_path / "out")
+    check_document(plain(saved.document), "run")
+    assert saved.folder == tmp_path / "out"
+    assert list(saved.stages) == ["producers", "fusion", "errors", "report"]
+    assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
+
+    # One without a fused map goes beside it, and says why there is none.
+    before = tree(tmp_path / "out")
+    alone = run_log(
+        place / "flat.log", replace(config, run=replace(config.run, producers=("tinyslam",)))
+    )
+    assert "1 of 1 maps was made, at least 2 are needed" in str(alone.failure)
+    assert (alone.grid, alone.usable) == (None, None)
+    failed = save_run(alone, tmp_path / "out")
+    check_document(plain(failed.document), "run")
+    assert failed.folder == tmp_path / "out" / "failed"
+    assert failed.document["best_founded"] == "tinyslam"
+    after = tree(tmp_path / "out")
+    assert {name: after[name] for name in before} == before
+
+
+def test_a_main_job_that_cannot_begin_is_an_error(place: Path, tmp_path: Path) -> None:
+    nobody = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("nobody",)))
+    with pytest.raises(ConfigError, match="nobody"):
+        run_log(place / "flat.log", nobody)
+    with pytest.raises(OSError, match=r"absent\.log"):
+        run_log(tmp_path / "absent.log")
+
+
+def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:
+    def prepare() -> None:
+        message = "no plots here"
+        raise SlamFusionError(message)
+
+    with pytest.raises(SlamFusionError, match="no plots here"):
+        run_log(place / "flat.log", prepare=prepare)
