@@ -1,0 +1,381 @@
+"""``ProducerSession``: a SLAM at work on live scans, one map after another; no ROS.
+
+Scans are fed in one thread, maps drawn in a second one, and a third looks on. What a worker made is
+a frozen snapshot, replaced as a whole, so that others read it without a lock.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.scan import LaserScan
+from slamfusion.slam.common.mapper import DrawsAside, Health, MapDrawer, MapJob, Mapper
+from slamfusion.slam.registry import make_producer
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "Answer",
+    "Drawn",
+    "HealthFigures",
+    "LeftOutError",
+    "ProducerSession",
+    "QueuedScan",
+    "Snapshot",
+    "UndrawnMap",
+]
+
+NO_ODOMETRY_YET = "laser before odometry"
+NOT_NEWER = "stamp not later than the last one's"
+NOT_FED = "the SLAM failed"
+
+# Scans whose latency is kept.
+LATENCIES = 300
+WARM_UP_BEAMS = 360
+NEVER_S = float("-inf")
+
+
+class LeftOutError(Exception):
+    """A scan cannot be fed; the reason under which it is counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class QueuedScan:
+    """A scan that waits.
+
+    Attributes:
+        stamp_s: of the scan, seconds.
+        arrived_s: when it came, on the clock of the session.
+        generation: of the map that it belongs to; see ``ProducerSession.begin_new_map``.
+        read: gives the scan; asked when its turn has come; raises ``LeftOutError``.
+        odometry: gives the odometry of its time; None where there is none.
+    """
+
+    stamp_s: float
+    arrived_s: float
+    generation: int
+    read: Callable[[], LaserScan]
+    odometry: Callable[[], Pose2 | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a scan that was fed tells.
+
+    Attributes:
+        pose: of the base in the map frame; metres, radians.
+        odometry: of the scan; None: none known.
+        is_new: False for a scan that was sent again and is answered as before.
+        unused: why the scan was not used, one line; empty where it was.
+    """
+
+    pose: Pose2
+    odometry: Pose2 | None = None
+    is_new: bool = True
+    unused: str = ""
+
+
+@dataclass(frozen=True)
+class HealthFigures:
+    """The figures of ``Health``, as they were after a scan."""
+
+    scans_used: int = 0
+    match_score: float | None = None
+    mean_match_score: float | None = None
+    low_scores: int = 0
+    n_eff: float | None = None
+    skips: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, health: Health) -> HealthFigures:
+        """Return the figures of a record that goes on."""
+        return cls(
+            health.scans_used,
+            health.match_score,
+            health.mean_match_score,
+            health.low_scores,
+            health.n_eff,
+            dict(health.skips.counts),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """What the worker of scans made so far.
+
+    Attributes:
+        fed: scans fed.
+        without_odometry: scans that had none though it is wanted.
+        left_out: scans that were not fed, by reason.
+        fed_s: stamp of the newest scan fed to this map, seconds; None: none yet.
+        pose: at that scan, of the base in the map frame.
+        unmapped: scans fed since the last map was read.
+        health: of the producer.
+        problem: why the producer failed at the last scan, one line; empty: it did not.
+        busy_since_s: when the scan that is worked on was begun; None: none is.
+        map_at_s: when a map was last read.
+        map_time_s: how long that took.
+        is_settled: whether that one had all closures solved, where the producer has any.
+        is_path_due: whether that one went without a path, since nobody listened.
+        memory_bytes: of the producer.
+        latencies_s: from a scan's coming to its answer, of the last 300.
+    """
+
+    fed: int = 0
+    without_odometry: int = 0
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    fed_s: float | None = None
+    pose: Pose2 = IDENTITY
+    unmapped: int = 0
+    health: HealthFigures = field(default_factory=HealthFigures)
+    problem: str = ""
+    busy_since_s: float | None = None
+    map_at_s: float = NEVER_S
+    map_time_s: float = 0.0
+    is_settled: bool = True
+    is_path_due: bool = False
+    memory_bytes: int = 0
+    latencies_s: tuple[float, ...] = ()
+
+    def latencies_ms(self) -> tuple[float, float]:
+        """Return median and 95th percentile of the latencies, ms; 0 without any."""
+        median, high = 1e3 * np.percentile(self.latencies_s or (0.0,), (50.0, 95.0))
+        return float(median), float(high)
+
+
+@dataclass(frozen=True, eq=False)
+class UndrawnMap:
+    """A map on its way out, drawn or to be drawn.
+
+    Attributes:
+        grid: the map, or what it is drawn from.
+        trajectory: the path; None where nobody listens.
+        stamp_s: of the newest scan in it, seconds.
+        generation: of the map.
+    """
+
+    grid: OccupancyGrid | MapJob
+    trajectory: Trajectory | None
+    stamp_s: float
+    generation: int
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What the worker of maps made so far.
+
+    Attributes:
+        maps: how many.
+        shape: width and height of the last one, cells.
+        time_s: how long it took to draw; None where maps are not drawn aside.
+    """
+
+    maps: int = 0
+    shape: tuple[int, int] = (0, 0)
+    time_s: float | None = None
+
+
+class ProducerSession:
+    """Feeds scans to a producer, begins new maps when time goes back, and reads maps.
+
+    Args:
+        kind: a producer of the registry; another one has its kernels compiled and run first.
+        config: of the run.
+        device: of the producer.
+        open_drawing: gives a device for the thread that draws maps, for a device's queue is one
+            thread's; called only where the producer lets its map be drawn aside.
+        wants_odometry: whether scans before the first odometry are left out.
+        clock: seconds, growing.
+
+    Attributes:
+        generation: counts the maps that were begun.
+        snapshot: what the worker of scans made so far; any thread may read it.
+        drawn: what the worker of maps made so far; any thread may read it.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        config: RunConfig,
+        device: ComputeDevice,
+        open_drawing: Callable[[], ComputeDevice],
+        *,
+        wants_odometry: bool,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.generation = 0
+        self.snapshot = Snapshot()
+        self.drawn = Drawn()
+        self._make: Callable[[], Mapper] = lambda: make_producer(kind, config, device)
+        self._config = config
+        self._wants_odometry = wants_odometry
+        self._clock = clock
+        self._producer = self._make()
+        self._drawing: ComputeDevice | None = None
+        if isinstance(self._producer, DrawsAside):
+            self._drawing = open_drawing()
+            self.drawn = Drawn(time_s=0.0)
+        self._producer_generation = 0
+        self._job: MapJob | None = None
+        self._drawer: tuple[int, MapDrawer] | None = None
+        _warm_up(self._make(), config, self._drawing)
+
+    def begin_new_map(self) -> None:
+        """Leave the map behind: scans queued from now on belong to a new one."""
+        self.generation += 1
+
+    @property
+    def is_before_odometry(self) -> bool:
+        """Whether odometry is wanted and the map has not begun with it."""
+        return self._wants_odometry and self.snapshot.fed_s is None
+
+    # -- in the worker of scans -------------------------------------------------------------------
+
+    def feed(self, item: QueuedScan) -> Answer | None:
+        """Feed a scan; None where it is left out, with the reason counted in the snapshot."""
+        self._change(problem="")
+        if item.generation != self.generation:
+            return None
+        self._change(busy_since_s=self._clock())
+        try:
+            return self._feed(item)
+        except LeftOutError as error:
+            self.leave_out(str(error))
+            return None
+        finally:
+            self._change(busy_since_s=None)
+
+    def leave_out(self, reason: str) -> None:
+        """Count a scan that is left out."""
+        counts = self.snapshot.left_out
+        self._change(left_out={**counts, reason: counts.get(reason, 0) + 1})
+
+    def _change(self, **made: object) -> None:
+        self.snapshot = replace(self.snapshot, **made)  # type: ignore[arg-type]
+
+    def _feed(self, item: QueuedScan) -> Answer | None:
+        """Feed a scan.
+
+        Raises:
+            LeftOutError: it cannot be.
+        """
+        if item.generation != self._producer_generation:
+            self._producer = self._make()
+            self._producer_generation, self._job = item.generation, None
+            self._change(fed_s=None, unmapped=0, is_settled=True, health=HealthFigures())
+        fed_s = self.snapshot.fed_s
+        if fed_s is not None and item.stamp_s <= fed_s:
+            if item.stamp_s < fed_s:
+                raise LeftOutError(NOT_NEWER)
+            self.leave_out(NOT_NEWER)
+            # Sent again: who waits for the answer gets it again.
+            return Answer(self.snapshot.pose, is_new=False)
+        scan, odometry = item.read(), item.odometry()
+        if odometry is None and self._wants_odometry:
+            self._change(without_odometry=self.snapshot.without_odometry + 1)
+            if fed_s is None:
+                raise LeftOutError(NO_ODOMETRY_YET)
+        try:
+            step = self._producer.feed(scan, odometry)
+        except SlamFusionError as error:
+            self._change(problem=f"{NOT_FED}: {error}")
+            raise LeftOutError(NOT_FED) from error
+        before = self.snapshot
+        latency_s = self._clock() - item.arrived_s
+        self._change(
+            fed=before.fed + 1,
+            fed_s=item.stamp_s,
+            pose=step.pose_map_base,
+            unmapped=before.unmapped + 1,
+            health=HealthFigures.of(self._producer.health),
+            latencies_s=(*before.latencies_s[1 - LATENCIES :], latency_s),
+        )
+        unused = "" if step.used else f"scans are not used: {step.reason}"
+        return Answer(step.pose_map_base, odometry, unused=unused)
+
+    def is_map_due(self, interval_s: float) -> bool:
+        """Whether the last map was read long enough ago."""
+        return self._clock() - self.snapshot.map_at_s >= interval_s
+
+    def read_map(self, *, is_path_heard: bool, is_paused: bool) -> UndrawnMap | None:
+        """Read the map and the path; None where there is none, or nothing new in it.
+
+        Args:
+            is_path_heard: whether somebody listens to the path.
+            is_paused: no scan has come for a while: there is time to solve all closures for it.
+        """
+        begun_s = self._clock()
+        self._change(map_at_s=begun_s)
+        before = self.snapshot
+        if before.fed_s is None:
+            return None
+        try:
+            grid, is_old = self._grid(is_paused=is_paused)
+        except SlamFusionError:  # no scan has been used yet
+            return None
+        if is_old and not before.unmapped and not (before.is_path_due and is_path_heard):
+            return None
+        trajectory = self._producer.trajectory() if is_path_heard else None
+        self._change(
+            unmapped=0,
+            is_path_due=trajectory is None,
+            memory_bytes=self._producer.memory_bytes(),
+            map_time_s=self._clock() - begun_s,
+        )
+        return UndrawnMap(grid, trajectory, before.fed_s, self._producer_generation)
+
+    def _grid(self, *, is_paused: bool) -> tuple[OccupancyGrid | MapJob, bool]:
+        """Return the map, or what it is drawn from, and whether that is known to be as before.
+
+        Raises:
+            SlamFusionError: no scan has been used yet.
+        """
+        producer = self._producer
+        if not isinstance(producer, DrawsAside):
+            return producer.grid(), False
+        self._change(is_settled=is_paused)
+        before, job = self._job, producer.map_job(is_settled=is_paused)
+        self._job = job
+        return job, before is not None and np.array_equal(before.poses, job.poses)
+
+    # -- in the worker of maps --------------------------------------------------------------------
+
+    def draw(self, item: UndrawnMap) -> OccupancyGrid:
+        """Return the map; one that is drawn aside is drawn on the last one of its generation."""
+        grid, time_s = item.grid, self.drawn.time_s
+        if isinstance(grid, MapJob):
+            begun_s = self._clock()
+            if self._drawer is None or self._drawer[0] != item.generation:
+                producer = self._producer  # of any generation: the settings are the same
+                assert isinstance(producer, DrawsAside)  # noqa: S101  (else there is no job)
+                assert self._drawing is not None  # noqa: S101  (opened for one that draws aside)
+                self._drawer = item.generation, producer.map_drawer(self._drawing)
+            grid = self._drawer[1].draw(grid)
+            time_s = self._clock() - begun_s
+        self.drawn = Drawn(self.drawn.maps, (grid.width, grid.height), time_s)
+        return grid
+
+    def count_map(self) -> None:
+        """Take note that a map was published."""
+        self.drawn = replace(self.drawn, maps=self.drawn.maps + 1)
+
+
+def _warm_up(trial: Mapper, config: RunConfig, drawing: ComputeDevice | None) -> None:
+    """Let a producer compile its kernels and run them, on scans of a square room of 6 m."""
+    angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
+    ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
+    for index in range(3):
+        scan = LaserScan(0.1 * index, ranges, -np.pi, 2.0 * np.pi / WARM_UP_BEAMS, 0.1, 20.0)
+        trial.feed(scan, Pose2(0.3 * index, 0.0, 0.0))
+    if isinstance(trial, DrawsAside) and drawing is not None:
+        trial.map_drawer(drawing).draw(trial.map_job())
+    else:
+        trial.grid()

@@ -1,0 +1,210 @@
+"""The session of a producer: what is fed, what is left out, when a map is read, and new maps."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.config import RunConfig
+from slamfusion.errors import ScanError
+from slamfusion.geometry import Pose2
+from slamfusion.io.log import LogScan
+from slamfusion.scan import LaserScan
+from slamfusion.slam.registry import make_producer
+from slamfusion.slam.session import LATENCIES, LeftOutError, ProducerSession, QueuedScan
+from tests.slam.drives import drive
+
+
+class Bench:
+    """A session, its clock, and a drive whose scans are queued by their index."""
+
+    def __init__(self, kind: str, *, wants_odometry: bool = True) -> None:
+        self.now_s = 100.0
+        self.opened = 0
+        self.scans: list[LogScan] = drive(24)[0]
+        self.session = ProducerSession(
+            kind,
+            RunConfig(),
+            open_device(),
+            self._open,
+            wants_odometry=wants_odometry,
+            clock=lambda: self.now_s,
+        )
+
+    def _open(self) -> ComputeDevice:
+        self.opened += 1
+        return open_device()
+
+    def queued(self, index: int, **changed: Any) -> QueuedScan:
+        item = self.scans[index]
+        queued = QueuedScan(
+            item.scan.stamp_s,
+            self.now_s - 0.5,
+            self.session.generation,
+            lambda: item.scan,
+            lambda: item.odometry,
+        )
+        return dataclasses.replace(queued, **changed)
+
+    def feed(self, *indices: int) -> None:
+        for index in indices:
+            assert self.session.feed(self.queued(index)) is not None
+
+
+@pytest.mark.parametrize(("kind", "devices"), [("tinyslam", 0), ("graph", 1)])
+def test_the_map_is_that_of_the_producer_and_read_once(kind: str, devices: int) -> None:
+    bench = Bench(kind)
+    session, alone = bench.session, make_producer(kind, RunConfig(), open_device())
+    assert bench.opened == devices
+    assert session.read_map(is_path_heard=True, is_paused=False) is None, "nothing was fed"
+    for item in bench.scans:
+        step = alone.feed(item.scan, item.odometry)
+        answer = session.feed(bench.queued(bench.scans.index(item)))
+        assert answer is not None
+        assert answer.pose == step.pose_map_base
+        assert answer.odometry == item.odometry
+    assert session.snapshot.unmapped == len(bench.scans)
+    made = session.read_map(is_path_heard=True, is_paused=True)
+    assert made is not None
+    assert made.stamp_s == bench.scans[-1].scan.stamp_s
+    assert made.trajectory is not None
+    assert np.array_equal(session.draw(made).cells, alone.grid().cells)
+    session.count_map()
+    assert session.drawn.maps == 1
+    assert session.drawn.shape == (alone.grid().width, alone.grid().height)
+    assert (session.drawn.time_s is None) is (devices == 0)
+    snapshot = session.snapshot
+    assert (snapshot.fed, snapshot.unmapped, snapshot.is_settled) == (24, 0, True)
+    assert snapshot.health.scans_used == alone.health.scans_used
+    assert snapshot.memory_bytes > 0
+    if devices:
+        assert session.read_map(is_path_heard=True, is_paused=True) is None, "as before"
+
+
+def test_a_path_that_nobody_heard_is_read_for_the_first_who_listens() -> None:
+    bench = Bench("graph")
+    bench.feed(*range(6))
+    silent = bench.session.read_map(is_path_heard=False, is_paused=False)
+    assert silent is not None
+    assert silent.trajectory is None
+    assert bench.session.snapshot.is_path_due
+    assert bench.session.read_map(is_path_heard=False, is_paused=False) is None
+    heard = bench.session.read_map(is_path_heard=True, is_paused=False)
+    assert heard is not None
+    assert heard.trajectory is not None
+    assert len(heard.trajectory) == 6
+    assert not bench.session.snapshot.is_path_due
+
+
+def test_a_scan_sent_again_is_answered_again_and_an_older_one_is_not() -> None:
+    bench = Bench("tinyslam")
+    bench.feed(0, 1, 2)
+    again = bench.session.feed(bench.queued(2))
+    assert again is not None
+    assert (again.pose, again.is_new) == (bench.session.snapshot.pose, False)
+    assert bench.session.feed(bench.queued(1)) is None
+    assert bench.session.snapshot.fed == 3
+    assert bench.session.snapshot.left_out == {"stamp not later than the last one's": 2}
+
+
+def test_scans_before_the_first_odometry_are_left_out_and_later_ones_are_not() -> None:
+    bench = Bench("tinyslam")
+    session = bench.session
+    assert session.is_before_odometry
+    assert session.feed(bench.queued(0, odometry=lambda: None)) is None
+    assert session.snapshot.left_out == {"laser before odometry": 1}
+    bench.feed(1)
+    assert not session.is_before_odometry
+    answer = session.feed(bench.queued(2, odometry=lambda: None))
+    assert answer is not None
+    assert answer.odometry is None
+    assert session.snapshot.without_odometry == 2
+    free = Bench("tinyslam", wants_odometry=False)
+    assert not free.session.is_before_odometry
+    assert free.session.feed(free.queued(0, odometry=lambda: None)) is not None
+    assert free.session.snapshot.without_odometry == 0
+
+
+def test_what_cannot_be_read_or_fails_is_counted_and_the_next_scan_is_fed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench("tinyslam")
+    session = bench.session
+    bench.feed(0)
+
+    def unread() -> LaserScan:
+        reason = "no transform from the laser"
+        raise LeftOutError(reason)
+
+    assert session.feed(bench.queued(1, read=unread)) is None
+
+    def fail(*_: object) -> None:
+        message = "no room"
+        raise ScanError(message)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session._producer, "feed", fail)
+        assert session.feed(bench.queued(2)) is None
+    assert session.snapshot.problem == "the SLAM failed: no room"
+    assert session.snapshot.left_out == {"no transform from the laser": 1, "the SLAM failed": 1}
+    bench.feed(3)
+    assert session.snapshot.problem == ""
+    assert session.snapshot.busy_since_s is None
+    assert session.snapshot.fed == 2
+
+
+def test_a_new_map_begins_with_its_first_scan_and_old_ones_are_not_fed() -> None:
+    bench = Bench("tinyslam")
+    session = bench.session
+    bench.feed(4, 5)
+    session.read_map(is_path_heard=True, is_paused=False)
+    waiting = bench.queued(6)
+    before = session.snapshot
+    session.begin_new_map()
+    assert session.feed(waiting) is None
+    assert session.snapshot.fed_s == before.fed_s
+    bench.feed(0)
+    assert session.snapshot.fed_s == bench.scans[0].scan.stamp_s
+    assert session.snapshot.fed == 3, "counts go on"
+    made = session.read_map(is_path_heard=True, is_paused=False)
+    assert made is not None
+    assert made.generation == 1
+    assert made.trajectory is not None
+    assert len(made.trajectory) == 1
+
+
+def test_figures_are_frozen_and_of_the_last_scans() -> None:
+    bench = Bench("tinyslam")
+    session = bench.session
+    assert session.snapshot.latencies_ms() == (0.0, 0.0)
+    bench.feed(0)
+    before = session.snapshot
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        before.fed = 7  # type: ignore[misc]
+    assert before.latencies_ms() == pytest.approx((500.0, 500.0))
+    session.snapshot = dataclasses.replace(before, latencies_s=(1.0,) * LATENCIES)
+    bench.feed(1)
+    kept = session.snapshot.latencies_s
+    assert (len(kept), kept[-1]) == (LATENCIES, 0.5)
+    assert before.fed == 1
+    seen: list[float | None] = []
+
+    def read() -> LaserScan:
+        seen.append(session.snapshot.busy_since_s)
+        return bench.scans[2].scan
+
+    session.feed(bench.queued(2, read=read, odometry=Pose2))
+    assert seen == [100.0]
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_map_is_due_after_its_interval(share: float) -> None:
+    bench = Bench("tinyslam")
+    assert bench.session.is_map_due(2.0)
+    bench.session.read_map(is_path_heard=False, is_paused=False)
+    bench.now_s += share * 2.0
+    assert bench.session.is_map_due(2.0) is (share > 1.0)
