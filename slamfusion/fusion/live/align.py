@@ -15,10 +15,9 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.mirror import refuse_mirrored
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.grid import IDENTITY
 
 __all__ = ["Aligner", "Held"]
 
@@ -109,11 +108,6 @@ class Aligner:
         """Return an input as something to align others to."""
         return Held(track.name, track.transform or IDENTITY, self.features(track))
 
-    def hold_grid(self, name: str, grid: OccupancyGrid) -> Held:
-        """Return a map of the fused frame as something to align to."""
-        normal = normalize_grid(grid, grid.resolution, self.config.normalize, self.device)
-        return Held(name, IDENTITY, GridFeatures(normal, self.device))
-
     def note(self, pair: Alignment) -> None:
         """Keep what a search gave for a pair."""
         statistics = pair.statistics
@@ -158,24 +152,12 @@ class Aligner:
         cancel = None if is_wanted is None else CancelToken(is_wanted, self.device)
         fit = self.fit(track, held, cancel)
         if fit is not None and not track.is_steady:
-            fit = self._unmirrored(track, held, *fit, cancel)
+            found = self._found.get(frozenset((track.name, held.name)))
+            if found is None or fit[0].score < MIRROR_SHARE * found.score:
+                fit = _unmirrored(self, track, held, fit, cancel)
         if fit is not None:
             self.believe(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
-
-    def _unmirrored(
-        self, track: Track, held: Held, pair: Alignment, moved: Pose2, cancel: CancelToken | None
-    ) -> tuple[Alignment, Pose2] | None:
-        """Look at new walls that fit much worse than the old ones did: are they mirrored?"""
-        found = self._found.get(frozenset((track.name, held.name)))
-        if found is not None and pair.score >= MIRROR_SHARE * found.score:
-            return pair, moved
-        believed = replace(pair, accepted=True)
-        looked = self.second_look(believed, held.features, self.features(track, cancel), cancel)
-        if looked.accepted:
-            return pair, moved
-        track.mismatch = looked.reason
-        return None
 
     def fit(
         self, track: Track, held: Held, cancel: CancelToken | None = None
@@ -336,3 +318,19 @@ class Aligner:
         track.mismatch = ""
         track.accepted = track.is_steady = True
         track.pin()
+
+
+def _unmirrored(
+    aligner: Aligner,
+    track: Track,
+    held: Held,
+    fit: tuple[Alignment, Pose2],
+    cancel: CancelToken | None,
+) -> tuple[Alignment, Pose2] | None:
+    """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
+    believed, own = replace(fit[0], accepted=True), aligner.features(track, cancel)
+    looked = aligner.second_look(believed, held.features, own, cancel)
+    if looked.accepted:
+        return fit
+    track.mismatch = looked.reason
+    return None

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.limits import unusable
 from slamfusion.fusion.live.track import Track
-from slamfusion.grid import OccupancyGrid
+from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.grid import IDENTITY, OccupancyGrid
 
 __all__ = ["Recovered", "recover"]
 
@@ -111,4 +113,6 @@ def _hold(fused: OccupancyGrid | None, aligner: Aligner) -> Held | None:
     """Return the last fused map as something to align to; None without walls."""
     if fused is None or unusable(fused, aligner.config.normalize) is not None:
         return None
-    return aligner.hold_grid(LAST_FUSED, fused)
+    thresholds, device = aligner.config.normalize, aligner.device
+    normal = normalize_grid(fused, fused.resolution, thresholds, device)
+    return Held(LAST_FUSED, IDENTITY, GridFeatures(normal, device))
