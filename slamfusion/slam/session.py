@@ -226,7 +226,7 @@ class ProducerSession:
         self._producer_generation = 0
         self._job: MapJob | None = None
         self._drawer: tuple[int, MapDrawer] | None = None
-        _warm_up(self._make(), config, self._drawing)
+        _warm_up(self._make(), self._drawing)
 
     def begin_new_map(self) -> None:
         """Leave the map behind: scans queued from now on belong to a new one."""
@@ -368,7 +368,7 @@ class ProducerSession:
         self.drawn = replace(self.drawn, maps=self.drawn.maps + 1)
 
 
-def _warm_up(trial: Mapper, config: RunConfig, drawing: ComputeDevice | None) -> None:
+def _warm_up(trial: Mapper, drawing: ComputeDevice | None) -> None:
     """Let a producer compile its kernels and run them, on scans of a square room of 6 m."""
     angles = np.linspace(-np.pi, np.pi, WARM_UP_BEAMS, endpoint=False)
     ranges = (3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
