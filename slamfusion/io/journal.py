@@ -6,13 +6,19 @@ that were there wait as ``.slamfusion-TOKEN-N.old``. The first folder's journal,
 of them before the first is touched; that it is empty again is the moment in which the new set
 counts. The system gives up the lock when the writer ends, in whatever way: a journal that can be
 locked is that of a dead writer, and what it lists is moved back.
+
+A journal is believed only where it was written: it carries a seal of this machine, this user and
+the file that it is. One that came with a copied or unpacked folder could name any file of the
+user's; it is left alone, with all that belongs to it.
 """
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import json
+import logging
 import os
 import re
 import time
@@ -42,6 +48,11 @@ LOCK_TRIES = 100
 # Seconds to wait for another writer's switch, which takes milliseconds unless it is stopped.
 SWITCH_S, LOOK_S = 5.0, 0.002
 
+# Names this machine, where the system has such a file; the host's name stands in for it.
+MACHINE = Path("/etc/machine-id")
+SEAL = "seal"
+
+_LOG = logging.getLogger(__name__)
 _LEFT = re.compile(r"\.slamfusion-([0-9a-f]{16})(-\d+)?\.(tmp|old)")
 
 
@@ -128,6 +139,7 @@ class Journal:
         return os.path.relpath(path, self.folder)
 
     def _write(self, record: dict[str, Any]) -> None:
+        record = {**record, SEAL: _seal(self._descriptor)}
         data = f"{json.dumps(record)}\n".encode("utf-8", errors="surrogateescape")
         done = 0
         while done < len(data):
@@ -153,6 +165,8 @@ def put_right(folder: Path, *, sweep: bool = True) -> None:
             if descriptor is None:
                 continue
             record = _read(descriptor)
+            if _is_foreign(record, descriptor, path):
+                continue
             home = record.get("home")
             if home is not None and not _put_home_right(folder / home):
                 continue
@@ -238,7 +252,10 @@ def _put_home_right(home: Path) -> bool:
     with _lock(home) as descriptor:
         if descriptor is None:
             return False
-        if record := _read(descriptor):
+        record = _read(descriptor)
+        if _is_foreign(record, descriptor, home):
+            return True
+        if record:
             _roll_back(home, descriptor, record)
         _sweep(home.parent, _token(home))
     return True
@@ -342,6 +359,24 @@ def _read(descriptor: int) -> dict[str, Any]:
     except ValueError:
         return {}
     return record if isinstance(record, dict) else {}
+
+
+def _seal(descriptor: int) -> str:
+    """Return what only this machine writes into this file: a digest, 32 hexadecimal digits."""
+    try:
+        machine = MACHINE.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        machine = ""
+    parts = (machine, os.uname().nodename, os.getuid(), os.fstat(descriptor).st_ino)
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def _is_foreign(record: dict[str, Any], descriptor: int, path: Path) -> bool:
+    """Whether a journal was written elsewhere; said each time that it is met."""
+    if not record or record.get(SEAL) == _seal(descriptor):
+        return False
+    _LOG.warning("%s: written elsewhere (a copied folder?), so it is not followed", path)
+    return True
 
 
 def _journals(folder: Path) -> list[Path]:

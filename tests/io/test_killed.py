@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -88,6 +89,42 @@ def test_a_moved_folder_is_put_right_too(tmp_path: Path) -> None:
     place.rename(tmp_path / "b")
     assert load_map(tmp_path / "b" / "map.yaml").resolution == grid_of(OLD).resolution
     assert leftovers(tmp_path) == []
+
+
+def test_the_journal_of_a_copied_folder_is_left_alone(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "killed").mkdir()
+    half_switched(tmp_path / "killed")
+    copy = tmp_path / "copy"
+    shutil.copytree(tmp_path / "killed", copy)
+    before = leftovers(copy)
+    assert len(before) >= 3
+    with pytest.raises(MapFileError, match="no such file"):
+        load_map(copy / "map.yaml")
+    assert "written elsewhere (a copied folder?)" in caplog.text
+    save_map(grid_of(NEW), copy / "other")
+    assert leftovers(copy) == before
+
+
+def test_a_journal_that_came_with_a_map_cannot_touch_other_files(tmp_path: Path) -> None:
+    precious = tmp_path / "home" / "precious"
+    precious.parent.mkdir()
+    precious.write_bytes(b"mine")
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    half_switched(maps)
+    (home,) = maps.glob("*.journal")
+    record = json.loads(home.read_text())
+    away = {"target": "../home/precious", "number": 9, "is_new": True, "was_there": False}
+    record["entries"].append(away)
+    record["folders"].append("../home")
+    crafted = tmp_path / "crafted"
+    crafted.mkdir()
+    (crafted / home.name).write_text(json.dumps(record) + "\n")
+    save_map(grid_of(OLD), crafted / "map")
+    load_map(crafted / "map.yaml")
+    assert precious.read_bytes() == b"mine"
 
 
 def test_what_somebody_else_wrote_since_is_kept(tmp_path: Path) -> None:
