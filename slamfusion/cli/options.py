@@ -272,10 +272,10 @@ class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.
         if not isinstance(value, str):
             return tuple(value)
         values = split_list(value, self._info.kind)
-        if not values:
-            self.fail("wanted values with commas between them, found none", param, ctx)
-        if not all(type(item) is self._info.kind for item in values):
-            self.fail(f"{value!r} is no list of {self._info.kind.__name__}", param, ctx)
+        if self._info.kind is str and not values:
+            self.fail("wanted names with commas between them, found none", param, ctx)
+        if not values or not all(type(item) is self._info.kind for item in values):
+            self.fail(f"must be like 0.1..0.6 or 0.1,0.25, found {value!r}", param, ctx)
         return tuple(values)
 
 

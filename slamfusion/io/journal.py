@@ -48,7 +48,7 @@ LOCK_TRIES = 100
 # Seconds to wait for another writer's switch, which takes milliseconds unless it is stopped.
 SWITCH_S, LOOK_S = 5.0, 0.002
 
-# Names this machine, where the system has such a file; the host's name stands in for it.
+# Names this machine, where the system has such a file.
 MACHINE = Path("/etc/machine-id")
 SEAL = "seal"
 
@@ -367,7 +367,7 @@ def _seal(descriptor: int) -> str:
         machine = MACHINE.read_text(encoding="ascii", errors="replace").strip()
     except OSError:
         machine = ""
-    parts = (machine, os.uname().nodename, os.getuid(), os.fstat(descriptor).st_ino)
+    parts = (machine, os.getuid(), os.fstat(descriptor).st_ino)
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 
