@@ -35,8 +35,22 @@ def _known(_: click.Context, __: click.Parameter, name: str) -> str:
     return name
 
 
+class _Command(click.Command):
+    """Lists the nodes in the help: the producers of the registry, then the others."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Write the names with a word on each."""
+        from slamfusion.slam.registry import producer, producer_names  # noqa: PLC0415
+
+        rows = [(name, producer(name).summary) for name in producer_names()]
+        rows += [("fusion", "maps that become one"), ("player", "a log or bag, as it was driven")]
+        with formatter.section("Nodes"):
+            formatter.write_dl(rows)
+
+
 @click.command(
     "node",
+    cls=_Command,
     context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
     options_metavar="",
 )
@@ -45,8 +59,7 @@ def _known(_: click.Context, __: click.Parameter, name: str) -> str:
 def command(name: str, ros_arguments: tuple[str, ...]) -> int:
     """Run a ROS 2 node until Ctrl-C.
 
-    NAME is a producer (as in `slamfusion slam --help`), fusion or player. Parameters, names and
-    remappings are given as with `ros2 run`: --ros-args -p rate:=2.0 -r
+    Parameters, names and remappings are given as with `ros2 run`: --ros-args -p rate:=2.0 -r
     scan:=front/scan -r __ns:=/robot1 --params-file FILE.
     """
     if ros_arguments and "--ros-args" not in ros_arguments:
