@@ -21,7 +21,7 @@ from slamfusion.version import __version__
 
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice, open_device
-    from slamfusion.config import RunConfig, load_config
+    from slamfusion.config import RunConfig
     from slamfusion.errors import (
         AlignmentError,
         ConfigError,
@@ -63,6 +63,7 @@ if TYPE_CHECKING:
         write_trajectory,
     )
     from slamfusion.scan import LaserScan
+    from slamfusion.slam.registry import load_config
     from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -130,7 +131,7 @@ __all__ = [
 # Where each name is defined: as above, for the interpreter.
 _MODULES: dict[str, tuple[str, ...]] = {
     "compute": ("ComputeDevice", "open_device"),
-    "config": ("RunConfig", "load_config"),
+    "config": ("RunConfig",),
     "errors": (
         "AlignmentError",
         "ConfigError",
@@ -167,6 +168,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "write_trajectory",
     ),
     "scan": ("LaserScan",),
+    "slam.registry": ("load_config",),
     "trajectory": ("Trajectory",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

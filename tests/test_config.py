@@ -23,10 +23,10 @@ from slamfusion.config import (
     VoteConfig,
     field_infos,
     from_mapping,
-    load_config,
     to_mapping,
 )
 from slamfusion.errors import ConfigError
+from slamfusion.slam.registry import load_config
 
 LEAVES = [
     AlignConfig,

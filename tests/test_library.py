@@ -89,3 +89,9 @@ def test_from_a_log_to_a_fused_map(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_map(tmp_path / "out" / "fused.yaml").cells, fused.grid.cells)
     walls = np.count_nonzero(fused.grid.cells == slamfusion.OCCUPIED)
     assert walls > 0.5 * min(np.count_nonzero(grid.cells >= 65) for grid in made)
+
+
+def test_the_file_of_settings_that_the_commands_read_is_read_here_too(tmp_path: Path) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_text("producers: {graph: {resolution: 0.1}}\n", encoding="utf-8")
+    assert slamfusion.load_config(path).producers["graph"].resolution == 0.1

@@ -142,9 +142,9 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
 
 def _read(path: Path, defaults: RunConfig) -> RunConfig:
     """Read a file of settings, also those of producers."""
-    from slamfusion.slam.registry import read_config  # noqa: PLC0415  (only where one is given)
+    from slamfusion.slam.registry import load_config  # noqa: PLC0415  (only where one is given)
 
-    return read_config(path, defaults)
+    return load_config(path, defaults)
 
 
 def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:

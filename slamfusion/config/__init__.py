@@ -48,7 +48,6 @@ from slamfusion.config.run import (
     RunConfig,
     SideBySideConfig,
     TrajectoryConfig,
-    load_config,
     read_yaml,
 )
 from slamfusion.config.sim import (
@@ -120,7 +119,6 @@ __all__ = [
     "checked_value",
     "field_infos",
     "from_mapping",
-    "load_config",
     "option",
     "read_yaml",
     "split_list",

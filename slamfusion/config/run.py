@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import yaml
 
-from slamfusion.config.core import Checked, from_mapping, option
+from slamfusion.config.core import Checked, option
 from slamfusion.config.experiments import ExperimentConfig
 from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.config.sim import SimulateConfig
@@ -23,7 +23,6 @@ __all__ = [
     "RunConfig",
     "SideBySideConfig",
     "TrajectoryConfig",
-    "load_config",
     "read_yaml",
 ]
 
@@ -155,15 +154,3 @@ def read_yaml(path: str | Path) -> Any:
     except yaml.YAMLError as error:
         message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
         raise ConfigError(message) from None
-
-
-def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
-    """Read a ``RunConfig`` from a YAML file; see ``from_mapping`` for the errors.
-
-    The settings of producers are known to ``slamfusion.slam.registry.read_config``.
-
-    Args:
-        path: the file.
-        base: holds what the file does not say; default: the defaults.
-    """
-    return from_mapping(RunConfig() if base is None else base, read_yaml(path), str(path))

@@ -26,12 +26,12 @@ __all__ = [
     "BUILT_IN",
     "ENTRY_POINTS",
     "Producer",
+    "load_config",
     "loop_closers",
     "make_producer",
     "open_producer_device",
     "producer",
     "producer_names",
-    "read_config",
     "resume_producer",
     "settings_of",
     "with_producers",
@@ -165,7 +165,7 @@ def with_producers(config: RunConfig, names: Collection[str] = BUILT_IN) -> RunC
     return replace(config, producers={**config.producers, **added})
 
 
-def read_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
+def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
     """Read a configuration from a YAML file, with the settings of the producers that it names.
 
     They stand under ``producers``, by name. At the top of the file, where they stood until

@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.console import Console
 
-from slamfusion.config import DeviceConfig, RunConfig, load_config
-from slamfusion.slam.registry import open_producer_device
+from slamfusion.config import DeviceConfig, RunConfig
+from slamfusion.slam.registry import load_config, open_producer_device
 from tests.benchmarks.gmapping.bench import Bench
 
 # Each part, told what it needs, and how many seeds it takes where none are asked for.

@@ -20,11 +20,11 @@ from slamfusion.slam.registry import (
     BUILT_IN,
     ENTRY_POINTS,
     Producer,
+    load_config,
     loop_closers,
     make_producer,
     producer,
     producer_names,
-    read_config,
     resume_producer,
     settings_of,
     with_producers,
@@ -130,7 +130,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 def test_a_file_sets_producers_by_name(tmp_path: Path) -> None:
     text = "seed: 4\nproducers: {graph: {matcher: {climbers: 9}}, tinyslam: }\n"
-    config = read_config(written(tmp_path, text))
+    config = load_config(written(tmp_path, text))
     assert config.seed == 4
     assert settings_of(config, "graph").matcher.climbers == 9
     assert settings_of(config, "graph").matcher.beams == GraphConfig().matcher.beams
@@ -140,7 +140,7 @@ def test_a_file_sets_producers_by_name(tmp_path: Path) -> None:
 def test_settings_at_the_top_of_a_file_are_read_with_a_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    config = read_config(written(tmp_path, "graph: {resolution: 0.2}\n"))
+    config = load_config(written(tmp_path, "graph: {resolution: 0.2}\n"))
     assert settings_of(config, "graph").resolution == 0.2
     assert "settings of graph stand under 'producers:' from now on" in caplog.text
 
@@ -159,7 +159,7 @@ def test_settings_at_the_top_of_a_file_are_read_with_a_warning(
 def test_a_bad_file_is_named_with_what_was_wanted(tmp_path: Path, text: str, words: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(ConfigError, match=words) as caught:
-        read_config(path)
+        load_config(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
 
