@@ -52,6 +52,7 @@ from slamfusion.config.run import (
 )
 from slamfusion.config.sim import (
     ActionConfig,
+    DrawnPlace,
     DriveConfig,
     LidarConfig,
     ObstacleConfig,
@@ -80,6 +81,7 @@ __all__ = [
     "CellModelsConfig",
     "Checked",
     "DeviceConfig",
+    "DrawnPlace",
     "DriveConfig",
     "EvaluateConfig",
     "ExperimentConfig",

@@ -11,6 +11,7 @@ from slamfusion.errors import ConfigError
 
 __all__ = [
     "ActionConfig",
+    "DrawnPlace",
     "DriveConfig",
     "LidarConfig",
     "ObstacleConfig",
@@ -21,7 +22,8 @@ __all__ = [
 ]
 
 
-PlaceName: TypeAlias = Literal[
+# Places that are drawn; a world may also be a map file.
+DrawnPlace: TypeAlias = Literal[
     "office",
     "corridor",
     "hall",
@@ -32,8 +34,8 @@ PlaceName: TypeAlias = Literal[
     "wings",
     "pillars",
     "rooms",
-    "map",
 ]
+PlaceName: TypeAlias = Literal[DrawnPlace, "map"]
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,13 @@ import difflib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 import yaml
 
 from slamfusion.config import (
     ActionConfig,
+    DrawnPlace,
     DriveConfig,
     LidarConfig,
     ObstacleConfig,
@@ -47,18 +48,7 @@ __all__ = [
 T = TypeVar("T")
 Point = tuple[float, float]
 
-WORLD_NAMES = (
-    "office",
-    "corridor",
-    "hall",
-    "atrium",
-    "yard",
-    "ring-100",
-    "ring-300",
-    "wings",
-    "pillars",
-    "rooms",
-)
+WORLD_NAMES: tuple[str, ...] = get_args(DrawnPlace)
 KEYS = (
     "name",
     "seed",
