@@ -27,8 +27,7 @@ from slamfusion.ros.producer_status import producer_figures
 from slamfusion.ros.scan_frames import ScanFrames
 from slamfusion.ros.scan_gate import ArrivedScan, ScanGate
 from slamfusion.ros.worker import Worker
-from slamfusion.slam import registry
-from slamfusion.slam.registry import settings_of
+from slamfusion.slam.registry import producer, settings_of
 from slamfusion.slam.session import (
     Answer,
     ProducerSession,
@@ -111,7 +110,7 @@ class ProducerNode(NodeBase):
         self._config = dataclasses.replace(
             RunConfig(), producers={kind: section}, device=device, seed=self.settings.seed
         )
-        self._kind = kind
+        self._own_interval_s = producer(kind).map_interval_s(section)
         self._map_frame = self.settings.map_frame or f"{self.name}_map"
         self._device = open_device(device.device)
         self._session = ProducerSession(
@@ -226,9 +225,7 @@ class ProducerNode(NodeBase):
 
     def _map_interval_s(self) -> float:
         asked_s = self.settings.map_update_interval_s
-        if asked_s is not None:
-            return asked_s
-        return registry.producer(self._kind).map_interval_s(settings_of(self._config, self._kind))
+        return self._own_interval_s if asked_s is None else asked_s
 
     # --- the worker's thread -----------------------------------------------------------------
 
