@@ -63,7 +63,10 @@ class AlignConfig(Checked):
         None, "search shifts within this of the start; default: everywhere", unit="m", low=0.0
     )
     step: int | None = option(
-        None, "run the fixed-step search of [F16] with this first step instead", unit="cells", low=1
+        None,
+        "run the fixed-step search of [F16] with this first step instead; never onto a true map",
+        unit="cells",
+        low=1,
     )
     shared_frame: bool = option(
         False,

@@ -209,7 +209,7 @@ def _fuse(
 ) -> dict[str, OccupancyGrid | None]:
     """Fuse as ``run`` does: the plain vote decides who votes, then the same maps vote otherwise."""
     grids, paths = made.grids, made.paths
-    align = replace(config.fusion.align, deadline_s=PATIENCE_S)
+    align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
     config = replace(config, fusion=replace(config.fusion, align=align))
     fused = vote_every_way(grids, paths, config, device, notes)
     if trial.harmed:
@@ -286,13 +286,13 @@ def against_truth(
     Args:
         grid: None is a map that knows nothing.
         truth: decides lattice and box.
-        config: thresholds, search and tolerance.
+        config: thresholds, search (never the fixed-step one) and tolerance.
         device: computes.
     """
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
     transforms = [IDENTITY]
-    align = replace(config.fusion.align, deadline_s=PATIENCE_S)
+    align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
     settings = replace(config.fusion, align=align)
     if grid is not None:
         with suppress(GridError):  # not one known cell: it lies as well anywhere

@@ -58,8 +58,8 @@ def fixed_step_search(
         count = len(shifts) ** 2 * len(turns)
         if count > POSES_MAX:
             message = (
-                f"--step {step} means {count:.3g} poses to try; give a larger step, or a window "
-                "with --window-m and --window-yaw-rad"
+                f"a first step of {step} cells means {count:.3g} poses to try; choose a larger "
+                "step, or a narrower window (window_m, window_yaw_rad)"
             )
             raise ConfigError(message)
         grid = np.stack(np.meshgrid(shifts, shifts, turns, indexing="ij"), axis=-1).reshape(-1, 3)

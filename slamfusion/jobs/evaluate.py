@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
@@ -65,7 +65,9 @@ def evaluate_maps(
     """Compare each map with the truth, aligned first.
 
     A map whose alignment is rejected is measured at the best transform found all the same; its
-    error is then the least it can claim, and ``is_aligned`` says so.
+    error is then the least it can claim, and ``is_aligned`` says so. How maps are brought onto the
+    truth is part of the measure: it is the same search whatever aligned them with each other, so
+    ``fusion.align.step`` does not count.
 
     Args:
         maps: in memory, map_server YAML files, or bare images.
@@ -85,11 +87,12 @@ def evaluate_maps(
     grids = as_grids(maps, config, resolution=resolution)
     (true_grid,) = as_grids([truth], config, resolution=resolution)
     device = device_for(config, device)
+    search = replace(config.fusion, align=replace(config.fusion.align, step=None))
     evaluations = []
     for done, grid in enumerate(grids):
         if progress is not None:
             progress("evaluate", done, len(grids))
-        alignment = align_grids(true_grid, grid, config.fusion, device) if align else None
+        alignment = align_grids(true_grid, grid, search, device) if align else None
         error = compare_to_truth(
             grid,
             true_grid,

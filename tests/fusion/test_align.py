@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
-from slamfusion.errors import GridError
+from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion import align_grids
 from slamfusion.fusion.align import _Found, _prove, align_features, track_features
 from slamfusion.fusion.features import FINE_TABLE
@@ -344,6 +344,14 @@ def test_the_fixed_step_search_finds_a_small_motion(device: ComputeDevice, step:
     assert shift <= 1.5
     assert turn <= 1.0 + 1e-6
     assert found.bound_gap is None
+
+
+def test_a_step_that_would_take_days_is_refused(device: ComputeDevice) -> None:
+    """In words that hold for the command line and for the node's parameters."""
+    grid = building(1)
+    with pytest.raises(ConfigError, match="poses to try; choose a larger step, or a narr") as told:
+        align_grids(grid, grid.with_name("again"), fusion_config(step=1, window_m=20.0), device)
+    assert "--" not in str(told.value)
 
 
 def test_far_origins_do_not_matter(device: ComputeDevice) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from slamfusion.jobs.evaluate import (
     measure_distances,
     write_evaluation,
 )
+from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, DEVICE, files, moved
 from tests.support.documents import check_document
 
@@ -41,6 +43,18 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     document = evaluate_document([aligned], [], CONFIG, truth=Path("t.yaml"), device=DEVICE.name)
     check_document(plain(document), "evaluate")
     assert document["maps"][0]["error"] == aligned.error.error
+
+
+def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
+    truth, grid, _ = moved()
+    stepped = replace(CONFIG, fusion=fusion_config(step=8))
+    (plain_search,) = evaluate_maps([grid], truth, CONFIG, DEVICE)
+    (with_step,) = evaluate_maps([grid], truth, stepped, DEVICE)
+    assert with_step.alignment is not None
+    assert plain_search.alignment is not None
+    assert with_step.alignment.transform == plain_search.alignment.transform
+    assert with_step.alignment.reason == plain_search.alignment.reason
+    assert with_step.error.to_json() == plain_search.error.to_json()
 
 
 def test_an_evaluation_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
