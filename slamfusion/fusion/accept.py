@@ -107,8 +107,8 @@ def decide(evidence: Evidence) -> tuple[bool, str]:
         and not evidence.near_start
     ):
         return False, (
-            f"ambiguous: another transform scores {runner_up:.0%} of the best; "
-            "give a start or a window"
+            f"ambiguous: another transform scores {runner_up:.0%} of the best, and nothing says "
+            "which of the two is right"
         )
     ground = _ground(evidence, match, clash, do_walls_match=do_walls_match)
     if ground is None:

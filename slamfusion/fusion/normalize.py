@@ -87,7 +87,7 @@ def check_resampling(grids: Sequence[OccupancyGrid], config: NormalizeConfig, wh
     if config.resolution is None and finest.resolution < largest.resolution:
         said += (
             f", the cell size of {finest.name}, to which this map's {largest.resolution:g} m is "
-            "brought (is it right? another can be given: --fused-resolution),"
+            "brought (is it right? fusion.normalize.resolution sets another),"
         )
     check_memory(sum(own_cells) * BYTES_PER_CELL, said, largest.name)
 
