@@ -34,9 +34,11 @@ if TYPE_CHECKING:
         ScanError,
         SimulationError,
         SlamFusionError,
+        StartError,
         TrajectoryError,
     )
     from slamfusion.fusion.records import Alignment, FusionResult
+    from slamfusion.fusion.start import StartPose
     from slamfusion.geometry import Pose2
     from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
     from slamfusion.io import AtomicFiles, load_map, open_log, read_trajectory, save_map
@@ -98,6 +100,8 @@ __all__ = [
     "SimulatedDrive",
     "SimulationError",
     "SlamFusionError",
+    "StartError",
+    "StartPose",
     "Trajectory",
     "TrajectoryError",
     "TrajectoryFiles",
@@ -144,9 +148,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "ScanError",
         "SimulationError",
         "SlamFusionError",
+        "StartError",
         "TrajectoryError",
     ),
     "fusion.records": ("Alignment", "FusionResult"),
+    "fusion.start": ("StartPose",),
     "geometry": ("Pose2",),
     "grid": ("FREE", "OCCUPIED", "UNKNOWN", "OccupancyGrid"),
     "io": ("AtomicFiles", "load_map", "open_log", "read_trajectory", "save_map"),

@@ -20,6 +20,7 @@ __all__ = [
     "ScanError",
     "SimulationError",
     "SlamFusionError",
+    "StartError",
     "TrajectoryError",
 ]
 
@@ -58,6 +59,10 @@ class GraphError(SlamFusionError, ValueError):
 
 class ConfigError(SlamFusionError, ValueError):
     """A configuration value is unknown, of the wrong type, or out of its range."""
+
+
+class StartError(ConfigError):
+    """A start is no pose with tolerances, or names no input: the command line was used wrongly."""
 
 
 class DeviceError(SlamFusionError):

@@ -57,6 +57,16 @@ def test_changed_values_survive_a_yaml_file(tmp_path: Path) -> None:
     assert (config.fusion.align.step, config.fusion.vote.mode) == (4, "log-odds")
 
 
+def test_starts_are_lists_or_texts_of_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_text("start: {hall: [1, -2.5, 0], 7: '3, 4, 0.5, 1, 0'}\n")
+    config = load_config(path)
+    assert config.start == {"hall": (1.0, -2.5, 0.0), "7": (3.0, 4.0, 0.5, 1.0, 0.0)}
+    assert from_mapping(RunConfig, to_mapping(config)) == config
+    path.write_text("start:\n")
+    assert load_config(path) == RunConfig()
+
+
 def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
     path = tmp_path / "run.yaml"
     path.write_text("# nothing set\n")
@@ -98,6 +108,17 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
             {"fusion": {"normalize": {"free_percent": 70}}},
             "free_percent (70) must be below occupied_percent (65); swap them",
         ),
+        ({"start": [1, 2, 3]}, "run.yaml: start: wanted names of inputs with x,y,yaw or"),
+        ({"start": {"a": {"x": 1}}}, "run.yaml: start: a: wanted x,y,yaw or x,y,yaw,metres,rad"),
+        ({"start": {"a": None}}, "run.yaml: start: a: wanted x,y,yaw or"),
+        ({"start": {"a": [1, 2, True]}}, "run.yaml: start: a: wanted x,y,yaw or"),
+        ({"start": {"a": [1, 2]}}, "found 2 numbers: 1,2"),
+        ({"start": {"a": "1,2,3,4"}}, "found 4 numbers: 1,2,3,4"),
+        ({"start": {"a": ""}}, "all numbers, found "),
+        ({"start": {"a": [1, 2, "north"]}}, "all numbers, found 1,2,north"),
+        ({"start": {"a": [1, float("inf"), 0]}}, "all finite, found 1,inf,0"),
+        ({"start": {"a": [1, 2, 0, 1e999, 1]}}, "all finite, found 1,2,0,inf,1"),
+        ({"start": {"a": [1, 2, 0, 1, -0.1]}}, "tolerances must be at least 0, found 1,-0.1"),
     ],
 )
 def test_a_bad_value_is_named_with_what_was_wanted(values: Any, words: str) -> None:

@@ -71,10 +71,20 @@ from slamfusion.config.slam import (
     OccupancyEstimator,
     TinySlamConfig,
 )
+from slamfusion.config.start import (
+    START_FORM,
+    START_M,
+    START_RAD,
+    checked_start,
+    checked_starts,
+)
 
 __all__ = [
     "GMAPPING_PROFILES",
     "PUBLISHED",
+    "START_FORM",
+    "START_M",
+    "START_RAD",
     "ActionConfig",
     "AlignConfig",
     "CellModel",
@@ -118,6 +128,8 @@ __all__ = [
     "VoteConfig",
     "VoteMode",
     "WorldConfig",
+    "checked_start",
+    "checked_starts",
     "checked_value",
     "field_infos",
     "from_mapping",

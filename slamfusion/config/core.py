@@ -247,9 +247,12 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
             message = f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}"
             raise ConfigError(message)
         hint = hints[key]
-        if typing.get_origin(hint) is Mapping:
+        if hint == Mapping[str, Any]:
             given = {} if is_class else getattr(config, key)
             arguments[key] = _sections(given, value, f"{where}: {key}")
+        elif typing.get_origin(hint) is Mapping:
+            # Names and values of the user's own; the class checks them.
+            arguments[key] = {} if value is None else value
         elif dataclasses.is_dataclass(hint):
             # A section's defaults may be others than its class's.
             section = getattr(config, key, hint)

@@ -14,6 +14,7 @@ from slamfusion.config.experiments import ExperimentConfig
 from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.config.sim import SimulateConfig
 from slamfusion.config.slam import GraphOptimizerConfig
+from slamfusion.config.start import checked_starts
 from slamfusion.errors import ConfigError
 
 __all__ = [
@@ -125,6 +126,9 @@ class RunConfig(Checked):
 
     ``producers`` holds the settings of producers by name, each a dataclass of its own; one that is
     not in it has its defaults (``slamfusion.slam.registry`` knows them all).
+
+    ``start`` holds the expected poses of inputs' map frames by name: x, y in m, yaw in rad, and, if
+    others than the defaults, the tolerances in m and rad; see ``slamfusion.fusion.start``.
     """
 
     fusion: FusionConfig = FusionConfig()
@@ -140,6 +144,12 @@ class RunConfig(Checked):
     run: SideBySideConfig = SideBySideConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
+    start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what is out of range, and starts that are none."""
+        super().__post_init__()
+        object.__setattr__(self, "start", checked_starts(self.start))
 
 
 def read_yaml(path: str | Path) -> Any:

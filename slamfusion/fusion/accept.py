@@ -23,6 +23,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from slamfusion.fusion.start import StartPose
+
 __all__ = ["Evidence", "decide"]
 
 # Fewer wall cells than this fit anywhere.
@@ -73,6 +75,7 @@ class Evidence:
         search: what stands behind it: ``full`` (all yaws and shifts), ``window``,
             ``fixed step``, or ``tracked`` (a known transform was only refined).
         near_start: whether the answer agrees with a start transform that was given.
+        start: the start that limited the search, with its tolerances; None: none was given.
     """
 
     score: float
@@ -83,6 +86,7 @@ class Evidence:
     rival: bool
     search: str
     near_start: bool
+    start: StartPose | None = None
 
 
 def decide(evidence: Evidence) -> tuple[bool, str]:

@@ -22,6 +22,7 @@ from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
 from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.fusion.refine import rank, refine, settle
 from slamfusion.fusion.search import CoarseSearch, SearchWindow, inside, search
+from slamfusion.fusion.start import StartPose, pose_of
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 
@@ -65,17 +66,18 @@ def align_grids(
     moving: OccupancyGrid,
     config: FusionConfig,
     device: ComputeDevice,
-    start: Pose2 | None = None,
+    start: Pose2 | StartPose | None = None,
 ) -> Alignment:
     """Align one occupancy grid to another.
 
     Args:
         reference: held still.
         moving: gets the transform.
-        config: normalisation and search; ``config.align.window_*`` limit the search around
-            ``start``.
+        config: normalisation and search; ``config.align.window_*`` limit the search around a
+            ``start`` that has no tolerances.
         device: computes.
-        start: expected pose of the moving map frame in the reference's, metres; identity when None.
+        start: expected pose of the moving map frame in the reference's, metres; identity when
+            None. With tolerances (``StartPose``) the search looks only within these.
 
     Returns:
         The alignment; also when it is rejected, with the reason.
@@ -98,7 +100,7 @@ def align_features(
     moving: GridFeatures,
     config: AlignConfig,
     device: ComputeDevice,
-    start: Pose2 | None = None,
+    start: Pose2 | StartPose | None = None,
     cancel: CancelToken | None = None,
 ) -> Alignment:
     """Align two prepared grids; see ``align_grids``.
@@ -115,7 +117,11 @@ def align_features(
         if not len(features.wall_points):
             reason = f"{features.grid.name} has no occupied cell, so there is nothing to align"
             return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
+    given = start if isinstance(start, StartPose) else None
     window = _window(reference, moving, config, start)
+    if given is not None and not _meets(reference, moving, window):
+        reason = f"the maps do not meet within {given.reach} of the start"
+        return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     if config.step is not None:
         motion = fixed_step_search(reference, moving, config.step, window, device, cancel)
         score = rank(reference, moving, motion[None], 1, FINE_TABLE, device, cancel=cancel)
@@ -127,7 +133,9 @@ def align_features(
         if config.prove and len(motions):
             found = _prove(reference, moving, config, window, device, found, cancel)
     if not len(found.motions):
-        reason = "no fit inside the window; widen it or give a better start"
+        reason = "no fit inside the window; widen it"
+        if given is not None:
+            reason = f"no fit within {given.reach} of the start"
         return rejected_alignment(reference, moving, reason, time.perf_counter() - began)
     if start is None and config.shared_frame:
         start = Pose2()
@@ -181,14 +189,35 @@ def rejected_alignment(
 
 
 def _window(
-    reference: GridFeatures, moving: GridFeatures, config: AlignConfig, start: Pose2 | None
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    start: Pose2 | StartPose | None,
 ) -> SearchWindow:
-    """Return the search window in lattice cells."""
-    motion = _motion(reference, moving, start or Pose2())
-    resolution = reference.grid.grid.resolution
-    shift = None if config.window_m is None else config.window_m / resolution
-    yaw = 0.0 if start is None and config.window_yaw_rad >= math.pi else float(motion[2])
-    return SearchWindow((float(motion[0]), float(motion[1]), yaw), shift, config.window_yaw_rad)
+    """Return the search window in lattice cells: a start's own tolerances, or the settings'."""
+    metres, yaw_rad = config.window_m, config.window_yaw_rad
+    if isinstance(start, StartPose):
+        metres, yaw_rad = start.metres, min(start.radians, math.pi)
+    motion = _motion(reference, moving, pose_of(start) or Pose2())
+    x, y, yaw = (float(value) for value in motion)
+    shift = None if metres is None else metres / reference.grid.grid.resolution
+    if shift is not None and shift >= max(abs(x), abs(y)) + 2 * sum(
+        max(features.shape) for features in (reference, moving)
+    ):
+        shift = None  # the window holds every place where the two maps meet
+    if start is None and yaw_rad >= math.pi:
+        yaw = 0.0
+    return SearchWindow((x, y, yaw), shift, yaw_rad)
+
+
+def _meets(reference: GridFeatures, moving: GridFeatures, window: SearchWindow) -> bool:
+    """Whether the two maps, boxes in their circles, can meet at all inside a window."""
+    if window.shift_cells is None:
+        return True
+    height, width = reference.shape
+    reach = window.shift_cells + math.hypot(*moving.shape) / 2.0
+    x, y, _ = window.start
+    return -reach <= x <= width + reach and -reach <= y <= height + reach
 
 
 def _motion(reference: GridFeatures, moving: GridFeatures, transform: Pose2) -> F64:
@@ -266,7 +295,7 @@ def _conclude(
     moving: GridFeatures,
     device: ComputeDevice,
     found: _Found,
-    start: Pose2 | None,
+    start: Pose2 | StartPose | None,
     began: float,
     cancel: CancelToken | None,
 ) -> Alignment:
@@ -291,6 +320,7 @@ def _conclude(
         statistics |= {"z": z, "coarse_ratio": ratio}
     if runner_up is not None:
         statistics["runner_up_ratio"] = runner_up.ratio
+    pose = pose_of(start)
     evidence = Evidence(
         score=score,
         overlap=overlap,
@@ -299,7 +329,8 @@ def _conclude(
         bound_gap=found.bound_gap,
         rival=found.rival,
         search=found.search,
-        near_start=start is not None and _near_start(reference, moving, transform, start),
+        near_start=pose is not None and _near_start(reference, moving, transform, pose),
+        start=start if isinstance(start, StartPose) else None,
     )
     accepted, reason = decide(evidence)
     return Alignment(

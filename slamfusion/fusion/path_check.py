@@ -36,6 +36,7 @@ from slamfusion.fusion.records import (
     PathGapJson,
     RunnerUp,
 )
+from slamfusion.fusion.start import Starts
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
@@ -268,6 +269,7 @@ def fuse_with_paths(
     limit_m: float,
     device: ComputeDevice,
     progress: Callable[[str, int, int], None] | None = None,
+    starts: Starts | None = None,
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:
     """Fuse maps; leave out a producer whose path then lies elsewhere than those of the others.
 
@@ -280,7 +282,7 @@ def fuse_with_paths(
         config: see ``fuse_grids``.
         limit_m: two paths agree when their median gap is at most this, metres.
         device: computes.
-        progress: see ``fuse_grids``.
+        progress, starts: see ``fuse_grids``.
 
     Returns:
         The fusion, and the gaps between the paths of all producers whose walls fit, also of those
@@ -293,7 +295,7 @@ def fuse_with_paths(
     def look(pair: Alignment, reference: GridFeatures, moving: GridFeatures) -> Alignment:
         return place_by_path(pair, reference, moving, paths, limit_m, device)
 
-    result = fuse_grids(grids, config, device, progress, look)
+    result = fuse_grids(grids, config, device, progress, look, starts)
     placed = {
         record.name: moved_path(paths[record.name], record.alignment.transform)
         for record in result.accepted
@@ -308,7 +310,7 @@ def fuse_with_paths(
         message = f"the walls of the maps fit, but the paths do not, so nothing is fused ({words})"
         raise PathsApartError(message, result.pairs, gaps)
     rest = [grid for grid in grids if grid.name not in reasons]
-    again = fuse_grids(rest, config, device, second_look=look)
+    again = fuse_grids(rest, config, device, second_look=look, starts=starts)
     kept = {record.name: record for record in again.inputs}
     inputs = [
         kept[record.name]

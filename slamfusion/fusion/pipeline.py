@@ -27,6 +27,7 @@ from slamfusion.fusion.normalize import (
     normalize_grid,
 )
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+from slamfusion.fusion.start import Starts
 from slamfusion.fusion.vote import double_reach_cells, margin_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
@@ -57,6 +58,7 @@ def fuse_grids(
     device: ComputeDevice,
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
+    starts: Starts | None = None,
 ) -> FusionResult:
     """Bring the grids into one frame and let them vote.
 
@@ -67,6 +69,7 @@ def fuse_grids(
         progress: called with what is being done, how many steps are done, and of how many.
         second_look: what else is known of a pair: given each alignment, returns the one that is
             believed; None: the walls alone decide.
+        starts: where the inputs are expected; a pair of which both are is searched only there.
 
     Returns:
         The fused map and everything needed to judge it. A single grid is its own fusion.
@@ -89,7 +92,7 @@ def fuse_grids(
             continue
         features[grid.name] = GridFeatures(normalized, device)
     names = [grid.name for grid in grids]
-    group = align_group(features, reasons, config, device, names, progress, second_look)
+    group = align_group(features, reasons, config, device, names, progress, second_look, starts)
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     rejected = {
@@ -148,6 +151,7 @@ def align_group(
     names: Sequence[str],
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
+    starts: Starts | None = None,
 ) -> AlignedGroup:
     """Align every pair, find the largest group that fits together, and choose its reference.
 
@@ -157,13 +161,13 @@ def align_group(
         config: settings of the search; ``reference`` may name the reference.
         device: computes.
         names: all inputs, in order.
-        progress, second_look: see ``fuse_grids``.
+        progress, second_look, starts: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    pairs = _align_pairs(features, config, device, progress, second_look)
+    pairs = _align_pairs(features, config, device, progress, second_look, starts or Starts())
     group = _agree(names, features, pairs, reasons)
     reference = choose_reference(group.members, features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs, device)
@@ -194,6 +198,7 @@ def _align_pairs(
     device: ComputeDevice,
     progress: Progress | None,
     second_look: SecondLook | None,
+    starts: Starts,
 ) -> list[Alignment]:
     """Align every pair, the larger known box to the smaller."""
     couples = list(itertools.combinations(features.values(), 2))
@@ -202,7 +207,8 @@ def _align_pairs(
         reference, moving = (a, b) if math.prod(a.shape) <= math.prod(b.shape) else (b, a)
         if progress is not None:
             progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
-        pair = align_features(reference, moving, config.align, device)
+        start = starts.between(reference.grid.name, moving.grid.name)
+        pair = align_features(reference, moving, config.align, device, start)
         pairs.append(pair if second_look is None else second_look(pair, reference, moving))
     if progress is not None:
         progress("vote", len(couples), len(couples))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fusion import align_grids
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.start import StartPose, place_starts
 from slamfusion.geometry import Pose2
 from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, device_for
@@ -17,6 +19,9 @@ __all__ = ["align_document", "align_maps"]
 
 _LOG = logging.getLogger(__name__)
 
+# Of a start without tolerances: x, y, yaw.
+POSE_NUMBERS = 3
+
 
 def align_maps(
     reference: MapInput,
@@ -24,7 +29,7 @@ def align_maps(
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
     *,
-    start: Pose2 | None = None,
+    start: Pose2 | StartPose | None = None,
     resolution: float | None = None,
     warn: Warn = _LOG.warning,
 ) -> Alignment:
@@ -33,9 +38,13 @@ def align_maps(
     Args:
         reference: the map that is held still: in memory, a map_server YAML file, or a bare image.
         moving: the map that is moved, likewise.
-        config: ``fusion`` and ``map_files`` are used; default: the defaults.
+        config: ``fusion``, ``start`` and ``map_files`` are used; default: the defaults.
         device: searches; default: the one that the settings name.
-        start: of the search; the windows of the settings count from here.
+        start: where the frame of ``moving`` is expected in that of ``reference``: searched only
+            within its tolerances; of a bare pose the windows of the settings count from there.
+            Default: what ``config.start`` says by the names of the two maps. One alone is told in
+            the other map's frame, and where it has no tolerances of its own, windows in the
+            settings stand for them.
         resolution: metres per cell of bare images.
         warn: told in a sentence what is doubtful about a map.
 
@@ -47,10 +56,24 @@ def align_maps(
         MapFileError: a map cannot be read.
         GridError: a map has no known cell.
         DeviceError: the device cannot be opened.
+        StartError: ``config.start`` names another map.
     """
     config = config or RunConfig()
     still, moved = as_grids((reference, moving), config, resolution=resolution, warn=warn)
+    if start is None:
+        start = _expected(config, still.name, moved.name)
     return align_grids(still, moved, config.fusion, device_for(config, device), start)
+
+
+def _expected(config: RunConfig, reference: str, moving: str) -> Pose2 | StartPose | None:
+    """Return what the settings say of where the moving map is expected in the reference's frame."""
+    starts = place_starts(config.start, (reference, moving))
+    found, align = starts.between(reference, moving), config.fusion.align
+    has_window = align.window_m is not None or align.window_yaw_rad < math.pi
+    has_tolerances = any(len(values) > POSE_NUMBERS for values in config.start.values())
+    if found is not None and has_window and not has_tolerances:
+        return found.pose
+    return found
 
 
 def align_document(found: Alignment, config: RunConfig, device: str) -> AlignDocument:

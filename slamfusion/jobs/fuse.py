@@ -16,6 +16,7 @@ from slamfusion.evaluation import added_doubled_share, doubled_wall_share
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
+from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map
 from slamfusion.jobs.documents import circumstances
@@ -171,7 +172,8 @@ def fuse_maps(
     Args:
         maps: two or more, in memory, map_server YAML files, or bare images; those in memory have
             distinct names.
-        config: ``fusion``, ``evaluate`` and ``map_files`` are used; default: the defaults.
+        config: ``fusion``, ``start``, ``evaluate`` and ``map_files`` are used; default: the
+            defaults.
         device: computes; default: the one that the settings name.
         truth: the true map: errors of every input and of the fused map.
         resolution: metres per cell of bare images.
@@ -182,7 +184,8 @@ def fuse_maps(
         AlignmentError: fewer than two of the maps agree, so nothing may be fused; its ``pairs``
             hold the alignments. ``AllRequiredError``: one was left out that had to be in.
         MapFileError: a map cannot be read.
-        ConfigError: the reference named in the settings is none of the inputs.
+        ConfigError: the reference named in the settings is none of the inputs. ``StartError``: a
+            start names none, or is one alone that says nothing of the others.
         MemoryBudgetError: the maps are too large for the memory that is free.
         DeviceError: the device cannot be opened.
         SlamFusionError: there is one map alone.
@@ -190,11 +193,13 @@ def fuse_maps(
     config = config or RunConfig()
     check_count(maps)
     grids = as_grids(maps, config, resolution=resolution, warn=warn)
+    names = [grid.name for grid in grids]
+    starts = place_starts(config.start, names, config.fusion.reference)
     true_grid = None
     if truth is not None:
         (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn)
     device = device_for(config, device)
-    result = fuse_grids(grids, config.fusion, device, progress)
+    result = fuse_grids(grids, config.fusion, device, progress, starts=starts)
     if config.fusion.require_all and result.rejected:
         raise AllRequiredError(result)
     evaluations: tuple[Evaluation, ...] = ()

@@ -19,6 +19,7 @@ from slamfusion.fusion.path_check import (
     fuse_with_paths,
 )
 from slamfusion.fusion.records import Alignment, FusionResult
+from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.inputs import Progress
@@ -109,6 +110,7 @@ def fuse_drive(
     *,
     shared_frame: bool,
     progress: Progress | None = None,
+    starts: Starts | None = None,
 ) -> DriveFusion:
     """Fuse the maps, and hold the producers' paths against each other in the fused frame.
 
@@ -124,6 +126,7 @@ def fuse_drive(
         device: computes.
         shared_frame: all maps are of producers of this drive.
         progress: told the stage, and how much of it is done.
+        starts: where inputs are expected; see ``fuse_grids``.
 
     Returns:
         The fusion; where there are too few maps, or too few fit, why there is none.
@@ -137,7 +140,7 @@ def fuse_drive(
         fusion = replace(fusion, align=replace(fusion.align, shared_frame=True))
     try:
         result, gaps = fuse_with_paths(
-            grids, paths, fusion, config.run.path_gap_m, device, progress
+            grids, paths, fusion, config.run.path_gap_m, device, progress, starts
         )
     except AlignmentError as error:
         return DriveFusion(

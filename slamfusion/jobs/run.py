@@ -16,12 +16,20 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
+from slamfusion.fusion.start import Starts, place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError, DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
-from slamfusion.jobs.inputs import Progress, Warn, as_path, device_for, load_maps
+from slamfusion.jobs.inputs import (
+    Progress,
+    Warn,
+    as_path,
+    device_for,
+    distinct_names,
+    load_maps,
+)
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.produced import ProducerResult, measure_run
@@ -128,7 +136,8 @@ def run_log(
         not be measured are told in it and raise nothing.
 
     Raises:
-        ConfigError: no producer, an unknown one, or one given twice.
+        ConfigError: no producer, an unknown one, or one given twice. ``StartError``: a start names
+            no producer and no saved map, or is one alone that says nothing of the others.
         LogError: the log cannot be opened.
         TrajectoryError: relations, odometry or truth cannot be read.
         MapFileError: a map cannot be read.
@@ -144,6 +153,10 @@ def run_log(
     names = config.run.producers or BUILT_IN
     check_names(names)
     config = with_producers(config, names)
+    saved_names = _saved_names(paths)
+    starts = place_starts(
+        config.start, (*names, *saved_names), config.fusion.reference, drive=names
+    )
     with SideBySide(names, files.log, config, files.scan_odometry) as side_by_side:
         # Prepared while the producers are at work: what is wrong ends the run at once.
         if prepare is not None:
@@ -158,11 +171,12 @@ def run_log(
         device = device_for(config)
         outcomes = side_by_side.wait(_share_teller(progress))
     made = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
-    grids = (*made, *_renamed(maps))
+    renamed = [grid.with_name(name) for grid, name in zip(maps, saved_names, strict=True)]
+    grids = (*made, *renamed)
     stages = {"producers": time.perf_counter() - begun_s}
 
     began_s = time.perf_counter()
-    fusion, failure = _fuse(outcomes, grids, len(maps), config, device, progress)
+    fusion, failure = _fuse(outcomes, grids, len(maps), config, device, progress, starts)
     stages["fusion"] = time.perf_counter() - began_s
 
     began_s = time.perf_counter()
@@ -201,10 +215,10 @@ def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | N
     return tell
 
 
-def _renamed(maps: Sequence[OccupancyGrid]) -> list[OccupancyGrid]:
-    """Return saved maps under names that no producer has."""
+def _saved_names(paths: Sequence[Path]) -> list[str]:
+    """Return names for saved maps that no producer has."""
     taken = {*producer_names(), FUSED}
-    return [grid.with_name(f"{grid.name} (saved)") if grid.name in taken else grid for grid in maps]
+    return [f"{name} (saved)" if name in taken else name for name in distinct_names(paths)]
 
 
 def _fuse(
@@ -214,11 +228,14 @@ def _fuse(
     config: RunConfig,
     device: ComputeDevice,
     progress: Progress | None,
+    starts: Starts,
 ) -> tuple[DriveFusion, SlamFusionError | None]:
     """Fuse the maps; return with the fusion why it may not be used, if so."""
     paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
     failed = [item for item in outcomes if item.run is None]
-    fusion = fuse_drive(grids, paths, config, device, shared_frame=not saved, progress=progress)
+    fusion = fuse_drive(
+        grids, paths, config, device, shared_frame=not saved, progress=progress, starts=starts
+    )
     if len(grids) < LEAST_FUSED:
         reasons = "; ".join(f"{outcome.name}: {outcome.reason}" for outcome in failed)
         message = f"{len(grids) or 'none'} of {len(outcomes) + saved} maps was made"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.errors import MapFileError
+from slamfusion.errors import MapFileError, StartError
+from slamfusion.fusion.start import StartPose
 from slamfusion.geometry import Pose2
 from slamfusion.io import save_map
 from slamfusion.jobs.align import align_document, align_maps
@@ -38,3 +39,47 @@ def test_the_start_of_the_search_is_where_it_begins() -> None:
     near = replace(CONFIG, fusion=fusion_config(window_m=0.2, window_yaw_rad=0.05))
     assert align_maps(truth, grid, near, DEVICE, start=pose).accepted
     assert not align_maps(truth, grid, near, DEVICE, start=Pose2(9.0, 9.0, 2.0)).accepted
+
+
+def test_a_start_with_tolerances_is_searched_there_alone() -> None:
+    truth, grid, pose = moved()
+    away = pose.compose(Pose2(3.0, 3.0, 1.0))
+    assert align_maps(truth, grid, CONFIG, DEVICE, start=StartPose(pose, 0.2, 0.05)).accepted
+    assert not align_maps(truth, grid, CONFIG, DEVICE, start=StartPose(away)).accepted
+    # A bare pose limits nothing without windows.
+    assert align_maps(truth, grid, CONFIG, DEVICE, start=away).accepted
+
+
+def test_starts_in_the_settings_go_by_the_names_of_the_maps() -> None:
+    truth, grid, pose = moved()
+    values, away = (pose.x, pose.y, pose.yaw_rad), (pose.x + 4.0, pose.y, pose.yaw_rad + 1.0)
+
+    def with_start(**named: tuple[float, ...]) -> bool:
+        start = {name.replace("_", " "): given for name, given in named.items()}
+        return align_maps(truth, grid, replace(CONFIG, start=start), DEVICE).accepted
+
+    assert (truth.name, grid.name) == ("building 3", "moving")
+    assert with_start(moving=values)
+    assert not with_start(moving=away)
+    back = pose.inverse()
+    assert with_start(building_3=(back.x, back.y, back.yaw_rad))
+    world = Pose2(20.0, -3.0, 2.0)
+    there = world.compose(pose)
+    told = (there.x, there.y, there.yaw_rad)
+    assert with_start(building_3=(world.x, world.y, world.yaw_rad), moving=told)
+    assert not with_start(building_3=(world.x + 9.0, world.y, world.yaw_rad), moving=told)
+    with pytest.raises(StartError, match="'other', which is no input"):
+        with_start(other=values)
+
+
+def test_windows_stand_for_the_tolerances_that_a_start_does_not_have() -> None:
+    """As they did before starts had any: a start that is off by more than these finds nothing."""
+    truth, grid, pose = moved()
+    near = replace(CONFIG, fusion=fusion_config(window_m=0.3, window_yaw_rad=0.1))
+    off = (pose.x + 1.0, pose.y, pose.yaw_rad)
+    for start, is_found in ((off, False), ((*off, 2.0, 0.35), True)):
+        assert align_maps(truth, grid, replace(near, start={"moving": start}), DEVICE).accepted is (
+            is_found
+        )
+    # Without windows the defaults hold.
+    assert align_maps(truth, grid, replace(CONFIG, start={"moving": off}), DEVICE).accepted

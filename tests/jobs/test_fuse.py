@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.errors import AlignmentError, MapFileError, SlamFusionError
+from slamfusion.errors import AlignmentError, MapFileError, SlamFusionError, StartError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, load_map, save_map
 from slamfusion.jobs.documents import plain
@@ -93,3 +93,33 @@ def test_all_of_them_may_be_required() -> None:
 def test_one_map_alone_is_no_fusion(maps: list[OccupancyGrid]) -> None:
     with pytest.raises(SlamFusionError, match="fuse needs at least two"):
         fuse_maps(maps, CONFIG, DEVICE)
+
+
+def test_maps_with_starts_are_searched_there_and_the_truth_everywhere() -> None:
+    truth, grid, pose = moved()
+    other, other_pose = degraded(truth, 2, "other", yaw_rad=-0.4)
+    starts = {
+        "moving": (pose.x, pose.y, pose.yaw_rad),
+        "other": (other_pose.x, other_pose.y, other_pose.yaw_rad, 1.0, 0.2),
+    }
+    fused = fuse_maps([grid, other], replace(CONFIG, start=starts), DEVICE, truth=truth)
+    assert len(fused.result.accepted) == 2
+    assert all(item.is_aligned for item in fused.evaluations)
+    wrong = {**starts, "other": (other_pose.x, other_pose.y + 9.0, other_pose.yaw_rad, 1.0, 0.2)}
+    with pytest.raises(AlignmentError, match="no two of the inputs"):
+        fuse_maps([grid, other], replace(CONFIG, start=wrong), DEVICE)
+
+
+def test_a_start_that_names_no_map_or_says_nothing_is_refused() -> None:
+    truth, grid, _ = moved()
+    maps = [truth, grid, truth.with_name("again")]
+    for start, words in (
+        ({"lab": (0.0, 0.0, 0.0)}, "'lab', which is no input"),
+        ({"moving": (0.0, 0.0, 0.0)}, "'moving' alone says nothing"),
+    ):
+        with pytest.raises(StartError, match=words):
+            fuse_maps(maps, replace(CONFIG, start=start), DEVICE)
+    named = replace(CONFIG, fusion=replace(CONFIG.fusion, reference="again"))
+    with pytest.raises(AlignmentError, match="no two of the inputs"):
+        # In the frame of the reference: of the three pairs it limits one.
+        fuse_maps([grid, maps[2]], replace(named, start={"moving": (50.0, 0.0, 0.0)}), DEVICE)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.errors import ConfigError, SlamFusionError
-from slamfusion.io import load_map
+from slamfusion.errors import ConfigError, SlamFusionError, StartError
+from slamfusion.geometry import Pose2
+from slamfusion.io import load_map, save_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.run import run_log
@@ -57,6 +58,35 @@ def test_a_main_job_that_cannot_begin_is_an_error(place: Path, tmp_path: Path) -
         run_log(place / "flat.log", nobody)
     with pytest.raises(OSError, match=r"absent\.log"):
         run_log(tmp_path / "absent.log")
+
+
+def test_a_start_that_names_no_input_ends_the_run_before_any_work(place: Path) -> None:
+    """The producers' names and those of the saved maps are inputs, and no others."""
+    saved = [place / "lab.yaml", place / "graph.yaml"]
+    for start, words in (
+        ({"hall": (0.0, 0.0, 0.0)}, r"'hall', .* are tinyslam, gmapping, graph, lab, graph \(s"),
+        ({"karto": (0.0, 0.0, 0.0), "lab": (0.0, 0.0, 0.0)}, "'karto', which is no input"),
+    ):
+        with pytest.raises(StartError, match=words):
+            run_log(place / "flat.log", replace(RUN_DEFAULTS, start=start), saved_maps=saved)
+
+
+def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(place: Path) -> None:
+    """The producers, which begin in one frame, are searched everywhere all the same."""
+    two = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
+    made = run_log(place / "flat.log", two)
+    assert made.grid is not None
+    moved = Pose2(6.0, -2.0, 1.0)
+    saved = replace(made.grid, origin=moved.compose(made.grid.origin))
+    save_map(saved, place / "saved")
+    right = moved.inverse()
+    for off_m, is_found in ((0.5, True), (9.0, False)):
+        start = {"saved": (right.x + off_m, right.y, right.yaw_rad)}
+        config = replace(two, start=start)
+        run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
+        assert run.usable is not None
+        became = {record.name: record.accepted for record in run.usable.inputs}
+        assert became == {"tinyslam": True, "graph": True, "saved": is_found}
 
 
 def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:

@@ -1,0 +1,65 @@
+"""Starts as settings have them: where the map frames of inputs are expected, and how surely."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from slamfusion.errors import StartError
+
+__all__ = ["START_FORM", "START_M", "START_RAD", "checked_start", "checked_starts"]
+
+# How far a map may lie from its start where the start does not say: what a person who points at a
+# plan, or a robot that is put onto a mark, is off by.
+START_M = 2.0
+START_RAD = 0.35
+START_FORM = "x,y,yaw or x,y,yaw,metres,radians"
+POSE, POSE_AND_TOLERANCES = 3, 5
+
+
+def checked_start(given: Any, where: str) -> tuple[float, ...]:
+    """Return a start as 3 numbers (x, y in m, yaw in rad) or 5 (and tolerances in m and rad).
+
+    Args:
+        given: numbers, or a text of them with commas between, as in a file or a parameter.
+        where: what the messages call it.
+
+    Raises:
+        StartError: not so many numbers, one that is not finite, or a tolerance below 0.
+    """
+    parts = given.split(",") if isinstance(given, str) else given
+    if not isinstance(parts, Sequence) or any(isinstance(part, bool) for part in parts):
+        message = f"{where}: wanted {START_FORM}, found {given!r}"
+        raise StartError(message)
+    try:
+        values = tuple(float(part) for part in parts)
+    except (TypeError, ValueError):
+        message = f"{where}: wanted {START_FORM}, all numbers, found {_shown(parts)}"
+        raise StartError(message) from None
+    if len(values) not in {POSE, POSE_AND_TOLERANCES}:
+        message = f"{where}: wanted {START_FORM}, found {len(values)} numbers: {_shown(parts)}"
+        raise StartError(message)
+    if not all(map(math.isfinite, values)):
+        message = f"{where}: wanted {START_FORM}, all finite, found {_shown(parts)}"
+        raise StartError(message)
+    if any(value < 0.0 for value in values[POSE:]):
+        message = f"{where}: the tolerances must be at least 0, found {_shown(parts[POSE:])}"
+        raise StartError(message)
+    return values
+
+
+def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, ...]]:
+    """Return starts by the names of inputs; see ``checked_start``.
+
+    Raises:
+        StartError: no mapping of names to starts, or one of them is refused.
+    """
+    if not isinstance(given, Mapping):
+        message = f"{where}: wanted names of inputs with {START_FORM} each, found {given!r}"
+        raise StartError(message)
+    return {str(name): checked_start(values, f"{where}: {name}") for name, values in given.items()}
+
+
+def _shown(parts: Sequence[Any]) -> str:
+    return ",".join(str(part).strip() for part in parts)

@@ -1,0 +1,162 @@
+"""Where maps are expected to lie: starts, and what they say of a pair of maps.
+
+Starts are poses of map frames in one frame that all of them share (``known_init_poses`` of ROS's
+map_merge are the same). A pair of maps that both have one is searched only around the motion that
+follows from the two, within the sum of their tolerances. A pair of which one has none is searched
+everywhere.
+
+A single start would say nothing so. It is told in the frame of the output: in that of the reference
+where one is named, else of the drive that the other maps were made on, else of the only other map.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from slamfusion.config import START_M, START_RAD
+from slamfusion.errors import StartError
+from slamfusion.geometry import Pose2
+
+__all__ = ["StartPose", "Starts", "place_starts", "pose_of"]
+
+PAIR = 2
+
+
+@dataclass(frozen=True)
+class StartPose:
+    """Where a map frame is expected, and how far its map may lie from there.
+
+    Attributes:
+        pose: of the frame in a frame that several starts share, or in another map's; metres.
+        metres: how far the centre of the map's known box may lie from where ``pose`` puts it, along
+            x and along y.
+        radians: how far the map may be turned from there.
+    """
+
+    pose: Pose2
+    metres: float = START_M
+    radians: float = START_RAD
+
+    def __post_init__(self) -> None:
+        """Refuse tolerances that are none.
+
+        Raises:
+            StartError: one is negative or not finite.
+        """
+        if not (0.0 <= self.metres < math.inf and 0.0 <= self.radians < math.inf):
+            message = f"tolerances of a start must be finite and at least 0, found {self.reach}"
+            raise StartError(message)
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> StartPose:
+        """Return a start of 3 or 5 numbers: x, y, yaw, and tolerances in m and rad."""
+        return cls(Pose2(*values[:3]), *values[3:])
+
+    @property
+    def reach(self) -> str:
+        """The tolerances as a sentence has them."""
+        return f"{self.metres:g} m and {self.radians:g} rad"
+
+    def inverse(self) -> StartPose:
+        """Return where the other map's frame is expected in this one's."""
+        return StartPose(self.pose.inverse(), self.metres, self.radians)
+
+    def seen_from(self, other: StartPose) -> StartPose:
+        """Return where this map's frame is expected in that of another; tolerances add up."""
+        return StartPose(
+            other.pose.inverse().compose(self.pose),
+            self.metres + other.metres,
+            self.radians + other.radians,
+        )
+
+
+# Of a map whose frame is the one that starts are told in.
+_ORIGIN = StartPose(Pose2(), 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Starts:
+    """The starts of the inputs of one fusion.
+
+    Attributes:
+        given: by name of the input.
+        frame: inputs in whose frame these are told; they lie at its origin.
+    """
+
+    given: Mapping[str, StartPose] = field(default_factory=dict)
+    frame: frozenset[str] = frozenset()
+
+    def between(self, reference: str, moving: str) -> StartPose | None:
+        """Return where the map frame of ``moving`` is expected in that of ``reference``.
+
+        Returns:
+            None where at least one has no start: nothing is known of the pair.
+        """
+        if not {reference, moving} & set(self.given):
+            return None
+        still, moved = (self._start(name) for name in (reference, moving))
+        return None if still is None or moved is None else moved.seen_from(still)
+
+    def _start(self, name: str) -> StartPose | None:
+        return self.given.get(name, _ORIGIN if name in self.frame else None)
+
+
+def pose_of(start: Pose2 | StartPose | None) -> Pose2 | None:
+    """Return a start without its tolerances."""
+    return start.pose if isinstance(start, StartPose) else start
+
+
+def place_starts(
+    starts: Mapping[str, Sequence[float]],
+    inputs: Sequence[str] | None,
+    reference: str | None = None,
+    drive: Collection[str] = (),
+) -> Starts:
+    """Return what the starts in the settings say of the inputs.
+
+    Args:
+        starts: 3 or 5 numbers by name, see ``StartPose.of``.
+        inputs: names of all inputs in order; None: not known yet, then no name is refused.
+        reference: name or index of the reference that the settings ask for.
+        drive: those of the inputs that were made on one drive, and so share a frame.
+
+    Raises:
+        StartError: a start names no input, or there is one alone that says nothing of the others.
+    """
+    given = {name: StartPose.of(values) for name, values in starts.items()}
+    if inputs is None:
+        return Starts(given)
+    for name in given:
+        if name not in inputs:
+            message = (
+                f"a start names {name!r}, which is no input; the inputs are {', '.join(inputs)}"
+            )
+            raise StartError(message)
+    if len(given) != 1 or len(inputs) < PAIR:
+        return Starts(given)
+    (only,) = given
+    frame = _frame(only, inputs, reference, drive)
+    if not frame:
+        message = (
+            f"the start of {only!r} alone says nothing of where it lies to the other "
+            f"{len(inputs) - 1} inputs; give one of theirs too, or name the reference"
+        )
+        raise StartError(message)
+    return Starts(given, frame)
+
+
+def _frame(
+    only: str, inputs: Sequence[str], reference: str | None, drive: Collection[str]
+) -> frozenset[str]:
+    """Return the inputs at the origin of the frame that a single start is told in."""
+    named = reference
+    if named is not None and named not in inputs and named.isdecimal() and int(named) < len(inputs):
+        named = inputs[int(named)]
+    if named is not None and named in inputs and named != only and named not in drive:
+        return frozenset({named})
+    others = frozenset(drive) - {only}
+    if not others and len(inputs) == PAIR:
+        others = frozenset(inputs) - {only}
+    return others
