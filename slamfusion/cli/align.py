@@ -10,6 +10,13 @@ import click
 
 from slamfusion.cli.options import common_options, map_resolution_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.starts import (
+    GivenStarts,
+    JoinedStart,
+    start_errors,
+    start_option,
+    with_starts,
+)
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.geometry import Pose2
@@ -21,14 +28,13 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.command("align")
+@click.command("align", cls=JoinedStart)
 @click.argument("reference", type=click.Path(path_type=Path))
 @click.argument("moving", type=click.Path(path_type=Path))
-@click.option(
-    "--start",
-    type=(float, float, float),
-    metavar="DX DY YAW",
-    help="Start of the search in m, m, rad; the --window options count from here.",
+@start_option(
+    "Where the frame of MOVING lies in that of REFERENCE (with NAME: where that map's lies in the "
+    "other's; both may have one, in a frame that they share)",
+    bare_name=True,
 )
 @map_resolution_option
 @with_config("fusion.normalize", "fusion.align", "map_files", "device", "")
@@ -36,7 +42,7 @@ __all__ = ["command"]
 def command(
     reference: Path,
     moving: Path,
-    start: tuple[float, float, float] | None,
+    starts: GivenStarts,
     resolution: float | None,
     config: RunConfig,
     as_json: bool,
@@ -44,18 +50,17 @@ def command(
     """Align the map MOVING with the map REFERENCE.
 
     The motion printed maps a point of MOVING's frame into REFERENCE's. Exit code 1 when the
-    alignment cannot be believed; the record is printed all the same.
+    alignment cannot be believed; the record is printed all the same. Where a start has no M and
+    RAD, the --window options, if there are any, count from it instead.
     """
     from slamfusion.jobs.align import align_document, align_maps  # noqa: PLC0415
 
-    try:
-        start_pose = None if start is None else Pose2(*start)
-    except ValueError as error:
-        message = f"--start: {error}"
-        raise click.UsageError(message) from None
     still, moved = load_maps((reference, moving), resolution, config.map_files, notice)
+    starts = _named(starts, moved.name)
+    config = with_starts(config, starts)
     device = device_for(config)
-    found = align_maps(still, moved, config, device, start=start_pose)
+    with start_errors(starts):
+        found = align_maps(still, moved, config, device)
     if as_json:
         print_json(align_document(found, config, device.name))
     else:
@@ -64,6 +69,15 @@ def command(
         message = f"{moving} does not align with {reference}: {found.reason}"
         raise AlignmentError(message)
     return 0
+
+
+def _named(starts: GivenStarts, moving: str) -> GivenStarts:
+    """Return starts by name; one without is that of the moving map."""
+    named = tuple((name or moving, values) for name, values in starts)
+    if len(dict(named)) < len(named):
+        message = f"{moving} is given twice, once without its name; keep one"
+        raise click.BadParameter(message, param_hint="'--start'")
+    return named
 
 
 def _print_alignment(found: Alignment, device: str) -> None:

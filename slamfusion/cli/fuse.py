@@ -19,6 +19,7 @@ from slamfusion.cli.options import (
     with_config,
 )
 from slamfusion.cli.output import notice, print_json, progress_bar
+from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
@@ -75,6 +76,10 @@ class _Outputs:
     "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one."
 )
 @report_option("report_dir")
+@start_option(
+    "Where the frame of map NAME lies in one that all starts share, or, of one start alone, in "
+    "that of the reference or of the only other map"
+)
 @map_resolution_option
 @with_config(
     "fusion",
@@ -92,6 +97,7 @@ def command(
     out: Path,
     truth_path: Path | None,
     report_dir: Path | None,
+    starts: GivenStarts,
     resolution: float | None,
     config: RunConfig,
     as_json: bool,
@@ -107,6 +113,7 @@ def command(
         save_fused_maps,
     )
 
+    config = with_starts(config, starts)
     outputs = _Outputs.of(out)
     outputs.refuse_inputs(maps if truth_path is None else (*maps, truth_path))
     check_count(maps)
@@ -121,7 +128,7 @@ def command(
         (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
     device = device_for(config)
     try:
-        with progress_bar() as progress:
+        with start_errors(starts), progress_bar() as progress:
             fused = fuse_maps(grids, config, device, truth=truth, progress=progress)
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, as_json)

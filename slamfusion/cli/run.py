@@ -27,6 +27,7 @@ from slamfusion.cli.output import (
     print_table,
     progress_bar,
 )
+from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.defaults import RUN_DEFAULTS
@@ -134,6 +135,10 @@ class _ManyInputs(click.Command):
 @file_option(
     "--truth-trajectory", "truth_trajectory", "FILE", "The true trajectory: errors of the paths."
 )
+@start_option(
+    "Where the frame of the saved map or producer NAME lies in one that all starts share, or, of "
+    "one start alone, in that of the drive, in which all producers begin"
+)
 @drive_options("paths")
 @map_resolution_option
 @with_config(
@@ -151,7 +156,9 @@ class _ManyInputs(click.Command):
     base=RUN_DEFAULTS,
 )
 @common_options
-def command(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any) -> int:
+def command(
+    log: Path, out: Path, starts: GivenStarts, config: RunConfig, as_json: bool, **asked: Any
+) -> int:
     """Map the scans in LOG with all producers side by side, fuse their maps, report.
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag. A producer that fails is named and left out; at
@@ -163,7 +170,8 @@ def command(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any
     request = _Request(log, out, **asked)
     request.check()
     debug = click.get_current_context().ensure_object(Settings).debug
-    return _run(request, config, as_json=as_json, debug=debug)
+    with start_errors(starts):
+        return _run(request, with_starts(config, starts), as_json=as_json, debug=debug)
 
 
 def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) -> int:

@@ -1,0 +1,139 @@
+"""``--start`` on ``fuse``, ``run`` and ``align``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from slamfusion.geometry import Pose2
+from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
+
+POSES = {
+    name: Pose2(record["dx_m"], record["dy_m"], record["yaw_rad"])
+    for name, record in yaml.safe_load((SAMPLE / "transforms.yaml").read_text("utf-8")).items()
+}
+WANTED = "wanted x,y,yaw or x,y,yaw,metres,radians"
+# What is given, and the end of the line that refuses it.
+BAD = {
+    "map_a=1,2,nan": f"map_a: {WANTED}, all finite, found 1,2,nan",
+    "map_a=1,2,-inf": f"map_a: {WANTED}, all finite, found 1,2,-inf",
+    "map_a=1,2": f"map_a: {WANTED}, found 2 numbers: 1,2",
+    "map_a=1,2,3,4": f"map_a: {WANTED}, found 4 numbers: 1,2,3,4",
+    "map_a=1,2,3,4,5,6": f"map_a: {WANTED}, found 6 numbers: 1,2,3,4,5,6",
+    "map_a=1,2,north": f"map_a: {WANTED}, all numbers, found 1,2,north",
+    "map_a=": f"map_a: {WANTED}, all numbers, found",
+    "map_a=1,2,3,-0.1,1": "map_a: the tolerances must be at least 0, found -0.1,1",
+    "map_a=1,2,3,1,nan": f"map_a: {WANTED}, all finite, found 1,2,3,1,nan",
+    "=1,2,3": "wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found '=1,2,3'",
+}
+COMMANDS = {
+    "fuse": ("fuse", *MAPS[:2], "-o", "x"),
+    "run": ("run", "absent.log", "-o", "x"),
+    "align": ("align", *MAPS[:2]),
+}
+
+
+def start(name: str, pose: Pose2, *tolerances: float) -> tuple[str, str]:
+    numbers = (pose.x, pose.y, pose.yaw_rad, *tolerances)
+    return "--start", f"{name}=" + ",".join(map(repr, numbers))
+
+
+def assert_refused(folder: Path, words: str, *arguments: str | Path) -> None:
+    """Exit code 2 and one line; nothing is written."""
+    done = run(*arguments, cwd=folder)
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("slamfusion: error: Invalid value for '--start': ")
+    assert line.endswith(words), line
+    assert done.stdout == ""
+    assert not tree(folder)
+
+
+@pytest.mark.parametrize("given", BAD)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_start_that_is_none_is_refused_in_one_line(
+    tmp_path: Path, command: str, given: str
+) -> None:
+    assert_refused(tmp_path, BAD[given], *COMMANDS[command], "--start", given)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_start_that_names_no_input_or_is_given_twice_is_refused(
+    tmp_path: Path, command: str
+) -> None:
+    known = "tinyslam, gmapping, graph" if command == "run" else "map_a, map_b"
+    words = f"a start names 'lab', which is no input; the inputs are {known}"
+    assert_refused(tmp_path, words, *COMMANDS[command], "--start", "lab=1,2,3")
+    twice = ("--start", "map_a=1,2,3", "--start", "map_a=1,2,3.5")
+    assert_refused(tmp_path, "map_a is given twice; keep one", *COMMANDS[command], *twice)
+
+
+def test_a_single_start_of_three_maps_is_refused(tmp_path: Path) -> None:
+    words = "give one of theirs too, or name the reference"
+    asked = ("fuse", *MAPS, "-o", "x", "--start", "map_a=1,2,3")
+    assert_refused(tmp_path, words, *asked)
+
+
+@pytest.mark.parametrize("command", ["fuse", "run"])
+def test_only_align_takes_a_start_without_a_name(tmp_path: Path, command: str) -> None:
+    words = "wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found '1,2,3'"
+    assert_refused(tmp_path, words, *COMMANDS[command], "--start", "1,2,3")
+    words = "map_b is given twice, once without its name; keep one"
+    both = ("--start", "1,2,3", "--start", "map_b=1,2,3")
+    assert_refused(tmp_path, words, *COMMANDS["align"], *both)
+
+
+def test_fuse_searches_maps_around_their_starts(tmp_path: Path) -> None:
+    """All three in the frame of the truth; with one of them wrong the other two are left."""
+    starts = [word for name, pose in POSES.items() for word in start(name, pose, 0.5, 0.1)]
+    done = run("fuse", *MAPS, "-o", tmp_path / "right", *starts, "--json")
+    document = json_of(done)
+    assert document["fused_count"] == 3
+    assert document["config"]["start"]["map_a"] == [*vars(POSES["map_a"]).values(), 0.5, 0.1]
+    wrong = start("map_c", POSES["map_c"].compose(Pose2(0.0, 0.0, math.pi)), 0.5, 0.1)
+    done = run("fuse", *MAPS, "-o", tmp_path / "wrong", *starts[:4], *wrong, "--json")
+    became = {item["name"]: item["accepted"] for item in json_of(done)["inputs"]}
+    assert became == {"map_a": True, "map_b": True, "map_c": False}
+
+
+def test_starts_of_the_file_hold_unless_the_option_says_otherwise(tmp_path: Path) -> None:
+    right, wrong = POSES["map_b"], Pose2(8.0, 8.0, 1.0)
+    path = tmp_path / "starts.yaml"
+    path.write_text(yaml.safe_dump({"start": {"map_b": [wrong.x, wrong.y, wrong.yaw_rad]}}))
+    asked = ("align", TRUTH, MAPS[1], "--config", path, "--json")
+    assert run(*asked).returncode == 1
+    assert json_of(run(*asked, *start("map_b", right)))["accepted"] is True
+    path.write_text("start: {lab: [1, 2, 3]}\n")
+    done = run(*asked)
+    assert done.returncode == 1
+    assert "a start names 'lab', which is no input" in done.stderr
+    path.write_text("start: {map_b: [1, 2, .inf]}\n")
+    done = run(*asked)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"slamfusion: error: {path}: start: map_b: {WANTED}, all finite")
+
+
+@pytest.mark.parametrize("form", ["--start -0.2,-0.2,-2.2", "--start -0.2 -0.2 -2.2"])
+def test_align_takes_the_start_of_the_moving_map_without_its_name(form: str) -> None:
+    """Also as three words, as before starts had names."""
+    found = json_of(run("align", TRUTH, MAPS[1], *form.split(), "--json"))
+    assert found["accepted"] is True
+    assert found["dx_m"] == pytest.approx(POSES["map_b"].x, abs=0.1)
+    assert found["yaw_rad"] == pytest.approx(POSES["map_b"].yaw_rad, abs=0.01)
+    wrong = form.replace("-2.2", "1.0")
+    assert run("align", TRUTH, MAPS[1], *wrong.split()).returncode == 1
+    # The windows count from it, as they did.
+    near = ("--window-m", "0.3", "--window-yaw-rad", "0.1")
+    assert run("align", TRUTH, MAPS[1], *form.split(), *near).returncode == 0
+    off = form.replace("-2.2", "-2.4")
+    assert run("align", TRUTH, MAPS[1], *off.split(), *near).returncode == 1
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_the_default_tolerances(command: str) -> None:
+    text = " ".join(run(command, "--help").stdout.split())
+    assert "X,Y,YAW[,M,RAD]" in text
+    assert "[default: 2 m, 0.35 rad]" in text
