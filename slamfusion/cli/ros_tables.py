@@ -18,6 +18,9 @@ import yaml
 
 from slamfusion.cli.options import ConfigOption, config_fields, shown_default, shown_value
 from slamfusion.config import (
+    START_FORM,
+    START_M,
+    START_RAD,
     DeviceConfig,
     FusionConfig,
     FusionNodeConfig,
@@ -32,6 +35,7 @@ from slamfusion.slam.registry import BUILT_IN, producer
 __all__ = [
     "NODES",
     "SERVICES",
+    "START_NAME",
     "TOPICS",
     "NameList",
     "Service",
@@ -248,6 +252,14 @@ NAME_LISTS = {
     ),
 }
 
+# Of the fusion node: one for each input.
+START_NAME = "start.NAME"
+START_TEXT = (
+    "where the map frame of input NAME lies in one that all starts share (of one start alone: in "
+    f"that of the reference or of the only other input): {START_FORM}; the input is searched only "
+    "there until it has a place in the fused frame"
+)
+
 
 def node_parameters(node: str) -> Iterator[ConfigOption]:
     """Yield every parameter of a node that stands for a configuration field, in order."""
@@ -330,6 +342,9 @@ def parameter_table() -> str:
         for item in NAME_LISTS.get(node, ()):
             shown = ", ".join(item.default)
             lines.append(_row(title, f"`{item.name}`", shown, "names", item.text))
+        if node == "fusion":
+            tolerances = f"tolerances {START_M:g} m, {START_RAD:g} rad"
+            lines.append(_row(title, f"`{START_NAME}`", tolerances, "3 or 5 numbers", START_TEXT))
         for option in node_parameters(node):
             if not option.section:
                 own = (f"`{option.key}`", shown_default(option), _range(option))
@@ -379,6 +394,9 @@ def parameter_file() -> str:
             # Whoever starts the nodes sets these too.
             shown = yaml.safe_dump(list(item.default), default_flow_style=True).strip()
             lines.append(f"    # {item.name}: {shown}")
+        if node == "fusion":
+            lines += _comment(4, START_TEXT)
+            lines += ["    # start:", f"    #   NAME: [0.0, 0.0, 0.0, {START_M}, {START_RAD}]"]
         tree: dict[str, Any] = {}
         for option in node_parameters(node):
             if option.info.level == "public":

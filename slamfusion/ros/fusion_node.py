@@ -29,7 +29,7 @@ from slamfusion.ros.fusion_ports import FusionPorts
 from slamfusion.ros.fusion_services import FusionServices
 from slamfusion.ros.fusion_status import fusion_status, input_status
 from slamfusion.ros.map_source import MapSource, input_names, load_saved
-from slamfusion.ros.parameters import declare, declare_names, parameter_names
+from slamfusion.ros.parameters import declare, declare_names, declare_starts, parameter_names
 from slamfusion.ros.stamps import Stamps
 from slamfusion.ros.state_keeper import Memory
 from slamfusion.ros.worker import Worker
@@ -62,6 +62,9 @@ class FusionNode(NodeBase):
     transient local: who comes late gets the last ones; the agreement is sent only while somebody
     listens, and to the first who does), ``fused/pose``, ``/diagnostics`` and the transforms of
     ``FusedFrames``. Services: those of ``FusionServices``.
+
+    ``start.NAME`` says where an input's map frame is expected (x, y, yaw and tolerances); see
+    ``slamfusion.fusion.start``.
 
     With ``state_path`` the fused frame, the transforms and the last map are kept in a file. A node
     that finds one publishes that map at once and goes on in that frame; its inputs are tried where
@@ -103,6 +106,7 @@ class FusionNode(NodeBase):
             live=live,
             device=declare(node, DeviceConfig),
             map_files=declare(node, MapFileConfig),
+            start=declare_starts(node, entries),
         )
         self._saved = {
             name: grid
@@ -110,8 +114,8 @@ class FusionNode(NodeBase):
             if (grid := load_saved(name, entry, config.map_files, self.log.warning)) is not None
         }
         self._device = open_device(config.device.device)
+        fusion = LiveFusion(config, self._device, tuple(entries))
         warm_up(config, self._device)
-        fusion = LiveFusion(config, self._device)
 
         self._outbox = Outbox(self.settings.max_publish_rate_hz)
         self._output = FusedOutput(self, self.settings, self._outbox)

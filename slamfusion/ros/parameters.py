@@ -25,14 +25,30 @@ from rclpy.exceptions import InvalidParameterValueException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from slamfusion.config import FieldInfo, checked_value, field_infos
+from slamfusion.config import (
+    START_FORM,
+    START_M,
+    START_RAD,
+    FieldInfo,
+    checked_start,
+    checked_value,
+    field_infos,
+)
 from slamfusion.errors import ConfigError
 
-__all__ = ["TypedNode", "declare", "declare_names", "parameter_names", "unknown_parameters"]
+__all__ = [
+    "TypedNode",
+    "declare",
+    "declare_names",
+    "declare_starts",
+    "parameter_names",
+    "unknown_parameters",
+]
 
 T = TypeVar("T")
 
 INT64 = 2**63 - 1
+START = "start."
 
 
 class TypedNode(Node):  # type: ignore[misc]  # rclpy is untyped
@@ -163,6 +179,37 @@ def declare_names(node: Any, name: str, default: Collection[str], text: str) -> 
         message = f"{_where(node)}: {name}: wanted a list of names, found {given!r}"
         raise ConfigError(message)
     return tuple(item.strip() for item in names if item.strip())
+
+
+def declare_starts(node: Any, names: Collection[str]) -> dict[str, tuple[float, ...]]:
+    """Declare a read-only parameter ``start.NAME`` for each input, and return those that are set.
+
+    Args:
+        node: an rclpy node.
+        names: of the inputs.
+
+    Returns:
+        3 or 5 numbers by name: x, y in m, yaw in rad, and tolerances in m and rad.
+
+    Raises:
+        ConfigError: one names no input, has another count of numbers, one that is not finite, or a
+            negative tolerance.
+    """
+    for given in sorted(getattr(node, "_parameter_overrides", {})):
+        if given.startswith(START) and given.removeprefix(START) not in names:
+            message = f"{_where(node)}: {given} names no input; the inputs are {', '.join(names)}"
+            raise ConfigError(message)
+    text = (
+        f"where the map frame of this input lies in one that all starts share: {START_FORM} in m "
+        f"and rad; tolerances unless given: {START_M:g} m, {START_RAD:g} rad (public)"
+    )
+    descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
+    starts = {}
+    for name in names:
+        value = node.declare_parameter(f"{START}{name}", None, descriptor).value
+        if value is not None:
+            starts[name] = checked_start(value, f"{_where(node)}: {START}{name}")
+    return starts
 
 
 def unknown_parameters(node: Any) -> list[str]:

@@ -22,6 +22,7 @@ from slamfusion.cli.ros_tables import (
     PRODUCERS,
     SENSOR,
     SERVICES,
+    START_NAME,
     TOPICS,
     Topic,
     node_parameters,
@@ -143,7 +144,9 @@ def test_the_parameters_are_those_of_a_running_node(started: str, observer: Obse
     wanted |= {item.name for item in NAME_LISTS.get(started, ())}
     # A parameter that has no value is not listed.
     open_ones = {option.key for option in node_parameters(started) if option.info.default is None}
-    assert found <= wanted
+    # One for each input.
+    starts = {START_NAME.replace("NAME", name) for name in PRODUCERS}
+    assert found <= (wanted | starts if started == "fusion" else wanted)
     assert wanted - open_ones <= found
 
 

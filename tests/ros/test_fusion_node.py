@@ -21,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from scipy import ndimage
 from std_srvs.srv import Trigger
 
+from slamfusion.compute import open_device
 from slamfusion.config import MapFileConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
@@ -29,7 +30,7 @@ from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
 from slamfusion.ros.map_source import load_saved
-from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
+from tests.fusion.live.maps import assert_same_lattice, live_fusion, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (
     Makers,
@@ -388,6 +389,9 @@ def test_settings_are_changed_and_refused_at_run_time(
         ({"inputs": ["file:/nowhere/lab.yaml"]}, "/nowhere/lab.yaml"),
         ({"inputs": ["a/map", "a/map"]}, "twice"),
         ({"live__stale_after_s": -1.0}, "stale_after_s"),
+        ({"start__a": [1.0, 2.0]}, "start.a: wanted x,y,yaw or"),
+        ({"start__lab": [1.0, 2.0, 0.0]}, "start.lab names no input; the inputs are a, b, c"),
+        ({"start__a": [1.0, 2.0, 0.0]}, "the start of 'a' alone says nothing"),
     ],
 )
 def test_wrong_settings_end_it_with_one_line(
@@ -397,6 +401,37 @@ def test_wrong_settings_end_it_with_one_line(
     assert node.wait(40.0) == 1
     assert words in node.text()
     assert "Traceback" not in node.text()
+
+
+def test_inputs_are_looked_for_around_their_starts(
+    processes: Processes, observer: Observer, makers: Makers
+):
+    """A wrong one keeps c out, which is let in by a right one; by the fused frame of these maps."""
+    live = live_fusion(open_device())
+    for grid in three().values():
+        live.put(grid.name, grid, 0.0)
+    live.update(0.0)
+    poses = {record.name: record.transform for record in live.inputs(0.0)}
+    starts = {
+        f"start__{name}": [pose.x, pose.y, pose.yaw_rad, 0.5, 0.1]
+        for name, pose in poses.items()
+        if pose is not None
+    }
+    assert len(starts) == 3
+    wrong = [*starts["start__c"][:2], starts["start__c"][2] + 1.5, 0.5, 0.1]
+    makers.send_all()
+    node = start_fusion(processes, **(starts | {"start__c": wrong}))
+    observer.wait_status(FUSION, "2 of 3 inputs vote; not: c", timeout_s=60.0)
+    makers.send(touched(three()["c"], 1))
+
+    def figures() -> dict[str, str]:
+        return values(observer.statuses()["fusion: input c"])
+
+    observer.wait(lambda: int(figures()["maps"]) > 1, what="the second map of c")
+    assert figures()["accepted"] == "no"
+    node.kill()
+    start_fusion(processes, **starts)
+    wait_for_all(observer)
 
 
 def test_in_a_namespace_of_its_own(processes: Processes, observer: Observer):

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from slamfusion.config import GmappingConfig, TinySlamConfig
 from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
-from slamfusion.ros.parameters import TypedNode, declare, parameter_names
+from slamfusion.ros.parameters import TypedNode, declare, declare_starts, parameter_names
 
 pytestmark = pytest.mark.ros
 
@@ -99,6 +99,42 @@ def test_a_value_that_cannot_be_is_refused_by_node_and_name(
     whole = rf"a\.{name.replace('__', '.')}"
     with pytest.raises(ConfigError, match=rf"^node drawn0: {whole}.*{words}"):
         declare(make_node(**{f"a__{name}": value}), Drawn, "a")
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [
+        ("[1.0,-2.5,0.3]", (1.0, -2.5, 0.3)),
+        ("[1,2,0]", (1.0, 2.0, 0.0)),
+        ("1,-2.5,0,1,0.2", (1.0, -2.5, 0.0, 1.0, 0.2)),
+        ("[1.0,2.0,0.0,0.0,0.0]", (1.0, 2.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_start_is_an_array_or_a_text(make_node: MakeNode, value: str, wanted: tuple[float, ...]):
+    node = make_node(start__hall=value)
+    assert declare_starts(node, ("lab", "hall", "robot1/slam")) == {"hall": wanted}
+    told = node.describe_parameter("start.robot1/slam")
+    assert told.read_only
+    assert "x,y,yaw or x,y,yaw,metres,radians in m and rad" in told.description
+    assert declare_starts(make_node(), ("lab",)) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("lab", "[1.0,.nan,0.0]", "start.lab: wanted .*, all finite, found 1.0,nan,0.0"),
+        ("lab", "[1.0,2.0]", "start.lab: wanted .*, found 2 numbers: 1.0,2.0"),
+        ("lab", "[1.0,2.0,0.0,-1.0,0.5]", "start.lab: the tolerances must be at least 0, found -1"),
+        ("lab", "true", "start.lab: wanted .*, found True"),
+        ("lab", "north", "start.lab: wanted .*, all numbers, found north"),
+        ("lap", "[1.0,2.0,0.0]", "start.lap names no input; the inputs are lab, hall"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused_by_node_and_name(
+    make_node: MakeNode, name: str, value: str, words: str
+):
+    with pytest.raises(ConfigError, match=f"^node drawn0: {words}"):
+        declare_starts(make_node(**{f"start__{name}": value}), ("lab", "hall"))
 
 
 def test_tools_are_told_what_a_parameter_is(make_node: MakeNode):

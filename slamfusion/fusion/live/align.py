@@ -16,6 +16,7 @@ from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.mirror import refuse_mirrored
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.start import StartPose, Starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 
@@ -77,9 +78,16 @@ class Aligner:
         has_searched: whether this round searched an input everywhere.
         now_s: paces the searches.
         is_wanted: asked while a search takes long; True gives it up.
+        starts: where inputs are expected until they have a place in the fused frame.
     """
 
-    def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
+    def __init__(
+        self,
+        config: FusionConfig,
+        live: LiveConfig,
+        device: ComputeDevice,
+        starts: Starts | None = None,
+    ) -> None:
         """Start without a frame; proofs are left out, they take seconds."""
         self.config = replace(config, align=replace(config.align, prove=False))
         self.live = live
@@ -88,6 +96,7 @@ class Aligner:
         self.now_s = 0.0
         self.is_wanted: Callable[[], bool] | None = None
         self.device = device
+        self.starts = starts or Starts()
         self._found: dict[frozenset[str], _Searched] = {}
 
     # -- what is aligned --------------------------------------------------------------------------
@@ -270,9 +279,7 @@ class Aligner:
         self.has_searched = True
         track.searched_s = self.now_s
         track.searches += 1
-        # Where a place looks alike from two sides, the side of the last transform is believed.
-        last = track.transform
-        start = None if last is None else held.transform.inverse().compose(last)
+        start = self._start(track, held)
         own, began = self.features(track), time.perf_counter()
         until_s = began + track.patience_s
 
@@ -300,6 +307,18 @@ class Aligner:
         spent_s = time.perf_counter() - began
         track.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s
         return pair
+
+    def _start(self, track: Track, held: Held) -> Pose2 | StartPose | None:
+        """Return where a search expects an input in the frame of what it is held against.
+
+        One that has no place yet is looked for around its start. One that had a place may have
+        begun a new map elsewhere, so it is searched everywhere; where the place looks alike from
+        two sides, the side of the last transform is believed.
+        """
+        last = track.transform
+        if last is None:
+            return self.starts.between(held.name, track.name)
+        return held.transform.inverse().compose(last)
 
     def is_jump(self, track: Track, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms carry an input's map too far apart to be one."""

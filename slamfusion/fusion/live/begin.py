@@ -50,7 +50,13 @@ def align_first(
     try:
         features = {t.name: t.features(resolution, thresholds, -1.0, device) for t in tracks}
         group = align_group(
-            features, {}, config, device, list(features), second_look=aligner.second_look
+            features,
+            {},
+            config,
+            device,
+            list(features),
+            second_look=aligner.second_look,
+            starts=aligner.starts,
         )
     except MemoryError:
         message = f"no memory is left to align {len(tracks)} maps at {resolution:g} m a cell"

@@ -8,6 +8,8 @@ The rules, for a robot that drives by the fused map:
 * **Held transforms.** An input's transform belongs to its map frame, not to its map: while most
   of its old walls still stand where they stood, it is held. Changed walls are tracked from the
   last transform against the reference. A better fit by less than ``live.hold_cells`` moves nothing.
+* **Starts.** An input with a start is looked for around it until it has a place in the fused frame;
+  from then on its last transform counts. ``reset`` lets starts count again.
 * **Search.** An input is searched everywhere when it is new, or when its tracked score falls below
   a share of what the search last gave. A search that finds it elsewhere is believed when the next
   map's search finds the same. Where the map does not change (the robot stands) it is searched once
@@ -36,7 +38,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, RunConfig
@@ -47,6 +49,7 @@ from slamfusion.fusion.live.records import LiveInput, LiveUpdate
 from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import Voting
+from slamfusion.fusion.start import place_starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
@@ -60,15 +63,23 @@ class LiveFusion:
     ``reset`` from one, which does the work.
     """
 
-    def __init__(self, config: RunConfig, device: ComputeDevice) -> None:
+    def __init__(
+        self, config: RunConfig, device: ComputeDevice, inputs: Sequence[str] | None = None
+    ) -> None:
         """Start without inputs.
 
         Args:
-            config: ``fusion`` and ``live`` count; proofs are left out, they take seconds.
+            config: ``fusion``, ``live`` and ``start`` count; proofs are left out, they take
+                seconds.
             device: computes.
+            inputs: names of those that are to come, which starts must name; None: any may come.
+
+        Raises:
+            StartError: a start names no input, or there is one alone that says nothing.
         """
         self._live = config.live
         self._config = config.fusion
+        self._starts = place_starts(config.start, inputs, config.fusion.reference)
         self._device = device
         self._inbox = Inbox()
         self._intake = Intake(self._inbox, config.fusion.normalize, config.live, device)
@@ -77,7 +88,7 @@ class LiveFusion:
         self._clear()
 
     def _clear(self) -> None:
-        self._supervisor = InputSupervisor(self._config, self._live, self._device)
+        self._supervisor = InputSupervisor(self._config, self._live, self._device, self._starts)
         self._tracks = self._supervisor.tracks
         self._voting = Voting(self._config, self._live, self._device)
         with self._poses_lock:

@@ -287,7 +287,8 @@ def warm_up(config: RunConfig, device: ComputeDevice) -> None:
     """Fuse two small drawn maps, so that the kernels are compiled before the first real ones."""
     cells = np.zeros((48, 60), dtype=np.int8)
     cells[[0, -1], :] = cells[:, [0, -1]] = cells[10:14, 20:40] = cells[30:40, 44:47] = 100
-    trial = LiveFusion(replace(config, live=replace(config.live, minimum_inputs=2)), device)
+    live = replace(config.live, minimum_inputs=2)
+    trial = LiveFusion(replace(config, live=live, start={}), device)
     for number, name in enumerate("ab"):
         origin = Pose2(0.0, 0.0, 0.1 * number)
         trial.put(name, OccupancyGrid(cells, 0.05, origin, name), 0.0)

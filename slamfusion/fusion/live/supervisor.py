@@ -13,6 +13,7 @@ from slamfusion.fusion.live.begin import align_first, believe_first, fusable
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.recovery import recover
 from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 
 __all__ = ["InputSupervisor"]
@@ -31,12 +32,18 @@ class InputSupervisor:
         problem: why nobody votes, one line.
     """
 
-    def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
+    def __init__(
+        self,
+        config: FusionConfig,
+        live: LiveConfig,
+        device: ComputeDevice,
+        starts: Starts | None = None,
+    ) -> None:
         """Start without inputs; proofs are left out, they take seconds."""
         self.tracks: dict[str, Track] = {}
         self.reference = ""
         self.problem = "no map yet"
-        self._aligner = Aligner(config, live, device)
+        self._aligner = Aligner(config, live, device, starts)
         self._config = self._aligner.config
         self._live = live
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
