@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import resource
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tests.support.documents import check_document, command_of
+from tests.support.forks import Server
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "data" / "sample"
@@ -26,8 +29,11 @@ def run(
     env: Mapping[str, str] | None = None,
     limits: Mapping[int, int] | None = None,
     timeout: float = 180.0,
+    is_anew: bool = False,
 ) -> subprocess.CompletedProcess[str]:
     """Start ``slamfusion`` with arguments and return what it printed.
+
+    It is a process of its own: a fork of one that has loaded its libraries, where that is the same.
 
     Args:
         arguments: as on the command line.
@@ -35,22 +41,53 @@ def run(
         env: added to the environment.
         limits: resource limits by number, e.g. ``resource.RLIMIT_AS``.
         timeout: seconds after which the test fails.
+        is_anew: load Python and everything, as at a user's.
     """
+    words = [str(INSTALLED), *map(str, arguments)]
+    whole = {**os.environ, **(env or {})}
+    if not is_anew and not limits and server().can_start(whole):
+        return run_forked(words, cwd, whole, timeout)
 
     def set_limits() -> None:
         for kind, value in (limits or {}).items():
             resource.setrlimit(kind, (value, value))
 
     return subprocess.run(
-        [str(INSTALLED), *map(str, arguments)],
+        words,
         cwd=cwd,
-        env={**os.environ, **(env or {})},
+        env=whole,
         preexec_fn=set_limits if limits else None,
         capture_output=True,
         text=True,
         timeout=timeout,
         check=False,
     )
+
+
+@functools.cache
+def server() -> Server:
+    """Return what is forked, begun with the environment of the first test that asks."""
+    return Server(INSTALLED, ["slamfusion"], os.environ, without=["slamfusion.ros"])
+
+
+def run_forked(
+    words: list[str], cwd: Path | None, env: Mapping[str, str], timeout: float
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in a fork; see ``run``."""
+    with (
+        Path(os.devnull).open("rb") as nothing,
+        tempfile.TemporaryFile("w+", encoding="utf-8") as out,
+        tempfile.TemporaryFile("w+", encoding="utf-8") as err,
+    ):
+        files = [file.fileno() for file in (nothing, out, err)]
+        process = server().start(words[1:], env, cwd, files)
+        try:
+            code = process.wait(timeout)
+        finally:
+            process.kill()
+        for file in (out, err):
+            file.seek(0)
+        return subprocess.CompletedProcess(words, code, out.read(), err.read())
 
 
 def json_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:

@@ -316,4 +316,4 @@ def test_version_and_help() -> None:
     listing = run("--help").stdout
     for command in ("fuse", "align", "evaluate", "devices", "doctor", "bench"):
         assert command in listing
-        assert run(command, "--help").returncode == 0
+        assert run(command, "--help", is_anew=True).returncode == 0

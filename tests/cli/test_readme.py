@@ -85,7 +85,7 @@ def test_commands_run_on_the_bundled_data(
 ) -> None:
     shutil.copytree(ROOT / "data", tmp_path / "data")
     for command in block:
-        done = run(*shlex.split(command)[1:], cwd=tmp_path)
+        done = run(*shlex.split(command)[1:], cwd=tmp_path, is_anew=True)
         assert done.returncode == 0, done.stderr
         assert done.stderr == ""
         assert done.stdout
