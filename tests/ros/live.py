@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import itertools
 import os
 import signal
@@ -24,6 +25,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from slamfusion.ros import qos
 from tests.ros import tf2
+from tests.support.forks import Forked, Server
 
 INSTALLED = Path(sys.executable).with_name("slamfusion")
 # Domains above this use ports that Linux hands out to anyone.
@@ -62,6 +64,12 @@ def ros_environment(domain: int) -> dict[str, str]:
     }
 
 
+@functools.cache
+def server() -> Server:
+    """Return what is forked for nodes, begun with the environment of the first test that asks."""
+    return Server(INSTALLED, ["rclpy", "slamfusion"], os.environ)
+
+
 class Process:
     """One running node.
 
@@ -74,14 +82,20 @@ class Process:
     def __init__(self, name: str, command: list[str], env: Mapping[str, str], output: Path) -> None:
         self.name = name
         self.output = output
-        with output.open("w") as file:
+        self.process: Forked | subprocess.Popen[bytes]
+        whole = {**os.environ, **env}
+        with output.open("w") as file, Path(os.devnull).open("rb") as nothing:
+            if command[0] == str(INSTALLED) and server().can_start(whole):
+                files = [nothing.fileno(), file.fileno(), file.fileno()]
+                self.process = server().start(command[1:], whole, None, files)
+                return
             # A test run in the background ignores Ctrl-C, and its children would too.
             self.process = subprocess.Popen(
                 ["env", "--default-signal=INT", *command],
-                env={**os.environ, **env},
+                env=whole,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
+                stdin=nothing,
             )
 
     def text(self) -> str:
