@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from slamfusion.cli.ros_tables import (
 )
 from tests.cli.command import ROOT
 from tests.ros.drives import write_log
-from tests.ros.live import Observer, Processes
+from tests.ros.live import Observer, Processes, free_domain, ros_environment
 
 pytestmark = pytest.mark.ros
 
@@ -39,35 +39,55 @@ PARAMETER_FILE = ROOT / "launch_scripts" / "slamfusion.yaml"
 EVERYWHERE = {"/rosout", "/parameter_events", "/clock"}
 
 
-@pytest.fixture(params=["tinyslam", "fusion", "player"])
+@pytest.fixture(scope="module", params=["tinyslam", "fusion", "player"])
 def started(
-    request: pytest.FixtureRequest, processes: Processes, observer: Observer, tmp_path: Path
-) -> str:
-    """One node of each kind, started with the parameter file; its name."""
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[str, Observer]]:
+    """One node of each kind, started with the parameter file: its name, and who listens to it.
+
+    The tests only ask it, so one serves all of them.
+    """
     name: str = request.param
+    folder = tmp_path_factory.mktemp(name)
     more = {}
     if name == "player":
-        log = write_log(tmp_path, 4)
-        more = {"file": str(log), "wait_for": ["tinyslam"], "save": "maps", "start_timeout_s": 60.0}
-    process = processes.node(name, "--params-file", str(PARAMETER_FILE), **more)
-    statuses = observer.statuses()
-    observer.wait(
-        lambda: any(key.startswith(f"{name}: ") for key in statuses), 60.0, "its diagnostics"
-    )
-    assert "unknown parameter" not in process.text()
-    return name
+        log = write_log(folder, 4)
+        # Longer than the tests take: it ends when nobody comes.
+        more = {"file": str(log), "wait_for": ["tinyslam"], "save": "maps"}
+        more["start_timeout_s"] = 600.0
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        free_domain() as domain,
+    ):
+        for key, value in ros_environment(domain).items():
+            patch.setenv(key, value)
+        with (
+            Observer(domain) as listener,
+            Processes(ros_environment(domain), folder) as running,
+        ):
+            process = running.node(name, "--params-file", str(PARAMETER_FILE), **more)
+            statuses = listener.statuses()
+            listener.wait(
+                lambda: any(key.startswith(f"{name}: ") for key in statuses),
+                60.0,
+                "its diagnostics",
+            )
+            assert "unknown parameter" not in process.text()
+            yield name, listener
+            assert process.is_running
 
 
 def test_the_tables_of_topics_and_services_are_those_of_a_running_node(
-    started: str, observer: Observer
+    started: tuple[str, Observer],
 ):
-    group = "producers" if started in PRODUCERS else started
-    node = observer.node
+    own_name, listener = started
+    group = "producers" if own_name in PRODUCERS else own_name
+    node = listener.node
 
     def names(ask: Callable[[str, str], list[tuple[str, list[str]]]]) -> dict[str, str]:
         """What the node has now; nothing while it is not known yet."""
         try:
-            found = ask(started, "/")
+            found = ask(own_name, "/")
         except NodeNameNonExistentError:
             return {}
         return {name: re.sub("/(msg|srv)/", "/", types[0]) for name, types in found}
@@ -93,7 +113,7 @@ def test_the_tables_of_topics_and_services_are_those_of_a_running_node(
     ):
         # Those of transforms depend on tf2_msgs, and on parameters.
         certain = listed([topic for topic in wanted if topic.needs_tf2 is None])
-        observer.wait(
+        listener.wait(
             lambda ask=ask, certain=certain: certain.items() <= names(ask).items(),
             what=f"all of {certain}; there are {names(ask)}",
         )
@@ -101,17 +121,18 @@ def test_the_tables_of_topics_and_services_are_those_of_a_running_node(
         own = {name for name in names(ask).items() if name[0] not in EVERYWHERE - {*table}}
         assert own <= table.items()
 
-    wanted_services = {f"/{item.name}": item.type for item in SERVICES if item.node == started}
+    wanted_services = {f"/{item.name}": item.type for item in SERVICES if item.node == own_name}
 
     def services() -> dict[str, str]:
         found = names(node.get_service_names_and_types_by_node)
-        return {name: kind for name, kind in found.items() if not name.startswith(f"/{started}/")}
+        return {name: kind for name, kind in found.items() if not name.startswith(f"/{own_name}/")}
 
-    observer.wait(lambda: services() == wanted_services, what=f"{wanted_services}")
+    listener.wait(lambda: services() == wanted_services, what=f"{wanted_services}")
 
 
-def test_the_qualities_of_service_are_those_of_a_running_node(started: str, observer: Observer):
-    group = "producers" if started in PRODUCERS else started
+def test_the_qualities_of_service_are_those_of_a_running_node(started: tuple[str, Observer]):
+    own_name, listener = started
+    group = "producers" if own_name in PRODUCERS else own_name
     for topic in TOPICS:
         # Scans and odometry are read from anybody; of the others it is said how they are written.
         is_read = topic.qos == SENSOR
@@ -120,33 +141,34 @@ def test_the_qualities_of_service_are_those_of_a_running_node(started: str, obse
         ):
             continue
         name = "/" + topic.name.replace("NAME", "tinyslam").lstrip("/")
-        ask = observer.node.get_publishers_info_by_topic
+        ask = listener.node.get_publishers_info_by_topic
         if is_read:
-            ask = observer.node.get_subscriptions_info_by_topic
+            ask = listener.node.get_subscriptions_info_by_topic
 
         def own(name: str = name, ask: Callable[[str], list[Any]] = ask) -> list[Any]:
-            return [info.qos_profile for info in ask(name) if info.node_name == started]
+            return [info.qos_profile for info in ask(name) if info.node_name == own_name]
 
-        observer.wait(own, what=f"{name} of {started}")
+        listener.wait(own, what=f"{name} of {own_name}")
         for profile in own():
             is_kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             is_best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
             assert (is_kept, is_best_effort) == (topic.qos == MAP, is_read), name
 
 
-def test_the_parameters_are_those_of_a_running_node(started: str, observer: Observer):
+def test_the_parameters_are_those_of_a_running_node(started: tuple[str, Observer]):
+    name, listener = started
     request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
-    answer = observer.call(ListParameters, f"/{started}/list_parameters", request)
+    answer = listener.call(ListParameters, f"/{name}/list_parameters", request)
     # Every node of rclpy has these.
     common = {"use_sim_time", "start_type_description_service"}
-    found = {name for name in answer.result.names if not name.startswith("qos_overrides.")} - common
-    wanted = {option.key for option in node_parameters(started)}
-    wanted |= {item.name for item in NAME_LISTS.get(started, ())}
+    found = {key for key in answer.result.names if not key.startswith("qos_overrides.")} - common
+    wanted = {option.key for option in node_parameters(name)}
+    wanted |= {item.name for item in NAME_LISTS.get(name, ())}
     # A parameter that has no value is not listed.
-    open_ones = {option.key for option in node_parameters(started) if option.info.default is None}
+    open_ones = {option.key for option in node_parameters(name) if option.info.default is None}
     # One for each input.
-    starts = {START_NAME.replace("NAME", name) for name in PRODUCERS}
-    assert found <= (wanted | starts if started == "fusion" else wanted)
+    starts = {START_NAME.replace("NAME", key) for key in PRODUCERS}
+    assert found <= (wanted | starts if name == "fusion" else wanted)
     assert wanted - open_ones <= found
 
 
