@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.dom import minidom
 
 import pytest
@@ -14,6 +15,9 @@ import pytest
 from slamfusion import __version__
 from slamfusion.cli.ros_tables import NODES
 from tests.cli.command import ROOT
+
+if TYPE_CHECKING:
+    from tests.ros.live import Observer, Processes
 
 pytestmark = pytest.mark.once
 
@@ -78,6 +82,33 @@ def test_an_installed_program_runs(workspace: Path):
     said = sourced(workspace, f"python3 {folder}/slamfusion --version")
     assert f"version {__version__}" in said
     assert "Usage: slamfusion node" in sourced(workspace, f"python3 {folder}/fusion_node --help")
+
+
+@pytest.mark.ros
+def test_an_installed_node_is_found_and_runs_as_ros2_run_starts_it(
+    workspace: Path, request: pytest.FixtureRequest
+):
+    pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+    from ament_index_python.packages import get_package_prefix  # noqa: PLC0415
+
+    processes: Processes = request.getfixturevalue("processes")
+    observer: Observer = request.getfixturevalue("observer")
+    prefix = workspace / "install" / "slamfusion"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AMENT_PREFIX_PATH", str(prefix))
+        assert get_package_prefix("slamfusion") == str(prefix)
+
+    share = prefix / "share" / "slamfusion"
+    command = (
+        f"source {workspace}/install/setup.bash && "
+        f"exec python3 {prefix}/lib/slamfusion/fusion_node --ros-args -r __ns:=/robot1 "
+        f"--params-file {share}/config/slamfusion.yaml"
+    )
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    node = processes.start("fusion_node", ["bash", "-c", command], {"PATH": path})
+    status = observer.wait_status("robot1/fusion: fusion", "nothing is fused", timeout_s=40.0)
+    assert status.hardware_id == "fusion"
+    assert node.interrupt() == 0
 
 
 def test_the_manifests_say_the_same():
