@@ -95,7 +95,7 @@ def test_occupancy_estimator_on_a_log_alone(drive: Path, tmp_path: Path) -> None
 def test_cell_models_trajectories_on_logs(drive: Path, tmp_path: Path) -> None:
     log = f"{drive / 'room.log'}:{drive / 'room.relations'}"
     done = run(
-        "experiment", "cell-models-trajectories", "-o", tmp_path, *NUMPY,
+        "experiment", "cell-models-trajectories", "-o", tmp_path,
         "--log", log, "--log", f"{log}:{drive / 'room.log'}",
         "--floors", "0", "--seeds", "2",
     )  # fmt: skip
