@@ -23,26 +23,26 @@ LONGEST = (
     "ros/test_fusion_node.py",
     "cli/test_experiment.py",
     "ros/test_fusion_faults.py",
-    "cli/test_readme.py",
-    "ros/test_player_node.py",
     "cli/test_commands.py",
-    "launch/test_ros_tables.py",
-    "sim/test_simulate.py",
     "launch/test_slamfusion_sh.py",
-    "fusion/test_datasets.py",
-    "ros/test_launch_script.py",
-    "cli/test_gmapping.py",
+    "slam/graph/test_slam.py",
+    "launch/test_colcon.py",
+    "cli/test_readme.py",
     "ros/test_fusion_together.py",
-    "slam/test_lost_robot.py",
-    "launch/test_colcon_node.py",
-    "slam/test_graph.py",
+    "slam/graph/test_lost_robot.py",
+    "ros/test_launch_script.py",
+    "sim/test_simulate.py",
+    "fusion/test_datasets.py",
+    "ros/test_player_node.py",
     "experiments/test_trials.py",
-    "cli/test_slam.py",
-    "cli/test_bad_input.py",
     "kernels/test_simulator.py",
     "kernels/test_twins.py",
+    "cli/test_slam.py",
+    "cli/test_bad_input.py",
+    "cli/test_gmapping.py",
+    "launch/test_ros_tables.py",
     "fusion/test_pipeline.py",
-    "fusion/test_live.py",
+    "fusion/live/test_fusion.py",
 )
 
 
@@ -57,4 +57,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if "datasets" in item.keywords and not datasets.MAPS.is_dir():
             item.add_marker(pytest.mark.skip(reason=datasets.ABSENT))
     places = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    if gone := [str(path) for path in places if not path.is_file()]:
+        message = f"LONGEST in tests/conftest.py names files that are not there: {', '.join(gone)}"
+        raise pytest.UsageError(message)
     items.sort(key=lambda item: places.get(item.path, len(places)))
