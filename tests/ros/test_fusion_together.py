@@ -14,7 +14,7 @@ from nav_msgs.msg import OccupancyGrid
 
 from slamfusion.compute import open_device
 from slamfusion.config import AlignConfig, FusionConfig, VoteConfig
-from slamfusion.fusion import fuse_grids
+from slamfusion.fusion import FusionResult, fuse_grids
 from slamfusion.ros import messages, qos
 from tests.ros.drives import FIRST_S, offline_log, write_log
 from tests.ros.fused import share_equal
@@ -27,11 +27,25 @@ LAST_S = FIRST_S + 0.1 * (COUNT - 1)
 SETTINGS = {"tinyslam": {}, "gmapping": {"particles": 6}, "graph": {}}
 
 
+@pytest.fixture(scope="module")
+def offline(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FusionResult]:
+    """The log, and the fusion of what each producer makes of it without ROS."""
+    log = write_log(tmp_path_factory.mktemp("drive"), COUNT)
+    maps = [offline_log(kind, log, **given) for kind, given in SETTINGS.items()]
+    config = FusionConfig(
+        align=AlignConfig(prove=False), vote=VoteConfig(extent="union"), reference="graph"
+    )
+    return log, fuse_grids(maps, config, open_device())
+
+
 @pytest.mark.parametrize("space", ["", "/robot1"])
 def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
-    processes: Processes, observer: Observer, tmp_path: Path, space: str
+    processes: Processes,
+    observer: Observer,
+    offline: tuple[Path, FusionResult],
+    space: str,
 ):
-    log = write_log(tmp_path, COUNT)
+    log, wanted = offline
     fused = observer.collect(OccupancyGrid, f"{space}/fused/map", qos.MAP)
     poses = observer.collect(PoseStamped, f"{space}/fused/pose")
     names = ("-r", f"__ns:={space}") if space else ()
@@ -74,11 +88,6 @@ def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
     observer.wait(lambda: fused and abs(messages.stamp_s(fused[-1]) - LAST_S) < 1e-6)
     observer.listen(1.5)
 
-    wanted_maps = [offline_log(kind, log, **given) for kind, given in SETTINGS.items()]
-    config = FusionConfig(
-        align=AlignConfig(prove=False), vote=VoteConfig(extent="union"), reference="graph"
-    )
-    wanted = fuse_grids(wanted_maps, config, open_device())
     assert len(wanted.accepted) == 3
     cell_m = wanted.fused.resolution
     for record in wanted.inputs:
