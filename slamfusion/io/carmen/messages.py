@@ -1,0 +1,245 @@
+"""What the lines of a CARMEN log say: one message for each scan, and why a line is none.
+
+Besides CARMEN's own ``FLASER`` and ``ROBOTLASER1`` these are two relatives: gmapping's
+``LASER_READING`` and DP-SLAM's pairs of ``Odometry`` and ``Laser``.
+
+Source: the message formats are those of CARMEN, the Carnegie Mellon robot navigation toolkit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.io.lines import TextLines
+from slamfusion.io.log import FARTHEST_M, Skips
+
+__all__ = [
+    "CARMEN_WORDS",
+    "FORWARD_STEPS_RAD",
+    "LASERS",
+    "NO_RETURN_PARAM",
+    "NO_SCAN",
+    "OFFSET_PARAM",
+    "OTHER_LASERS",
+    "Message",
+    "PoseRow",
+    "forward_angles",
+    "read_messages",
+]
+
+PoseRow = tuple[float, float, float]
+
+# FLASER does not say its angles: 180 degrees forward, by convention in these steps.
+FORWARD_STEPS_RAD = {
+    180: math.pi / 180.0,
+    181: math.pi / 180.0,
+    360: math.pi / 360.0,
+    361: math.pi / 360.0,
+}
+# Our writer says in the log which readings saw nothing; other programs ignore unknown settings.
+NO_RETURN_PARAM = "slamfusion_no_return_m"
+OFFSET_PARAM = "robot_frontlaser_offset"
+# Lines of further lasers: known, and left out.
+OTHER_LASERS = {
+    b"RLASER": "the rear laser",
+    b"ROBOTLASER2": "the second laser",
+    b"RAWLASER1": "a laser without the robot's pose",
+    b"RAWLASER2": "a laser without the robot's pose",
+}
+LASERS = (b"FLASER", b"ROBOTLASER1", b"LASER_READING", b"Laser")
+CARMEN_WORDS = frozenset(
+    {*LASERS, *OTHER_LASERS, b"ODOM", b"PARAM", b"Odometry", b"NEFF", b"SYNC", b"TRUEPOS"}
+    | {b"VERTEX2", b"EDGE2", b"ODO_UPDATE", b"SM_UPDATE", b"FRAME", b"RESAMPLE"}
+)
+# No laser starts or steps by more than two turns.
+_ANGLE_MAX_RAD = 4.0 * math.pi
+
+WRONG_COUNT = "wrong number of fields (a cut-off line?)"
+NOT_NUMBERS = "not numbers"
+NOT_FINITE = "pose or time not finite"
+TOO_FAR = f"pose more than {FARTHEST_M:g} m away"
+NO_POSE_YET = "laser before odometry"
+NO_BEAMS = "scan without beams"
+NO_SCAN = "angles or ranges that cannot be a scan"
+CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was read"
+
+
+class BadLineError(Exception):
+    """A line that cannot be read; its text is the reason for the count."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """One scan as its line says it; lengths in metres, angles in radians."""
+
+    kind: bytes
+    ranges_m: npt.NDArray[np.float64]
+    first_rad: float
+    step_rad: float
+    robot: PoseRow
+    laser: PoseRow | None = None
+    stamp_s: float | None = None
+    range_max_m: float = math.nan
+
+
+def read_messages(
+    lines: TextLines,
+    skips: Skips,
+    seen: Counter[bytes],
+    on_other: Callable[[bytes, bytes], None] | None = None,
+) -> Iterator[tuple[int, Message]]:
+    """Yield line number and scan of every readable laser line; count the unreadable ones.
+
+    Args:
+        lines: of the log.
+        skips: where unreadable lines are counted.
+        seen: where laser lines are counted by their first word, unreadable ones too, each before
+            its scan is yielded.
+        on_other: told the first word and the line of everything that is no laser line.
+    """
+    pose: PoseRow | None = None
+    number = 0
+    for number, line in lines:
+        word = (line.split(None, 1) or [b"#"])[0]
+        parse = _PARSERS.get(word)
+        seen[word] += word in LASERS
+        try:
+            if parse is not None:
+                yield number, parse(line.split())
+            elif word == b"Odometry":
+                pose = _odometry(line.split())
+            elif word == b"Laser":
+                yield number, _bare_laser(line.split(), pose)
+            elif on_other is not None:
+                on_other(word, line)
+        except BadLineError as error:
+            skips.add(str(error), number)
+    if lines.is_cut_off:
+        skips.add(CUT_OFF_FILE, number + 1)
+
+
+def _front_laser(fields: list[bytes]) -> Message:
+    """``FLASER n r.. x y theta odom_x odom_y odom_theta stamp host logger_stamp``."""
+    ranges, rest = _readings(fields, 1, behind=9)
+    laser, robot = _pose(rest[0:3]), _pose(rest[3:6])
+    first_rad, step_rad = forward_angles(len(ranges))
+    return Message(b"FLASER", ranges, first_rad, step_rad, robot, laser, _finite(rest[6:7])[0])
+
+
+def _robot_laser(fields: list[bytes]) -> Message:
+    """``ROBOTLASER1``: settings, ranges, remissions, laser pose, robot pose, speeds, stamps."""
+    remissions_at = 9 + _count(fields, 8)
+    behind = 15 + _count(fields, remissions_at)
+    ranges, rest = _readings(fields, 8, behind)
+    first_rad, view_rad, step_rad = _finite(fields[2:5])
+    if step_rad == 0.0 and len(ranges) > 1:
+        step_rad = view_rad / (len(ranges) - 1)
+    if max(abs(first_rad), abs(step_rad)) > _ANGLE_MAX_RAD:
+        raise BadLineError(NO_SCAN)
+    poses = rest[-14:-8]
+    return Message(
+        b"ROBOTLASER1",
+        ranges,
+        first_rad,
+        step_rad,
+        robot=_pose(poses[3:6]),
+        laser=_pose(poses[0:3]),
+        stamp_s=_finite(rest[-3:-2])[0],
+        range_max_m=float(_numbers(fields[5:6])[0]),
+    )
+
+
+def _laser_reading(fields: list[bytes]) -> Message:
+    """``LASER_READING n r.. x y theta stamp``."""
+    ranges, rest = _readings(fields, 1, behind=4)
+    first_rad, step_rad = forward_angles(len(ranges))
+    return Message(
+        b"LASER_READING",
+        ranges,
+        first_rad,
+        step_rad,
+        robot=_pose(rest[0:3]),
+        stamp_s=_finite(rest[3:4])[0],
+    )
+
+
+def _odometry(fields: list[bytes]) -> PoseRow:
+    """``Odometry x y theta``."""
+    if len(fields) != 4:
+        raise BadLineError(WRONG_COUNT)
+    return _pose(fields[1:4])
+
+
+def _bare_laser(fields: list[bytes], pose: PoseRow | None) -> Message:
+    """``Laser n r..``, taken at the pose of the last ``Odometry`` line."""
+    ranges, _ = _readings(fields, 1, behind=0)
+    if pose is None:
+        raise BadLineError(NO_POSE_YET)
+    first_rad, step_rad = forward_angles(len(ranges))
+    return Message(b"Laser", ranges, first_rad, step_rad, robot=pose)
+
+
+_PARSERS: dict[bytes, Callable[[list[bytes]], Message]] = {
+    b"FLASER": _front_laser,
+    b"ROBOTLASER1": _robot_laser,
+    b"LASER_READING": _laser_reading,
+}
+
+
+def _readings(
+    fields: list[bytes], count_at: int, behind: int
+) -> tuple[npt.NDArray[np.float64], list[bytes]]:
+    """Return the ranges after the field that counts them, and the ``behind`` fields after those."""
+    count = _count(fields, count_at)
+    first = count_at + 1
+    if len(fields) != first + count + behind:
+        raise BadLineError(WRONG_COUNT)
+    if count == 0:
+        raise BadLineError(NO_BEAMS)
+    return _numbers(fields[first : first + count]), fields[first + count :]
+
+
+def _count(fields: list[bytes], at: int) -> int:
+    """Return a field that says how many fields follow."""
+    if at >= len(fields):
+        raise BadLineError(WRONG_COUNT)
+    if not fields[at].isdigit():
+        raise BadLineError(NOT_NUMBERS)
+    return int(fields[at][:12])
+
+
+def _numbers(fields: list[bytes]) -> npt.NDArray[np.float64]:
+    try:
+        return np.array(fields, dtype=np.float64)
+    except ValueError:
+        raise BadLineError(NOT_NUMBERS) from None
+
+
+def _finite(fields: list[bytes]) -> list[float]:
+    try:
+        values = [float(text) for text in fields]
+    except ValueError:
+        raise BadLineError(NOT_NUMBERS) from None
+    if not all(map(math.isfinite, values)):
+        raise BadLineError(NOT_FINITE)
+    return values
+
+
+def _pose(fields: list[bytes]) -> PoseRow:
+    x, y, yaw_rad = _finite(fields)
+    if max(abs(x), abs(y)) > FARTHEST_M:
+        raise BadLineError(TOO_FAR)
+    return x, y, yaw_rad
+
+
+def forward_angles(count: int) -> tuple[float, float]:
+    """Return first angle and step of a laser that looks 180 degrees forward."""
+    if count == 1:
+        return 0.0, math.pi
+    return -math.pi / 2.0, FORWARD_STEPS_RAD.get(count, math.pi / (count - 1))
