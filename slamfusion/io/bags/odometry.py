@@ -1,0 +1,203 @@
+"""The first pass over a bag: its transforms, and the odometry by messages or by transforms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.config import LogConfig
+from slamfusion.errors import LogError
+from slamfusion.geometry import Pose2, compose_poses, wrap_angle
+from slamfusion.io.bags.reader import OpenBag, stamp_s
+from slamfusion.io.log import FARTHEST_M
+from slamfusion.io.transforms import HOLD_S, REACH_S, TransformTree, plan_poses
+from slamfusion.io.tum import quaternion_yaw_rad
+
+__all__ = ["BagOdometry", "OdometrySurvey"]
+
+Floats = npt.NDArray[np.float64]
+
+_ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
+_TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_BASE_FRAMES = ("base_footprint", "base_link")
+
+BEFORE_ODOMETRY = "laser before odometry"
+AFTER_ODOMETRY = "laser after odometry"
+NO_ODOMETRY = f"no odometry within {REACH_S:g} s of the laser"
+
+
+@dataclass(frozen=True)
+class BagOdometry:
+    """Poses (N, 3) of the base frame in the odometry frame at increasing stamps (N,)."""
+
+    stamps_s: Floats
+    poses: Floats
+    base_frame: str
+
+    def at(self, stamp_s: float) -> Pose2 | str:
+        """Return the pose at a time, linear between neighbours, or why there is none."""
+        if stamp_s < self.stamps_s[0] - HOLD_S:
+            return BEFORE_ODOMETRY
+        if stamp_s > self.stamps_s[-1] + HOLD_S:
+            return AFTER_ODOMETRY
+        after = int(np.searchsorted(self.stamps_s, stamp_s))
+        if after in {0, len(self.stamps_s)}:
+            return Pose2(*self.poses[min(after, len(self.stamps_s) - 1)].tolist())
+        since_s = stamp_s - float(self.stamps_s[after - 1])
+        until_s = float(self.stamps_s[after]) - stamp_s
+        if min(since_s, until_s) > REACH_S:
+            return NO_ODOMETRY
+        first, second = self.poses[after - 1].tolist(), self.poses[after].tolist()
+        share = since_s / (since_s + until_s)
+        return Pose2(
+            first[0] + share * (second[0] - first[0]),
+            first[1] + share * (second[1] - first[1]),
+            wrap_angle(first[2] + share * wrap_angle(second[2] - first[2])),
+        )
+
+
+@dataclass
+class OdometrySurvey:
+    """What a first pass over a bag finds: where frames lie to each other, and the odometry.
+
+    Attributes:
+        path: of the bag, for errors.
+        config: topics and frames.
+        tree: every transform of the bag.
+        odometry: by messages, else by transforms; None where neither is there.
+        base_frame: the frame whose pose the odometry is; empty where nothing says it.
+        notes: what a user should know of what was left out.
+    """
+
+    path: Path
+    config: LogConfig
+    tree: TransformTree = field(default_factory=TransformTree)
+    odometry: BagOdometry | None = None
+    base_frame: str = ""
+    notes: list[str] = field(default_factory=list)
+
+    def read(self, bag: OpenBag) -> None:
+        """Take in the bag.
+
+        Raises:
+            LogError: several odometry topics to choose from, or a topic or frame asked for that is
+                not there.
+        """
+        self._read_transforms(bag)
+        self.odometry = self._find_odometry(bag)
+        self.base_frame = self._find_base_frame()
+
+    def check_frames(self) -> None:
+        """Refuse a base frame that was asked for and is nowhere.
+
+        Raises:
+            LogError: it is in no transform and in no message of the odometry.
+        """
+        wanted = self.config.base_frame
+        if wanted is None or wanted.lstrip("/") in self.tree.frames:
+            return
+        if self.odometry is None or self.odometry.base_frame != wanted.lstrip("/"):
+            raise LogError(self._no_way(self.config.odom_frame, wanted))
+
+    def _read_transforms(self, bag: OpenBag) -> None:
+        """Take in every transform of the bag."""
+        unusable = 0
+        for topic, _, message in bag.messages_of(_TRANSFORM_TYPES):
+            is_static = topic.endswith("tf_static")
+            for item in () if message is None else message.transforms:
+                move, turn = item.transform.translation, item.transform.rotation
+                row = (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
+                unusable += not self.tree.add(
+                    item.header.frame_id,
+                    item.child_frame_id,
+                    stamp_s(item),
+                    row,
+                    is_static=is_static,
+                )
+            unusable += message is None
+        if unusable:
+            self.notes.append(
+                f"{unusable} transforms are not finite, no rotation, or not of two frames; left out"
+            )
+
+    def _find_odometry(self, bag: OpenBag) -> BagOdometry | None:
+        """Return the odometry by messages, else by transforms, else None."""
+        config = self.config
+        if config.odom_topic is not None or bag.has_messages(_ODOMETRY_TYPES):
+            topic = bag.choose_topic(_ODOMETRY_TYPES, config.odom_topic, "odom_topic")
+            odometry = self._odometry_by_messages(bag, topic)
+            if odometry is not None:
+                return odometry
+            self.notes.append(f"no usable odometry on {topic}; the transforms are used")
+        for base_frame in (config.base_frame,) if config.base_frame else _BASE_FRAMES:
+            odometry = self._odometry_by_transforms(base_frame)
+            if odometry is not None:
+                return odometry
+        return None
+
+    def _odometry_by_messages(self, bag: OpenBag, topic: str) -> BagOdometry | None:
+        """Return the poses of an odometry topic, in the order of time."""
+        stamps, poses, base_frame, unusable = [], [], "", 0
+        for _, _, message in bag.messages(topic):
+            if message is None:
+                unusable += 1
+                continue
+            place, turn = message.pose.pose.position, message.pose.pose.orientation
+            row = (place.x, place.y, quaternion_yaw_rad(turn.x, turn.y, turn.z, turn.w))
+            # NaN is no less than any number.
+            if not (
+                abs(row[0]) <= FARTHEST_M and abs(row[1]) <= FARTHEST_M and math.isfinite(row[2])
+            ):
+                unusable += 1
+                continue
+            base_frame = base_frame or message.child_frame_id.lstrip("/")
+            stamps.append(stamp_s(message))
+            poses.append(row)
+        if unusable:
+            self.notes.append(f"{unusable} messages on {topic} are no finite pose; left out")
+        if not stamps:
+            return None
+        times, first = np.unique(np.array(stamps), return_index=True)
+        rows = np.array(poses)[first]
+        wanted = self.config.base_frame
+        if wanted is None or wanted.lstrip("/") == base_frame:
+            return BagOdometry(times, rows, base_frame)
+        rows = self._moved_to(rows, times, base_frame, wanted)
+        return BagOdometry(times, rows, wanted.lstrip("/"))
+
+    def _moved_to(self, poses: Floats, stamps_s: Floats, base_frame: str, wanted: str) -> Floats:
+        """Return the poses of another frame on the robot."""
+        if not self.tree.is_connected(base_frame, wanted):
+            raise LogError(self._no_way(base_frame, wanted))
+        return compose_poses(poses, plan_poses(self.tree.sample(base_frame, wanted, stamps_s)))
+
+    def _no_way(self, base_frame: str, wanted: str) -> str:
+        known = ", ".join(sorted(self.tree.frames)) or "none"
+        return (
+            f"{self.path}: no transforms from {base_frame!r} to base_frame {wanted!r}; frames in "
+            f"it: {known}; change base_frame or leave it out"
+        )
+
+    def _odometry_by_transforms(self, base_frame: str) -> BagOdometry | None:
+        """Return the poses of a frame in the odometry frame, at the times they were sent."""
+        frame = base_frame.lstrip("/")
+        if not self.tree.is_connected(self.config.odom_frame, frame):
+            return None
+        stamps_s = self.tree.change_stamps_s(self.config.odom_frame, frame)
+        if not stamps_s.size:
+            return None
+        poses = plan_poses(self.tree.sample(self.config.odom_frame, frame, stamps_s))
+        return BagOdometry(stamps_s, poses, frame)
+
+    def _find_base_frame(self) -> str:
+        """Return the frame whose pose the odometry is; empty where nothing says it."""
+        if self.odometry is not None and self.odometry.base_frame:
+            return self.odometry.base_frame
+        if self.config.base_frame is not None:
+            return self.config.base_frame.lstrip("/")
+        known = self.tree.frames
+        return next((frame for frame in _BASE_FRAMES if frame in known), "")

@@ -1,0 +1,162 @@
+"""An open bag: its topics, and its messages with the bytes taken apart.
+
+Bags are read through ``rosbags``, which needs no ROS; it comes with the extra ``bags``.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from slamfusion.errors import LogError, SlamFusionError
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+
+__all__ = ["BagMessage", "OpenBag", "open_bag", "stamp_s"]
+
+
+class BagMessage(NamedTuple):
+    """One message.
+
+    Attributes:
+        topic: where it was sent.
+        recorded_ns: when it was recorded.
+        content: its fields; None when its bytes are none.
+    """
+
+    topic: str
+    recorded_ns: int
+    content: Any
+
+
+class OpenBag:
+    """A bag that is open; ``open_bag`` makes it."""
+
+    def __init__(self, path: Path, reader: AnyReader) -> None:
+        self._path = path
+        self._reader = reader
+
+    def choose_topic(self, types: Sequence[str], wanted: str | None, key: str) -> str:
+        """Return the topic that was asked for, or the only one of its type.
+
+        Args:
+            types: message types that will do, the one to name in errors first.
+            wanted: the topic that was asked for; None: any.
+            key: the setting that asks for it.
+
+        Raises:
+            LogError: there is none, or there are several and none was asked for.
+        """
+        topics = sorted({item.topic for item in self._reader.connections if item.msgtype in types})
+        kind = types[0].replace("/msg/", "/")
+        if wanted is not None:
+            for topic in topics:
+                if topic.lstrip("/") == wanted.lstrip("/"):
+                    return topic
+            found = ", ".join(topics) or "none"
+            message = (
+                f"{self._path}: no {kind} topic {wanted!r} in it; found {found}; change {key} or "
+                "leave it out"
+            )
+            raise LogError(message)
+        if not topics:
+            others = ", ".join(sorted({item.topic for item in self._reader.connections}))
+            message = (
+                f"{self._path}: no laser in it: wanted a {kind} topic, found "
+                f"{others or 'nothing'}; give a bag that recorded one"
+            )
+            raise LogError(message)
+        if len(topics) > 1:
+            message = (
+                f"{self._path}: several {kind} topics: {', '.join(topics)}; choose one with {key}"
+            )
+            raise LogError(message)
+        return topics[0]
+
+    def has_messages(self, types: Sequence[str]) -> bool:
+        """Whether there is any message of these types."""
+        return any(item.msgtype in types and item.msgcount for item in self._reader.connections)
+
+    def count(self, topic: str) -> int:
+        """Return how many messages a topic has."""
+        return sum(item.msgcount for item in self._connections(topic))
+
+    def messages(self, topic: str) -> Iterator[BagMessage]:
+        """Yield the messages of a topic, in the order of recording."""
+        return self._read(self._connections(topic))
+
+    def messages_of(self, types: Sequence[str]) -> Iterator[BagMessage]:
+        """Yield the messages of all topics of these types, in the order of recording."""
+        return self._read([item for item in self._reader.connections if item.msgtype in types])
+
+    def _connections(self, topic: str) -> list[Connection]:
+        return [item for item in self._reader.connections if item.topic == topic]
+
+    def _read(self, connections: list[Connection]) -> Iterator[BagMessage]:
+        # The reader takes an empty list for all topics.
+        for connection, recorded_ns, raw in (
+            self._reader.messages(connections) if connections else ()
+        ):
+            yield BagMessage(connection.topic, recorded_ns, self._content(connection, raw))
+
+    def _content(self, connection: Connection, raw: bytes) -> Any:
+        """Return the message, or None when its bytes are none."""
+        try:
+            return self._reader.deserialize(raw, connection.msgtype)
+        except Exception:  # noqa: BLE001  (damaged bytes fail in many ways; the caller counts them)
+            return None
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[OpenBag]:
+    """Open a bag; whatever the library stumbles over is damage of the bag.
+
+    Raises:
+        LogError: not a readable bag, or ``rosbags`` is not installed.
+    """
+    try:
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415  (an extra, and slow to load)
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as error:
+        message = f"{path}: reading bags needs rosbags; pip install 'slamfusion[bags]'"
+        raise LogError(message) from error
+    try:
+        # Old ROS 2 bags do not carry their message definitions.
+        store = get_typestore(Stores.LATEST)
+        with AnyReader(_files(path), default_typestore=store) as reader:
+            yield OpenBag(path, reader)
+    except (SlamFusionError, PermissionError):
+        raise
+    except FileNotFoundError:
+        if not path.exists():
+            raise
+        message = f"{path}: not a whole bag: a file of it is missing; copy all of it"
+        raise LogError(message) from None
+    except Exception as error:
+        reason = textwrap.shorten(str(error), 120) or type(error).__name__
+        message = (
+            f"{path}: cannot be read as a bag ({reason}); check that it was recorded and "
+            "copied to its end"
+        )
+        raise LogError(message) from error
+
+
+def _files(path: Path) -> list[Path]:
+    """Return what to open: the path itself, or the storage files of a folder without index."""
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        for pattern in ("*.mcap", "*.db3"):
+            files = sorted(path.glob(pattern))
+            if files:
+                return files
+    return [path]
+
+
+def stamp_s(message: Any) -> float:
+    """Return the time in a message's header, seconds."""
+    stamp = message.header.stamp
+    return float(stamp.sec + stamp.nanosec * 1e-9)
