@@ -15,14 +15,13 @@ from slamfusion.fusion.live.session import Believed
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.frame_warnings import FrameWarnings
 from slamfusion.ros.frames import TransformError, TransformInput, TransformOutput, TransformStore
 from slamfusion.ros.map_source import HeardPose, MapSource
 
 __all__ = ["FusedFrames"]
 
 ODOM_TOPIC, POSE_TOPIC = "odom", "fused/pose"
-# publish_tf that has sent nothing for so long since somebody votes is named, seconds.
-TF_LATE_S = 5.0
 # A stamp of an input this far behind its last one begins a new time: a bag that loops.
 BACK_NS = 10**9
 # What a new fusion says of a stamp that has been told already is told this much later, so that no
@@ -64,9 +63,9 @@ class FusedFrames:
         # The last stamp and what was sent with it: by child frame, and of the fused pose.
         self._sent: dict[str, tuple[int, Pose2]] = {}
         self._heard_ns: dict[str, int] = {}
-        self._wanted_since_s: float | None = None
         self._has_sent_odometry = False
         self._told = self.believed
+        self._warnings = FrameWarnings(base.diagnostics)
         self._output = TransformOutput(base.node)
         self._pose_topic = base.publisher(PoseStamped, POSE_TOPIC, qos.STREAM)
         self._odometry: TransformStore
@@ -169,8 +168,15 @@ class FusedFrames:
                 self._note(source.stamp_s)
             if transform is not None and not has_pose and self._newest_s is not None:
                 self._send_frame(source, transform, messages.to_stamp(self._newest_s))
-        self._name_frames()
-        self._name_unsent()
+        self._warnings.update(
+            self.settings,
+            self.believed,
+            frames=[source.frame for source in self._sources.values() if source.frame],
+            rivals=self._output.rivals(),
+            other_fusion=self.rival,
+            leader=self.leader,
+            has_sent_odometry=self._has_sent_odometry,
+        )
 
     def on_time_jump(self, now_s: float) -> None:
         """Forget what came of a future that has not come; ``now_s`` is the node's time."""
@@ -227,65 +233,3 @@ class FusedFrames:
         names = self.settings.odom_frame, self.settings.base_frame
         stamp = message.header.stamp
         self._odometry.add([messages.transform_to_message(pose, *names, stamp)])
-
-    def _name_frames(self) -> None:
-        """Name frames that two inputs share, that are the fused one, and rivals on a transform."""
-        frames = [source.frame for source in self._sources.values() if source.frame]
-        shared = sorted({frame for frame in frames if frames.count(frame) > 1})
-        self._say(
-            "shared frame",
-            f"{len(frames)} maps, and more than one is in frame {shared[0]!r}: the transform of "
-            "the first is sent; give each its own frame_id"
-            if shared
-            else None,
-        )
-        fused = self.settings.fused_frame
-        self._say(
-            "own frame",
-            f"an input's map is in {fused!r}, the frame of the fused map; rename one of them"
-            if fused in frames
-            else None,
-        )
-        self._say("rival", self._rival_words(), Level.ERROR)
-
-    def _rival_words(self) -> str | None:
-        """Say who else sends one of our transforms, and what to do; None where nobody does."""
-        rivals = self._output.rivals()
-        if not rivals:
-            return None
-        settings = self.settings
-        child = settings.odom_frame if settings.odom_frame in rivals else next(iter(rivals))
-        words = f"another node sends the transform to {child!r} too (from {rivals[child]!r}): "
-        if self.rival:
-            return words + f"the other fusion is {self.rival!r}; end one of the two"
-        if child == settings.odom_frame:
-            return words + "set publish_tf to false in all but one"
-        return words + "end one of them, or give the frames of each robot names of their own"
-
-    def _name_unsent(self) -> None:
-        """Name that fused_frame -> odom_frame was never sent, though somebody votes."""
-        settings = self.settings
-        has_voters = any(record.accepted for record in self.believed.inputs.values())
-        if not (settings.publish_tf and has_voters) or self._has_sent_odometry:
-            self._wanted_since_s = None
-            self._say("unsent", None)
-            return
-        now_s = time.monotonic()
-        if self._wanted_since_s is None:
-            self._wanted_since_s = now_s
-        if now_s - self._wanted_since_s < TF_LATE_S:
-            return
-        if settings.fused_frame == settings.odom_frame:
-            why = "both are one frame; rename one of them"
-        elif not self.leader:
-            why = "no input that votes tells the robot's pose (NAME/pose beside NAME/map)"
-        else:
-            why = "the odometry does not tell where the robot is at the times of its poses"
-        text = f"publish_tf: {settings.fused_frame} -> {settings.odom_frame} was never sent: {why}"
-        self._say("unsent", text)
-
-    def _say(self, key: str, text: str | None, level: Level = Level.WARN) -> None:
-        if text is None:
-            self._base.diagnostics.clear(key)
-        else:
-            self._base.diagnostics.add(key, level, text)
