@@ -27,8 +27,8 @@ if TYPE_CHECKING:
         Results,
         Trial,
     )
-    from slamfusion.experiments.error_table import Tables
     from slamfusion.experiments.records import CellModelsDocument
+    from slamfusion.experiments.sheets import Tables
     from slamfusion.report.experiment_report import Difference, Panel
     from slamfusion.report.page import Table
 

@@ -19,8 +19,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, doubled_wall_share
-from slamfusion.experiments.error_table import Sheet
 from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealLogTableJson
+from slamfusion.experiments.sheets import Sheet
 from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
