@@ -1,0 +1,73 @@
+"""What the page of the main job is made of: values, nothing drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from slamfusion.evaluation import MapError, RelationErrors, TrajectoryErrors
+from slamfusion.fusion.path_check import PathGap
+from slamfusion.fusion.records import Alignment, FusionResult
+from slamfusion.grid import OccupancyGrid
+from slamfusion.slam.common.runner import ProducerRun
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["ReportedRun", "RunReport"]
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedRun:
+    """One producer that made a map.
+
+    Attributes:
+        run: what it made.
+        relations: its path's errors on known relations.
+        errors: its path's errors against the truth.
+        time_s: of its whole process.
+        cpu_s: processor time of it.
+    """
+
+    run: ProducerRun
+    relations: RelationErrors | None = None
+    errors: TrajectoryErrors | None = None
+    time_s: float | None = None
+    cpu_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RunReport:
+    """Everything that the page shows.
+
+    Attributes:
+        log: what was driven.
+        runs: the producers that made a map.
+        failed: the others, each with its reason.
+        result: the fusion; None where nothing was fused.
+        failure: why the fused map must not be used, or why there is none; empty where all is well.
+        grids: all inputs of the fusion, saved maps included.
+        pairs: where nothing was fused, the pairs that were tried.
+        gaps: between the paths of producers in the fused frame.
+        doubled: shares of doubled walls by name, that of the fused map as ``fused map``.
+        evaluations: errors of maps against the truth.
+        evaluation_alignments: what each of them rests on.
+        truth: the true path.
+        warnings: what the user must see first, each a subject and a sentence.
+        stages: seconds of each stage so far, in order.
+        device: what computed the fusion, in words.
+    """
+
+    log: str
+    runs: Sequence[ReportedRun]
+    failed: Sequence[tuple[str, str]] = ()
+    result: FusionResult | None = None
+    failure: str = ""
+    grids: Sequence[OccupancyGrid] = ()
+    pairs: Sequence[Alignment] = ()
+    gaps: Sequence[PathGap] = ()
+    doubled: Mapping[str, float] | None = None
+    evaluations: Sequence[MapError] = ()
+    evaluation_alignments: Sequence[Alignment | None] = ()
+    truth: Trajectory | None = None
+    warnings: Sequence[tuple[str, str]] = ()
+    stages: Mapping[str, float] = field(default_factory=dict)
+    device: str = ""
