@@ -10,12 +10,18 @@ from __future__ import annotations
 
 from slamfusion.experiments.cell_models import CellModelRow, table_two
 from slamfusion.experiments.cell_models_trajectories import compare_models, model_sentences
-from slamfusion.experiments.drives import Drive, DriveFiles, read_drive, simulated_office
+from slamfusion.experiments.drives import (
+    Drive,
+    DriveFiles,
+    gather_drives,
+    read_drive,
+    simulated_office,
+)
 from slamfusion.experiments.error_table import ErrorTable
 from slamfusion.experiments.failures import compare_failures, failure_trials
 from slamfusion.experiments.ground_obstacle import compare_with_obstacle, obstacle_trials
 from slamfusion.experiments.occupancy_estimator import sweep_estimators, verdicts
-from slamfusion.experiments.real_logs import REAL_LOGS, RealLogTable, compare_on_logs
+from slamfusion.experiments.real_logs import REAL_LOGS, RealLogTable, compare_on_logs, logs_there
 from slamfusion.experiments.sheets import write_error_table
 from slamfusion.experiments.table import Results, Run, repeat, write_results
 from slamfusion.experiments.trials import Trial, TrialRecord, read_example
@@ -36,6 +42,8 @@ __all__ = [
     "compare_on_logs",
     "compare_with_obstacle",
     "failure_trials",
+    "gather_drives",
+    "logs_there",
     "model_sentences",
     "obstacle_trials",
     "read_drive",

@@ -8,12 +8,14 @@ Source: Huletski, Kartashov and Krinkin, *TinySLAM Improvements for Indoor Navig
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from slamfusion.errors import SlamFusionError
 from slamfusion.experiments.records import CellModelJson
 from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
 
-__all__ = ["CellModelRow", "table_two"]
+__all__ = ["CellModelRow", "as_table", "check_table_two", "table_two"]
 
 OBSERVATIONS = 12
 OCCUPIED_COUNTS = (3, 6, 9)
@@ -85,3 +87,42 @@ def table_two() -> tuple[CellModelRow, ...]:
             values = CELL_MODELS[model](told, QUALITY[model])
             rows.append(CellModelRow(model, order, occupied, tuple(values.tolist()), paper))
     return tuple(rows)
+
+
+def as_table(rows: Sequence[CellModelRow]) -> tuple[list[str], list[list[str]]]:
+    """Return the table in the shape of the paper's: a row for model and order."""
+    counts = list(dict.fromkeys(row.occupied for row in rows))
+    heading = [
+        "model",
+        "order",
+        *(f"{count} occupied" for count in counts),
+        *(f"paper, {count}" for count in counts),
+        "equal",
+    ]
+    cells = []
+    for model, order in dict.fromkeys((row.model, row.order) for row in rows):
+        own = [row for row in rows if (row.model, row.order) == (model, order)]
+        is_equal = all(row.is_equal for row in own)
+        cells.append(
+            [
+                model,
+                order,
+                *(f"{row.value:.3f}" for row in own),
+                *(f"{row.paper:.3f}" for row in own),
+                "yes" if is_equal else "NO",
+            ]
+        )
+    return heading, cells
+
+
+def check_table_two(rows: Sequence[CellModelRow]) -> None:
+    """Refuse a table that is not the paper's.
+
+    Raises:
+        SlamFusionError: a value differs in its three decimals; all that do are named.
+    """
+    different = [row for row in rows if not row.is_equal]
+    if different:
+        where = ", ".join(f"{row.model} {row.order} {row.occupied}" for row in different)
+        message = f"{len(different)} of {len(rows)} values differ from Table II of [H16]: {where}"
+        raise SlamFusionError(message)

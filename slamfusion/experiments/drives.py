@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ __all__ = [
     "TIME",
     "Drive",
     "DriveFiles",
+    "gather_drives",
     "read_drive",
     "run_errors",
     "simulated_office",
@@ -131,6 +132,33 @@ def read_drive(files: DriveFiles, config: RunConfig) -> Drive:
         odometry=held.odometry,
         reference=held.truth,
     )
+
+
+def gather_drives(
+    recorded: Sequence[DriveFiles],
+    floors: Sequence[int],
+    config: RunConfig,
+    device: ComputeDevice,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[Drive]:
+    """Return recorded drives, then simulated office floors; their names differ.
+
+    Args:
+        recorded: files of each recorded drive.
+        floors: seed of each simulated one.
+        config: how logs are read.
+        device: simulates.
+        progress: told of the simulation.
+
+    Raises:
+        LogError, TrajectoryError, OSError: see ``read_drive``.
+    """
+    drives: list[Drive] = []
+    for files in recorded:
+        drive = read_drive(files, config)
+        twins = sum(other.name.split("#")[0] == drive.name for other in drives)
+        drives.append(replace(drive, name=f"{drive.name}#{twins + 1}") if twins else drive)
+    return drives + [simulated_office(seed, device, progress) for seed in floors]
 
 
 def simulated_office(

@@ -25,6 +25,7 @@ from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.fuse_drive import produce_maps
+from slamfusion.jobs.inputs import Warn
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
@@ -37,6 +38,7 @@ __all__ = [
     "RealLogRow",
     "RealLogTable",
     "compare_on_logs",
+    "logs_there",
     "reference_map",
 ]
 
@@ -219,6 +221,29 @@ class RealLogTable:
             ],
             "references": dict(self.references),
         }
+
+
+def logs_there(folder: Path, warn: Warn) -> list[str]:
+    """Return the recorded drives of ``REAL_LOGS`` whose files lie in a folder.
+
+    Args:
+        folder: of the data sets.
+        warn: told in a sentence of each that is skipped.
+
+    Raises:
+        SlamFusionError: there is none.
+    """
+    names = []
+    for name, files in REAL_LOGS.items():
+        absent = [path for path in (files.log, files.reference) if not (folder / path).is_file()]
+        if absent:
+            warn(f"skipped: {name}: {folder / absent[0]} is not there")
+        else:
+            names.append(name)
+    if not names:
+        message = f"no recorded drive in {folder}; wanted {' or '.join(REAL_LOGS)} there"
+        raise SlamFusionError(message)
+    return names
 
 
 def compare_on_logs(
