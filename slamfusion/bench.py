@@ -32,10 +32,11 @@ from slamfusion.fusion.search import SearchWindow
 from slamfusion.fusion.vote import vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
-from slamfusion.jobs.tool_records import BenchEntryJson, BenchResultsJson
+from slamfusion.jobs.documents import versions
+from slamfusion.jobs.tool_records import BenchDocument, BenchEntryJson, BenchResultsJson
 from slamfusion.sim import Degradation, degrade_map, draw_building
 
-__all__ = ["Entry", "run_benchmarks"]
+__all__ = ["Entry", "bench_document", "run_benchmarks"]
 
 I8 = npt.NDArray[np.int8]
 
@@ -147,6 +148,11 @@ def run_benchmarks(device: ComputeDevice, *, quick: bool = False) -> BenchResult
     if sizes is not FULL:
         entries = [dataclasses.replace(e, must=None, stretch=None) for e in entries]
     return {"entries": [entry.to_json() for entry in entries], "quick": quick}
+
+
+def bench_document(results: BenchResultsJson, device: ComputeDevice) -> BenchDocument:
+    """Return what ``slamfusion bench`` prints as JSON: measurements, and what made them."""
+    return {**results, "device": device.name, "versions": versions()}
 
 
 # -- alignment -------------------------------------------------------------------------------------

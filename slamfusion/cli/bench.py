@@ -9,10 +9,9 @@ import click
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import number, print_json, print_table
 from slamfusion.config import RunConfig
-from slamfusion.jobs.documents import versions
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.tool_records import BenchDocument, BenchEntryJson
+    from slamfusion.jobs.tool_records import BenchEntryJson
 
 __all__ = ["command"]
 
@@ -23,18 +22,13 @@ __all__ = ["command"]
 @common_options
 def command(quick: bool, config: RunConfig, as_json: bool) -> int:
     """Time alignment, vote and the [F16] batch on this machine, as ratios."""
-    from slamfusion.bench import run_benchmarks  # noqa: PLC0415
+    from slamfusion.bench import bench_document, run_benchmarks  # noqa: PLC0415
     from slamfusion.compute import open_device  # noqa: PLC0415
 
     device = open_device(config.device.device)
     results = run_benchmarks(device, quick=quick)
     if as_json:
-        document: BenchDocument = {
-            **results,
-            "device": device.name,
-            "versions": versions(),
-        }
-        print_json(document)
+        print_json(bench_document(results, device))
     else:
         print_table(
             COLUMNS,

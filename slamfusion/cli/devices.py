@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -10,7 +11,7 @@ from slamfusion.cli.options import common_options
 from slamfusion.cli.output import print_json, print_table
 
 if TYPE_CHECKING:
-    from slamfusion.jobs.tool_records import DevicesDocument
+    from slamfusion.compute.records import DeviceJson
 
 __all__ = ["command", "print_devices"]
 
@@ -21,37 +22,34 @@ NUMPY_NOTE = "numpy: always there (--device numpy), without OpenCL and slower"
 @common_options
 def command(as_json: bool) -> int:
     """List the OpenCL devices that --device can name."""
-    from slamfusion.compute import list_devices  # noqa: PLC0415
+    from slamfusion.jobs.doctor import devices_document  # noqa: PLC0415
 
-    devices = list_devices()
+    document = devices_document()
     if as_json:
-        document: DevicesDocument = {"devices": [device.to_json() for device in devices]}
         print_json(document)
         return 0
-    print_devices()
+    print_devices(document["devices"])
     print(NUMPY_NOTE)
-    if not devices:
+    if not document["devices"]:
         print("no OpenCL device found; `slamfusion doctor` says what to install")
     return 0
 
 
-def print_devices() -> None:
+def print_devices(devices: Sequence[DeviceJson]) -> None:
     """Print the table of devices."""
-    from slamfusion.compute import list_devices  # noqa: PLC0415
-
     rows = [
         [
-            str(device.index),
-            device.name,
-            device.platform,
-            device.type,
-            device.version,
-            str(device.compute_units),
-            f"{device.memory_mb:.0f}",
-            "yes" if device.usable else "NO",
-            device.note,
+            str(device["index"]),
+            device["name"],
+            device["platform"],
+            device["type"],
+            device["version"],
+            str(device["compute_units"]),
+            f"{device['memory_mb']:.0f}",
+            "yes" if device["usable"] else "NO",
+            device["note"],
         ]
-        for device in list_devices()
+        for device in devices
     ]
     columns = (
         "index",

@@ -1,4 +1,4 @@
-"""The small parts of the command line: names, JSON, options, the doctor's view of ROS."""
+"""The small parts of the command line: names, JSON, options."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 import numpy as np
 import pytest
 
-from slamfusion.cli import doctor, slam
+from slamfusion.cli import slam
 from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.main import COMMANDS
 from slamfusion.cli.options import config_fields, option_name
@@ -152,11 +152,3 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
                 progress("align", 1, 3)
                 progress("align", 3, 3)
         assert bool(stream.getvalue()) == drawn
-
-
-def test_two_rclpy_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.metadata.version", lambda _: "7.1.6")
-    monkeypatch.setenv("ROS_DISTRO", "jazzy")
-    assert doctor.has_two_rclpy()
-    monkeypatch.delenv("ROS_DISTRO")
-    assert not doctor.has_two_rclpy()

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.cli.doctor import INSTALL
 from slamfusion.cli.main import COMMANDS
 from slamfusion.cli.readme import TABLES, gmapping_table, parameter_table, with_tables
 from slamfusion.cli.ros_tables import TABLES as ROS_TABLES
 from slamfusion.config import GMAPPING_PROFILES, GmappingConfig, field_infos
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map
+from slamfusion.jobs.doctor import INSTALL
 from tests.cli.command import ROOT, run
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -1,0 +1,89 @@
+"""What is installed, whether it computes, what to install; and what could compute."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+
+from slamfusion.compute import list_devices, open_device, pocl_state
+from slamfusion.config import RunConfig
+from slamfusion.errors import DeviceError
+from slamfusion.jobs.documents import versions
+from slamfusion.jobs.tool_records import DevicesDocument, DoctorDocument
+
+__all__ = ["INSTALL", "check_installation", "devices_document", "has_two_rclpy"]
+
+# One line for each maker of devices; names of Ubuntu and Debian packages unless said otherwise.
+INSTALL = {
+    "any CPU": "pip install pocl-binary-distribution (x86-64), or apt install pocl-opencl-icd",
+    "x86-64 CPU": "pip install 'slamfusion[intel]', if PoCL from pip does not know the processor",
+    "NVIDIA GPU": "apt install nvidia-opencl-icd (Debian), libnvidia-compute-NNN (Ubuntu)",
+    "Intel GPU": "apt install intel-opencl-icd",
+    "AMD GPU": "apt install rocm-opencl, or mesa-opencl-icd with RUSTICL_ENABLE=radeonsi",
+}
+
+
+def devices_document() -> DevicesDocument:
+    """Return the OpenCL devices that ``--device`` can name."""
+    return {"devices": [device.to_json() for device in list_devices()]}
+
+
+def check_installation(config: RunConfig) -> DoctorDocument:
+    """Look at versions and devices, and run the kernels on the chosen device for a second.
+
+    Args:
+        config: names the device.
+
+    Returns:
+        What was found; ``problems`` says what is wrong and what to do, and nothing is raised.
+    """
+    found = versions()
+    devices, pocl = list_devices(), pocl_state()
+    problems = []
+    if not any(device.usable for device in devices):
+        problems.append(
+            pocl.detail
+            if pocl is not None and pocl.state == "refused"
+            else "no usable OpenCL device; install one of the drivers listed"
+        )
+    if has_two_rclpy():
+        problems.append(
+            "two rclpy: a sourced ROS (ROS_DISTRO) and ros-jazzy-rclpy from pip; "
+            "run pip uninstall ros-jazzy-rclpy"
+        )
+    device, tests = _self_test(config.device.device)
+    problems += [f"self test {name}: {detail}" for name, passed, detail in tests if not passed]
+    return {
+        "ok": not problems,
+        "problems": problems,
+        "versions": found,
+        "devices": [item.to_json() for item in devices],
+        "pocl": None if pocl is None else {"state": pocl.state, "detail": pocl.detail},
+        "device": device,
+        "self_test": [
+            {"name": name, "passed": passed, "detail": detail} for name, passed, detail in tests
+        ],
+        "install": INSTALL,
+    }
+
+
+def has_two_rclpy() -> bool:
+    """Whether a sourced ROS and the rclpy of the Python package index are both there."""
+    if not os.environ.get("ROS_DISTRO"):
+        return False
+    try:
+        importlib.metadata.version("ros-jazzy-rclpy")
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _self_test(wanted: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
+    """Run the kernels on the chosen device; a device that cannot be opened is a failed test."""
+    from slamfusion.compute.self_test import self_test  # noqa: PLC0415  (nobody else needs it)
+
+    try:
+        device = open_device(wanted)
+        return device.name, self_test(device)
+    except DeviceError as error:
+        return None, [("open the device", False, str(error))]
