@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-# Doubted closures that the table names.
+# Outliers that the table names.
 NAMED = 10
 
 
@@ -52,7 +52,7 @@ def optimize_command(
     """Optimise the pose graph FILE: find the poses that fit its edges best.
 
     FILE is g2o's or TORO's text, plain or gzip. Edges between consecutive vertices are odometry;
-    closures may be doubted and left out.
+    closures that are outliers are left out.
     """
     from slamfusion.jobs.graph import optimize_graph, save_optimized_graph  # noqa: PLC0415
 
@@ -90,7 +90,7 @@ def _check_request(path: Path, out: Path | None, tum_path: Path | None) -> None:
 def _print_result(optimized: OptimizedGraph) -> None:
     """Print the figures as two columns."""
     file, found = optimized.file, optimized.found
-    graph, doubted = file.graph, optimized.doubted()
+    graph, outliers = file.graph, optimized.outliers()
     rows = [
         ["nodes", str(len(graph))],
         ["edges", str(len(graph.edges))],
@@ -99,8 +99,8 @@ def _print_result(optimized: OptimizedGraph) -> None:
         ["chi-square after", f"{found.chi2:.8g}"],
     ]
     if optimized.config.graph_optimizer.robust != "none":
-        rows.append(["doubted closures", _named(doubted)])
-    if doubted:
+        rows.append(["outliers", _named(outliers)])
+    if outliers:
         rows.append(["chi-square with them", f"{found.chi2_all:.8g}"])
     rows += [
         ["iterations", str(found.iterations) + ("" if found.is_converged else ", not converged")],
@@ -113,12 +113,12 @@ def _of_odometry(file: GraphFile) -> str:
     return "" if file.has_poses else " (along the odometry; the file has no vertices)"
 
 
-def _named(doubted: list[tuple[int, int]]) -> str:
-    """Return how many closures are doubted and which, the first few by name."""
-    if not doubted:
+def _named(outliers: list[tuple[int, int]]) -> str:
+    """Return how many closures are outliers and which, the first few by name."""
+    if not outliers:
         return "0"
-    names = ", ".join(f"{start} to {end}" for start, end in doubted[:NAMED])
-    return f"{len(doubted)}: {names}" + (", ..." if len(doubted) > NAMED else "")
+    names = ", ".join(f"{start} to {end}" for start, end in outliers[:NAMED])
+    return f"{len(outliers)}: {names}" + (", ..." if len(outliers) > NAMED else "")
 
 
 def _kinds(skipped: dict[str, int]) -> str:

@@ -224,7 +224,7 @@ def _tell(run: LogRun, *, debug: bool) -> None:
     for record in run.fusion.result.rejected if run.fusion.result is not None else ():
         notice(f"rejected: {record.name}: {record.reason}")
     for name, result in run.results.items():
-        for sentence in result.run.doubts():
+        for sentence in result.run.warnings():
             notice(f"{name}: {sentence}")
 
 

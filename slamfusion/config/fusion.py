@@ -144,7 +144,7 @@ class LiveConfig(Checked):
 
     minimum_inputs: int = option(
         2,
-        "so many inputs must agree before anything is fused; 1 takes a single input as it is",
+        "inputs that must agree before anything is fused; 1 takes a single input as it is",
         low=1,
         high=32,
     )

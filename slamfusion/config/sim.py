@@ -156,7 +156,7 @@ class DriveConfig(Checked):
         0.01, "share by which odometry reads turns too large", low=-0.5, high=0.5
     )
     turn_travel_bias: float = option(
-        0.001, "what odometry turns by itself in a metre", unit="rad/m", low=-0.5, high=0.5
+        0.001, "heading error of odometry for each metre", unit="rad/m", low=-0.5, high=0.5
     )
 
 

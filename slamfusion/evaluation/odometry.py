@@ -45,7 +45,7 @@ _JUDGES = 64
 _ROUGHLY = 10.0
 # Stamps of scans may be estimates that are seconds off, but a row a minute away is another visit.
 _WINDOW_S = 60.0
-# The frames of two copies of one odometry are fitted anew until the pairs stay.
+# The frames of two copies of one odometry are fitted again until the pairs stay.
 _FITS = 10
 # Pairs worse than this times the median are no pairs: the scan's row is missing.
 _FIT_WITHIN = 4.0

@@ -200,7 +200,7 @@ class Interval:
 def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> Interval:
     """Return the interval that holds the mean error, by the percentile bootstrap.
 
-    The errors are drawn anew with replacement; the same errors always give the same interval. It
+    The errors are resampled with replacement; the same errors always give the same interval. It
     takes them for independent. Those of one path are not quite: neighbours share their causes.
 
     Args:

@@ -137,7 +137,7 @@ def trajectory_errors(
     travelled_m = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
     stamps_s = estimate.stamps_s[own]
 
-    # Absolute: of each pose by itself.
+    # Absolute: of each pose alone.
     apart = aligned[:, :2] - true_poses[:, :2]
 
     # Relative: of the motion between two poses, each seen from the first, so in no frame at all.

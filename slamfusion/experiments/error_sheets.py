@@ -168,7 +168,7 @@ def notes_sheet(table: ErrorTable) -> Sheet:
         "What was left out",
         ("condition", "what", "drives", "first reason"),
         tuple(rows),
-        "Where no two maps agree, the best founded one counts alone; a producer without a map "
+        "Where no two maps agree, the fallback map counts alone; a producer without a map "
         "counts as a map that knows nothing.",
     )
 

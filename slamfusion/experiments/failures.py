@@ -50,7 +50,7 @@ FAILURES: dict[str, Failure] = {
     "glass": Failure("glass"),
     "people": Failure("crowd"),
     "slip": Failure("slip"),
-    "kidnapping": Failure("loop", "carry_away"),
+    "kidnapping": Failure("loop", "kidnap"),
     "broken odometry": Failure("loop", "break_odometry", "gmapping"),
     "lost for good": Failure("loop", "lose", "tinyslam"),
 }

@@ -12,10 +12,10 @@ from dataclasses import replace
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 
-__all__ = ["FAULTS", "break_odometry", "carry_away", "lose"]
+__all__ = ["FAULTS", "break_odometry", "kidnap", "lose"]
 
-# The robot is carried over this part of its drive.
-CARRIED_FROM, CARRIED_TO = 0.45, 0.55
+# The robot is kidnapped over this part of its drive.
+KIDNAPPED_FROM, KIDNAPPED_TO = 0.45, 0.55
 # From here on the wheels' encoder reads the way too long and turns too small.
 BROKEN_FROM, BROKEN_WAY, BROKEN_TURN = 1.0 / 3.0, 1.4, 0.4
 LOST_FROM = 0.5
@@ -23,13 +23,13 @@ LOST_FROM = 0.5
 Scans = Sequence[LogScan]
 
 
-def carry_away(scans: Scans) -> tuple[LogScan, ...]:
+def kidnap(scans: Scans) -> tuple[LogScan, ...]:
     """Return the scans of a robot that was lifted and set down elsewhere: a kidnapping.
 
     It is blind on its way, and its wheels stand still: the part of the drive is cut out, and time
     and odometry go on as if nothing had been.
     """
-    first, last = int(CARRIED_FROM * len(scans)), int(CARRIED_TO * len(scans))
+    first, last = int(KIDNAPPED_FROM * len(scans)), int(KIDNAPPED_TO * len(scans))
     if not 0 < first < last < len(scans):
         return tuple(scans)
     before, after = scans[first - 1], scans[last]
@@ -88,7 +88,7 @@ def _at(item: LogScan, move: Callable[[Pose2], Pose2]) -> LogScan:
 
 
 FAULTS: dict[str, Callable[[Scans], tuple[LogScan, ...]]] = {
-    "carry_away": carry_away,
+    "kidnap": kidnap,
     "break_odometry": break_odometry,
     "lose": lose,
 }

@@ -157,7 +157,7 @@ def measure_trial(
 
     Each map is laid on the truth where its [F16] error is smallest: in the frame that drive and
     truth share, or at the best or next best place that the alignment search finds. Where no two
-    maps agree, what counts is what ``run`` then names: the best founded map alone. A producer
+    maps agree, what counts is what ``run`` then names: the fallback map alone. A producer
     without a map, and a fusion of none, has the error of a map that knows nothing.
 
     Args:
@@ -264,7 +264,7 @@ def _vote_plainly(
     config = replace(config, fusion=_voting(config.fusion, PLAIN))
     fusion = fuse_drive(grids, kept, config, device, shared_frame=True)
     if fusion.result is None:
-        best = fusion.best_founded or grids[0]
+        best = fusion.fallback or grids[0]
         notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
         return best
     for record in fusion.result.rejected:

@@ -46,7 +46,7 @@ __all__ = [
     "PathGap",
     "PathsApartError",
     "agreeing",
-    "best_founded",
+    "fallback_map",
     "fit_paths",
     "fuse_with_paths",
     "moved_path",
@@ -237,10 +237,10 @@ def _bear_out(found: Alignment) -> bool:
     return is_beyond_chance and found.statistics["wall_clash"] <= CLASH_MAX
 
 
-def best_founded(
+def fallback_map(
     grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], loop_closers: Collection[str] = ()
 ) -> OccupancyGrid:
-    """Return the map to go on with where nothing can be fused: whose walls the others' fit best.
+    """Return the fallback map where nothing can be fused: whose walls the others' fit best.
 
     Args:
         grids: at least one.

@@ -202,8 +202,8 @@ class VoteResult:
         fused: (H, W) int8 in {-1, 0, 1}.
         agreement: (H, W) int8, share of votes for the winner in percent 0..100, -1 without votes.
         dissent: (H, W) unsigned integers, bit n set where input n voted otherwise than the winner.
-        phantom_cells: cells that the vote made occupied and that are so in no input; backs of
-            walls, which nobody voted for, are none.
+        phantom_cells: cells that the vote made occupied and that are so in no input; those
+            of wall thickening alone, which nobody voted for, are none.
     """
 
     fused: npt.NDArray[np.int8]
@@ -251,5 +251,5 @@ class FusionResult:
 
     @property
     def wall_backs(self) -> int:
-        """Cells of the fused grid that are occupied as backs of walls: nobody voted for them."""
+        """Cells of the fused grid that are occupied by wall thickening alone, without a vote."""
         return int(np.count_nonzero((self.fused.cells == OCCUPIED) & (self.agreement.cells < 0)))

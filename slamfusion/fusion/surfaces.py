@@ -57,7 +57,7 @@ def sharpen_fronts(cells: I8, is_disputed: Mask) -> Mask:
 
 
 def _seen_from(padded: Mask, down: int, right: int) -> Mask:
-    """Return what lies so many rows and columns from each cell of the grid that was padded."""
+    """Return what lies at an offset, in rows and columns, from each cell of the unpadded grid."""
     height, width = (side - 2 * DEPTH_CELLS for side in padded.shape)
     row, col = DEPTH_CELLS + down, DEPTH_CELLS + right
     return padded[row : row + height, col : col + width]

@@ -144,12 +144,12 @@ def log_odds_table() -> I32:
 
 
 def double_reach_cells(config: VoteConfig, resolution: float) -> int:
-    """Return ``reach_cells`` of a vote on cells of so many metres; 0 for other modes."""
+    """Return ``reach_cells`` of a vote on cells of a size in metres; 0 for other modes."""
     return round(config.double_reach_m / resolution) if config.mode == "consensus" else 0
 
 
 def vote_reach_cells(config: VoteConfig, resolution: float) -> int:
-    """Return how far, in cells of so many metres, a cell has a say in what others become."""
+    """Return how far, in cells of a size in metres, a cell has a say in what others become."""
     own = REACH_CELLS if _has_solid_walls(config) else 0
     return double_reach_cells(config, resolution) + own
 

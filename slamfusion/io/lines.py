@@ -21,7 +21,7 @@ _LINE_BYTES = 1 << 24
 
 
 class TextLines:
-    """The lines of a file; each iteration starts anew and takes constant memory.
+    """The lines of a file; each iteration reads from the start and takes constant memory.
 
     Attributes:
         path: the file; whether it is packed is told from its first bytes, not from its name.

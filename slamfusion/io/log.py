@@ -149,7 +149,7 @@ class Continuity:
 
 
 class ScanLog(Protocol):
-    """A log or bag, read as a stream; each iteration starts anew.
+    """A log or bag, read as a stream; each iteration reads from the start.
 
     Attributes:
         path: where it lies.

@@ -23,7 +23,7 @@ _OWN_CGROUPS = Path("/proc/self/cgroup")
 
 
 def map_memory_needed(cells: int) -> int:
-    """Return the bytes that loading a map of so many cells takes at its peak.
+    """Return the bytes that loading a map of this number of cells takes at its peak.
 
     Args:
         cells: height times width; one byte of image and one of grid for each.

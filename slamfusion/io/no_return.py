@@ -14,7 +14,7 @@ _BINS_PER_M = 1000
 _LIMIT_M = 1000.0
 # No laser's longest range is shorter; a tidy room of equal readings must not look like one.
 _SHORTEST_MAX_M = 3.5
-# A value is repeated from so many readings on that are at least this share of all ...
+# A value is repeated from this number of readings on that are at least this share of all ...
 _REPEATED = ((10, 0.001), (3, 0.01))
 # ... unless nearly every reading is that value: then there is nothing to tell it from.
 _MOST = 0.95

@@ -35,7 +35,7 @@ _MOUNT = Pose2(0.145, 0.0, 0.0)
 # The data sheet: 1024 steps a turn; 682 of them, 44 to 725, are measured, and 384 looks ahead.
 _STEP_RAD = 2.0 * math.pi / 1024.0
 _FIRST_RAD = (44 - 384) * _STEP_RAD
-# The robot's own body hides so many beams at each side.
+# The robot's own body hides this number of beams at each side.
 _HIDDEN = 70
 _RANGE_MAX_M = 4.0
 # The laser writes small numbers for what went wrong (0: nothing came back); a wall cannot be there.
@@ -50,7 +50,7 @@ CUT_OFF_FILE = "the packed file ends early or is damaged; nothing after this was
 
 
 class TinySlamDat:
-    """A tinySLAM recording, plain or gzip; each iteration starts anew (see ``ScanLog``).
+    """A tinySLAM recording, plain or gzip; each iteration reads from the start (see ``ScanLog``).
 
     The odometry starts at (0, 0, 0) and follows the wheels along exact arcs. Counters of ticks and
     time that wrap at 16 or 32 bits are unwrapped. ``line`` is the line in the file, from 1.
@@ -177,7 +177,7 @@ def drive_arc(start: Pose2, left_m: float, right_m: float) -> Pose2:
     )
 
 
-# After so many counts a counter may start again at 0, or at its negative half.
+# After this number of counts a counter may start again at 0, or at its negative half.
 _CLOCK_TURNS = (2.0**32,)
 _TICK_TURNS = (2.0**16, 2.0**32)
 

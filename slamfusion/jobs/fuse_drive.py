@@ -15,7 +15,7 @@ from slamfusion.fusion.path_check import (
     LEAST_FUSED,
     PathGap,
     PathsApartError,
-    best_founded,
+    fallback_map,
     fuse_with_paths,
 )
 from slamfusion.fusion.records import Alignment, FusionResult
@@ -90,7 +90,7 @@ class DriveFusion:
         result: the fusion; None where nothing was fused.
         gaps: between the producers' paths in the fused frame.
         pairs: where nothing was fused, what was aligned.
-        best_founded: where nothing was fused, the map to go on with: whose walls the others' fit
+        fallback: where nothing was fused, the map to go on with: whose walls the others' fit
             best, or the only one; None where there is a fusion, or no map.
         failure: why nothing was fused; None where it was.
     """
@@ -98,7 +98,7 @@ class DriveFusion:
     result: FusionResult | None = None
     gaps: tuple[PathGap, ...] = ()
     pairs: tuple[Alignment, ...] = ()
-    best_founded: OccupancyGrid | None = None
+    fallback: OccupancyGrid | None = None
     failure: AlignmentError | None = None
 
 
@@ -134,7 +134,7 @@ def fuse_drive(
     if len(grids) < LEAST_FUSED:
         count = len(grids) or "none"
         failure = AlignmentError(f"{count} of at least {LEAST_FUSED} maps that a vote needs")
-        return DriveFusion(best_founded=grids[0] if grids else None, failure=failure)
+        return DriveFusion(fallback=grids[0] if grids else None, failure=failure)
     fusion = config.fusion
     if shared_frame:
         fusion = replace(fusion, align=replace(fusion.align, shared_frame=True))
@@ -146,7 +146,7 @@ def fuse_drive(
         return DriveFusion(
             gaps=error.gaps if isinstance(error, PathsApartError) else (),
             pairs=error.pairs,
-            best_founded=best_founded(grids, error.pairs, loop_closers(paths)),
+            fallback=fallback_map(grids, error.pairs, loop_closers(paths)),
             failure=error,
         )
     return DriveFusion(result, gaps)

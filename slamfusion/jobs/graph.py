@@ -40,8 +40,8 @@ class OptimizedGraph:
     file: GraphFile
     found: Optimized
 
-    def doubted(self) -> list[tuple[int, int]]:
-        """Return the ids of from and to of the edges taken to be false."""
+    def outliers(self) -> list[tuple[int, int]]:
+        """Return the ids of from and to of the outliers: closures taken to be false."""
         ends = self.file.ids[self.file.graph.edges[self.found.is_outlier]]
         return [(int(start), int(end)) for start, end in ends]
 
@@ -118,7 +118,7 @@ def save_optimized_graph(
         "chi2_all": found.chi2_all,
         "iterations": found.iterations,
         "converged": found.is_converged,
-        "doubted": graph.doubted(),
+        "doubted": graph.outliers(),
         "time_s": found.time_s,
         "output": path_text(out_path),
         "tum": path_text(tum_path),

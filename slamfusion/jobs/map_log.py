@@ -100,7 +100,7 @@ class MappedLog:
                 f"stopped after {len(run.feed_s)} scans, as asked for; the rest of {log} is "
                 "not in the map"
             )
-        return (*sentences, *run.doubts())
+        return (*sentences, *run.warnings())
 
 
 def map_log(
@@ -313,7 +313,7 @@ def _add_report(files: AtomicFiles, mapped: MappedLog, directory: Path) -> None:
         trajectory=run.trajectory,
         config=mapped.config,
         facts=facts,
-        warnings=[(f"{run.name}:", sentence) for sentence in run.doubts()],
+        warnings=[(f"{run.name}:", sentence) for sentence in run.warnings()],
         tables=tables,
         odometry=None if is_later else run.odometry,
         truth=mapped.truth,

@@ -154,7 +154,7 @@ class FusionJson(TypedDict):
     phantom_cells: int | None
     """Cells occupied in the fused map by vote, and in no input."""
     wall_backs: int | None
-    """Cells occupied in the fused map as backs of walls: nobody voted for them."""
+    """Cells occupied in the fused map by wall thickening alone: nobody voted for them."""
     doubled_wall_share: DoubledWallsJson | None
     """Shares of the wall cells that have a parallel wall close by."""
     weights: Mapping[str, float]

@@ -242,8 +242,8 @@ def _fuse(
         return fusion, SlamFusionError(
             f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
         )
-    if fusion.failure is not None and fusion.best_founded is not None:
-        words = f"the map to go on with is that of {fusion.best_founded.name}, the best founded"
+    if fusion.failure is not None and fusion.fallback is not None:
+        words = f"the fallback map is that of {fusion.fallback.name}"
         return fusion, AlignmentError(f"{fusion.failure}; {words}", fusion.pairs)
     if config.fusion.require_all and fusion.result is not None:
         if fusion.result.rejected:

@@ -140,7 +140,7 @@ def _reported(run: LogRun) -> RunReport:
         for outcome in run.outcomes
         if outcome.run is not None
     ]
-    warnings = [(f"{item.run.name}:", doubt) for item in runs for doubt in item.run.doubts()]
+    warnings = [(f"{item.run.name}:", text) for item in runs for text in item.run.warnings()]
     warnings += [("Not measured:", trouble) for trouble in run.not_measured]
     return RunReport(
         log=str(run.files.log),
@@ -180,7 +180,7 @@ def run_document(
         stages: wall time of each stage, seconds.
         time_s: wall time of all, seconds.
     """
-    usable, failure, best = run.usable, run.failure, run.fusion.best_founded
+    usable, failure, best = run.usable, run.failure, run.fusion.fallback
     fusion = (
         failure_document(run.grids, run.fusion.pairs, str(failure))
         if usable is None or run.doubled is None

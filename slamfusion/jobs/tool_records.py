@@ -49,7 +49,7 @@ class GraphOptimizeDocument(SettingsJson):
     chi2_start: float
     """Chi-square before, of all edges."""
     chi2: float
-    """Chi-square after, of the edges that were not doubted."""
+    """Chi-square after, of the edges that are no outliers."""
     chi2_all: float
     """Chi-square after, of all edges."""
     iterations: int
@@ -57,7 +57,7 @@ class GraphOptimizeDocument(SettingsJson):
     converged: bool
     """Whether the last step changed next to nothing."""
     doubted: Sequence[tuple[int, int]]
-    """Ids of both ends of the closures taken to be false."""
+    """Ids of both ends of the outliers: closures taken to be false."""
     time_s: float
     """Wall time of the optimisation, seconds."""
     output: str | None

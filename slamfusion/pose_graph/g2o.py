@@ -177,7 +177,7 @@ class _Lines:
             if words and not words[0].startswith(b"#"):
                 self._take(number, words)
         if text.is_cut_off:
-            message = f"{path}: the packed data are damaged or end early; fetch them anew"
+            message = f"{path}: the packed data are damaged or end early; fetch them again"
             raise GraphError(message)
 
     def check(self, index: Mapping[int, int]) -> None:

@@ -99,8 +99,8 @@ def optimize(
         weights: (K,) of the first K edges, as an earlier optimisation of them left them; with
             ``consensus`` and ``gnc`` from given poses their inlier set stands as long as all
             closures fit that were no outliers there.
-        tolerated: with ``gnc`` it stands as well where at most so many of these do not fit, which
-            are then left out too.
+        tolerated: with ``gnc`` it stands as well where at most this number of these do not fit,
+            which are then left out too.
         max_iterations: of each descent.
         tolerance: a descent ends after a step that promised to lower chi-square by less than this
             share.

@@ -19,8 +19,9 @@ Indices = npt.NDArray[np.int64]
 
 # Pairs solved for together: more no longer fit the cache.
 PAIRS_AT_ONCE = 6
-# Half axes of the ellipsoid of all motions: so many deviations of the places, and half a turn. It
-# holds as much as is needed for motions between two places drawn at random (normal) near none.
+# Half axes of the ellipsoid of all motions: this number of deviations of the places, and half a
+# turn. It holds as much as is needed for motions between two places drawn at random (normal) near
+# none.
 ROOM_DEVIATIONS = math.sqrt(6.0)
 
 

@@ -27,7 +27,7 @@ from slamfusion.trajectory import Trajectory
 __all__ = ["closure_pictures", "closures_picture"]
 
 BELIEVED_COLOUR: Rgb = (28, 126, 214)
-DOUBTED_COLOUR: Rgb = (201, 42, 42)
+OUTLIER_COLOUR: Rgb = (201, 42, 42)
 BELIEVED_FROM = 0.5
 
 
@@ -50,7 +50,7 @@ def closures_picture(
     _draw_grid(axes, grid, normalize)
     x, y = path.poses[:, 0], path.poses[:, 1]
     axes.plot(x, y, color=unit_rgb(ESTIMATE_COLOUR), lw=0.8, scalex=False, scaley=False)
-    for colour, is_shown in ((BELIEVED_COLOUR, True), (DOUBTED_COLOUR, False)):
+    for colour, is_shown in ((BELIEVED_COLOUR, True), (OUTLIER_COLOUR, False)):
         chosen = [one for one in closures if (one.weight >= BELIEVED_FROM) == is_shown]
         if not chosen:
             continue
@@ -90,11 +90,11 @@ def closure_pictures(
     """Return the graph before and after its closures; nothing where it has none."""
     if not closures:
         return []
-    doubted = sum(one.weight < BELIEVED_FROM for one in closures)
+    outliers = sum(one.weight < BELIEVED_FROM for one in closures)
     legend = (
         LegendEntry("path", ESTIMATE_COLOUR),
-        LegendEntry(f"{len(closures) - doubted} closures", BELIEVED_COLOUR),
-        LegendEntry(f"{doubted} doubted, not used", DOUBTED_COLOUR),
+        LegendEntry(f"{len(closures) - outliers} closures", BELIEVED_COLOUR),
+        LegendEntry(f"outliers, not used: {outliers}", OUTLIER_COLOUR),
         *mark_legend(),
     )
     shown = [

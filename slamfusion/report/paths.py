@@ -339,7 +339,7 @@ def run_colour(index: int) -> Rgb:
 
 
 def others_legend(count: int) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``paths_picture`` mean with so many other paths."""
+    """Return what the colours of ``paths_picture`` mean with a number of other paths."""
     others = "other path" if count == 1 else "other paths"
     return (
         LegendEntry("estimate", ESTIMATE_COLOUR),
@@ -435,7 +435,7 @@ def _draw_others(axes: Axes, others: Sequence[Trajectory]) -> None:
 
 
 def _kept(count: int, step: int) -> npt.NDArray[np.int64]:
-    """Return every so many of the indices, and the last."""
+    """Return the indices at a fixed stride, and the last."""
     return np.append(np.arange(0, count - 1, step), count - 1)
 
 

@@ -165,7 +165,7 @@ def _maps_section(report: RunReport, config: RunConfig) -> Section:
 
 
 def _health_section(report: RunReport) -> list[Section]:
-    """Return each producer's match score and its own quantities over time, and its doubts."""
+    """Return each producer's match score and its own quantities over time, and its warnings."""
     pictures = []
     for item in report.runs:
         shown = drawable(_over_time(item.run))
@@ -180,7 +180,10 @@ def _health_section(report: RunReport) -> list[Section]:
             number(item.run.health.mean_match_score),
             Cell(str(item.run.health.low_scores), is_number=True),
             Cell(str(item.run.low_in_a_row), is_number=True),
-            Cell("; ".join(item.run.doubts()) or "nothing", "bad" if item.run.doubts() else "good"),
+            Cell(
+                "; ".join(item.run.warnings()) or "nothing",
+                "bad" if item.run.warnings() else "good",
+            ),
         ]
         for item in report.runs
     ]

@@ -175,7 +175,7 @@ def truth_section(
     return Section(
         "Error against the truth",
         "truth",
-        "ATE: of each pose by itself, after the best rigid motion of the whole (where asked for). "
+        "ATE: of each pose alone, after the best rigid motion of the whole (where asked for). "
         "RPE: of the motion between two poses, whatever came before.",
         pictures,
         [_table(f"Against {errors.truth}", rows)],

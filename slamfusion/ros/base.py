@@ -34,7 +34,7 @@ __all__ = ["Diagnostics", "Level", "NodeBase", "Status", "run_node"]
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
-# A clock that goes on by more at once is worth a word; it is no reason to begin anew.
+# A clock that goes on by more at once is worth a word; it is no reason to start over.
 FORWARD_JUMP_S = 10.0
 # The executor looks for a signal this often.
 SPIN_S = 0.1

@@ -172,7 +172,7 @@ def path_to_message(
         trajectory: the poses, in ``frame_id``.
         frame_id: of the path and every pose.
         stamp: of the path; the poses have their own.
-        most: at most so many poses, evenly chosen, first and last among them; default: all.
+        most: the largest number of poses, evenly chosen, first and last among them; default: all.
     """
     chosen = np.arange(len(trajectory))
     if most is not None and len(chosen) > most:

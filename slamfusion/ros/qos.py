@@ -108,7 +108,7 @@ def offered_durability(node: Any, topic: str) -> DurabilityPolicy | None:
     """
     offered = [
         info.qos_profile.durability
-        for info in node.get_publishers_info_by_topic(topic)  # remaps by itself
+        for info in node.get_publishers_info_by_topic(topic)  # applies remappings
     ]
     if not offered:
         return None

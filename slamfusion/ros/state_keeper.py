@@ -153,7 +153,7 @@ class Memory:
         names: the inputs; places of others are forgotten.
 
     Attributes:
-        restored: the state that the node went on from; None where it began anew.
+        restored: the state that the node went on from; None where it started empty.
 
     Raises:
         ConfigError: the path cannot be that of a file.

@@ -323,14 +323,14 @@ def test_require_all_fuses_nothing_without_everyone(place: Path, tmp_path: Path)
     assert "Do not use this map" in html
 
 
-def test_where_nothing_is_fused_the_best_founded_map_is_named(place: Path, tmp_path: Path) -> None:
+def test_where_nothing_is_fused_the_fallback_map_is_named(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     empty = np.full((20, 20), -1, dtype=np.int8)
     save_map(OccupancyGrid(empty, 0.05), tmp_path / "blank")
     arguments = ("--producers", "graph", "--inputs", tmp_path / "blank.yaml", "-o", out, "--json")
     done = run("run", place / "flat.log", *arguments)
     assert done.returncode == 1
-    assert "the map to go on with is that of graph, the best founded" in done.stderr
+    assert "the fallback map is that of graph" in done.stderr
     document = json_of(done)
     assert document["best_founded"] == "graph"
     assert document["fused"] is None

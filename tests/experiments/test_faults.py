@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.experiments.faults import FAULTS, break_odometry, carry_away, lose
+from slamfusion.experiments.faults import FAULTS, break_odometry, kidnap, lose
 from slamfusion.geometry import Pose2
 from slamfusion.io import LogScan
 from slamfusion.scan import LaserScan
@@ -48,8 +48,8 @@ def step(a: Pose2, b: Pose2) -> tuple[float, float]:
     return math.hypot(motion.x, motion.y), motion.yaw_rad
 
 
-def test_a_carried_robot_sees_another_place_and_feels_nothing() -> None:
-    before, after = straight(), carry_away(straight())
+def test_a_kidnapped_robot_sees_another_place_and_feels_nothing() -> None:
+    before, after = straight(), kidnap(straight())
     assert len(after) == 54
     assert told(after[:27]) == told(before[:27])
     # What it sees jumps over the part, what it feels and the clock do not.

@@ -183,7 +183,7 @@ def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
     assert record.wall_f1["tinyslam"] == 0.0
 
 
-def test_where_no_two_maps_agree_the_best_founded_counts_alone() -> None:
+def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     device = module.open_device("numpy")
     grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(BUILT_IN)]
     paths = {

@@ -15,7 +15,7 @@ from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.path_check import (
     PathsApartError,
     agreeing,
-    best_founded,
+    fallback_map,
     fit_paths,
     fuse_with_paths,
     moved_path,
@@ -205,13 +205,13 @@ def test_a_producer_that_is_lost_on_its_way_is_left_out_where_two_are_not() -> N
     assert agreeing(("a", "b"), path_gaps(paths), 1.0) == (("a", "b"), {})
 
 
-def test_the_best_founded_map_is_the_one_that_others_bear_out(device: ComputeDevice) -> None:
+def test_the_fallback_map_is_the_one_that_others_bear_out(device: ComputeDevice) -> None:
     grids, _ = producers()
     pairs = fuse_grids(grids, QUICK, device).pairs
     lost = building(77, 8.0, 7.5).with_name("lost")
     with_lost = fuse_grids([*grids[:2], lost], QUICK, device)
-    assert best_founded([lost, *grids[:2]], with_lost.pairs).name in {"a", "b"}
-    assert best_founded(grids[1:2], pairs).name == "b"
+    assert fallback_map([lost, *grids[:2]], with_lost.pairs).name in {"a", "b"}
+    assert fallback_map(grids[1:2], pairs).name == "b"
     # The one that closes loops is taken where it is nearly as well borne out, and only there.
     named = {"a": "tinyslam", "b": "graph", "lost": "gmapping"}
     scores = {"tinyslam": 0.45, "graph": 0.44, "gmapping": 0.5}
@@ -222,11 +222,11 @@ def test_the_best_founded_map_is_the_one_that_others_bear_out(device: ComputeDev
             replace(pair, reference=name, moving="another", score=score)
             for name, score in (scores | {"graph": graph_score}).items()
         ]
-        assert best_founded(made, alone, ["graph"]).name == wanted
-        assert best_founded(made, alone).name == "gmapping"
+        assert fallback_map(made, alone, ["graph"]).name == wanted
+        assert fallback_map(made, alone).name == "gmapping"
     # Nothing was aligned: the one that knows most.
     small = lost.crop(CellBox(0, 0, 20, 20))
-    assert best_founded([small, lost], ()) is lost
+    assert fallback_map([small, lost], ()) is lost
 
 
 def test_maps_of_two_places_are_told_apart_by_their_walls(device: ComputeDevice) -> None:

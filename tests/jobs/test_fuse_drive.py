@@ -35,12 +35,12 @@ def test_where_nothing_is_fused_a_map_to_go_on_with_is_named() -> None:
         for index, name in enumerate("ab")
     }
     none = fuse_drive([], {}, CONFIG, DEVICE, shared_frame=True)
-    assert (none.result, none.best_founded) == (None, None)
+    assert (none.result, none.fallback) == (None, None)
     assert "none of at least 2" in str(none.failure)
     single = fuse_drive(grids[:1], paths, CONFIG, DEVICE, shared_frame=True)
-    assert single.best_founded is grids[0]
+    assert single.fallback is grids[0]
     apart = fuse_drive(grids, paths, CONFIG, DEVICE, shared_frame=False)
     assert apart.result is None
-    assert apart.best_founded in grids
+    assert apart.fallback in grids
     assert len(apart.pairs) == 1
     assert isinstance(apart.failure, AlignmentError)

@@ -18,7 +18,7 @@ def test_a_pose_graph_is_optimized_and_written(tmp_path: Path) -> None:
     (tmp_path / "square.g2o").write_text(SQUARE, encoding="utf-8")
     graph = optimize_graph(tmp_path / "square.g2o")
     assert graph.found.is_converged
-    assert graph.doubted() == []
+    assert graph.outliers() == []
     corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
     np.testing.assert_allclose(graph.trajectory().poses[:, :2], corners, atol=1e-6)
     document = save_optimized_graph(graph, tmp_path / "out.g2o", tum=tmp_path / "out.tum")

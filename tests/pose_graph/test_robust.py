@@ -168,7 +168,7 @@ def test_more_earlier_weights_than_edges_are_refused() -> None:
         optimize(graph, robust="gnc", start="given", weights=np.ones(len(graph.edges) + 1))
 
 
-def test_odometry_is_never_doubted() -> None:
+def test_odometry_is_never_an_outlier() -> None:
     graph = drift()
     wrong = graph.motions.copy()
     wrong[50] = (3.0, 1.0, 1.0)
@@ -178,7 +178,7 @@ def test_odometry_is_never_doubted() -> None:
         assert (found.weights[~graph.is_closure] == 1.0).all()
 
 
-def test_a_closure_that_alone_joins_two_parts_is_not_doubted() -> None:
+def test_a_closure_that_alone_joins_two_parts_is_no_outlier() -> None:
     poses, edges = ring()
     cut = np.delete(edges, (9, 19), axis=0)  # two arcs
     bridges = np.array([[2, 15], [4, 13]])

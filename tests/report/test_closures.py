@@ -12,7 +12,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.report.canvas import Rgb
 from slamfusion.report.closures import (
     BELIEVED_COLOUR,
-    DOUBTED_COLOUR,
+    OUTLIER_COLOUR,
     closure_pictures,
     closures_picture,
 )
@@ -49,10 +49,10 @@ def test_a_closure_that_holds_is_a_dot_and_one_that_does_not_a_line() -> None:
     assert np.ptp(pulled) > 150
 
 
-def test_a_doubted_closure_is_told_apart() -> None:
+def test_an_outlier_is_told_apart() -> None:
     png = picture(straight(9.0), 0.0)
-    assert len(painted(png, DOUBTED_COLOUR)) > len(
-        painted(picture(straight(9.0), 1.0), DOUBTED_COLOUR)
+    assert len(painted(png, OUTLIER_COLOUR)) > len(
+        painted(picture(straight(9.0), 1.0), OUTLIER_COLOUR)
     )
     assert len(painted(png, BELIEVED_COLOUR)) == 0
 
@@ -63,5 +63,5 @@ def test_before_and_after_and_nothing_without_closures() -> None:
         straight(5.0), straight(9.0), [closure], grid=GRID, normalize=NORMALIZE
     )
     assert [one.stem for one in shown] == ["graph-before", "graph-after"]
-    assert "1 doubted" in shown[0].legend[2].text
+    assert "outliers, not used: 1" in shown[0].legend[2].text
     assert closure_pictures(straight(5.0), None, [], grid=GRID, normalize=NORMALIZE) == []

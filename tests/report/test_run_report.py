@@ -62,7 +62,7 @@ def everything() -> RunReport:
         evaluations=evaluations,
         evaluation_alignments=[None, None],
         truth=truth,
-        warnings=[("room 1:", doubt) for doubt in runs[1].doubts()],
+        warnings=[("room 1:", text) for text in runs[1].warnings()],
         stages={"producers": 12.5, "fusion": 0.25},
         device="numpy",
     )  # fmt: skip

@@ -81,7 +81,7 @@ def climb(
     *,
     scale: float,
 ) -> F32:
-    """Climb from some poses by rounds of random steps; every climber keeps to itself.
+    """Do hill climbing from some poses by rounds of random steps; every climber keeps to itself.
 
     In each round ``CLIMBERS`` steps are tried from the climber's best pose, and the best of the
     poses they lead to, the first of equals, is where its next round starts. What counts is the sum

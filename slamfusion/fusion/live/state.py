@@ -175,7 +175,7 @@ def is_state(data: bytes) -> bool:
 
 
 def _cells(packed: bytes, height: int, width: int) -> I8:
-    """Return the cells of a zlib stream that must hold exactly so many."""
+    """Return the cells of a zlib stream that must hold exactly this number."""
     reader = zlib.decompressobj()
     # One byte more than wanted tells a longer stream, however long it would be.
     raw = reader.decompress(packed, height * width + 1)

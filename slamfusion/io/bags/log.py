@@ -30,7 +30,7 @@ NO_SCAN = "angles or ranges that cannot be a scan"
 
 
 class BagLog:
-    """The scans of a bag; each iteration starts anew (see ``ScanLog``).
+    """The scans of a bag; each iteration reads from the start (see ``ScanLog``).
 
     Time is the scan's header stamp. Odometry comes from a nav_msgs/Odometry topic or, where there
     is none, from the transforms between ``odom_frame`` and the base frame, interpolated at the

@@ -29,7 +29,7 @@ _FALLBACK_RANGE_M = 100.0
 
 
 class CarmenLog:
-    """A CARMEN log, plain or gzip; each iteration starts anew (see ``ScanLog``).
+    """A CARMEN log, plain or gzip; each iteration reads from the start (see ``ScanLog``).
 
     Readings at or above the no-return value become +inf; 0 and negative readings become NaN. The
     odometry is the robot's pose in the scan's own line. ``line`` is the line in the file, from 1.

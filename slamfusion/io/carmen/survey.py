@@ -39,7 +39,7 @@ from slamfusion.io.stamps import StampGate
 
 __all__ = ["Survey", "count_of", "no_return_notes", "take_survey"]
 
-# Stamps are broken when this share of at least so many scans would be lost to them ...
+# Stamps are broken when this share of the scans, and this number at least, is lost to them ...
 _LOST_SHARE, _LOST_AT_LEAST = 0.05, 10
 # ... or, in a short log, most of them.
 _LOST_MOST, _LOST_FEW = 0.5, 3

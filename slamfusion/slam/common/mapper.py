@@ -70,7 +70,7 @@ class Health:
     n_eff: float | None = None
     skips: Skips = field(default_factory=Skips)
 
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Return what speaks against the map in the producer's own words, a sentence each."""
         return ()
 

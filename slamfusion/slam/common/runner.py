@@ -56,7 +56,7 @@ FIRST_REPORTED = "as first reported"
 MANY_LOW_SHARE, MANY_LOW_IN_A_ROW = 0.05, 8
 # Share of the mean score below which a match is low: that of ``Health.low_scores``.
 LOW_SHARE = 0.5
-# Share of the scans that could not be used from which on the map is doubted: a log may hold blind
+# Share of the scans that could not be used from which on there is a warning: a log may hold blind
 # moments, but one that is blind for longer is hardly mapped.
 MANY_SKIPPED_SHARE = 0.2
 
@@ -113,7 +113,7 @@ class ProducerRun:
         process_peak_memory_bytes: of the whole process so far, as the system counts it.
         stopped_by: ``deadline`` or ``limit``; None where the scans came to their end.
         known_scans: of the log, that a resumed producer had been fed before and that were passed
-            over; ``scans`` counts all that it has ever been fed.
+            over; ``scans`` counts all that it was fed in any run.
         series: the producer's own quantities over time, to be plotted.
         other_paths: what else it believes the path to be; best first.
         closures: of a producer that closes loops.
@@ -177,7 +177,7 @@ class ProducerRun:
                 return path
         return None
 
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Return what speaks against the map, a sentence each; empty where nothing does."""
         sentences = []
         health = self.health
@@ -195,7 +195,7 @@ class ProducerRun:
                 f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
                 f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
             )
-        sentences += health.doubts()
+        sentences += health.warnings()
         if self.stopped_by == "deadline":
             sentences.append(
                 f"stopped at the deadline after {health.scans} scans: the rest of the log is "
@@ -226,7 +226,7 @@ class ProducerRun:
             },
             "health": self.health.to_json(),
             "low_scores_in_a_row": self.low_in_a_row,
-            "warnings": list(self.doubts()),
+            "warnings": list(self.warnings()),
             "complete": self.is_complete,
             "known_scans": self.known_scans,
             "log": None if self.log is None else self.log.to_json(),

@@ -29,7 +29,7 @@ F64 = npt.NDArray[np.float64]
 # Why a scan is not found, in the published words of the health record.
 LOW_RESPONSE = "low response"
 LITTLE_IN_COMMON = "little in common"
-DEGENERATE = "place left open"
+DEGENERATE = "degenerate direction"
 AMBIGUOUS = "two places fit"
 
 # Deviation of the matcher's search around where a scan is expected, metres: at least three cells.

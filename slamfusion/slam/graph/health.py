@@ -82,8 +82,8 @@ class GraphHealth(Health):
             },
         }
 
-    def doubts(self) -> tuple[str, ...]:
-        """Return what speaks against the map; see ``Health.doubts``."""
+    def warnings(self) -> tuple[str, ...]:
+        """Return what speaks against the map; see ``Health.warnings``."""
         sentences = []
         if self.map_components > 1:
             sentences.append(

@@ -186,7 +186,7 @@ def _log_row(bench: Bench, item: CorrectedLog, seed: int) -> list[str]:
         _report(bench.maps / item.name, run, corrected, config)
     graph = run.health.to_json()["graph"]
     bench.console.print(f"{item.name}: {graph}", highlight=False, soft_wrap=True)
-    for sentence in (*skipped_scans(run.health), *run.doubts()):
+    for sentence in (*skipped_scans(run.health), *run.warnings()):
         bench.console.print(f"{item.name}: {sentence}", highlight=False, soft_wrap=True)
 
     def away(path: Trajectory | None, *, farthest: bool = False) -> str:
@@ -235,7 +235,7 @@ def _report(folder: Path, run: ProducerRun, corrected: Trajectory, config: RunCo
         grid=run.grid,
         trajectory=run.trajectory,
         config=config,
-        warnings=[(f"{run.name}:", sentence) for sentence in run.doubts()],
+        warnings=[(f"{run.name}:", sentence) for sentence in run.warnings()],
         odometry=run.odometry if settings_of(config, "graph").odometry == "poses" else None,
         series=run.series,
         other_paths=(*run.other_paths, beside),

@@ -217,7 +217,7 @@ def _event_row(bench: Bench, event: _Event, seed: int) -> tuple[float, ...]:
     ]
     graph = run.health.to_json().get("graph", {})
     said = skipped_scans(run.health)
-    line = f"{event.name}, seed {seed}: {graph}; {'; '.join((*said, *run.doubts())) or 'no word'}"
+    line = f"{event.name}, seed {seed}: {graph}; {'; '.join((*said, *run.warnings())) or 'no word'}"
     bench.console.print(line, highlight=False, soft_wrap=True)
     figures = [getattr(item, name) for name in ("wall_f1", "wall_precision") for item in walls]
     return (

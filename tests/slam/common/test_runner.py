@@ -1,4 +1,4 @@
-"""What a run records: counts, times, memory, doubts, and what it refuses."""
+"""What a run records: counts, times, memory, warnings, and what it refuses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_run_counts_what_it_did() -> None:
     assert run.peak_memory_bytes == 20_000
     assert run.process_peak_memory_bytes > 10_000_000  # an interpreter with NumPy
     assert run.is_complete
-    assert run.doubts() == ()
+    assert run.warnings() == ()
     assert run.log is None
     assert 0.0 < run.feed_s.sum() <= run.time_s
 
@@ -131,7 +131,7 @@ def test_a_deadline_stops_and_says_so() -> None:
     run = run_producer(DeadReckoning(), room_drive(9), deadline_s=0.0)
     assert run.scans == 1
     assert not run.is_complete
-    assert any("deadline" in sentence for sentence in run.doubts())
+    assert any("deadline" in sentence for sentence in run.warnings())
 
 
 def test_what_the_producer_offers_to_be_plotted_is_kept_and_not_in_the_json() -> None:
@@ -147,7 +147,7 @@ def test_what_the_producer_offers_to_be_plotted_is_kept_and_not_in_the_json() ->
 
 def test_a_limit_stops_without_a_doubt() -> None:
     run = run_producer(DeadReckoning(), room_drive(9), limit=4)
-    assert (run.scans, run.stopped_by, run.doubts()) == (4, "limit", ())
+    assert (run.scans, run.stopped_by, run.warnings()) == (4, "limit", ())
     assert run.odometry is not None
     assert len(run.odometry) == 4
     assert run.to_json()["complete"] is False
@@ -201,13 +201,13 @@ def test_many_blind_scans_are_a_doubt() -> None:
     scans = room_drive(10)
     blind = room_drive(14, blind=True)[10:]
     run = run_producer(DeadReckoning(), scans + blind)
-    (sentence,) = run.doubts()
+    (sentence,) = run.warnings()
     assert "4 of 14 scans could not be used" in sentence
     assert "4 x nothing seen" in sentence
 
 
 @pytest.mark.parametrize(
-    ("low", "in_a_row", "is_doubted"),
+    ("low", "in_a_row", "is_warned"),
     [
         (range(0, 100, 20), 1, False),  # 5 %
         (range(0, 100, 16), 1, True),  # 7 %
@@ -216,16 +216,16 @@ def test_many_blind_scans_are_a_doubt() -> None:
     ],
 )
 def test_many_bad_matches_or_many_in_a_row_are_a_doubt(
-    low: range, in_a_row: int, is_doubted: bool
+    low: range, in_a_row: int, is_warned: bool
 ) -> None:
     # Long enough that what comes in a row is a small share.
     count = 100 if in_a_row == 1 else 200
     device = DeadReckoning(dict.fromkeys(low, 0.3))
     run = run_producer(device, room_drive(count))
     assert run.low_in_a_row == in_a_row
-    assert bool(run.doubts()) == is_doubted
-    if is_doubted:
-        assert f"{len(low)} of {count} scans" in run.doubts()[0]
+    assert bool(run.warnings()) == is_warned
+    if is_warned:
+        assert f"{len(low)} of {count} scans" in run.warnings()[0]
 
 
 def test_the_record_does_not_change_when_the_producer_goes_on() -> None:

@@ -177,7 +177,7 @@ def test_a_false_closure_gets_no_weight(seed: int, angle_rad: float, away_m: flo
     assert off(solved.poses, without.poses) < 1e-4
 
 
-def test_what_is_no_closure_is_never_doubted():
+def test_what_is_no_closure_is_never_an_outlier():
     """Two steps that contradict each other share the blame."""
     poses = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     steps = [Constraint(0, 1, np.array([x, 0.0, 0.0]), known(STEP_SIGMAS)) for x in (1.0, 3.0)]

@@ -443,7 +443,7 @@ def test_closures_are_counted(closed: GraphSlam):
     assert set(rejected) <= {
         "low response",
         "little in common",
-        "place left open",
+        "degenerate direction",
         "two places fit",
         "not confirmed by another",
     }
