@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from slamfusion.cli.output import one_line
 from slamfusion.errors import SlamFusionError
 
 __all__ = ["NODES", "command"]
@@ -39,10 +40,15 @@ class _Command(click.Command):
     """Lists the nodes in the help: the producers of the registry, then the others."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write the names with a word on each."""
+        """Write the names with a word on each; of a broken producer, what is wrong with it."""
         from slamfusion.slam.registry import producer, producer_names  # noqa: PLC0415
 
-        rows = [(name, producer(name).summary) for name in producer_names()]
+        rows = []
+        for name in producer_names():
+            try:
+                rows.append((name, producer(name).summary))
+            except SlamFusionError as error:
+                rows.append((name, f"BROKEN: {one_line(str(error))}"))
         rows += [("fusion", "maps that become one"), ("player", "a log or bag, as it was driven")]
         with formatter.section("Nodes"):
             formatter.write_dl(rows)

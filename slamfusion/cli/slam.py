@@ -17,7 +17,7 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.output import notice, one_line, print_json, print_table, progress_bar
 from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -40,8 +40,25 @@ class _Producers(click.Group):
         return list(producer_names())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return the command of one producer; None where there is none of this name."""
+        """Return the command of one producer; None where there is none of this name.
+
+        Raises:
+            SlamFusionError: the package that offers it is broken.
+        """
         return _make_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a line for each producer; of one that is broken, what is wrong with it."""
+        names = self.list_commands(ctx)
+        limit = formatter.width - 6 - max(map(len, names))
+        rows = []
+        for name in names:
+            try:
+                rows.append((name, _make_command(name).get_short_help_str(limit)))
+            except SlamFusionError as error:
+                rows.append((name, f"BROKEN: {one_line(str(error))}"))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
 
 
 @click.group("slam", cls=_Producers)

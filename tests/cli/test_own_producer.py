@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 from slamfusion.config import LogConfig
 from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
+from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import json_of, run
 from tests.support.own_producer import NAME, with_own_producer
 
@@ -88,3 +91,39 @@ def test_it_takes_part_in_a_run_beside_one_that_is_built_in(
     folder = out if document["fused"] else Path(document["producers"][0]["files"][0]).parent
     assert (folder / f"{NAME}.yaml").is_file()
     assert {item["name"] for item in document["inputs"]} == set(names.split(","))
+
+
+@pytest.fixture
+def broken(python: Path) -> Iterator[str]:
+    """Beside it, the installed entry point of a package that cannot be imported."""
+    site = next(python.parents[1].glob("lib/python*/site-packages"))
+    folder = site / "broken_producer-1.0.dist-info"
+    folder.mkdir()
+    about = "Metadata-Version: 2.1\nName: broken-producer\nVersion: 1.0\n"
+    (folder / "METADATA").write_text(about, encoding="utf-8")
+    points = "[slamfusion.producers]\nbroken = no_such_package:PRODUCER\n"
+    (folder / "entry_points.txt").write_text(points, encoding="utf-8")
+    yield "broken"
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("command", ["slam", "node"])
+def test_a_broken_package_is_named_in_help_and_takes_no_other_along(
+    python: Path, broken: str, command: str
+) -> None:
+    done = slamfusion(python, command, "--help")
+    assert done.returncode == 0, done.stderr
+    said = (
+        f"{broken} BROKEN: the producer 'broken' cannot be loaded from no_such_package:PRODUCER: "
+    )
+    assert said in " ".join(done.stdout.split())
+    for name in (*BUILT_IN, NAME):
+        assert f"\n  {name} " in done.stdout
+    assert "slamfusion: error" not in done.stderr
+
+
+def test_a_broken_package_that_is_asked_for_is_one_line(python: Path, broken: str) -> None:
+    done = slamfusion(python, "slam", broken, "no.log", "-o", "out")
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("slamfusion: error: the producer 'broken' cannot be loaded")
