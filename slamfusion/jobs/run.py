@@ -34,8 +34,8 @@ from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.produced import ProducerResult, measure_run
 from slamfusion.jobs.trajectory import Measures, Yardsticks
-from slamfusion.slam.registry import BUILT_IN, producer_names, with_producers
-from slamfusion.slam.side_by_side import Outcome, SideBySide, check_names
+from slamfusion.slam.registry import BUILT_IN, producer_names
+from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["LogRun", "run_log"]
@@ -151,13 +151,12 @@ def run_log(
     )
     paths = tuple(map(Path, saved_maps))
     names = config.run.producers or BUILT_IN
-    check_names(names)
-    config = with_producers(config, names)
     saved_names = _saved_names(paths)
     starts = place_starts(
         config.start, (*names, *saved_names), config.fusion.reference, drive=names
     )
     with SideBySide(names, files.log, config, files.scan_odometry) as side_by_side:
+        config = side_by_side.config
         # Prepared while the producers are at work: what is wrong ends the run at once.
         if prepare is not None:
             prepare()

@@ -30,9 +30,10 @@ from slamfusion.slam.registry import (
     open_producer_device,
     producer,
     producer_names,
+    with_producers,
 )
 
-__all__ = ["Outcome", "SideBySide", "check_names", "threads_limited", "usable_cores"]
+__all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -101,6 +102,9 @@ class SideBySide:
         config: their settings; ``config.run`` says how many run at once and for how long.
         scan_odometry: see ``open_log``.
 
+    Attributes:
+        config: the same, with the settings of all of them, defaults included.
+
     Raises:
         ConfigError: no producer, an unknown one, or one given twice.
         LogError: the log cannot be opened; nothing was started.
@@ -113,7 +117,8 @@ class SideBySide:
         config: RunConfig,
         scan_odometry: Path | None = None,
     ) -> None:
-        check_names(names)
+        _check_names(names)
+        self.config = config = with_producers(config, names)
         open_log(log, config.log, scan_odometry)
         self._names = tuple(names)
         self._arguments = (log, scan_odometry, config)
@@ -226,7 +231,7 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def check_names(names: Sequence[str]) -> None:
+def _check_names(names: Sequence[str]) -> None:
     """Refuse what is no list of producers.
 
     Raises:
