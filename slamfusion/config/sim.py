@@ -150,7 +150,7 @@ class DriveConfig(Checked):
         0.01, "error of the heading in radians after a metre", low=0.0, high=1.0
     )
     travel_bias: float = option(
-        0.01, "share by which odometry reads the way too long", low=-0.5, high=0.5
+        0.01, "share by which odometry reads distances too long", low=-0.5, high=0.5
     )
     turn_bias: float = option(
         0.01, "share by which odometry reads turns too large", low=-0.5, high=0.5

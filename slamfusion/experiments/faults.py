@@ -16,8 +16,8 @@ __all__ = ["FAULTS", "break_odometry", "kidnap", "lose"]
 
 # The robot is kidnapped over this part of its drive.
 KIDNAPPED_FROM, KIDNAPPED_TO = 0.45, 0.55
-# From here on the wheels' encoder reads the way too long and turns too small.
-BROKEN_FROM, BROKEN_WAY, BROKEN_TURN = 1.0 / 3.0, 1.4, 0.4
+# From here on the wheels' encoder reads distances too long and turns too small.
+BROKEN_FROM, BROKEN_DISTANCE, BROKEN_TURN = 1.0 / 3.0, 1.4, 0.4
 LOST_FROM = 0.5
 
 Scans = Sequence[LogScan]
@@ -46,7 +46,7 @@ def kidnap(scans: Scans) -> tuple[LogScan, ...]:
 
 
 def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
-    """Return the scans with odometry that reads ways too long and turns too small, from a third on.
+    """Return the scans with odometry of distances too long and turns too small, from a third on.
 
     Errors that are in proportion to the motion, much larger than a motion model expects.
     """
@@ -58,7 +58,9 @@ def break_odometry(scans: Scans) -> tuple[LogScan, ...]:
         else:
             step = before.inverse().compose(item.odometry)
             read = read.compose(
-                Pose2(BROKEN_WAY * step.x, BROKEN_WAY * step.y, BROKEN_TURN * step.yaw_rad)
+                Pose2(
+                    BROKEN_DISTANCE * step.x, BROKEN_DISTANCE * step.y, BROKEN_TURN * step.yaw_rad
+                )
             )
         before = item.odometry
         fed.append(item if read is None else replace(item, odometry=read))

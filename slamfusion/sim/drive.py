@@ -391,20 +391,22 @@ def read_odometry(motion: Motion, drive: DriveConfig, rng: np.random.Generator) 
 
     Source: Thrun, Burgard and Fox, Probabilistic Robotics, 2005, section 5.4 (the four errors).
     """
-    way, turn = motion.wheels.T
-    far, around = np.abs(way), np.abs(turn)
-    way_std = np.sqrt(drive.travel_noise**2 * far + drive.travel_turn_noise**2 * around)
+    distance, turn = motion.wheels.T
+    far, around = np.abs(distance), np.abs(turn)
+    distance_std = np.sqrt(drive.travel_noise**2 * far + drive.travel_turn_noise**2 * around)
     turn_std = np.sqrt(drive.turn_noise**2 * around + drive.turn_travel_noise**2 * far)
-    noise = rng.standard_normal((2, len(way)))
-    read_way = way * (1.0 + drive.travel_bias) + way_std * noise[0]
-    read_turn = turn * (1.0 + drive.turn_bias) + drive.turn_travel_bias * way + turn_std * noise[1]
+    noise = rng.standard_normal((2, len(distance)))
+    read_distance = distance * (1.0 + drive.travel_bias) + distance_std * noise[0]
+    read_turn = (
+        turn * (1.0 + drive.turn_bias) + drive.turn_travel_bias * distance + turn_std * noise[1]
+    )
     x, y, yaw_rad = motion.poses[0]
     yaws = yaw_rad + np.cumsum(read_turn)
     middles = yaws - read_turn / 2.0
     return np.stack(
         (
-            x + np.cumsum(read_way * np.cos(middles)),
-            y + np.cumsum(read_way * np.sin(middles)),
+            x + np.cumsum(read_distance * np.cos(middles)),
+            y + np.cumsum(read_distance * np.sin(middles)),
             wrap_angles(yaws),
         ),
         axis=1,

@@ -52,7 +52,7 @@ class GraphJson(TypedDict):
     restarts: int
     """Times that tracking was lost and a submap of its own was begun."""
     breaks: int
-    """Times that scans fitted badly for a while and only odometry bridges the gap."""
+    """Times that tracking failed for a while and only odometry bridges the gap."""
     refound: int
     """Times that the robot was relocalized on submaps of before."""
     parts: int

@@ -195,11 +195,11 @@ def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0
     (notice,) = done.stderr.splitlines()
-    assert "the robot may be lost: 6 of 12 scans could not be used" in notice
+    assert "tracking may be lost: 6 of 12 scans could not be used" in notice
     (warning,) = json_of(done)["producers"][0]["warnings"]
     assert warning in notice
     html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
-    assert "the robot may be lost" in html
+    assert "tracking may be lost" in html
 
 
 def test_one_scan_makes_a_map(tmp_path: Path) -> None:

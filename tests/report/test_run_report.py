@@ -79,7 +79,7 @@ def test_the_headline_names_who_made_no_map_who_was_rejected_and_who_is_lost(pag
     assert "Only 3 of 5 maps were fused" in text
     assert f"gmapping made no map: its process was killed {NASTY}" in text
     assert f"{NASTY} was rejected: {REASON}" in text
-    assert "room 1: the robot may be lost" in text
+    assert "room 1: tracking may be lost" in text
     assert "Fused: room 0, room 1, room 2; in the frame of room 0." in text
 
 

@@ -185,14 +185,14 @@ class ProducerRun:
         if is_often_low or self.low_in_a_row >= MANY_LOW_IN_A_ROW:
             share = 100.0 * health.low_scores / health.scans_used
             sentences.append(
-                f"the robot may be lost: {health.low_scores} of {health.scans_used} scans "
+                f"tracking may be lost: {health.low_scores} of {health.scans_used} scans "
                 f"({share:.1f} %), up to {self.low_in_a_row} in a row, match the map less than "
                 "half as well as usual; look at the map"
             )
         skipped = health.skips.total  # a producer may pass over scans that it does not need
         if skipped > MANY_SKIPPED_SHARE * health.scans:
             sentences.append(
-                f"the robot may be lost: {skipped} of {health.scans} scans could not be used "
+                f"tracking may be lost: {skipped} of {health.scans} scans could not be used "
                 f"({'; '.join(skipped_scans(health))}); there its pose is dead reckoning"
             )
         sentences += health.warnings()

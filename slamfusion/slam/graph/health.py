@@ -87,19 +87,19 @@ class GraphHealth(Health):
         sentences = []
         if self.map_components > 1:
             sentences.append(
-                f"the map is in {self.map_components} parts: the robot was lost "
-                f"{self.kidnappings} times and found again {self.relocalizations} times; only "
-                "odometry tells how the parts lie"
+                f"the map is in {self.map_components} components: the robot was kidnapped "
+                f"{self.kidnappings} times and relocalized {self.relocalizations} times; only "
+                "odometry tells how the components lie"
             )
         elif self.kidnappings:
             sentences.append(
-                f"the robot was lost {self.kidnappings} times, and found again in the map each "
-                "time; look at the map"
+                f"the robot was kidnapped {self.kidnappings} times, and relocalized in the map "
+                "each time; look at the map"
             )
         if self.tracking_failures:
             sentences.append(
-                f"scans fitted badly for a while {self.tracking_failures} times: there only "
-                "odometry and later closures tell how the map goes on; look at the map"
+                f"tracking failed {self.tracking_failures} times, scans fitted badly for a while: "
+                "there only odometry and later closures tell how the map goes on; look at the map"
             )
         return tuple(sentences)
 
