@@ -15,6 +15,9 @@ from slamfusion.grid import IDENTITY, OccupancyGrid
 __all__ = ["Recovered", "recover"]
 
 LAST_FUSED = "the last fused map"
+# What ``Track.tried`` has in the place of a reference's version: all was tried in vain on the last
+# fused map; or the input was only held against it where it lay, and waits for its search.
+IN_VAIN, WAITING = -1, -2
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +39,8 @@ def recover(
     """Let inputs vote again that fit the last fused map.
 
     Inputs that fit it and each other come back together; one that fits it, when no other does.
-    Those that fit it and not each other stay in doubt. One that does not is searched.
+    Those that fit it and not each other stay in doubt. One that does not is searched, once with
+    each of its maps, as soon as it may be.
 
     Args:
         tracks: inputs whose newest message is a usable map.
@@ -46,15 +50,12 @@ def recover(
     names = "/".join(track.name for track in tracks)
     if not tracks:
         return Recovered(problem="no input is left")
-    is_tried = all(track.tried == (track.version, names, -1) for track in tracks)
-    if is_tried and not any(aligner.may_confirm(track) for track in tracks):
+    if not _is_due(tracks, names, aligner):
         return Recovered()
     last = _hold(fused(), aligner)
     if last is None:
         return _doubt(tracks, f"{LAST_FUSED} has too few walls to go by")
-    for track in tracks:
-        track.tried = (track.version, names, -1)
-        track.accepted = False
+    _begin(tracks, names)
     found = {
         track.name: (track, *fit)
         for track in tracks
@@ -62,6 +63,8 @@ def recover(
     }
     group = _largest_group([track for track, _, _ in found.values()], aligner)
     if len(group) == 1 and len(found) > 1:
+        for track in tracks:
+            track.tried = (track.version, names, IN_VAIN)
         return _doubt(tracks, f"{', '.join(found)} disagree and nobody can say who is right")
     for track in group:
         _, pair, moved = found[track.name]
@@ -71,7 +74,7 @@ def recover(
             track.refuse(f"does not fit {LAST_FUSED}")
     if group:
         return Recovered(max(group, key=lambda track: track.walls))
-    return _search(last, tracks, aligner)
+    return _search(last, tracks, names, aligner)
 
 
 def _doubt(tracks: Sequence[Track], problem: str) -> Recovered:
@@ -81,21 +84,44 @@ def _doubt(tracks: Sequence[Track], problem: str) -> Recovered:
     return Recovered(problem=problem)
 
 
-def _search(last: Held, tracks: Sequence[Track], aligner: Aligner) -> Recovered:
-    """Search the input that waited longest on the last fused map."""
-    jumped = [track for track in tracks if aligner.may_confirm(track)]
-    chosen = min(jumped or tracks, key=lambda track: track.searched_s)
+def _is_in_vain(track: Track, names: str) -> bool:
+    """Whether all was tried in vain with an input's newest map, among the same inputs."""
+    return track.tried == (track.version, names, IN_VAIN)
+
+
+def _is_due(tracks: Sequence[Track], names: str, aligner: Aligner) -> bool:
+    """Whether anything can be tried that was not: drawing the last fused map takes time."""
+    return any(
+        track.tried not in {(track.version, names, mark) for mark in (IN_VAIN, WAITING)}
+        or (
+            aligner.may_search(track)
+            and (aligner.may_confirm(track) or not _is_in_vain(track, names))
+        )
+        for track in tracks
+    )
+
+
+def _begin(tracks: Sequence[Track], names: str) -> None:
+    """Let none vote until it fits, and note that each is held against the last fused map."""
+    for track in tracks:
+        track.accepted = False
+        if not _is_in_vain(track, names):
+            track.tried = (track.version, names, WAITING)
+
+
+def _search(last: Held, tracks: Sequence[Track], names: str, aligner: Aligner) -> Recovered:
+    """Search the input that waited longest on the last fused map, before all one that jumped."""
+    able = [track for track in tracks if aligner.may_search(track)]
+    jumped = [track for track in able if aligner.may_confirm(track)]
+    waiting = [track for track in able if not _is_in_vain(track, names)]
     for track in tracks:
         if track.jump is None:
             track.refuse(f"does not fit {LAST_FUSED}")
-    if aligner.may_search(chosen):
-        if jumped:
-            aligner.confirm(chosen, [last])
-        else:
-            aligner.search(chosen, last)
-    if any(aligner.now_s - t.searched_s >= aligner.live.search_pause_s for t in tracks):
-        for track in tracks:
-            track.tried = None
+    chosen = min(jumped or waiting, key=lambda track: track.searched_s, default=None)
+    if chosen is not None:
+        is_done = not aligner.confirm(chosen, [last]) if jumped else aligner.search(chosen, last)
+        if is_done and not chosen.votes:
+            chosen.tried = (chosen.version, names, IN_VAIN)
     return Recovered(problem=f"no input fits {LAST_FUSED}")
 
 

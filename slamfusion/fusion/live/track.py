@@ -224,7 +224,8 @@ class Track:
         confirms: how often it was searched again on the same map.
         mismatch: why its walls do not match those that it was last aligned to; empty: they do.
         contradiction: why its poses contradict those of others, which takes its vote; empty: none.
-        tried: own version, the reference's name and version when it was last aligned in vain.
+        tried: own version, the reference's name and version when it was last aligned in vain; see
+            ``recovery`` for those of the last fused map.
         searched_s: when it was last searched everywhere.
         searches: how often.
         rest_s: the least pause after that search.

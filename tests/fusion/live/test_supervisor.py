@@ -350,6 +350,19 @@ def test_what_fits_nowhere_waits_until_it_may_be_searched_again(
     assert drive.live._supervisor.has_searched
 
 
+def test_a_map_that_came_too_soon_to_be_searched_is_searched_though_no_other_comes(
+    device: ComputeDevice,
+) -> None:
+    drive = started(device, search_pause_s=20.0)
+    for name in "ac":
+        drive.live.drop(name, "gone")
+    assert drive.step(stranger("b")).is_full_search
+    assert not drive.step(moved_frame(three()["b"], AWAY)).is_full_search
+    for _ in range(50):
+        drive.maybe()
+    assert drive.accepted() == "b", drive.input("b").reason
+
+
 def test_nothing_is_proven_while_maps_wait(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:

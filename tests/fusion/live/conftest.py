@@ -1,0 +1,13 @@
+"""Fixtures of the live fusion's tests."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.fusion.live.scripted import Script, follow_script
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Script:
+    """What alignments answer, and what was asked of them."""
+    return follow_script(monkeypatch)
