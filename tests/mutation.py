@@ -26,6 +26,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from hypothesis import HealthCheck, Phase, settings
 
 from tests.support.mutants import Mutant, mutants_of
 
@@ -35,6 +36,13 @@ TIMES, SPARE_S = 5.0, 20.0
 POLL_S = 0.02
 # What every run would load again; without it the run is as right, and slower.
 LIBRARIES = ("numpy", "scipy.ndimage", "cv2", "hypothesis.strategies", "yaml", "rich.console")
+# Whether a test fails is asked, and not for the smallest example.
+settings.register_profile(
+    "mutants",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    phases=[Phase.explicit, Phase.generate],
+)
 
 
 @dataclass(frozen=True)
@@ -117,9 +125,85 @@ SUPERVISOR = {
         "InputSupervisor.__init__",
         "self._now_s = 0.0 => self._now_s = 0.1",
     ): "every round sets it first",
+    (
+        "InputSupervisor._choose_reference",
+        "reasons and (not self.voters) => reasons or not self.voters",
+    ): "a voter is contradicted by nobody, and of those that stand without a vote all are",
+    (
+        "InputSupervisor._realign",
+        (
+            "reference is None or not reference.accepted => "
+            "reference is None and (not reference.accepted)"
+        ),
+    ): "a round begins with one that is accepted, and only the last that is due can cost it that: "
+    "without another voter nobody is left, and with one that takes its place",
+}
+ALIGN = {
+    (
+        "Aligner.restore",
+        f"_Searched(score, 1.0, 0.0, '') => _Searched(score, {changed}, '')",
+    ): "any clear match is one whose walls must go on to match"
+    for changed in ("1.1, 0.0", "0.9, 0.0", "1.0, 0.1")
+}
+BEGIN = {
+    (
+        "align_first",
+        (
+            "t.features(resolution, thresholds, -1.0, device) => "
+            f"t.features(resolution, thresholds, {share}, device)"
+        ),
+    ): "no change at all is more than any share below none"
+    for share in ("-1.1", "-0.9")
+}
+LIMITS = {
+    (
+        "odd_resolution",
+        "size > typical => size >= typical",
+    ): "equal ones are not odd, and have left before",
+}
+POSES = {
+    **{
+        (
+            "PoseWatch.contradictions",
+            change,
+        ): "who has most has most, whatever is counted for each and from wherever"
+        for change in (
+            "rivals.get(name, 0) => rivals.get(name, 1)",
+            "rivals.get(name, 0) => rivals.get(name, -1)",
+            "rivals[name] = rivals.get(name, 0) + 1 => rivals[name] = rivals.get(name, 0) + 2",
+        )
+    },
+    (
+        "_share",
+        (
+            "return value / limit if limit > 0.0 else math.inf if value > 0.0 else 0.0 => "
+            "return value / limit if limit > 0.0 else math.inf if value > 0.0 else 0.1"
+        ),
+    ): "a tenth is within every share of a limit, as none is",
+}
+TRACK = {
+    (
+        "_known_after",
+        "overlap(box, new.box) or box => overlap(box, new.box) and box",
+    ): "outside of a layer nothing is known, and where none was lost not all of a change is there",
+    **{
+        ("_around", change): "a strip without a cell knows none"
+        for change in (
+            "strip.height > 0 and strip.width > 0 => strip.height > 0 or strip.width > 0",
+            "strip.height > 0 => strip.height >= 0",
+            "strip.height > 0 => strip.height > -1",
+            "strip.width > 0 => strip.width >= 0",
+            "strip.width > 0 => strip.width > -1",
+        )
+    },
 }
 
-LIVE_TESTS = ("tests/fusion/live/test_supervisor.py", "tests/fusion/live/test_fusion.py")
+LIVE = "slamfusion.fusion.live"
+
+
+def _live_tests(*names: str) -> tuple[str, ...]:
+    return tuple(f"tests/fusion/live/test_{name}.py" for name in names)
+
 
 TARGETS = (
     Target("slamfusion.fusion.accept", ("tests/fusion/test_accept.py",), ACCEPT),
@@ -127,11 +211,16 @@ TARGETS = (
     Target("slamfusion.slam.common.tracking", ("tests/slam/common/test_tracking.py",), TRACKING),
     Target("slamfusion.slam.common.state", ("tests/slam/common/test_state.py",), {}),
     Target(
-        "slamfusion.fusion.live.supervisor",
-        LIVE_TESTS,
-        SUPERVISOR,
+        f"{LIVE}.supervisor", _live_tests("supervisor_rules", "supervisor", "fusion"), SUPERVISOR
     ),
-    Target("slamfusion.fusion.live.recovery", LIVE_TESTS, {}),
+    Target(f"{LIVE}.recovery", _live_tests("recovery_rules", "recovery", "supervisor"), {}),
+    Target(f"{LIVE}.align", _live_tests("align_rules", "align"), ALIGN),
+    Target(f"{LIVE}.begin", _live_tests("begin"), BEGIN),
+    Target(f"{LIVE}.intake", _live_tests("intake"), {}),
+    Target(f"{LIVE}.limits", _live_tests("limits"), LIMITS),
+    Target(f"{LIVE}.mirror", _live_tests("mirror"), {}),
+    Target(f"{LIVE}.poses", _live_tests("poses"), POSES),
+    Target(f"{LIVE}.track", _live_tests("track_rules", "track"), TRACK),
 )
 
 
@@ -188,8 +277,9 @@ def start(target: Target, mutant: Mutant | None, folder: Path, tests: Sequence[s
         source = target.path.read_text() if mutant is None else mutant.source
         sys.meta_path.insert(0, Changed(target.module, target.path, source))
         options = ("-x", "-q", "--tb=line", "-p", "no:cacheprovider", "-p", "no:faulthandler")
+        examples = ("--hypothesis-seed=0", "--hypothesis-profile=mutants")
         for test in tests:  # one after the other: the quick ones first
-            code = int(pytest.main([*options, "--hypothesis-seed=0", test]))
+            code = int(pytest.main([*options, *examples, test]))
             if code != pytest.ExitCode.OK:
                 break
         sys.stdout.flush()
