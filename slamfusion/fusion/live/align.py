@@ -279,7 +279,7 @@ class Aligner:
         self.has_searched = True
         track.searched_s = self.now_s
         track.searches += 1
-        start = self._start(track, held)
+        start = _expected(self, track, held)
         own, began = self.features(track), time.perf_counter()
         until_s = began + track.patience_s
 
@@ -308,18 +308,6 @@ class Aligner:
         track.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s
         return pair
 
-    def _start(self, track: Track, held: Held) -> Pose2 | StartPose | None:
-        """Return where a search expects an input in the frame of what it is held against.
-
-        One that has no place yet is looked for around its start. One that had a place may have
-        begun a new map elsewhere, so it is searched everywhere; where the place looks alike from
-        two sides, the side of the last transform is believed.
-        """
-        last = track.transform
-        if last is None:
-            return self.starts.between(held.name, track.name)
-        return held.transform.inverse().compose(last)
-
     def is_jump(self, track: Track, a: Pose2, b: Pose2) -> bool:
         """Whether two transforms carry an input's map too far apart to be one."""
         centre, turn, _ = track.apart(a, b)
@@ -337,6 +325,19 @@ class Aligner:
         track.mismatch = ""
         track.accepted = track.is_steady = True
         track.pin()
+
+
+def _expected(aligner: Aligner, track: Track, held: Held) -> Pose2 | StartPose | None:
+    """Return where a search expects an input in the frame of what it is held against.
+
+    One that has no place yet is looked for around its start. One that had a place may have begun a
+    new map elsewhere, so it is searched everywhere; where the place looks alike from two sides, the
+    side of the last transform is believed.
+    """
+    last = track.transform
+    if last is None:
+        return aligner.starts.between(held.name, track.name)
+    return held.transform.inverse().compose(last)
 
 
 def _unmirrored(

@@ -168,7 +168,7 @@ class InputSupervisor:
                 continue
             own = 0 if track.layer is None else track.layer.box.area
             may_wait = track.votes and cells + own > self._live.track_cells
-            if may_wait and track.drift <= LATE * self._few(track, reference):
+            if may_wait and track.drift <= LATE * _few(track, reference, self._live):
                 if not (is_idle and cells == 0):
                     continue
                 try:
@@ -179,10 +179,6 @@ class InputSupervisor:
                 self._align_or_refuse(track, reference)
             cells += own
 
-    def _few(self, track: Track, reference: Track) -> float:
-        """Return the changed wall cells below which nothing needs to be aligned again."""
-        return self._live.track_share * min(track.walls, reference.walls)
-
     def _is_due(self, track: Track) -> bool:
         """Whether an input has to be aligned in this round."""
         reference = self.tracks[self.reference]
@@ -192,7 +188,7 @@ class InputSupervisor:
             if track.jump is not None and track.jump_version == track.version:
                 return self._aligner.may_confirm(track)
             return track.tried != (track.version, reference.name, reference.version)
-        return not track.is_steady or track.drift > self._few(track, reference)
+        return not track.is_steady or track.drift > _few(track, reference, self._live)
 
     def _align_or_refuse(self, track: Track, reference: Track) -> None:
         """Align an input; one that cannot be is refused by name, and the others go on."""
@@ -281,3 +277,8 @@ class InputSupervisor:
 def _waits(track: Track) -> str:
     """Return the reason of an input that has to be searched and may not be yet."""
     return "; ".join(filter(None, (track.mismatch, "waits for a full search")))
+
+
+def _few(track: Track, reference: Track, live: LiveConfig) -> float:
+    """Return the changed wall cells below which nothing needs to be aligned again."""
+    return live.track_share * min(track.walls, reference.walls)
