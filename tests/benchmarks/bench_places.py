@@ -39,20 +39,16 @@ from tests.support.halmstad import (
     annotated_error,
     load_place,
 )
+from tests.support.overlap import are_different_places
 
 Pair = tuple[MapEntry, MapEntry]
 
 
 def different_places() -> Iterator[Pair]:
-    """Every pair of maps that places.csv says are of different places.
-
-    The drawings of worlds/stage may repeat places of rendered and are left out against them.
-    """
+    """Every pair of maps of different places."""
     for a, b in itertools.combinations(map_entries(), 2):
-        folders = {a.file.split("/")[0], b.file.split("/")[0]}
-        if a.place == b.place or (folders == {"worlds", "rendered"} and "stage" in a.file + b.file):
-            continue
-        yield a, b
+        if are_different_places(a, b):
+            yield a, b
 
 
 def same_place() -> Iterator[Pair]:
