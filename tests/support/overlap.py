@@ -20,7 +20,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache
 from typing import cast
 
 import numpy as np
@@ -318,7 +318,7 @@ def _entries() -> dict[str, MapEntry]:
     return {entry.file: entry for entry in map_entries()}
 
 
-@lru_cache(maxsize=12)
+@cache
 def load_source(source: str) -> OccupancyGrid:
     """Load a recorded map, or draw a simulated floor; cells -1, 0, 100, cropped."""
     if not source.startswith("sim/"):

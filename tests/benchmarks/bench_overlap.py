@@ -1,0 +1,317 @@
+"""Align maps that share only a part, and maps that share nothing, and count what is believed.
+
+    python -m tests.benchmarks.bench_overlap --processes 2 --jsonl out/overlap.jsonl
+    python -m tests.benchmarks.bench_overlap --limit 3 --only one-map --only cross-slam
+
+Of pairs with a right answer each cell of the table counts: accepted and right / accepted and wrong
+/ rejected, though the best candidate is right / rejected and not found, of how many. Of the others
+none may be accepted (at 1.02 times the scale it may be, where the scale is named).
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import multiprocessing
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from slamfusion.compute import open_device
+from slamfusion.config import FusionConfig
+from slamfusion.fusion.align import align_features
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.normalize import common_resolution, normalize_grid
+from slamfusion.fusion.records import AlignmentJson
+from slamfusion.grid import OccupancyGrid
+from tests.support.datasets import ABSENT, MAPS
+from tests.support.overlap import (
+    NEGATIVES,
+    OVERLAPS,
+    POSITIVES,
+    Draft,
+    cross_slam_pairs,
+    different_places,
+    disjoint_halves,
+    half_pairs,
+    mirrored,
+    scaled,
+    simulated,
+)
+
+# Each set of pairs, told a seed.
+SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
+    "one-map": half_pairs,
+    "cross-slam": cross_slam_pairs,
+    "simulated": simulated,
+    "different": different_places,
+    "disjoint": disjoint_halves,
+    "mirrored": mirrored,
+    "scaled-1.1": lambda seed: scaled(seed, 1.1),
+    "scaled-1.02": lambda seed: scaled(seed, 1.02),
+}
+# Prepared maps that a process keeps, and the maps whose pairs are aligned one after another.
+KEPT_FEATURES = 24
+BLOCK_MAPS = 10
+OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
+
+
+@dataclass(frozen=True)
+class Result:
+    """One pair: how it was made, how near the answer is, and the alignment's own record.
+
+    Attributes:
+        name, what, place, seed: of the case.
+        reference_map, moving_map: what they were cut from.
+        axis, reference_side, moving_side: how; None for whole maps.
+        overlap: of each half; None where there is no right answer.
+        common_walls: wall cells on the ground in common.
+        is_right: whether the answer, accepted or not, is right.
+        error_m, error_deg: how far it is from the truth; None without one.
+        alignment: as ``align --json`` writes it.
+    """
+
+    name: str
+    what: str
+    place: str
+    seed: int
+    reference_map: str
+    moving_map: str
+    axis: str | None
+    reference_side: str | None
+    moving_side: str | None
+    overlap: float | None
+    common_walls: int
+    is_right: bool
+    error_m: float | None
+    error_deg: float | None
+    alignment: AlignmentJson
+
+    @property
+    def outcome(self) -> str:
+        """One of ``OUTCOMES``."""
+        if self.alignment["accepted"]:
+            return OUTCOMES[0] if self.is_right else OUTCOMES[1]
+        return OUTCOMES[2] if self.is_right else OUTCOMES[3]
+
+
+class Aligner:
+    """Makes and aligns pairs, and keeps the features of the maps it saw last."""
+
+    def __init__(self, on_device: str, *, prove: bool) -> None:
+        config = FusionConfig()
+        self.config = replace(config, align=replace(config.align, prove=prove))
+        self.device = open_device(on_device)
+        self.features: OrderedDict[tuple[Any, ...], GridFeatures] = OrderedDict()
+
+    def feature(self, grid: OccupancyGrid, resolution: float) -> GridFeatures:
+        """Return the prepared map; two grids of the same cells, name and place are one."""
+        digest = hashlib.sha256(grid.cells.tobytes()).digest()
+        key = (grid.name, grid.cells.shape, digest, grid.origin, grid.resolution, resolution)
+        if key not in self.features:
+            prepared = normalize_grid(grid, resolution, self.config.normalize, self.device)
+            self.features[key] = GridFeatures(prepared, self.device)
+        self.features.move_to_end(key)
+        while len(self.features) > KEPT_FEATURES:
+            self.features.popitem(last=False)
+        return self.features[key]
+
+    def align(self, draft: Draft) -> Result | None:
+        """Return what comes of a draft; None where it is left out."""
+        case = draft.draw()
+        if case is None:
+            return None
+        size = common_resolution([case.reference, case.moving], self.config.normalize)
+        reference, moving = (self.feature(grid, size) for grid in (case.reference, case.moving))
+        record = align_features(reference, moving, self.config.align, self.device)
+        error = case.error(record.transform)
+        is_cut = draft.reference.axis is not None
+        return Result(
+            case.name,
+            case.what,
+            case.place,
+            draft.seed,
+            draft.reference.source,
+            draft.moving.source,
+            draft.reference.axis,
+            draft.reference.side if is_cut else None,
+            draft.moving.side if is_cut else None,
+            case.overlap,
+            case.common_walls,
+            case.is_right(record.transform),
+            None if error is None else error[0],
+            None if error is None else error[1],
+            record.to_json(),
+        )
+
+
+def _start_worker(on_device: str, prove: bool) -> None:
+    global _aligner  # noqa: PLW0603 - a process of the pool has one, made when it starts
+    _aligner = Aligner(on_device, prove=prove)
+
+
+def _work(draft: Draft) -> tuple[str, Result | None]:
+    return draft.what, _aligner.align(draft)
+
+
+_aligner: Aligner
+
+
+def results_of(
+    drafts: list[Draft], processes: int, on_device: str, *, prove: bool
+) -> Iterator[tuple[str, Result | None]]:
+    """Align all pairs, in several processes where asked; in no certain order."""
+    if processes == 1:
+        aligner = Aligner(on_device, prove=prove)
+        for draft in drafts:
+            yield draft.what, aligner.align(draft)
+        return
+    # A device that was opened before a fork is of no use after it.
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(processes, _start_worker, (on_device, prove)) as pool:
+        yield from pool.imap_unordered(_work, drafts, chunksize=8)
+
+
+def chosen(names: Iterable[str], seed: int, limit: int | None) -> list[Draft]:
+    """Return the drafts of some sets, at most ``limit`` of each set and overlap, seeded."""
+    rng = np.random.default_rng(seed)
+    drafts: list[Draft] = []
+    for name in names:
+        cells: dict[float, list[Draft]] = {}
+        for draft in SETS[name](seed):
+            # Whole maps and halves that have no right answer are one cell.
+            cells.setdefault(draft.overlap if draft.has_truth else 0.0, []).append(draft)
+        for cell in cells.values():
+            count = len(cell) if limit is None else min(limit, len(cell))
+            picked = sorted(rng.choice(len(cell), count, replace=False))
+            drafts.extend(_in_blocks([cell[index] for index in picked]))
+    return drafts
+
+
+def _in_blocks(drafts: list[Draft]) -> list[Draft]:
+    """Order pairs so that few maps are in use at a time."""
+    sources = sorted({part.source for draft in drafts for part in (draft.reference, draft.moving)})
+    place = {source: index for index, source in enumerate(sources)}
+
+    def key(draft: Draft) -> tuple[int, int, str, str]:
+        a, b = place[draft.reference.source], place[draft.moving.source]
+        return a // BLOCK_MAPS, b // BLOCK_MAPS, draft.reference.name, draft.moving.name
+
+    return sorted(drafts, key=key)
+
+
+def print_found(results: list[Result], console: Console) -> None:
+    """Print the table of pairs that have a right answer."""
+    table = Table("set", *(f"{overlap:.0%}" for overlap in OVERLAPS), title="overlap of each half")
+    for what in POSITIVES:
+        row = []
+        for overlap in OVERLAPS:
+            some = [r for r in results if r.what == what and r.overlap == overlap]
+            counts = Counter(result.outcome for result in some)
+            row.append(" / ".join(str(counts[o]) for o in OUTCOMES) + f" of {len(some)}")
+        if any(result.what == what for result in results):
+            table.add_row(what, *row)
+    if table.row_count:
+        console.print(table)
+        console.print(" / ".join(OUTCOMES))
+
+
+def print_believed(results: list[Result], console: Console) -> None:
+    """Print how many of the pairs without a right answer are accepted, and each wrong one."""
+    table = Table("pairs of", "accepted", "of", title="nothing here is right")
+    for what in NEGATIVES:
+        some = [result for result in results if result.what == what]
+        if some:
+            accepted = sum(result.alignment["accepted"] for result in some)
+            table.add_row(what, str(accepted), str(len(some)))
+    if table.row_count:
+        console.print(table)
+    for result in results:
+        if result.outcome == "accepted wrong":
+            off = (
+                f", {result.error_m:.2f} m, {result.error_deg:.1f} deg off"
+                if result.overlap
+                else ""
+            )
+            reason = result.alignment["reason"]
+            console.print(f"WRONG: {result.name}{off}: {reason}", markup=False)
+
+
+def print_times(results: list[Result], console: Console) -> None:
+    """Print how long an alignment took, maps read and prepared; fields made on demand count."""
+    table = Table("set", "median s", "90 % s", "longest s", title="time of an alignment")
+    for what in (*POSITIVES, *NEGATIVES):
+        times = [result.alignment["time_s"] for result in results if result.what == what]
+        if times:
+            numbers = (*np.percentile(times, (50, 90)), max(times))
+            table.add_row(what, *(f"{number:.3f}" for number in numbers))
+    console.print(table)
+
+
+def line_of(result: Result) -> str:
+    """Return a result as a line of JSON; what is not finite becomes null."""
+    return json.dumps(_finite(asdict(result)), allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, (np.bool_, np.integer)):
+        return value.item()
+    return value
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of yaws, origins, specks, samples")
+    parser.add_argument("--limit", type=int, help="pairs of each set and overlap; default: all")
+    parser.add_argument("--only", choices=tuple(SETS), action="append", help="default: all")
+    parser.add_argument("--jsonl", type=Path, help="file for one line a pair")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--prove", action="store_true")
+    arguments = parser.parse_args()
+    names = arguments.only or tuple(SETS)
+    if not MAPS.is_dir() and set(names) != {"simulated"}:
+        parser.error(ABSENT + ", or ask for --only simulated")
+    console = Console(width=160)
+    drafts = chosen(names, arguments.seed, arguments.limit)
+    results: list[Result] = []
+    left_out: Counter[str] = Counter()
+    with ExitStack() as stack:
+        file: TextIO | None = None
+        if arguments.jsonl is not None:
+            arguments.jsonl.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(arguments.jsonl.open("w", encoding="utf-8"))
+        found = results_of(drafts, arguments.processes, arguments.device, prove=arguments.prove)
+        for what, result in track(found, "pairs", total=len(drafts), console=Console(stderr=True)):
+            if result is None:
+                left_out[what] += 1
+                continue
+            results.append(result)
+            if file is not None:
+                print(line_of(result), file=file, flush=True)
+    results.sort(key=lambda result: result.name)
+    print_found(results, console)
+    print_believed(results, console)
+    print_times(results, console)
+    for what, count in left_out.items():
+        console.print(f"{what}: {count} pairs with too few walls in common were left out")
+
+
+if __name__ == "__main__":
+    main()
