@@ -128,7 +128,7 @@ def move_frame(
 
     Args:
         grid: with a known cell.
-        rng: of yaw, place, lattice.
+        rng: of yaw, place and the yaw of the cells.
         factor: the map's lengths are multiplied by this; cells keep their stated size.
 
     Returns:
@@ -146,7 +146,7 @@ def move_frame(
     if rng.random() < ORIGIN_ALONE and factor == 1.0:
         origin = pose.inverse().compose(grid.origin)
         return OccupancyGrid(grid.cells, size, origin, grid.name), pose
-    return render(large, pose, lattice_yaw_rad, size, rng.uniform(0.0, 1.0, 2)), pose
+    return render(large, pose, lattice_yaw_rad, size), pose
 
 
 def render(
@@ -154,7 +154,6 @@ def render(
     pose: Pose2,
     lattice_yaw_rad: float,
     resolution: float,
-    offset: npt.NDArray[np.float64],
 ) -> OccupancyGrid:
     """Draw a map on the lattice of another frame: each cell is what lies under its centre.
 
@@ -163,13 +162,12 @@ def render(
         pose: of the new map frame in that of ``grid``, metres.
         lattice_yaw_rad: yaw of the new grid's origin in its own frame.
         resolution: metres per new cell.
-        offset: (2,) by how much of a cell the lattice is shifted, x and y.
     """
     axes = Pose2(0.0, 0.0, lattice_yaw_rad)
     rows, cols = np.nonzero(grid.cells != UNKNOWN)
     to_axes = axes.inverse().compose(pose.inverse())
     known = to_axes.transform(grid.cell_centres(rows, cols)) / resolution
-    first = np.floor(known.min(axis=0)) - 1.0 - offset
+    first = np.floor(known.min(axis=0)) - 1.0
     width, height = (int(count) for count in np.ceil(known.max(axis=0) + 1.0 - first))
     corner = axes.transform(first * resolution)
     origin = Pose2(float(corner[0]), float(corner[1]), lattice_yaw_rad)

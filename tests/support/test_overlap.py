@@ -187,6 +187,16 @@ def test_the_error_is_measured_at_the_centre() -> None:
         assert case.is_right(case.truth.compose(turn)) == is_right
 
 
+def test_places_along_an_axis_are_counted_in_the_other_maps_cells() -> None:
+    # Cells of 0.2 m, on axes turned by 90 degrees, laid on cells of 0.1 m whose corner is (1, 2).
+    own = OccupancyGrid(np.zeros((2, 3), np.int8), 0.2, Pose2(0.0, 0.0, math.pi / 2))
+    lattice = OccupancyGrid(np.zeros((9, 9), np.int8), 0.1, Pose2(1.0, 2.0))
+    motion = Pose2(1.5, 2.1)
+    # Own columns run along +y and own rows along -x.
+    assert along(own, lattice, motion, "x") == pytest.approx(np.array([[4.0] * 3, [2.0] * 3]))
+    assert along(own, lattice, motion, "y") == pytest.approx(np.array([[2.0, 4.0, 6.0]] * 2))
+
+
 @pytest.mark.parametrize("draft", disjoint_halves(4, FLOORS), ids=lambda draft: draft.name)
 def test_disjoint_halves_share_no_ground(draft: Draft) -> None:
     floor = load_source(draft.reference.source)
