@@ -45,15 +45,25 @@ def sharpen_fronts(cells: I8, is_disputed: Mask) -> Mask:
         is_disputed: (H, W) bool, where somebody voted for free.
 
     Returns:
-        (H, W) bool; behind each such cell the wall is two cells deep: of a wall whose both
-        faces are cut the middle stays.
+        (H, W) bool; behind each such cell the wall is two cells deep, and not all of that is cut
+        itself: of a wall whose both faces are cut the middle stays.
     """
     is_wall, is_free = (np.pad(cells == value, DEPTH_CELLS) for value in (1, 0))
+    fronts = {}
+    for way in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        behind = _behind(is_wall, way)
+        front = _seen_from(is_free, -way[0], -way[1]) & np.logical_and.reduce(behind)
+        fronts[way] = front & is_disputed & (cells == 1)
+    candidates = np.pad(np.logical_or.reduce(list(fronts.values())), DEPTH_CELLS)
     found = np.zeros(cells.shape, dtype=np.bool_)
-    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        behind = [_seen_from(is_wall, n * down, n * right) for n in range(1, DEPTH_CELLS + 1)]
-        found |= _seen_from(is_free, -down, -right) & np.logical_and.reduce(behind)
-    return np.asarray(found & is_disputed & (cells == 1))
+    for way, front in fronts.items():
+        found |= front & ~np.logical_and.reduce(_behind(candidates, way))
+    return found
+
+
+def _behind(padded: Mask, way: tuple[int, int]) -> list[Mask]:
+    """Return what lies one and more cells away, as deep as a wall behind its front."""
+    return [_seen_from(padded, n * way[0], n * way[1]) for n in range(1, DEPTH_CELLS + 1)]
 
 
 def _seen_from(padded: Mask, down: int, right: int) -> Mask:

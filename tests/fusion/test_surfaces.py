@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -85,15 +85,27 @@ def test_thin_walls_and_walls_with_nothing_free_before_them_stay(row: str):
 def test_fronts_cell_by_cell(cells: I8, seed: int):
     is_disputed = np.random.default_rng(seed).random(cells.shape) < 0.7
     padded = np.pad(cells, 2, constant_values=U)
+    ways = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+    def is_front(row: int, col: int, way: tuple[int, int]) -> bool:
+        places = [(row + n * way[0], col + n * way[1]) for n in (-1, 0, 1, 2)]
+        return [int(padded[i + 2, j + 2]) for i, j in places] == [F, O, O, O]
+
+    def may_go(row: int, col: int) -> bool:
+        inside = 0 <= row < cells.shape[0] and 0 <= col < cells.shape[1]
+        return inside and bool(is_disputed[row, col]) and any(is_front(row, col, w) for w in ways)
+
     for (row, col), found in np.ndenumerate(sharpen_fronts(cells, is_disputed)):
-        wanted = False
-        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            line = [int(padded[row + 2 + n * down, col + 2 + n * right]) for n in (-1, 0, 1, 2)]
-            wanted |= line == [F, O, O, O]
+        wanted = any(
+            is_front(row, col, way)
+            and not all(may_go(row + n * way[0], col + n * way[1]) for n in (1, 2))
+            for way in ways
+        )
         assert found == (wanted and bool(is_disputed[row, col]))
 
 
 @given(cells=cells_of_maps)
+@example(cells=drawn("...\n.#.\n.#.\n###\n..."))
 def test_behind_every_cell_that_is_cut_some_of_the_wall_stays(cells: I8):
     cut = sharpen_fronts(cells, np.ones_like(cells, dtype=bool))
     for row, col in np.argwhere(cut):
