@@ -76,6 +76,28 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
   places[out] = place;
 }
 
+/* What the points are worth under each pose, summed over chunks of points:
+ * partial[p, chunk] = sum of the field in the cells that the points meet, `base` for those off it.
+ * points (count, 2) int lattice positions; poses (n, 4) long Q30, points to field;
+ * field (height, width) uchar; partial (n, chunks) int. Global: (chunks, n). */
+__kernel void pose_scores(__global const int *points, const int count, __global const long *poses,
+                          const int n, __global const uchar *field, const int height,
+                          const int width, const int base, const int chunk, const int chunks,
+                          __global int *partial) {
+  const int c = get_global_id(0), p = get_global_id(1);
+  if (c >= chunks || p >= n) return;
+  const long4 pose = vload4(p, poses);
+  const int stop = min((c + 1) * chunk, count);
+  int sum = 0;
+  for (int i = c * chunk; i < stop; i++) {
+    const int2 cell = fixed_cell(pose, points[2 * i], points[2 * i + 1]);
+    const int inside = ((uint)cell.x < (uint)width) & ((uint)cell.y < (uint)height);
+    const int value = field[inside ? (size_t)cell.y * width + cell.x : 0];
+    sum += inside ? value : base;
+  }
+  partial[p * chunks + c] = sum;
+}
+
 /* What the points meet under each pose, summed over chunks of points:
  * partial[p, chunk] = (score, points within near2, points in free space beyond far2, points on the
  * field). Points off the field score `base`.
@@ -115,7 +137,8 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
  * partial[p, chunk] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
  * points (count, 2) float cells; poses (n, 4) float cos, sin, tx, ty in cells, points to field;
- * distance (height, width) ushort, 1/256 cell. Global: (chunks, n). */
+ * distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
+ * Global: (chunks, n). */
 __kernel void refine_terms(__global const float *points, const int count,
                            __global const float *poses, const int n,
                            __global const ushort *distance, const int height, const int width,
@@ -135,6 +158,7 @@ __kernel void refine_terms(__global const float *points, const int count,
     if (col + 1 >= width || row + 1 >= height) continue;
     const float u = qx - 0.5f - col, v = qy - 0.5f - row;
     __global const ushort *at = distance + (size_t)row * width + col;
+    if (HIGHER(HIGHER(at[0], at[1]), HIGHER(at[width], at[width + 1])) == DISTANCE_UNSEEN) continue;
     const float d00 = at[0] * (1.0f / DISTANCE_ONE), d01 = at[1] * (1.0f / DISTANCE_ONE);
     const float d10 = at[width] * (1.0f / DISTANCE_ONE);
     const float d11 = at[width + 1] * (1.0f / DISTANCE_ONE);

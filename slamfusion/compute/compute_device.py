@@ -88,6 +88,7 @@ class NumpyDevice:
     bound_blocks = _twin(search.bound_blocks)
     tile_peaks = _twin(search.tile_peaks)
     pose_counts = _twin(search.pose_counts)
+    pose_scores = _twin(search.pose_scores)
     refine_terms = _twin(search.refine_terms)
 
     vote_majority = _twin(votes.vote_majority)

@@ -40,6 +40,7 @@ __all__ = [
     "DISTANCE2_MAX",
     "DISTANCE_MAX",
     "DISTANCE_TABLE",
+    "DISTANCE_UNSEEN",
     "EACH_LANE",
     "FIXED_ONE",
     "FULL_HITS",
@@ -77,6 +78,8 @@ DISTANCE_MAX: Final = 64
 DISTANCE2_MAX: Final = DISTANCE_MAX**2
 # A cell in the unit of distance fields: they count in 1/256 cell.
 DISTANCE_ONE: Final = 256
+# In a field of distances: so far into the unknown that nothing is to be said.
+DISTANCE_UNSEEN: Final = 65535
 # Distance in 1/256 cell by squared distance in cells.
 DISTANCE_TABLE: Final = np.rint(DISTANCE_ONE * np.sqrt(np.arange(DISTANCE2_MAX + 1))).astype(
     np.uint16
@@ -210,7 +213,7 @@ SHARE_ONE: Final = 1 << 16
 
 _FOR_KERNELS: Final = (
     *("UNKNOWN", "FREE", "OCCUPIED", "FIXED_TO_CELL_SHIFT"),
-    *("DISTANCE_MAX", "DISTANCE_ONE", "FIELD_ONE", "SPECK_FREE_CELLS"),
+    *("DISTANCE_MAX", "DISTANCE_ONE", "DISTANCE_UNSEEN", "FIELD_ONE", "SPECK_FREE_CELLS"),
     *("RUN", "DISTANCE_LANES", "WINDOW_LANES", "SHIFT_LANES", "SHIFT_ROWS"),
     *("REFINE_TERMS", "MOST_INPUTS", "BLOCK_CELLS", "EACH_LANE"),
     *("OPEN", "WALL", "RAY_FLOATS", "RAY_HIT_FLOATS"),

@@ -83,6 +83,15 @@ class SearchDevice(ArrayDevice, Protocol):
     ) -> npt.NDArray[np.int64]:
         """See ``search.numpy.pose_counts``."""
 
+    def pose_scores(
+        self,
+        points: npt.NDArray[np.int32],
+        poses: npt.NDArray[np.int64],
+        field: DeviceArray[np.uint8],
+        base: int,
+    ) -> npt.NDArray[np.int64]:
+        """See ``search.numpy.pose_scores``."""
+
     def refine_terms(
         self,
         points: DeviceArray[np.float32],

@@ -10,7 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.lattice import fixed_cells
-from slamfusion.compute.layout import COUNT_TERMS, DISTANCE_ONE, REFINE_TERMS, UNKNOWN
+from slamfusion.compute.layout import (
+    COUNT_TERMS,
+    DISTANCE_ONE,
+    DISTANCE_UNSEEN,
+    REFINE_TERMS,
+    UNKNOWN,
+)
 
 __all__ = [
     "bound_blocks",
@@ -18,6 +24,7 @@ __all__ = [
     "correlate",
     "polyphase",
     "pose_counts",
+    "pose_scores",
     "refine_terms",
     "squared_error",
     "tile_peaks",
@@ -208,6 +215,29 @@ def pose_counts(
     return out
 
 
+def pose_scores(points: I32, poses: I64, field: U8, base: int) -> I64:
+    """Return the sum of the field over the points under each pose.
+
+    Args:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        poses: (P, 4) int64 fixed poses, points to field.
+        field: (H, W) uint8.
+        base: worth of a point off the field.
+
+    Returns:
+        (P,) int64.
+    """
+    height, width = field.shape
+    out = np.zeros(len(poses), dtype=np.int64)
+    x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
+    for p, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
+        known = field[row[inside], col[inside]]
+        out[p] = known.sum(dtype=np.int64) + base * (len(points) - len(known))
+    return out
+
+
 def refine_terms(
     points: F32,
     poses: F32,
@@ -226,7 +256,8 @@ def refine_terms(
     Args:
         points: (N, 2) float32, cells.
         poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
-        distance: (H, W) uint16, to the nearest wall in 1/256 cell.
+        distance: (H, W) uint16, to the nearest wall in 1/256 cell; a point that reads a cell of
+            ``DISTANCE_UNSEEN`` counts for nothing.
         scale: cells.
         centre: x and y in cells of the reference.
         backward: points belong to the reference and the field to the moving grid.
@@ -245,6 +276,10 @@ def refine_terms(
         inside = (col >= 0) & (row >= 0) & (col + 1 < width) & (row + 1 < height)
         px, py, qx, qy = px[inside], py[inside], qx[inside], qy[inside]
         col, row = col[inside], row[inside]
+        corners = np.stack([distance[row + i, col + j] for i in (0, 1) for j in (0, 1)])
+        seen = corners.max(axis=0, initial=0) < DISTANCE_UNSEEN
+        px, py, qx, qy = px[seen], py[seen], qx[seen], qy[seen]
+        col, row = col[seen], row[seen]
         u, v = qx - 0.5 - col, qy - 0.5 - row
         d00, d01 = cells[row, col], cells[row, col + 1]
         d10, d11 = cells[row + 1, col], cells[row + 1, col + 1]

@@ -14,6 +14,7 @@ __all__ = ["OpenCLSearch"]
 
 # Points, cells and rows that one work item sums, one after the other; the host adds the sums.
 CHUNK_POINTS = 64
+CHUNK_SCORED = 512
 CHUNK_CELLS = 4096
 CHUNK_ROWS = 16
 
@@ -169,6 +170,31 @@ class OpenCLSearch(OpenCLQueue):
             field,
             distance2,
             free_cell,
+            *sizes,
+            partial,
+        )
+        return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
+
+    def pose_scores(
+        self,
+        points: npt.NDArray[np.int32],
+        poses: npt.NDArray[np.int64],
+        field: DeviceArray[np.uint8],
+        base: int,
+    ) -> npt.NDArray[np.int64]:
+        """See ``search.numpy.pose_scores``."""
+        count, n = len(points), len(poses)
+        chunks = -(-count // CHUNK_SCORED)
+        partial = self.empty((n, chunks), np.int32)
+        sizes = [np.int32(v) for v in (*field.shape, base, CHUNK_SCORED, chunks)]
+        self._launch(
+            "pose_scores",
+            (chunks, n),
+            self.upload(points),
+            np.int32(count),
+            self.upload(poses),
+            np.int32(n),
+            field,
             *sizes,
             partial,
         )

@@ -9,7 +9,7 @@ import numpy as np
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.lattice import fixed_poses
-from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_MAX, DISTANCE_TABLE
+from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_MAX, DISTANCE_TABLE, DISTANCE_UNSEEN
 from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
 from slamfusion.compute.votes import Votes
 
@@ -140,6 +140,11 @@ def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
     ]
 
 
+def _pose_scores(device: ComputeDevice, sample: Sample) -> Arrays:
+    field, poses = device.upload(sample.field), fixed_poses(sample.motions)
+    return [device.pose_scores(sample.points(count), poses, field, BASE) for count in (1, 150, 700)]
+
+
 def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     x, y, yaw = sample.motions.T
     poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
@@ -147,8 +152,20 @@ def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     points = device.upload((sample.rng.random((150, 2)) * size).astype(np.float32))
     distance = device.upload(fields.look_up(sample.distance2, DISTANCE_TABLE))
     centre = (size[0] / 2.0, size[1] / 2.0)
+    # Half and quarter turns, and eighths of a cell: no rounding says which cells a point reads.
+    shift = np.rint(8.0 * sample.motions[0, :2]) / 8.0
+    turns = np.array([[1, 0, 0, 0], [-1, 0, *size], [0, 1, size[1], 0]], dtype=np.float32)
+    turns[:, 2:] += shift
+    eighths = sample.rng.integers(0, 8 * np.array(size), (150, 2)) / 8.0
+    unseen = fields.look_up(sample.distance2, DISTANCE_TABLE)
+    unseen[sample.rng.random(sample.shape) < 0.15] = DISTANCE_UNSEEN
+    pairs = (
+        (points, poses, distance),
+        (device.upload(eighths.astype(np.float32)), turns, device.upload(unseen)),
+    )
     return [
-        device.refine_terms(points, poses, distance, scale=6.0, centre=centre, backward=backward)
+        device.refine_terms(*pair, scale=6.0, centre=centre, backward=backward)
+        for pair in pairs
         for backward in (False, True)
     ]
 
@@ -215,6 +232,7 @@ GRID_CHECKS: dict[str, Check] = {
     "bound_blocks": _bound_blocks,
     "tile_peaks": _tile_peaks,
     "pose_counts": _pose_counts,
+    "pose_scores": _pose_scores,
     "refine_terms": _refine_terms,
     "vote_majority": _vote_majority,
     "vote_weighted": _vote_weighted,
