@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.proof import (
     APART,
-    BASE,
-    LEVELS,
     MEMBERS_KEPT,
+    TOP,
     LatticeScore,
     _BlockBounds,
     _bound_all,
@@ -26,6 +24,7 @@ from slamfusion.fusion.proof import (
 )
 from slamfusion.fusion.search import SearchWindow, search
 from slamfusion.grid import OccupancyGrid
+from tests.fusion.definitions import Side, landings, look_up, side_of, surface_of
 from tests.fusion.drawings import building, degraded, features_of, random_grid
 
 CONFIG = AlignConfig()
@@ -53,7 +52,7 @@ def all_scores(lattice: LatticeScore, yaws: range | None = None) -> np.ndarray:
 def block_maxima(scores: np.ndarray, step: int) -> np.ndarray:
     """The best member of each block of ``step`` yaws, rows and columns."""
     pad = [(0, -size % step) for size in scores.shape]
-    padded = np.pad(scores, pad, constant_values=0)
+    padded = np.pad(scores, pad, constant_values=-1)
     groups, rows, cols = (size // step for size in padded.shape)
     return padded.reshape(groups, step, rows, step, cols, step).max(axis=(1, 3, 5))
 
@@ -122,35 +121,16 @@ def test_bounds_of_single_members_are_their_scores(device: ComputeDevice) -> Non
 
 def test_a_bound_is_no_larger_than_all_points_on_a_wall(device: ComputeDevice) -> None:
     lattice = lattice_of(device, random_grid(3), random_grid(4))
-    assert _bound_all(lattice, 4).max() <= LEVELS * len(lattice.own)
+    assert _bound_all(lattice, 4).max() <= TOP * len(lattice.own)
 
 
-def surface_of(cells: np.ndarray) -> np.ndarray:
-    """Walls with one to six free cells among their eight neighbours."""
-    free = ndimage.convolve((cells == 0).astype(int), np.ones((3, 3), int), mode="constant")
-    return np.asarray((cells == 100) & (free > 0) & (free < 7))
-
-
-def score_by_definition(
-    reference: OccupancyGrid, moving: OccupancyGrid, yaw: float, centres: np.ndarray
+def scores_by_definition(
+    reference: Side, moving: Side, base: int, motions: np.ndarray
 ) -> np.ndarray:
-    """Score of the motions that land the moving centre at the centres (N, 2), in cells."""
-    walls, own = surface_of(reference.cells), surface_of(moving.cells)
-    d = np.minimum(ndimage.distance_transform_edt(~walls), 64.0) / CONFIG.proof_sigma_cells
-    hit = np.rint((LEVELS - BASE) * np.exp(-0.5 * d * d))
-    miss = np.rint(BASE * np.where(d > 1.5, np.minimum(1.0, d / 4.0), 0.0))
-    field = np.clip(BASE + hit - np.where(reference.cells == 0, miss, 0), 0, 255).astype(int)
-    rows, cols = np.nonzero(own)
-    x, y = cols + 0.5 - moving.width / 2, rows + 0.5 - moving.height / 2
-    turned_x = math.cos(yaw) * x - math.sin(yaw) * y
-    turned_y = math.sin(yaw) * x + math.cos(yaw) * y
-    scores = []
-    for centre_x, centre_y in centres:
-        row = np.floor(turned_y + centre_y).astype(int)
-        col = np.floor(turned_x + centre_x).astype(int)
-        inside = (row >= 0) & (col >= 0) & (row < reference.height) & (col < reference.width)
-        scores.append(field[row[inside], col[inside]].sum() + BASE * (~inside).sum())
-    return np.array(scores)
+    """Scores of motions (N, 3): the moving walls on the reference's evidence; unknown is base."""
+    landed = [landings(moving.points, motion, moving.centre) for motion in motions]
+    own = base * len(moving.points)
+    return np.array([own + look_up(reference.value, places).sum() for places in landed])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -158,6 +138,9 @@ def test_scores_equal_their_definition(device: ComputeDevice, seed: int) -> None
     reference, moving = random_grid(seed), random_grid(seed + 100)
     # Away from quarter turns, where a point would lie on the line between two cells.
     lattice = lattice_of(device, reference, moving, SearchWindow((0.0, 0.0, 0.1234)))
+    sigma = CONFIG.proof_sigma_cells
+    a, b = (side_of(features_of(grid, device), sigma, TOP) for grid in (reference, moving))
+    assert 0 < lattice.base < TOP
     rng = np.random.default_rng(seed)
     count, height, width = lattice.shape
     for k in rng.integers(0, count, 8):
@@ -165,9 +148,23 @@ def test_scores_equal_their_definition(device: ComputeDevice, seed: int) -> None
         members = np.stack(
             (np.full(200, k), rng.integers(0, height, 200), rng.integers(0, width, 200)), axis=1
         )
-        motions = lattice.motions(members)
-        wanted = score_by_definition(reference, moving, float(motions[0, 2]), motions[:, :2])
+        wanted = scores_by_definition(a, b, lattice.base, lattice.motions(members))
         assert np.array_equal(scores[members[:, 1], members[:, 2]], wanted)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_search_set_holds_every_shift_under_which_the_maps_overlap(
+    device: ComputeDevice, seed: int
+) -> None:
+    """Beyond its edges every moving wall lies off the reference and is worth the base."""
+    reference, moving = random_grid(seed), random_grid(seed + 100)
+    lattice = lattice_of(device, reference, moving)
+    scores = all_scores(lattice)
+    edges = (scores[:, 0], scores[:, -1], scores[:, :, 0], scores[:, :, -1])
+    assert all(np.all(edge == lattice.base * len(lattice.own)) for edge in edges)
+    farthest = np.hypot(*lattice.own.T).max()
+    assert lattice.rows[0] + 0.5 + farthest < 0.0
+    assert lattice.cols[1] - 0.5 - farthest > reference.width
 
 
 def test_a_part_of_the_search_set_scores_as_in_the_whole(device: ComputeDevice) -> None:
@@ -189,13 +186,32 @@ def test_the_twins_score_alike(device: ComputeDevice, twins: ComputeDevice) -> N
     assert np.array_equal(proofs[0].rivals, proofs[1].rivals)
 
 
+def test_a_map_so_full_of_walls_that_none_tells_anything_is_proven_still(
+    device: ComputeDevice,
+) -> None:
+    """All that is left is what speaks against: free ground farther from walls than elsewhere."""
+    cells = np.full((30, 30), 100, dtype=np.int8)
+    cells[1:-1, 1:-1][:, np.arange(28) % 4 != 3] = 0
+    cells[10:20, 8:22] = 0
+    grid = OccupancyGrid(cells, 0.1)
+    lattice = lattice_of(device, grid, grid, SearchWindow((15.0, 15.0, 0.1), 6.0, 0.3))
+    assert lattice.base == TOP
+    scores = all_scores(lattice)
+    best, worst = int(scores.max()), int(scores.min())
+    assert worst < best == TOP * len(lattice.own)
+    assert prove(lattice, best, 60.0).bound_gap == 0.0
+    proof = prove(lattice, worst, 60.0)
+    assert proof.finished
+    assert proof.bound_gap == pytest.approx((best - worst) / len(lattice.own))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_one_yaw_step_moves_the_farthest_wall_by_at_most_a_cell(
     device: ComputeDevice, seed: int
 ) -> None:
     moving = building(seed)
     lattice = lattice_of(device, random_grid(9), moving)
-    rows, cols = np.nonzero(surface_of(moving.cells))
+    rows, cols = np.nonzero(surface_of(np.where(moving.cells == 100, 1, moving.cells)))
     far = np.hypot(cols + 0.5 - moving.width / 2, rows + 0.5 - moving.height / 2).max()
     assert lattice.yaw_step * far <= 1.0 + 1e-9
     assert lattice.yaw_step * lattice.turn == pytest.approx(2 * math.pi)
@@ -245,6 +261,32 @@ def test_every_better_member_is_a_rival_or_beside_one(device: ComputeDevice, see
     assert scores[tuple(rivals[0])] == ordered[0], "the best comes first"
     assert proof.bound_gap == pytest.approx((ordered[0] - answer) / lattice.scale)
     assert proof.finished
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    first=st.integers(0, 10_000),
+    second=st.integers(0, 10_000),
+    rank=st.integers(0, 150),
+    points=st.sampled_from((16, 1024)),
+)
+def test_no_better_member_is_dropped(
+    device: ComputeDevice, first: int, second: int, rank: int, points: int
+) -> None:
+    config = AlignConfig(proof_points=points)
+    grids = random_grid(first, 14, 24), random_grid(second, 14, 24)
+    lattice = lattice_of(device, *grids, config=config)
+    scores = all_scores(lattice)
+    answer = int(np.sort(scores, axis=None)[-1 - rank])
+    proof = prove(lattice, answer, 60.0)
+    assert proof.finished
+    assert proof.bound_gap == pytest.approx((scores.max() - answer) / lattice.scale)
+    better = np.argwhere(scores > answer)
+    rivals = np.array([lattice.member(motion) for motion in proof.rivals]).reshape(-1, 3)
+    assert len(rivals) < MEMBERS_KEPT
+    assert (len(rivals) > 0) == (len(better) > 0)
+    for member in better:
+        assert np.abs(rivals - member).max(axis=1).min() <= APART
 
 
 def test_of_many_better_members_the_best_peaks_are_kept(device: ComputeDevice) -> None:

@@ -1,0 +1,102 @@
+"""Mirrored maps are refused by name, and only those; what needs no look at an image gets none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import AlignConfig
+from slamfusion.fusion import judge
+from slamfusion.fusion.align import align_features
+from slamfusion.fusion.mirror import mirror_gain, mirror_image
+from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.search import SearchWindow, search, wall_widths
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import building, degraded, draw, features_of, picture_of
+from tests.fusion.live.maps import mirrored, transposed, trio
+
+CONFIG = AlignConfig(prove=False)
+
+
+def aligned(reference: OccupancyGrid, moving: OccupancyGrid, device: ComputeDevice) -> Alignment:
+    a, b = features_of(reference, device), features_of(moving, device)
+    return align_features(a, b, CONFIG, device)
+
+
+def test_an_image_is_the_map_upside_down(device: ComputeDevice) -> None:
+    grid = draw("#..\n#. \n###")
+    image = mirror_image(features_of(grid, device), device)
+    assert picture_of(image.grid.cells) == ["###", "#. ", "#.."]
+    assert np.array_equal(image.grid.grid.cells, grid.cells[::-1])
+    assert image.grid.grid.origin == grid.origin
+    assert image.grid.grid.resolution == grid.resolution
+
+
+@pytest.mark.parametrize("wrong", [mirrored, transposed])
+@pytest.mark.parametrize("is_moving", [True, False])
+def test_a_mirrored_or_transposed_map_is_refused_by_name(
+    device: ComputeDevice, wrong: object, *, is_moving: bool
+) -> None:
+    assert callable(wrong)
+    a, b = trio()["a"], trio()["b"]
+    found = aligned(a, wrong(b), device) if is_moving else aligned(wrong(a), b, device)
+    assert not found.accepted
+    assert found.decision == "mirrored"
+    assert "a map mirrored or transposed?" in found.reason
+    assert found.evidence is not None
+    assert found.evidence.mirrored is not None
+    assert found.evidence.mirrored > 1.3
+    assert f"{found.evidence.mirrored:.1f} times" in found.reason
+
+
+def test_the_image_of_a_mirrored_map_is_the_map(device: ComputeDevice) -> None:
+    """What it gains is what the right pair loses by its own image."""
+    a, b = features_of(trio()["a"], device), features_of(trio()["b"], device)
+    wrong = features_of(mirrored(trio()["b"]), device)
+    sigma = wall_widths(a)[0]
+    gains = []
+    for moving in (b, wrong):
+        _, motions, _ = search(a, moving, CONFIG, SearchWindow(), device)
+        gain = mirror_gain(a, moving, motions[0], CONFIG, sigma, device)
+        assert gain is not None
+        gains.append(gain)
+    assert gains[0] < 0.8
+    assert gains[1] == pytest.approx(1.0 / gains[0], rel=0.05)
+
+
+def test_what_nothing_speaks_for_has_no_gain(device: ComputeDevice) -> None:
+    a, b = features_of(trio()["a"], device), features_of(trio()["b"], device)
+    away = np.array([9000.0, 9000.0, 0.3])
+    assert mirror_gain(a, b, away, CONFIG, wall_widths(a)[0], device) is None
+
+
+def test_what_is_sure_or_refused_is_not_searched_again(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[str] = []
+
+    def looked(*arguments: object, **named: object) -> float | None:
+        looks.append("a look")
+        return mirror_gain(*arguments, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(judge, "mirror_gain", looked)
+    sure = aligned(trio()["a"], trio()["b"], device)
+    assert sure.accepted
+    assert sure.evidence is not None
+    assert sure.evidence.share >= 0.9
+    assert sure.evidence.mirrored is None
+    refused = aligned(trio()["a"], building(4, 12.0, 8.0, 0.05), device)
+    assert not refused.accepted
+    assert refused.evidence is not None
+    assert refused.evidence.mirrored is None
+    assert not looks
+    # Walls of half the thickness are no less right, but not sure.
+    faint, _ = degraded(trio()["a"], 3, "faint", yaw_rad=0.6, wall_change_cells=1, flip_share=0.05)
+    found = aligned(trio()["a"], faint, device)
+    assert found.accepted, found.reason
+    assert found.evidence is not None
+    assert found.evidence.share < 0.9
+    assert found.evidence.mirrored is not None
+    assert 0.0 < found.evidence.mirrored < 1.0
+    assert looks == ["a look"]

@@ -1,0 +1,195 @@
+"""Evidence by pieces of wall: they add up to that of all cells, and are counted as witnesses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.pieces import PIECE_M, PIECE_POINTS, WallPieces, _similarities, wall_pieces
+from slamfusion.fusion.search import score_motions
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.definitions import Side, landings, landings_back, look_up, side_of
+from tests.fusion.drawings import building, draw, features_of, random_grid
+
+SIGMA = 1.5
+# Eighths: sums and differences of these are exact.
+FINITE = st.integers(-400, 400).map(lambda n: n / 8.0)
+
+
+def pieces_of(*evidence: list[float]) -> WallPieces:
+    table = np.array(evidence, dtype=np.float64)
+    return WallPieces(table, np.ones_like(table), np.ones(len(table)))
+
+
+def some_motions(ref: GridFeatures, seed: int, count: int = 6) -> np.ndarray:
+    """Motions that land the moving centre within a quarter of the reference from its middle."""
+    rng = np.random.default_rng(seed)
+    size = np.array([ref.shape[1], ref.shape[0]])
+    places = size / 2 + rng.uniform(-0.25, 0.25, (count, 2)) * size
+    return np.column_stack((places, rng.uniform(-3.0, 3.0, count)))
+
+
+def direct_pieces(points: np.ndarray, values: np.ndarray, size: float) -> dict[tuple, float]:
+    """Sum over the walls of each square of one metre of their own map; half: two maps count."""
+    sums: dict[tuple, float] = {}
+    for (x, y), value in zip(points, values, strict=True):
+        square = math.floor(x * size / PIECE_M), math.floor(y * size / PIECE_M)
+        sums[square] = sums.get(square, 0.0) + 0.5 * size * float(value)
+    return sums
+
+
+def is_seen(side: Side, features: GridFeatures) -> np.ndarray:
+    """Known cells, and cells within two widths of a wall."""
+    near = np.zeros_like(side.walls)
+    row, col = np.indices(near.shape)
+    for y, x in np.argwhere(side.walls):
+        near |= (row - y) ** 2 + (col - x) ** 2 <= (2 * SIGMA) ** 2
+    return near | (np.asarray(features.grid.cells) >= 0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pieces_equal_their_definition(device: ComputeDevice, seed: int) -> None:
+    ref, mov = (features_of(random_grid(seed + k), device) for k in (0, 60))
+    motions = some_motions(ref, seed, 3)
+    found = wall_pieces(ref, mov, motions, SIGMA, device)
+    a, b = side_of(ref, SIGMA, 255), side_of(mov, SIGMA, 255)
+    for k, motion in enumerate(motions):
+        evidence, most, metres = [], [], 0.0
+        there = landings(b.points, motion, mov.centre)
+        back = landings_back(a.points, motion, mov.centre)
+        for own, landed, other, features in ((b, there, a, ref), (a, back, b, mov)):
+            values = look_up(other.value, landed) * other.unit
+            seen = look_up(is_seen(other, features).astype(int), landed)
+            top = other.value.max() * other.unit
+            evidence += direct_pieces(own.points, values, 0.1).values()
+            most += direct_pieces(own.points, seen * top, 0.1).values()
+            metres += 0.05 * seen.sum()
+        assert np.allclose(np.sort(found.evidence[k]), np.sort(evidence), atol=1e-9)
+        assert np.allclose(np.sort(found.most[k]), np.sort(most), atol=1e-9)
+        assert found.seen_m[k] == pytest.approx(metres)
+
+
+def test_pieces_add_up_to_the_evidence_of_all_cells(device: ComputeDevice) -> None:
+    ref, mov = features_of(building(3), device), features_of(building(4), device)
+    motions = some_motions(ref, 5)
+    pieces = wall_pieces(ref, mov, motions, SIGMA, device)
+    cells = score_motions(ref, mov, motions, 1, device, sigma=SIGMA, points=PIECE_POINTS)
+    # Nats a cell of 0.1 m of either map; a hundredth of it where one cell is read otherwise.
+    assert np.allclose(pieces.total, 0.5 * 0.1 * cells, rtol=0, atol=0.01)
+    assert np.abs(pieces.total).max() > 1.0
+
+
+def test_a_sample_of_the_walls_stands_for_all(device: ComputeDevice) -> None:
+    grid = features_of(building(3), device)
+    answer = np.array([[*grid.centre, 0.0]])
+    full = wall_pieces(grid, grid, answer, SIGMA, device)
+    some = wall_pieces(grid, grid, answer, SIGMA, device, points=len(grid.level(1).points) // 3)
+    assert some.total == pytest.approx(full.total)
+    assert some.seen_m == pytest.approx(full.seen_m)
+
+
+def test_a_map_on_itself_gives_all_that_it_could(device: ComputeDevice) -> None:
+    grid = features_of(building(3), device)
+    pieces = wall_pieces(grid, grid, np.array([[*grid.centre, 0.0]]), SIGMA, device)
+    assert pieces.share() == pytest.approx(1.0)
+    assert pieces.seen_m == pytest.approx(0.1 * len(grid.level(1).points))
+    assert 10 < pieces.witnesses() <= pieces.evidence.shape[1]
+
+
+def test_where_the_maps_share_nothing_there_is_no_evidence(device: ComputeDevice) -> None:
+    grid = features_of(building(3), device)
+    pieces = wall_pieces(grid, grid, np.array([[900.0, 900.0, 1.0]]), SIGMA, device)
+    assert not pieces.evidence.any()
+    assert pieces.seen_m.tolist() == pieces.share().tolist() == [0.0]
+    assert pieces.witnesses() == 0.0
+
+
+@given(value=st.floats(0.01, 100.0), count=st.integers(1, 50), idle=st.integers(0, 20))
+def test_n_pieces_that_say_the_same_are_n_witnesses(value: float, count: int, idle: int) -> None:
+    """Pieces that say nothing are none; pieces that speak against count with a minus."""
+    row = [value] * count + [0.0] * idle
+    pieces = pieces_of(row, [-value] * (count + idle))
+    assert pieces.witnesses() == pieces.witnesses(0) == pytest.approx(count)
+    assert pieces.witnesses(1) == pytest.approx(-(count + idle))
+
+
+@given(values=st.lists(FINITE, min_size=1, max_size=30))
+def test_there_are_no_more_witnesses_than_pieces(values: list[float]) -> None:
+    assert abs(pieces_of(values).witnesses()) <= len(values) * (1 + 1e-9)
+
+
+def test_one_loud_piece_is_one_witness() -> None:
+    assert pieces_of([1000.0, 1.0, 1.0, 1.0]).witnesses() == pytest.approx(1.0, abs=0.01)
+
+
+@given(pairs=st.lists(st.tuples(FINITE, FINITE), min_size=1, max_size=30))
+def test_better_is_antisymmetric(pairs: list[tuple[float, float]]) -> None:
+    pieces = pieces_of([a for a, _ in pairs], [b for _, b in pairs])
+    assert pieces.better(0, 1) == -pieces.better(1, 0)
+    assert pieces.better(0, 0) == 0.0
+
+
+def test_motions_are_taken_in_any_order() -> None:
+    pieces = pieces_of([1.0, 2.0], [3.0, 0.0], [5.0, 6.0])
+    some = pieces.take(np.array([2, 0]))
+    assert some.evidence.tolist() == [[5.0, 6.0], [1.0, 2.0]]
+    assert some.better(0, 1) == pieces.better(2, 0)
+    assert some.most.shape == (2, 2)
+    assert some.seen_m.shape == (2,)
+
+
+@given(
+    motion=st.tuples(FINITE, FINITE, st.floats(-4.0, 4.0)),
+    scale=st.floats(0.7, 1.4),
+    point=st.tuples(st.integers(-200, 200), st.integers(-200, 200)),
+)
+def test_a_similarity_there_and_back_is_none(
+    motion: tuple[float, float, float], scale: float, point: tuple[int, int]
+) -> None:
+    centre = (31.5, 20.0)
+    there, back = _similarities(np.array([motion]), centre, np.array([scale]))
+
+    def moved(pose: np.ndarray, x2: float, y2: float) -> tuple[float, float]:
+        cos, sin, x, y = pose[0] / FIXED_ONE
+        return float(cos * x2 - sin * y2 + x), float(sin * x2 + cos * y2 + y)
+
+    landed = moved(there, *point)
+    assert moved(back, *landed) == pytest.approx(point, abs=1e-5)
+    own = scale * (np.array(point) / 2.0 - centre)
+    cos, sin = math.cos(motion[2]), math.sin(motion[2])
+    wanted = cos * own[0] - sin * own[1] + motion[0], sin * own[0] + cos * own[1] + motion[1]
+    assert np.array(landed) / 2.0 == pytest.approx(wanted, abs=1e-5)
+
+
+def grown(picture: str, times: int) -> OccupancyGrid:
+    """A drawing with each cell ``times`` as wide and high, walls one cell thick."""
+    lines = picture.strip("\n").splitlines()
+    wide = ["".join(sign * times for sign in line) for line in lines for _ in range(times)]
+    return draw("\n".join(wide))
+
+
+def test_a_map_of_twice_the_size_fits_at_half_the_scale(device: ComputeDevice) -> None:
+    room = ["#" * 30, *["#" + "." * 28 + "#"] * 8, "#" * 12 + "." * 17 + "#"]
+    room += [*["#" + "." * 28 + "#"] * 9, "#" * 30]
+    small, large = (features_of(grown("\n".join(room), n), device) for n in (1, 2))
+    motions = np.repeat([[*small.centre, 0.0]], 3, axis=0)
+    pieces = wall_pieces(small, large, motions, SIGMA, device, scales=np.array([0.5, 1.0, 0.6]))
+    assert pieces.total[0] > 3.0 * max(pieces.total[1], pieces.total[2], 1.0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_twins_count_the_same(device: ComputeDevice, twins: ComputeDevice, seed: int) -> None:
+    found = []
+    for on_device in (device, twins):
+        ref, mov = (features_of(random_grid(seed + k), on_device) for k in (0, 60))
+        motions = some_motions(ref, seed)
+        found.append(wall_pieces(ref, mov, motions, SIGMA, on_device))
+    for name in ("evidence", "most", "seen_m"):
+        assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
