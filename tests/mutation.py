@@ -73,16 +73,12 @@ class Target:
 # Mutants of these answer as the module does, each for its reason.
 ACCEPT = {
     (
-        "decide",
+        "_decide_fit",
         (
             "excess = (match - chance) / (1.0 - chance) if chance < 1.0 else 0.0"
             " => excess = (match - chance) / (1.0 - chance) if chance < 1.0 else 0.1"
         ),
     ): "any excess below EXCESS_MIN says the same",
-    (
-        "_is_ambiguous",
-        "min(score * ratio, 1.0) => min(score * ratio, 1.1)",
-    ): "the rival passes 1 only where the answer does; that is ambiguous either way",
 }
 CONSISTENCY = {
     (
@@ -220,6 +216,7 @@ TARGETS = (
     Target(f"{LIVE}.limits", _live_tests("limits"), LIMITS),
     Target(f"{LIVE}.mirror", _live_tests("mirror"), {}),
     Target(f"{LIVE}.poses", _live_tests("poses"), POSES),
+    Target(f"{LIVE}.searched", _live_tests("searched", "align_rules"), {}),
     Target(f"{LIVE}.track", _live_tests("track_rules", "track"), TRACK),
 )
 

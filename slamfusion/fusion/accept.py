@@ -1,63 +1,111 @@
 """Believe an alignment or not, and say why in one line.
 
-No single number separates right from wrong: maps of one place that different SLAMs made may share
-a tenth of their wall cells, and maps of two homes half of them. What a right answer has, and a
-wrong one lacks, is that it stands out: no other turn and no other shift comes near it. So an
-alignment is believed on one of three grounds, each of which no pair of different places among the
-recorded maps meets, by a margin (``tests/benchmarks/bench_places.py`` prints the counts; the
-nearest pairs are rows of ``tests/fusion/recorded_pairs.csv``):
+The answer of a search over all poses is the best of millions: it fits well even where the maps
+show two places. What a right answer has, and a wrong one lacks, is that nothing else comes near
+it. So the answer is compared with the best answer elsewhere, piece of wall by piece of wall
+(``pieces``). Were both chance, either could be the better one at any piece, and the number of
+pieces of equal weight that speak for the answer would seldom be large: what falls off there is the
+tail of the best of many chance fits (Karlin and Altschul 1990, for sequences), and the rival, the
+best of all other poses, stands for all that were searched. The pieces count by the share of what
+the common ground could give, since a chance fit leaves much of it unexplained:
 
-* **walls match**: most wall cells of both maps lie on walls of the other;
-* **yaw stands out**: the best coarse score at any other yaw is clearly lower, and so is the best
-  refined rival, and no wall stands in the middle of the other's free space;
-* **score stands out**: the refined score exceeds the best refined rival's by a wide margin.
+    n = better * max(share, SHARE_FLOOR)
+    expected_wrong = pairs * prior * TRIALS * exp(-RATE * n)
 
-It is never believed when a rival explains the maps about as well (symmetry), unless the answer
-agrees with the start transform; nor when it shares too little ground to be judged.
+is the number of wrong answers to be expected among the pairs of a job, and must stay below
+``EXPECTED_WRONG_MAX``. Of 242 pairs of different buildings and of halves that share nothing, the
+tail falls as 0.22 exp(-1.9 n); TRIALS and RATE stay on the safe side of that. A start that was
+given makes the poses near it as much more probable as they are fewer than all poses.
 
-What it lets through: of 100 pairs of drawn buildings of one size with other rooms, which share
-their outer walls, two are believed.
+A mirror image and a map of another scale may match better than anything else does and are looked
+for on their own; a map that is bent may stand roughly where it belongs, with most of its walls
+beside those of the other, and is not believed.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
 
-from slamfusion.fusion.start import StartPose
+__all__ = [
+    "DECISIONS",
+    "Decision",
+    "DecisionKind",
+    "Evidence",
+    "decide",
+    "decide_mirrored",
+    "expected_wrong",
+]
 
-__all__ = ["Evidence", "decide"]
+DecisionKind: TypeAlias = Literal[
+    "accepted",
+    "different place",
+    "ambiguous",
+    "too little in common",
+    "bent",
+    "mirrored",
+    "other scale",
+    "not searched",
+]
+DECISIONS: tuple[DecisionKind, ...] = get_args(DecisionKind)
 
 # Fewer wall cells than this fit anywhere.
 WALLS_MIN = 24
-OVERLAP_MIN = 0.15
-SCORE_MIN = 0.05
-# The smaller share of matched walls: right pairs mostly above, the highest wrong one seen 0.42.
-MATCH_MIN = 0.45
-# Matched walls beyond what a random place would match, as a share of what is left to match.
-EXCESS_MIN = 0.20
-# Walls in the other's free space, more than 20 cells from any wall.
+# Of the wrong answers in a job fewer than this are to be expected.
+EXPECTED_WRONG_MAX = 0.01
+# Wrong answers that no piece of wall speaks against, one for each of two widths of a wall, and how
+# fast chance runs out, per piece.
+TRIALS = 2.0
+RATE = 1.0
+# Maps that are bent explain less of their common ground; pieces count at least this much.
+SHARE_FLOOR = 0.6
+# More pieces than this make no difference that a number can show.
+COUNTED_MAX = 500.0
+# Less of what the common ground could give: the maps do not fit each other.
+SHARE_MIN = 0.25
+# An answer with this share is a good fit, if another fits as well.
+SHARE_FIT = 0.5
+# Walls of one map in the middle of the other's free space, as a share of all its walls.
 CLASH_MAX = 0.15
-CLASH_MAX_STRICT = 0.10
-# In a dense map, where a random place already meets walls, whatever stands out must not stand
-# beside the walls: wall cells in the other's free space beyond 0.4 m. Right dense pairs have 0.10
-# at most; drawn buildings of one size and other rooms, 0.10 and more in 45 of 50.
-DENSE_CHANCE = 0.15
-CLASH_NEAR_MAX = 0.10
-# What stands out this far needs no such check.
-STANDS_FAR_OUT = ((0.70, 0.60), (0.80, 0.45))
-Z_MIN = 3.5
-# The best score at another yaw over the best, the runner-up over the best, and walls that clash.
-# Wrong pairs seen: with clashes under 0.15 and a runner-up under 0.80 the ratio is 0.927 or more,
-# with clashes under 0.10 it is 0.95 or more.
-STANDS_OUT = ((0.85, 0.80, CLASH_MAX), (0.90, 0.75, CLASH_MAX_STRICT))
-# Score less runner-up: wrong pairs seen up to 0.066 with clashes under 0.10.
-MARGIN_MIN = 0.10
-COARSE_RATIO_MARGIN_MAX = 0.98
-MARGIN_ALONE_MIN = 0.15
-# A rival above this share of the score makes a pair ambiguous, unless the answer leaves less than
-# half as much unexplained.
-AMBIGUOUS_RATIO = 0.85
+# ... which maps of one place and different age have, too; they explain this much of what is common.
+CLASH_SHARE = 0.55
+# Nearly all walls of both maps meet: such an answer may have a rival that leaves twice as many.
+MATCH_SURE = 0.9
 UNEXPLAINED_RATIO = 0.5
+# No less than this counts as unexplained: of copies turned on themselves neither is better.
+MISSED_MIN = 0.01
+# A start chooses between answers that are as good but for so many pieces, if they fit so well.
+TIE, SHARE_TIED = 0.25, 0.75
+# An answer elsewhere whose share is so much higher may be right.
+CLEANER = 0.25
+# The mirror image gives nearly as much as the answer, or more.
+MIRROR_GAIN = 0.9
+# Scales that differ less are said, those that differ more are refused.
+SCALE_SAID = 0.01
+SCALE_MAX = 0.03
+# Maps that fit so well at another scale have a wrong resolution; others are bent, and their scale
+# differs from place to place.
+SCALED_SHARE_MIN = 0.6
+# A known transform that was only refined: matched walls of all walls, or of the common ground.
+MATCH_MIN = 0.45
+EXCESS_MIN = 0.20
+TRACKED_WITNESSES_MIN = 12.0
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What is believed.
+
+    Attributes:
+        accepted: whether the alignment is.
+        kind: in one of a few words.
+        reason: in one line.
+    """
+
+    accepted: bool
+    kind: DecisionKind
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -65,119 +113,171 @@ class Evidence:
     """What speaks for and against an alignment.
 
     Attributes:
-        score: symmetric wall score.
-        overlap: common known cells over those of the smaller map.
         walls: wall cells of the map that has fewer.
-        statistics: see ``align.measure``, plus ``z``, ``coarse_ratio``, ``runner_up_ratio``.
-        bound_gap: see ``Alignment.bound_gap``.
-        rival: whether the proof found a member of the search set, elsewhere, that scores above the
-            answer.
+        common_m: metres of wall that lie where the other map has seen something.
+        share: evidence as a share of what the common ground could give, at most 1.
+        witnesses: pieces of wall of equal weight that speak for the answer.
+        better: pieces of equal weight that say that it is better than the best answer elsewhere,
+            at most ``witnesses``; below 0 where the other is better.
+        ratio: the evidence for the best answer elsewhere over that for this one.
+        rival: where that lies, for the reason; None without one.
+        pairs: pairs of maps in the job.
+        prior: how much fewer the poses near a given start are than all; 1 without a start.
+        statistics: see ``align.measure``.
         search: what stands behind it: ``full`` (all yaws and shifts), ``window``,
             ``fixed step``, or ``tracked`` (a known transform was only refined).
-        near_start: whether the answer agrees with a start transform that was given.
-        start: the start that limited the search, with its tolerances; None: none was given.
+        mirrored: the evidence for the mirror image over that for the answer; None: not looked for.
+        scale: size of the moving map's metre in the reference's, None: not estimated.
+        scaled_share: ``share`` at that scale, by the narrow width of a wall.
+        better_inside: ``better`` among the answers in the window; None without one.
+        clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """
 
-    score: float
-    overlap: float
     walls: int
+    common_m: float
+    share: float
+    witnesses: float
+    better: float
+    ratio: float
+    rival: str | None
+    pairs: int
+    prior: float
     statistics: dict[str, float]
-    bound_gap: float | None
-    rival: bool
     search: str
-    near_start: bool
-    start: StartPose | None = None
+    mirrored: float | None = None
+    scale: float | None = None
+    scaled_share: float = 0.0
+    clean_share: float = 0.0
+    better_inside: float | None = None
 
 
-def decide(evidence: Evidence) -> tuple[bool, str]:
-    """Return whether to accept, and the reason."""
-    match = evidence.statistics["wall_match"]
-    clash = evidence.statistics["wall_clash"]
+def expected_wrong(better: float, share: float, pairs: int = 1, prior: float = 1.0) -> float:
+    """Return how many wrong answers are to be expected to look as good, in the whole job.
+
+    Args:
+        better, share, pairs, prior: see ``Evidence``.
+    """
+    counted = min(better * max(share, SHARE_FLOOR), COUNTED_MAX)
+    return pairs * prior * TRIALS * math.exp(-RATE * max(counted, -COUNTED_MAX))
+
+
+def decide(evidence: Evidence) -> Decision:
+    """Return what to believe, and why."""
     if evidence.walls < WALLS_MIN:
-        return False, f"too few walls to judge: {evidence.walls} of the {WALLS_MIN} needed"
-    if evidence.overlap < OVERLAP_MIN:
-        return False, f"too little common ground: {evidence.overlap:.0%} of the smaller map"
-    if evidence.score < SCORE_MIN:
-        return False, f"walls do not match: score {evidence.score:.2f}"
-    chance = evidence.statistics["chance"]
+        return _refused(
+            "too little in common",
+            f"too few walls to judge: {evidence.walls} of the {WALLS_MIN} needed",
+        )
+    if evidence.search in {"tracked", "fixed step"}:
+        return _decide_fit(evidence)
+    mirrored = decide_mirrored(evidence.mirrored)
+    if mirrored is not None:
+        return mirrored
+    clash = evidence.statistics["wall_clash"]
+    if clash > CLASH_MAX and evidence.share < CLASH_SHARE:
+        return _refused(
+            "different place",
+            f"walls do not match: {clash:.0%} of the wall cells stand in the other's free space",
+        )
+    if evidence.clean_share - evidence.share >= CLEANER:
+        return _refused(
+            "ambiguous",
+            f"ambiguous: {evidence.share:.0%} of what common walls could give, while another "
+            f"transform leaves less unexplained ({evidence.clean_share:.0%})",
+        )
+    wrong = expected_wrong(evidence.better, evidence.share, evidence.pairs, evidence.prior)
+    if wrong >= EXPECTED_WRONG_MAX and not (_is_whole(evidence) or _is_expected(evidence)):
+        return _not_alone(evidence, wrong)
+    is_scaled = evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_MAX
+    if evidence.scale is not None and is_scaled and evidence.scaled_share >= SCALED_SHARE_MIN:
+        return _refused(
+            "other scale",
+            f"the maps differ in scale by {abs(evidence.scale - 1.0):.1%}: is a resolution wrong?",
+        )
+    if evidence.share < SHARE_MIN:
+        return _refused(
+            "bent",
+            f"roughly here, but the maps do not fit each other: {evidence.share:.0%} of what the "
+            f"{evidence.common_m:.0f} m of common walls could give; one of them is bent",
+        )
+    said = (
+        f"walls match: {evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls "
+        f"could give, the next place {evidence.ratio:.0%} of it"
+    )
+    if evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_SAID:
+        said += f"; the maps differ in scale by {abs(evidence.scale - 1.0):.1%}"
+    return Decision(True, "accepted", said)
+
+
+def decide_mirrored(mirrored: float | None) -> Decision | None:
+    """Return why a pair is refused whose mirror image fits better; None where it does not.
+
+    Args:
+        mirrored: see ``Evidence``.
+    """
+    if mirrored is None or mirrored <= MIRROR_GAIN:
+        return None
+    return _refused(
+        "mirrored",
+        f"fits its mirror image as well or better, {mirrored:.1f} times: is a laser upside down, "
+        "or a map mirrored or transposed?",
+    )
+
+
+def _refused(kind: DecisionKind, reason: str) -> Decision:
+    return Decision(False, kind, reason)
+
+
+def _is_whole(evidence: Evidence) -> bool:
+    """Whether the answer leaves nearly nothing of either map unexplained, and all others do."""
+    match = evidence.statistics["wall_match"]
+    missed = max(1.0 - match, MISSED_MIN)
+    return match >= MATCH_SURE and missed <= UNEXPLAINED_RATIO * (1.0 - match * evidence.ratio)
+
+
+def _is_expected(evidence: Evidence) -> bool:
+    """Whether a start chooses between answers of which none elsewhere is better than this one."""
+    if evidence.search != "window" or evidence.better_inside is None:
+        return False
+    is_as_good = evidence.better >= -TIE and evidence.share >= SHARE_TIED
+    found = expected_wrong(evidence.better_inside, evidence.share, evidence.pairs, evidence.prior)
+    return is_as_good and found < EXPECTED_WRONG_MAX
+
+
+def _not_alone(evidence: Evidence, wrong: float) -> Decision:
+    """Refuse what chance or another place may explain as well."""
+    alone = expected_wrong(evidence.witnesses, evidence.share, evidence.pairs, evidence.prior)
+    if alone >= EXPECTED_WRONG_MAX:
+        return _refused(
+            "too little in common",
+            f"too little in common to judge: {evidence.common_m:.1f} m of walls, "
+            f"{evidence.witnesses:.1f} independent pieces of wall",
+        )
+    if evidence.share >= SHARE_FIT and evidence.rival is not None:
+        return _refused(
+            "ambiguous",
+            f"ambiguous: the same place twice? another transform, {evidence.rival}, explains "
+            f"{evidence.ratio:.0%} of it",
+        )
+    return _refused(
+        "different place",
+        f"walls do not match: {evidence.share:.0%} of what common walls could give, as any other "
+        f"place might ({wrong:.2g} wrong ones expected), the next reaches {evidence.ratio:.0%}",
+    )
+
+
+def _decide_fit(evidence: Evidence) -> Decision:
+    """Decide on the fit alone, where no search looked for rivals."""
+    match, chance = evidence.statistics["wall_match"], evidence.statistics["chance"]
+    clash = evidence.statistics["wall_clash"]
     excess = (match - chance) / (1.0 - chance) if chance < 1.0 else 0.0
     do_walls_match = match >= MATCH_MIN and excess >= EXCESS_MIN
-    runner_up = evidence.statistics.get("runner_up_ratio")
-    if evidence.search in {"tracked", "fixed step"}:
-        return _decide_fit(evidence.search, match, clash, do_walls_match=do_walls_match)
-    if (
-        runner_up is not None
-        and _is_ambiguous(evidence.score, runner_up)
-        and not evidence.near_start
-    ):
-        return False, (
-            f"ambiguous: another transform scores {runner_up:.0%} of the best, and nothing says "
-            "which of the two is right"
-        )
-    ground = _ground(evidence, match, clash, do_walls_match=do_walls_match)
-    if ground is None:
-        others = "no rival" if runner_up is None else f"other transforms {runner_up:.0%}"
-        ratio = evidence.statistics["coarse_ratio"]
-        return False, (
-            f"walls do not match: {match:.0%} of the wall cells meet ({chance:.0%} by chance), "
-            f"{clash:.0%} stand in free space, other yaws reach {ratio:.0%} and {others} "
-            "of the score"
-        )
-    if evidence.rival and not do_walls_match:
-        return False, f"{ground}, but the proof found a rival with a higher lattice score"
-    return True, ground
-
-
-def _ground(evidence: Evidence, match: float, clash: float, *, do_walls_match: bool) -> str | None:
-    """Return the ground on which the alignment is believed, or None.
-
-    What stands out among few yaws and shifts stands out of nothing: inside a window only matching
-    walls count. Without any rival the best other yaw stands in for the runner-up.
-    """
-    ratio = evidence.statistics["coarse_ratio"]
-    z = evidence.statistics["z"]
-    runner_up = evidence.statistics.get("runner_up_ratio", ratio)
-    is_dense = evidence.statistics["chance"] >= DENSE_CHANCE
-    stands_far_out = any(
-        ratio <= most_ratio and runner_up <= most_runner_up
-        for most_ratio, most_runner_up in STANDS_FAR_OUT
-    )
-    if is_dense and evidence.statistics["wall_clash_near"] > CLASH_NEAR_MAX and not stands_far_out:
-        return None
-    limits = STANDS_OUT if z >= Z_MIN and evidence.search == "full" else ()
-    passed = [
-        most_clash
-        for most_ratio, most_runner_up, most_clash in limits
-        if ratio <= most_ratio and runner_up <= most_runner_up
-    ]
-    if do_walls_match and (clash <= CLASH_MAX or passed):
-        return f"walls match: {match:.0%}"
-    if passed and clash <= max(passed):
-        return f"yaw stands out: others reach {ratio:.0%} (z {z:.1f})"
-    margin = evidence.score * (1.0 - runner_up)
-    is_wide = margin >= MARGIN_ALONE_MIN or (
-        margin >= MARGIN_MIN and ratio <= COARSE_RATIO_MARGIN_MAX
-    )
-    if is_wide and clash <= CLASH_MAX_STRICT and evidence.search == "full":
-        return f"score stands out: {evidence.score:.2f}, the next {evidence.score - margin:.2f}"
-    return None
-
-
-def _is_ambiguous(score: float, ratio: float) -> bool:
-    """Whether the runner-up explains the maps about as well as the answer."""
-    if ratio <= AMBIGUOUS_RATIO:
-        return False
-    unexplained = 1.0 - min(score, 1.0)
-    return unexplained >= UNEXPLAINED_RATIO * (1.0 - min(score * ratio, 1.0))
-
-
-def _decide_fit(
-    search: str, match: float, clash: float, *, do_walls_match: bool
-) -> tuple[bool, str]:
-    """Decide on the fit alone, where no search looked for rivals."""
-    if do_walls_match and clash <= CLASH_MAX:
-        return True, f"{search}: {match:.0%} of the walls match"
-    return False, (
-        f"{search}: the walls do not match, {match:.0%} of the wall cells meet, "
-        f"{clash:.0%} stand in free space"
+    does_ground_match = evidence.share >= SHARE_FIT and evidence.witnesses >= TRACKED_WITNESSES_MIN
+    if (do_walls_match or does_ground_match) and clash <= CLASH_MAX:
+        said = f"{match:.0%}" if do_walls_match else f"{evidence.share:.0%} of the common ground"
+        return Decision(True, "accepted", f"{evidence.search}: {said} of the walls match")
+    return _refused(
+        "different place",
+        f"{evidence.search}: the walls do not match, {match:.0%} of the wall cells meet, "
+        f"{clash:.0%} stand in free space",
     )

@@ -208,7 +208,7 @@ def _align_pairs(
         if progress is not None:
             progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
         start = starts.between(reference.grid.name, moving.grid.name)
-        pair = align_features(reference, moving, config.align, device, start)
+        pair = align_features(reference, moving, config.align, device, start, pairs=len(couples))
         pairs.append(pair if second_look is None else second_look(pair, reference, moving))
     if progress is not None:
         progress("vote", len(couples), len(couples))

@@ -9,6 +9,7 @@ from typing import Any, TypedDict
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.fusion.accept import DecisionKind
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 
@@ -17,6 +18,8 @@ __all__ = [
     "AlignmentJson",
     "FusionResult",
     "InputRecord",
+    "MatchEvidence",
+    "MatchEvidenceJson",
     "PathGapJson",
     "RunnerUp",
     "RunnerUpJson",
@@ -37,6 +40,31 @@ class RunnerUpJson(TypedDict):
     """On the scale of the alignment's score."""
     ratio: float
     """Score over the answer's; near 1 the place looks alike under both."""
+
+
+class MatchEvidenceJson(TypedDict):
+    """How much speaks for an alignment, counted in independent pieces of wall."""
+
+    pieces: float
+    """Pieces of wall of equal weight that speak for it."""
+    better: float
+    """Pieces of equal weight that say that it is better than the best answer elsewhere."""
+    share: float
+    """Evidence as a share of what the common ground could give, at most 1."""
+    common_m: float
+    """Wall that lies where the other map has seen something, metres."""
+    rival_ratio: float
+    """The evidence for the best answer elsewhere over that for this one."""
+    expected_wrong: float
+    """Wrong answers of the whole job that would look as good; accepted below 0.01."""
+    mirrored: float | None
+    """The evidence for the mirror image over that for the answer; null: not looked for."""
+    scale: float | None
+    """The moving map's metre in the reference's; null: not estimated."""
+    scaled_share: float | None
+    """The share at that scale; null: not estimated."""
+    rival_share: float
+    """The highest share of another answer that gives at least 0.7 of its evidence."""
 
 
 class AlignmentJson(TypedDict):
@@ -69,7 +97,11 @@ class AlignmentJson(TypedDict):
     time_s: float
     """Wall time, seconds."""
     statistics: Mapping[str, float | None]
-    """The numbers that the decision used, by name."""
+    """Further numbers of the answer, by name."""
+    match_evidence: MatchEvidenceJson | None
+    """How much speaks for it; null where nothing could be searched."""
+    match_decision: DecisionKind
+    """What was decided: accepted, or why not, in one of a few words."""
 
 
 class PathGapJson(TypedDict):
@@ -105,6 +137,50 @@ class RunnerUp:
 
 
 @dataclass(frozen=True)
+class MatchEvidence:
+    """How much speaks for an alignment, counted in independent pieces of wall.
+
+    Attributes:
+        pieces: pieces of equal weight that speak for it.
+        better: pieces of equal weight that say that it is better than the best answer elsewhere.
+        share: evidence as a share of what the common ground could give.
+        common_m: metres of wall that lie where the other map has seen something.
+        rival_ratio: the evidence for the best answer elsewhere over that for this one.
+        expected_wrong: wrong answers of the whole job that would look as good.
+        mirrored: the evidence for the mirror image over that for the answer; None: not looked for.
+        scale: the moving map's metre in the reference's; None: not estimated.
+        scaled_share: ``share`` at that scale; None: not estimated.
+        rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
+    """
+
+    pieces: float
+    better: float
+    share: float
+    common_m: float
+    rival_ratio: float
+    expected_wrong: float
+    mirrored: float | None
+    scale: float | None
+    scaled_share: float | None = None
+    rival_share: float = 0.0
+
+    def to_json(self) -> MatchEvidenceJson:
+        """Return the keys that other programs rely on."""
+        return {
+            "pieces": self.pieces,
+            "better": self.better,
+            "share": self.share,
+            "common_m": self.common_m,
+            "rival_ratio": self.rival_ratio,
+            "expected_wrong": self.expected_wrong,
+            "mirrored": self.mirrored,
+            "scale": self.scale,
+            "scaled_share": self.scaled_share,
+            "rival_share": self.rival_share,
+        }
+
+
+@dataclass(frozen=True)
 class Alignment:
     """One moving grid against one reference grid.
 
@@ -120,8 +196,11 @@ class Alignment:
         bound_gap: 0 when proven the best of the search set, positive when the deadline came
             first (in score units), None when not asked for.
         time_s: wall time of this alignment.
-        statistics: the numbers that the decision used, by name.
-        yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the best coarse score there.
+        statistics: further numbers of the answer, by name.
+        yaw_profile: (K, 2) float64, yaw in rad (of ``transform``) and the most evidence there, as a
+            share of the most anywhere.
+        evidence: how much speaks for it; None where nothing could be searched.
+        decision: one of ``accept.DECISIONS``.
     """
 
     reference: str
@@ -137,6 +216,8 @@ class Alignment:
     time_s: float
     statistics: dict[str, float] = field(default_factory=dict)
     yaw_profile: npt.NDArray[np.float64] | None = None
+    evidence: MatchEvidence | None = None
+    decision: DecisionKind = "not searched"
 
     def to_json(self) -> AlignmentJson:
         """Return the keys that other programs rely on."""
@@ -164,6 +245,8 @@ class Alignment:
             "bound_gap": self.bound_gap,
             "time_s": self.time_s,
             "statistics": self.statistics,
+            "match_evidence": None if self.evidence is None else self.evidence.to_json(),
+            "match_decision": self.decision,
         }
 
 

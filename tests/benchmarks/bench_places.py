@@ -118,13 +118,12 @@ def bench_different(aligner: Aligner, console: Console) -> None:
     console.print(table)
     for record in accepted:
         console.print(f"WRONG: {record.moving} to {record.reference}: {record.reason}")
-    columns = ("score", "wall_match", "wall_clash", "coarse_ratio", "z", "runner_up_ratio")
-    misses = Table("moving", "reference", *columns, title="highest scores among them")
-    for record in sorted(records, key=lambda item: -item.score)[:8]:
-        numbers = {"score": record.score, **record.statistics}
-        misses.add_row(
-            record.moving, record.reference, *(f"{numbers.get(c, math.nan):.2f}" for c in columns)
-        )
+    columns = ("share", "better", "expected_wrong", "rival_ratio", "wall_match", "wall_clash")
+    misses = Table("moving", "reference", *columns, title="least wrong ones expected")
+    searched = [(record, record.evidence) for record in records if record.evidence is not None]
+    for record, match in sorted(searched, key=lambda item: item[1].expected_wrong)[:8]:
+        numbers = {**match.to_json(), **record.statistics}
+        misses.add_row(record.moving, record.reference, *(f"{numbers[c]:.2g}" for c in columns))
     console.print(misses)
 
 
@@ -144,7 +143,7 @@ def bench_same(aligner: Aligner, console: Console, pictures: Path | None) -> Non
             f"{math.degrees(pose.yaw_rad):.2f}",
             f"{record.score:.2f}",
             f"{record.statistics.get('wall_match', math.nan):.2f}",
-            f"{record.statistics.get('runner_up_ratio', math.nan):.2f}",
+            f"{math.nan if record.evidence is None else record.evidence.rival_ratio:.2f}",
             f"{record.time_s:.2f}",
             record.reason,
         )

@@ -2,11 +2,16 @@
 
     python -m tests.benchmarks.record_pairs --out tests/fusion/recorded_pairs.csv
 
-Pairs: maps of different places by places.csv (no answer is right), the Halmstad pairs against their
-annotation, recorded maps against degraded copies of themselves, and drawn buildings of one size
-with other rooms. Only the numbers that the decision looks at are kept, never a map, and only of the
-pairs that lie nearest to it: how near a pair is, is the least change of one number alone that turns
-the decision round. So the choice of rows knows nothing of how the decision is made.
+With --everything FILE all pairs are kept, too; --pairs FILE decides those once more and chooses
+among them, without aligning anything, after a limit of the decision has moved.
+
+Pairs: those of ``tests.support.overlap`` (maps cut in two, of one SLAM and of two, with a gap,
+mirrored, at another scale, and of different places), the Halmstad pairs against their annotation,
+recorded maps against degraded copies of themselves, and drawn buildings of one size with other
+rooms. Of each kind so many are taken, spread evenly. Only the numbers that the decision looks at
+are kept, never a map, and only of the pairs that lie nearest to it: how near a pair is, is the
+least change of one number alone that turns the decision round. So the choice of rows knows nothing
+of how the decision is made.
 """
 
 from __future__ import annotations
@@ -14,15 +19,18 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
+import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 
 from slamfusion.compute import open_device
+from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fusion.accept import Evidence, decide
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
@@ -30,89 +38,119 @@ from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.grid import OccupancyGrid
 from slamfusion.sim import draw_building
-from tests.benchmarks.bench_places import Aligner, different_places
-from tests.support.drawn import case_error, drawn_cases
+from tests.support.drawn import BASES, case_error, drawn_cases
 from tests.support.halmstad import RIGHT_DEGREES, RIGHT_PIXELS, annotated_error, load_place
-from tests.support.recorded_pairs import COLUMNS, RecordedPair, changed, row_of, value_of
+from tests.support.overlap import (
+    Draft,
+    cross_slam_pairs,
+    different_places,
+    disjoint_halves,
+    drawn,
+    half_pairs,
+    mirrored,
+    scaled,
+    simulated,
+)
+from tests.support.recorded_pairs import (
+    COLUMNS,
+    RecordedPair,
+    changed,
+    load_pairs,
+    row_of,
+    value_of,
+)
 
-# Numbers that are looked at one at a time, and the change of each that is taken as large: shares
-# and ratios by 0.5, z by 2.5, wall cells by 50.
-LARGE = dict.fromkeys(COLUMNS, 0.5) | {"z": 2.5, "walls": 50.0}
+T = TypeVar("T")
+
+# Numbers that are looked at one at a time, and the change of each that is taken as large.
+LARGE = dict.fromkeys(COLUMNS, 0.5) | {
+    "walls": 50.0,
+    "common_m": 50.0,
+    "witnesses": 5.0,
+    "better": 5.0,
+    "scale": 0.05,
+}
 # Changes that are tried, as shares of a large one, smallest first.
 STEPS = np.linspace(0.005, 1.0, 200)
 # Rows kept for each number and each of: wrong and rejected, right and accepted, right and rejected.
-KEPT = 3
+KEPT = 4
+# Larger by more than what is believed with a word.
+WRONG_SCALES = (1.05, 1.1)
+SEED = 1
 COMMAND = "python -m tests.benchmarks.record_pairs --out tests/fusion/recorded_pairs.csv"
 
 
 class Recorder:
     """Aligns pairs and keeps what the decision looked at."""
 
-    def __init__(self, on_device: str) -> None:
+    def __init__(self, on_device: str, each: int) -> None:
         self.device = open_device(on_device)
-        self.aligner = Aligner(self.device, prove=False)
+        self.each = each
 
     def of(
         self, source: str, found: tuple[Alignment, GridFeatures, GridFeatures], *, is_right: bool
     ) -> RecordedPair:
         """Return the record of an aligned pair."""
         alignment, reference, moving = found
+        match = alignment.evidence
+        assert match is not None
         evidence = Evidence(
-            score=alignment.score,
-            overlap=alignment.overlap,
             walls=min(len(reference.wall_points), len(moving.wall_points)),
+            common_m=match.common_m,
+            share=match.share,
+            witnesses=match.pieces,
+            better=match.better,
+            ratio=match.rival_ratio,
+            rival=None if alignment.runner_up is None else "elsewhere",
+            pairs=1,
+            prior=1.0,
             statistics=alignment.statistics,
-            bound_gap=None,
-            rival=False,
             search="full",
-            near_start=False,
+            mirrored=match.mirrored,
+            scale=match.scale,
+            scaled_share=match.scaled_share or 0.0,
+            clean_share=match.rival_share,
         )
-        accepted = decide(evidence)[0]
-        assert accepted == alignment.accepted, "the record leaves out what the decision looked at"
-        return RecordedPair(
-            source, alignment.reference, alignment.moving, is_right, accepted, evidence
-        )
+        decision = decide(evidence).kind
+        said = alignment.decision
+        assert decision == said, f"the record leaves out what was looked at: {decision}, {said}"
+        names = alignment.reference, alignment.moving
+        return RecordedPair(source, *names, is_right, decision, evidence)
 
     def align(
         self, reference: OccupancyGrid, moving: OccupancyGrid
     ) -> tuple[Alignment, GridFeatures, GridFeatures]:
-        """Align two grids."""
-        config = self.aligner.config
-        size = common_resolution([reference, moving], config.normalize)
+        """Align two grids; no proof, since the decision does not look at it."""
+        normal = NormalizeConfig()
+        size = common_resolution([reference, moving], normal)
         a, b = (
-            GridFeatures(normalize_grid(grid, size, config.normalize, self.device), self.device)
+            GridFeatures(normalize_grid(grid, size, normal, self.device), self.device)
             for grid in (reference, moving)
         )
-        return align_features(a, b, config.align, self.device), a, b
+        return align_features(a, b, AlignConfig(prove=False), self.device), a, b
 
-    def different_places(self) -> Iterator[RecordedPair]:
-        """Every pair of maps of different places."""
-        for a, b in different_places():
-            found = self.aligner.align(a, b)
-            if found[0].statistics:
-                yield self.of("different places", found, is_right=False)
+    def overlapping(self, drafts: Sequence[Draft]) -> Iterator[RecordedPair]:
+        """Pairs of ``tests.support.overlap``."""
+        for case in drawn(spread(drafts, self.each)):
+            found = self.align(case.reference, case.moving)
+            if found[0].evidence is not None:
+                yield self.of(case.what, found, is_right=case.is_right(found[0].transform))
 
     def halmstad(self) -> Iterator[RecordedPair]:
-        """Every annotated pair of sensor maps."""
-        for place in ("F5", "HIH", "E5", "KPT4A"):
-            grids = load_place(place)
-            config = self.aligner.config
-            features = {
-                name: GridFeatures(
-                    normalize_grid(grid, grid.resolution, config.normalize, self.device),
-                    self.device,
-                )
-                for name, grid in grids.items()
-            }
-            for a, b in itertools.combinations(features, 2):
-                found = align_features(features[a], features[b], config.align, self.device)
-                pixels, degrees = annotated_error(grids[b], found)
-                is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
-                yield self.of("halmstad", (found, features[a], features[b]), is_right=is_right)
+        """Annotated pairs of sensor maps."""
+        grids = {place: load_place(place) for place in ("F5", "HIH", "E5", "KPT4A")}
+        pairs = [
+            (place, a, b) for place in grids for a, b in itertools.combinations(grids[place], 2)
+        ]
+        for place, a, b in spread(pairs, self.each):
+            found = self.align(grids[place][a], grids[place][b])
+            pixels, degrees = annotated_error(grids[place][b], found[0])
+            is_right = pixels < RIGHT_PIXELS and degrees < RIGHT_DEGREES
+            yield self.of("halmstad", found, is_right=is_right)
 
-    def degraded(self, per_base: int) -> Iterator[RecordedPair]:
+    def degraded(self) -> Iterator[RecordedPair]:
         """Recorded maps against degraded copies of themselves."""
-        for case in drawn_cases(per_base, seed=1):
+        for case in drawn_cases(max(1, self.each // len(BASES)), SEED):
             found = self.align(case.truth, case.moving)
             cells, degrees = case_error(case, found[0])
             is_right = cells <= 1.0 and degrees <= 0.5
@@ -130,6 +168,13 @@ class Recorder:
             yield self.of("other rooms", self.align(a, b), is_right=False)
 
 
+def spread(items: Sequence[T], count: int) -> Sequence[T]:
+    """Return so many at most, spread evenly."""
+    if len(items) <= count:
+        return items
+    return [items[i * len(items) // count] for i in range(count)]
+
+
 def distance(pair: RecordedPair, column: str) -> float:
     """Return the least change of one number that turns the decision, in large ones; 2 for none."""
     value = value_of(pair.evidence, column)
@@ -137,8 +182,8 @@ def distance(pair: RecordedPair, column: str) -> float:
         return 2.0
     for step in STEPS:
         for sign in (-1.0, 1.0):
-            other = max(0.0, value + sign * step * LARGE[column])
-            if decide(changed(pair.evidence, column, other))[0] != pair.accepted:
+            other = value + sign * step * LARGE[column]
+            if decide(changed(pair.evidence, column, other)).accepted != pair.accepted:
                 return float(step)
     return 2.0
 
@@ -162,42 +207,60 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--everything", type=Path, help="write every pair here, too")
+    parser.add_argument("--pairs", type=Path, help="a table of every pair, instead of aligning")
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--per-base", type=int, default=12, help="degraded copies of each map")
+    parser.add_argument("--each", type=int, default=48, help="pairs of each kind, at most")
     parser.add_argument("--buildings", type=int, default=100)
     arguments = parser.parse_args()
     console = Console()
-    recorder = Recorder(arguments.device)
-    pairs = list(
-        track(
-            itertools.chain(
-                recorder.other_rooms(arguments.buildings),
-                recorder.degraded(arguments.per_base),
-                recorder.halmstad(),
-                recorder.different_places(),
-            ),
-            "pairs",
-            console=console,
-        )
-    )
+    if arguments.pairs is not None:
+        pairs = [
+            replace(pair, decision=decide(pair.evidence).kind)
+            for pair in load_pairs(arguments.pairs)
+        ]
+    else:
+        pairs = align_all(arguments, console)
     if arguments.everything is not None:
         write(arguments.everything, pairs, "every pair")
     kept = nearest(pairs)
     write(arguments.out, kept, f"the nearest to the decision of {len(pairs)} pairs")
-    counts = Counter((pair.source, pair.is_right, pair.accepted) for pair in pairs)
-    for (source, is_right, accepted), count in sorted(counts.items()):
-        words = ("right" if is_right else "wrong", "accepted" if accepted else "rejected")
+    counts = Counter((pair.source, pair.is_right, pair.decision) for pair in pairs)
+    for (source, is_right, decision), count in sorted(counts.items()):
+        words = "right" if is_right else "wrong", decision
         console.print(f"{source}: {count} {', '.join(words)}")
     console.print(f"{len(kept)} rows in {arguments.out}")
+
+
+def align_all(arguments: argparse.Namespace, console: Console) -> list[RecordedPair]:
+    """Align the pairs of all kinds."""
+    recorder = Recorder(arguments.device, arguments.each)
+    kinds = (
+        recorder.other_rooms(arguments.buildings),
+        recorder.overlapping(simulated(SEED)),
+        recorder.overlapping(half_pairs(SEED)),
+        recorder.overlapping(cross_slam_pairs(SEED)),
+        recorder.overlapping(disjoint_halves(SEED)),
+        recorder.overlapping(mirrored(SEED)),
+        recorder.overlapping([draft for by in WRONG_SCALES for draft in scaled(SEED, by)]),
+        recorder.overlapping(different_places(SEED)),
+        recorder.degraded(),
+        recorder.halmstad(),
+    )
+    pairs: list[RecordedPair] = []
+    for kind in kinds:
+        began = time.perf_counter()
+        own = list(kind)
+        pairs += own
+        took = time.perf_counter() - began
+        source = own[0].source if own else "none"
+        console.print(f"{source}: {len(own)} pairs in {took:.0f} s")
+    return pairs
 
 
 def write(path: Path, pairs: list[RecordedPair], what: str) -> None:
     """Write a table of pairs."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(f"# {what}; written by\n")
-        file.write(
-            "# python -m tests.benchmarks.record_pairs --out tests/fusion/recorded_pairs.csv\n"
-        )
+        file.write(f"# {what}; written by\n# {COMMAND}\n")
         rows = [row_of(pair) for pair in pairs]
         writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
         writer.writeheader()

@@ -5,6 +5,7 @@ The numbers of the limits stand here once more, on purpose: a limit that moves i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,175 +15,308 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamfusion.fusion.accept import Evidence, decide
-from tests.support.recorded_pairs import COLUMNS, RecordedPair, changed, load_pairs, value_of
+from slamfusion.fusion.accept import (
+    DECISIONS,
+    DecisionKind,
+    Evidence,
+    decide,
+    decide_mirrored,
+    expected_wrong,
+)
+from tests.support.recorded_pairs import COLUMNS, OPTIONAL, RecordedPair, changed, load_pairs
+from tests.support.recorded_pairs import value_of as number_of
 
 PAIRS = load_pairs(Path(__file__).with_name("recorded_pairs.csv"))
+# A share at which each piece counts whole, and what pieces must then say: 2 exp(-better) < 0.01.
+WHOLE = 1.0
+ENOUGH = math.log(200.0)
 
 
 def evidence(**changes: Any) -> Evidence:
-    """Return an alignment that is believed since its walls match, and on no other ground."""
+    """Return an alignment that is believed, and on no other ground than its pieces of wall."""
     fields: dict[str, Any] = {
-        "score": 0.6,
-        "overlap": 0.8,
         "walls": 500,
-        "bound_gap": None,
-        "rival": False,
+        "common_m": 40.0,
+        "share": 0.8,
+        "witnesses": 40.0,
+        "better": 20.0,
+        "ratio": 0.4,
+        "rival": "at 1.00, 2.00 m, 90 deg",
+        "pairs": 1,
+        "prior": 1.0,
         "search": "full",
-        "near_start": False,
+        "mirrored": None,
+        "scale": None,
+        "scaled_share": 0.6,
+        "clean_share": 0.0,
+        "better_inside": None,
     }
-    statistics: dict[str, float | None] = {
-        "wall_match": 0.7,
-        "wall_clash": 0.02,
-        "wall_clash_near": 0.02,
-        "chance": 0.1,
-        "z": 2.0,
-        "coarse_ratio": 0.99,
-        "runner_up_ratio": 0.84,
-    }
+    statistics = {"wall_match": 0.6, "wall_clash": 0.02, "chance": 0.1}
     for name, value in changes.items():
         (statistics if name in statistics else fields)[name] = value
-    kept = {name: value for name, value in statistics.items() if value is not None}
-    return Evidence(statistics=kept, **fields)
+    return Evidence(statistics=statistics, **fields)
 
 
-# Believed since the yaw stands out, and on no other ground.
-YAW = {"score": 0.2, "wall_match": 0.3, "z": 6.0, "coarse_ratio": 0.75, "runner_up_ratio": 0.7}
-# Believed since the score stands out, and on no other ground.
-SCORE = {"score": 0.3, "wall_match": 0.3, "coarse_ratio": 1.0, "runner_up_ratio": 0.4}
-# A dense map with walls beside walls, that nothing but its limits tells from another place.
-DENSE = {"chance": 0.3, "wall_clash_near": 0.2}
-# Another transform nearly as good.
-RIVAL = {"runner_up_ratio": 0.95}
+# Believed but for its rival, which says as much.
+TIED = {"better": 0.0, "ratio": 1.0}
+# Nearly all walls of both maps meet.
+SURE = TIED | {"wall_match": 0.95, "ratio": 0.8}
+# Walls of one map in the free space of the other.
+CLASHING = {"wall_clash": 0.151, "share": 0.4}
+# Nothing was searched; the common ground alone does not speak for it.
+TRACKED = {"search": "tracked", "share": 0.4}
+# ... nor do the walls, but the common ground does.
+GROUND = {"search": "tracked", "wall_match": 0.3, "share": 0.5, "witnesses": 12.0}
 
+# Looked for around a start, where one elsewhere is as good.
+STARTED = TIED | {"search": "window", "prior": 0.1, "better_inside": 20.0, "share": 0.81}
 
-def assert_decided(changes: dict[str, Any], *, accepted: bool, reason: str) -> None:
-    found, why = decide(evidence(**changes))
-    assert found == accepted, why
-    assert reason in why
-
-
-# What is changed in evidence that stands on one ground, whether it is believed then, and a word of
-# the reason. Rows that end on one limit follow each other: at it, and beyond it.
-GATES: Sequence[tuple[dict[str, Any], bool, str]] = (
+# What is changed in evidence that is believed, what is decided then, and a word of the reason. Rows
+# that end on one limit follow each other: at it, and beyond it.
+GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
+    ({}, "accepted", "walls match: 80% of what 40 m of common walls could give"),
+    ({}, "accepted", "the next place 40% of it"),
     # -- enough to judge by
-    ({"walls": 24}, True, "walls match: 70%"),
-    ({"walls": 23}, False, "too few walls to judge: 23 of the 24 needed"),
-    ({"overlap": 0.15}, True, "walls match"),
-    ({"overlap": 0.149}, False, "too little common ground: 15% of the smaller map"),
-    ({"score": 0.05}, True, "walls match"),
-    ({"score": 0.049}, False, "walls do not match: score 0.05"),
-    # -- walls match
-    ({"wall_match": 0.45}, True, "walls match: 45%"),
-    ({"wall_match": 0.449}, False, "walls do not match: 45% of the wall cells meet"),
-    ({"wall_match": 0.5, "chance": 0.37}, True, "walls match"),
-    ({"wall_match": 0.5, "chance": 0.375}, True, "walls match"),
-    ({"wall_match": 0.5, "chance": 0.38}, False, "(38% by chance)"),
-    ({"wall_match": 0.99, "chance": 0.95}, True, "walls match"),
-    ({"wall_match": 1.0, "chance": 1.0}, False, "(100% by chance)"),
-    ({"wall_clash": 0.15}, True, "walls match"),
-    ({"wall_clash": 0.151}, False, "15% stand in free space"),
-    # Where the yaw stands out too, clashes are those of maps of different age.
-    (YAW | {"wall_match": 0.7, "wall_clash": 0.3}, True, "walls match"),
-    (YAW | {"wall_match": 0.7, "wall_clash": 0.3, "z": 3.4}, False, "30% stand in free space"),
-    # Inside a window nothing stands out, but walls may match.
-    ({"search": "window"}, True, "walls match"),
-    ({"search": "window", "wall_clash": 0.151}, False, "walls do not match"),
-    (YAW | {"search": "window", "wall_match": 0.7, "wall_clash": 0.16}, False, "do not match"),
-    # -- dense maps
-    (DENSE, False, "walls do not match"),
-    (DENSE | {"chance": 0.15}, False, "walls do not match"),
-    (DENSE | {"chance": 0.149}, True, "walls match"),
-    (DENSE | {"wall_clash_near": 0.1}, True, "walls match"),
-    (DENSE | {"wall_clash_near": 0.101}, False, "walls do not match"),
-    (DENSE | {"coarse_ratio": 0.7, "runner_up_ratio": 0.6}, True, "walls match"),
-    (DENSE | {"coarse_ratio": 0.701, "runner_up_ratio": 0.6}, False, "do not match"),
-    (DENSE | {"coarse_ratio": 0.7, "runner_up_ratio": 0.601}, False, "do not match"),
-    (DENSE | {"coarse_ratio": 0.8, "runner_up_ratio": 0.45}, True, "walls match"),
-    (DENSE | {"coarse_ratio": 0.801, "runner_up_ratio": 0.45}, False, "do not match"),
-    (DENSE | {"coarse_ratio": 0.8, "runner_up_ratio": 0.451}, False, "do not match"),
-    # -- the yaw stands out
-    (YAW, True, "yaw stands out: others reach 75% (z 6.0)"),
-    (YAW | {"z": 3.5}, True, "yaw stands out"),
-    (YAW | {"z": 3.49}, False, "other yaws reach 75%"),
-    (YAW | {"search": "window"}, False, "walls do not match"),
-    (YAW | {"coarse_ratio": 0.85, "runner_up_ratio": 0.8, "wall_clash": 0.15}, True, "yaw stands"),
-    (YAW | {"coarse_ratio": 0.851, "runner_up_ratio": 0.8}, False, "other transforms 80%"),
-    (YAW | {"coarse_ratio": 0.85, "runner_up_ratio": 0.801}, False, "other transforms 80%"),
-    (YAW | {"coarse_ratio": 0.85, "runner_up_ratio": 0.8, "wall_clash": 0.151}, False, "15% stand"),
-    (YAW | {"coarse_ratio": 0.9, "runner_up_ratio": 0.75, "wall_clash": 0.1}, True, "yaw stands"),
-    (YAW | {"coarse_ratio": 0.901, "runner_up_ratio": 0.75}, False, "other yaws reach 90%"),
-    (YAW | {"coarse_ratio": 0.9, "runner_up_ratio": 0.751}, False, "other yaws reach 90%"),
-    (YAW | {"coarse_ratio": 0.9, "runner_up_ratio": 0.75, "wall_clash": 0.101}, False, "10% stand"),
-    # Without any rival the best other yaw stands for it.
-    (YAW | {"coarse_ratio": 0.8, "runner_up_ratio": None}, True, "yaw stands out"),
-    (YAW | {"coarse_ratio": 0.801, "runner_up_ratio": None}, False, "and no rival of the score"),
-    # -- the score stands out
-    (SCORE, True, "score stands out: 0.30, the next 0.12"),
-    (SCORE | {"runner_up_ratio": 0.5}, True, "score stands out: 0.30, the next 0.15"),
-    (SCORE | {"runner_up_ratio": 0.51}, False, "walls do not match"),
-    (SCORE | {"search": "window"}, False, "walls do not match"),
-    (SCORE | {"wall_clash": 0.1}, True, "score stands out"),
-    (SCORE | {"wall_clash": 0.101}, False, "walls do not match"),
-    (SCORE | {"score": 0.25, "runner_up_ratio": 0.6, "coarse_ratio": 0.98}, True, "score stands"),
-    (SCORE | {"score": 0.25, "runner_up_ratio": 0.61, "coarse_ratio": 0.98}, False, "do not match"),
-    (SCORE | {"score": 0.25, "runner_up_ratio": 0.6, "coarse_ratio": 0.981}, False, "do not match"),
-    # -- another answer is about as good
-    ({"runner_up_ratio": 0.85}, True, "walls match"),
-    ({"runner_up_ratio": 0.851}, False, "ambiguous: another transform scores 85% of the best"),
-    (RIVAL | {"near_start": True}, True, "walls match"),
-    (RIVAL | {"runner_up_ratio": None}, True, "walls match"),
-    # ... but leaves twice as much unexplained.
-    ({"score": 0.915, "runner_up_ratio": 0.9}, True, "walls match"),
-    ({"score": 0.905, "runner_up_ratio": 0.9}, False, "ambiguous"),
-    ({"score": 0.95, "runner_up_ratio": 0.86}, True, "walls match"),
-    ({"score": 0.99, "runner_up_ratio": 0.99}, False, "ambiguous"),
-    ({"score": 1.0, "runner_up_ratio": 1.0}, False, "ambiguous"),
-    # A score is worth 1 at most.
-    ({"score": 1.2, "runner_up_ratio": 0.95}, False, "ambiguous"),
-    # -- the proof
-    (YAW | {"rival": True}, False, "but the proof found a rival with a higher lattice score"),
-    (SCORE | {"rival": True}, False, "but the proof found a rival"),
-    ({"rival": True}, True, "walls match"),
+    ({"walls": 24}, "accepted", "walls match"),
+    ({"walls": 23}, "too little in common", "too few walls to judge: 23 of the 24 needed"),
+    # -- so many wrong ones are to be expected
+    ({"share": WHOLE, "better": ENOUGH + 1e-6}, "accepted", "walls match"),
+    ({"share": WHOLE, "better": ENOUGH - 1e-6}, "ambiguous", "explains 40% of it"),
+    ({"share": 0.8, "better": ENOUGH / 0.8 + 1e-6}, "accepted", "walls match"),
+    ({"share": 0.8, "better": ENOUGH / 0.8 - 1e-6}, "ambiguous", "the same place twice?"),
+    # Maps that are bent: a piece counts 0.6 at least.
+    ({"share": 0.6, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 60%"),
+    ({"share": 0.3, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 30%"),
+    ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "walls do not match: 30%"),
+    # More pairs, more wrong ones; poses near a start, fewer.
+    ({"share": WHOLE, "better": ENOUGH + math.log(10.0) + 1e-6, "pairs": 10}, "accepted", ""),
+    ({"share": WHOLE, "better": ENOUGH + math.log(10.0) - 1e-6, "pairs": 10}, "ambiguous", ""),
+    ({"share": WHOLE, "better": ENOUGH - math.log(10.0) + 1e-6, "prior": 0.1}, "accepted", ""),
+    ({"share": WHOLE, "better": ENOUGH - math.log(10.0) - 1e-6, "prior": 0.1}, "ambiguous", ""),
+    # A hundredth is too many already.
+    (TIED | {"share": WHOLE, "prior": 0.005}, "ambiguous", ""),
+    (TIED | {"share": WHOLE, "prior": 0.005, "witnesses": 0.0}, "too little in common", ""),
+    (TIED | {"share": WHOLE, "prior": 0.00499}, "accepted", ""),
+    ({"better": -3.0, "ratio": 1.2}, "ambiguous", "explains 120% of it"),
+    ({"better": 1e9, "witnesses": 1e9}, "accepted", "walls match"),
+    ({"better": -1e9, "ratio": 99.0}, "ambiguous", "ambiguous"),
+    # -- why not
+    (TIED | {"share": 0.5}, "ambiguous", "another transform, at 1.00, 2.00 m, 90 deg, explains"),
+    (TIED | {"share": 0.499}, "different place", "as any other place might (2 wrong ones"),
+    (TIED | {"share": 0.499}, "different place", "the next reaches 100%"),
+    (TIED | {"rival": None}, "different place", "walls do not match: 80%"),
+    (TIED | {"share": WHOLE, "witnesses": ENOUGH + 1e-6}, "ambiguous", "ambiguous"),
+    (
+        TIED | {"share": WHOLE, "witnesses": ENOUGH - 1e-6},
+        "too little in common",
+        "40.0 m of walls",
+    ),
+    (
+        TIED | {"share": 0.3, "witnesses": ENOUGH / 0.6 - 1e-6},
+        "too little in common",
+        "too little in common to judge: 40.0 m of walls, 8.8 independent pieces",
+    ),
+    (TIED | {"share": 0.3, "witnesses": ENOUGH / 0.6 + 1e-6}, "different place", "do not match"),
+    (TIED | {"witnesses": 7.0, "pairs": 100}, "too little in common", "7.0 independent"),
+    (TIED | {"witnesses": 5.0, "prior": 0.9}, "too little in common", "5.0 independent"),
+    (TIED | {"witnesses": 5.0, "prior": 0.2}, "ambiguous", "ambiguous"),
+    # -- walls of one in the free space of the other
+    (CLASHING | {"wall_clash": 0.15}, "accepted", "walls match"),
+    (CLASHING, "different place", "15% of the wall cells stand in the other's free"),
+    (CLASHING | {"search": "window"}, "different place", "free space"),
+    # ... but maps of one place and different age.
+    (CLASHING | {"share": 0.55, "wall_clash": 0.5}, "accepted", "walls match: 55%"),
+    (CLASHING | {"share": 0.549, "wall_clash": 0.5}, "different place", "50% of the wall cells"),
+    # -- nearly all of both meets, and the rival leaves twice as much
+    (SURE, "accepted", "walls match: 80%"),
+    (SURE | {"ratio": 0.947}, "accepted", "the next place 95% of it"),
+    (SURE | {"ratio": 0.948}, "ambiguous", "explains 95% of it"),
+    (SURE | {"ratio": 0.8, "wall_match": 0.9}, "accepted", "walls match"),
+    (SURE | {"ratio": 0.5, "wall_match": 0.899}, "ambiguous", "ambiguous"),
+    (SURE | {"wall_match": 1.0, "ratio": 0.979}, "accepted", "walls match"),
+    (SURE | {"wall_match": 1.0, "ratio": 0.981}, "ambiguous", "ambiguous"),
+    (SURE | {"wall_match": 1.0, "ratio": 1.0}, "ambiguous", "explains 100% of it"),
+    (SURE | {"wall_match": 1.0, "ratio": 1.5, "better": -9.0}, "ambiguous", "150% of it"),
+    (SURE | CLASHING, "different place", "free space"),
+    (SURE | {"walls": 23}, "too little in common", "too few walls"),
+    # -- mirrored
+    ({"mirrored": 0.9}, "accepted", "walls match"),
+    ({"mirrored": 0.901}, "mirrored", "fits its mirror image as well or better, 0.9 times"),
+    (SURE | {"mirrored": 2.34}, "mirrored", "2.3 times: is a laser upside down, or a map mirrored"),
+    ({"search": "window", "mirrored": 1.5}, "mirrored", "mirrored or transposed?"),
+    # -- another scale
+    ({"scale": 1.0}, "accepted", "the next place 40% of it"),
+    ({"scale": 1.0299}, "accepted", "the maps differ in scale by 3.0%"),
+    ({"scale": 1.0301}, "other scale", "the maps differ in scale by 3.0%: is a resolution wrong?"),
+    ({"scale": 0.9701}, "accepted", "differ in scale by 3.0%"),
+    ({"scale": 0.9699}, "other scale", "differ in scale by 3.0%"),
+    (SURE | {"scale": 1.1}, "other scale", "differ in scale by 10.0%"),
+    # ... of maps that then fit each other: one that is bent differs from place to place.
+    ({"scale": 1.1, "scaled_share": 0.599}, "accepted", "differ in scale by 10.0%"),
+    # -- an answer elsewhere that leaves less unexplained
+    ({"share": 0.6, "clean_share": 0.849}, "accepted", "walls match: 60%"),
+    ({"share": 0.6, "clean_share": 0.851}, "ambiguous", "leaves less unexplained (85%)"),
+    # -- a start chooses between answers that are as good
+    (STARTED, "accepted", "walls match"),
+    (STARTED | {"search": "full"}, "ambiguous", "explains 100% of it"),
+    (STARTED | {"better_inside": None}, "ambiguous", "explains 100% of it"),
+    (STARTED | {"better": -0.25}, "accepted", "walls match"),
+    (STARTED | {"better": -0.251}, "ambiguous", "explains 100% of it"),
+    (STARTED | {"share": 0.75}, "accepted", "walls match"),
+    (STARTED | {"share": 0.749}, "ambiguous", "explains 100% of it"),
+    (STARTED | {"share": 0.8, "better_inside": 4.63}, "accepted", "walls match"),
+    (STARTED | {"share": 0.8, "better_inside": 3.74}, "ambiguous", "explains 100% of it"),
+    # -- bent
+    ({"share": 0.25}, "accepted", "walls match: 25%"),
+    ({"share": 0.249}, "bent", "25% of what the 40 m of common walls could give; one of them is"),
     # -- nothing was searched: the fit alone
-    ({"search": "tracked"}, True, "tracked: 70% of the walls match"),
-    ({"search": "tracked", "wall_clash": 0.15}, True, "tracked: 70%"),
-    ({"search": "tracked", "wall_clash": 0.151}, False, "tracked: the walls do not match, 70%"),
-    ({"search": "tracked", "wall_match": 0.449}, False, "tracked: the walls do not match, 45%"),
-    ({"search": "fixed step"}, True, "fixed step: 70% of the walls match"),
-    ({"search": "fixed step", "wall_clash": 0.151}, False, "15% stand in free space"),
-    (YAW | {"search": "tracked"}, False, "tracked: the walls do not match"),
-    (SCORE | {"search": "tracked"}, False, "tracked: the walls do not match"),
-    (RIVAL | {"search": "tracked"}, True, "tracked"),
+    (TRACKED, "accepted", "tracked: 60% of the walls match"),
+    (TRACKED | TIED, "accepted", "tracked: 60%"),
+    (TRACKED | {"wall_match": 0.45}, "accepted", "tracked: 45% of the walls match"),
+    (TRACKED | {"wall_match": 0.449}, "different place", "tracked: the walls do not match, 45%"),
+    (TRACKED | {"wall_match": 0.5, "chance": 0.375}, "accepted", "tracked: 50%"),
+    (TRACKED | {"wall_match": 0.5, "chance": 0.38}, "different place", "do not match"),
+    (TRACKED | {"wall_match": 1.0, "chance": 0.99}, "accepted", "tracked: 100%"),
+    (TRACKED | {"wall_match": 1.0, "chance": 1.0}, "different place", "tracked"),
+    (TRACKED | {"wall_clash": 0.15}, "accepted", "tracked"),
+    (TRACKED | {"wall_clash": 0.151}, "different place", "15% stand in free space"),
+    (TRACKED | {"walls": 23}, "too little in common", "too few walls"),
+    (TRACKED | {"mirrored": 3.0, "scale": 1.2}, "accepted", "tracked"),
+    (GROUND, "accepted", "tracked: 50% of the common ground of the walls match"),
+    (GROUND | {"share": 0.499}, "different place", "tracked: the walls do not match, 30%"),
+    (GROUND | {"witnesses": 11.9}, "different place", "tracked: the walls do not match"),
+    (GROUND | {"wall_clash": 0.151}, "different place", "tracked: the walls do not match"),
+    (TRACKED | {"search": "fixed step"}, "accepted", "fixed step: 60% of the walls match"),
+    (TRACKED | {"search": "fixed step", "wall_match": 0.4}, "different place", "fixed step: the"),
 )
 
 
-@pytest.mark.parametrize(("changes", "accepted", "reason"), GATES)
+@pytest.mark.parametrize(("changes", "kind", "reason"), GATES)
 def test_each_limit_is_where_it_is_said_to_be(
-    changes: dict[str, Any], accepted: bool, reason: str
+    changes: dict[str, Any], kind: DecisionKind, reason: str
 ) -> None:
-    assert_decided(changes, accepted=accepted, reason=reason)
+    found = decide(evidence(**changes))
+    assert found.kind == kind, found.reason
+    assert found.accepted is (kind == "accepted")
+    assert reason in found.reason
+
+
+def test_every_kind_of_decision_is_reached() -> None:
+    """But that nothing was searched, which is no decision on evidence."""
+    assert {kind for _, kind, _ in GATES} == set(DECISIONS) - {"not searched"}
+
+
+@pytest.mark.parametrize(("scale", "is_said"), [(1.0099, False), (1.0101, True), (0.9899, True)])
+def test_a_scale_is_said_from_one_percent_on(scale: float, *, is_said: bool) -> None:
+    found = decide(evidence(scale=scale))
+    assert found.accepted
+    assert ("differ in scale by 1.0%" in found.reason) is is_said
+
+
+@pytest.mark.parametrize(
+    ("worst", "next_worst", "kind"),
+    [
+        ({"walls": 23}, {"mirrored": 2.0}, "too little in common"),
+        ({"mirrored": 2.0}, CLASHING, "mirrored"),
+        (CLASHING, {"better": 0.0}, "different place"),
+        ({"witnesses": 1.0, **TIED}, {"scale": 1.1}, "too little in common"),
+        (TIED, {"scale": 1.1}, "ambiguous"),
+        ({"scale": 1.1}, {"share": 0.2}, "other scale"),
+        ({"share": 0.2}, {}, "bent"),
+    ],
+)
+def test_of_several_reasons_the_first_is_said(
+    worst: dict[str, Any], next_worst: dict[str, Any], kind: DecisionKind
+) -> None:
+    alone = decide(evidence(**worst))
+    assert alone.kind == kind
+    assert decide(evidence(**(next_worst | worst))) == alone
+    if next_worst:
+        other = decide(evidence(**next_worst))
+        assert not other.accepted
+        assert other.reason != alone.reason
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        ((0.0, 1.0), 1.0),
+        ((1.0, 1.0), math.exp(-1.0)),
+        ((10.0, 0.8), math.exp(-8.0)),
+        ((10.0, 0.6), math.exp(-6.0)),
+        ((10.0, 0.1), math.exp(-6.0)),
+        ((-2.0, 1.0), math.exp(2.0)),
+        ((10.0, 1.0, 3), 3.0 * math.exp(-10.0)),
+        ((10.0, 1.0, 3, 0.01), 0.03 * math.exp(-10.0)),
+        ((499.0, 1.0), math.exp(-499.0)),
+        ((501.0, 1.0), math.exp(-500.0)),
+        ((-499.0, 1.0), math.exp(499.0)),
+        ((-1e12, 1.0), math.exp(500.0)),
+    ],
+)
+def test_how_many_wrong_answers_are_to_be_expected(
+    arguments: tuple[Any, ...], wanted: float
+) -> None:
+    assert expected_wrong(*arguments) == pytest.approx(2.0 * wanted, rel=1e-12)
+
+
+def test_an_image_is_refused_only_where_it_fits_better() -> None:
+    assert decide_mirrored(None) is None
+    assert decide_mirrored(0.9) is None
+    refused = decide_mirrored(0.9 + 1e-9)
+    assert refused is not None
+    assert (refused.accepted, refused.kind) == (False, "mirrored")
 
 
 # -- monotony --------------------------------------------------------------------------------------
 
 # Numbers of which more speaks for an alignment, and those of which more speaks against it.
-FOR = ("score", "overlap", "walls", "wall_match", "z")
-AGAINST = ("wall_clash", "wall_clash_near", "chance", "coarse_ratio", "runner_up_ratio")
-RANGES = {"z": 12.0, "walls": 60.0, "coarse_ratio": 1.1}
+FOR = ("walls", "share", "witnesses", "better", "wall_match")
+AGAINST = (
+    "ratio",
+    "clean_share",
+    "scaled_share",
+    "mirrored",
+    "wall_clash",
+    "chance",
+    "pairs",
+    "prior",
+)
+# What decides nothing: it is only said.
+SAID = ("common_m",)
+RANGES = {
+    "walls": (0.0, 60.0),
+    "common_m": (0.0, 100.0),
+    "witnesses": (0.0, 30.0),
+    "better": (-10.0, 30.0),
+    "ratio": (0.0, 1.5),
+    "mirrored": (0.0, 3.0),
+    "scale": (0.85, 1.15),
+    "pairs": (1.0, 200.0),
+}
+
+
+def with_number(found: Evidence, column: str, value: float) -> Evidence:
+    """Return the evidence with one number changed, those of the job among them."""
+    if column == "pairs":
+        return replace(found, pairs=round(value))
+    if column == "prior":
+        return replace(found, prior=value)
+    return changed(found, column, value)
 
 
 def values(column: str) -> st.SearchStrategy[float]:
     """Return values of one number, those of the table of gates among them."""
+    low, high = RANGES.get(column, (0.0, 1.0))
     known = sorted(
         {
             float(value)
-            for changes, _, _ in GATES
-            for name, value in changes.items()
-            if name == column and value is not None and value <= RANGES.get(column, 1.0)
+            for row, _, _ in GATES
+            for name, value in row.items()
+            if name == column and value is not None and low <= value <= high
         }
     )
-    return st.one_of(st.sampled_from(known), st.floats(0.0, RANGES.get(column, 1.0)))
+    return st.one_of(st.sampled_from([low, high, *known]), st.floats(low, high))
 
 
 @st.composite
@@ -193,54 +327,71 @@ def any_evidence(drawn: st.DrawFn) -> Evidence:
     found = replace(
         found,
         search=drawn(st.sampled_from(("full", "full", "window", "tracked", "fixed step"))),
-        near_start=drawn(st.booleans()),
-        rival=drawn(st.booleans()),
-        score=min(found.score, 1.0),
+        rival=drawn(st.sampled_from((None, "elsewhere"))),
     )
-    for column in drawn(st.lists(st.sampled_from(COLUMNS), max_size=3)):
-        found = changed(found, column, drawn(values(column)))
+    for column in drawn(st.lists(st.sampled_from((*COLUMNS, "pairs", "prior")), max_size=3)):
+        found = with_number(found, column, drawn(values(column)))
     return found
 
 
-@pytest.mark.parametrize("column", COLUMNS)
+@pytest.mark.parametrize("column", FOR + AGAINST)
 def test_better_evidence_never_turns_an_acceptance_into_a_rejection(column: str) -> None:
-    @settings(max_examples=60)
+    @settings(max_examples=80, deadline=None)
     @given(found=any_evidence(), pair=st.tuples(values(column), values(column)))
     def check(found: Evidence, pair: tuple[float, float]) -> None:
+        # Where the rival is the better one, a larger share speaks against the answer.
+        if column == "share":
+            found = replace(found, better=max(found.better, 0.0))
         worse, better = sorted(pair, reverse=column in AGAINST)
-        is_believed, _ = decide(changed(found, column, worse))
-        is_still, why = decide(changed(found, column, better))
-        assert is_still or not is_believed, why
+        before = decide(with_number(found, column, worse))
+        after = decide(with_number(found, column, better))
+        assert after.accepted or not before.accepted, after.reason
 
-    assert column in FOR + AGAINST
+    assert {*FOR, *AGAINST, *SAID, "scale"} == {*COLUMNS, "pairs", "prior"}
     check()
 
 
-@given(found=any_evidence())
-def test_a_rival_never_helps_and_a_start_never_hurts(found: Evidence) -> None:
-    with_rival, _ = decide(replace(found, rival=True))
-    without, _ = decide(replace(found, rival=False))
-    assert without or not with_rival
-    near, _ = decide(replace(found, near_start=True))
-    far, _ = decide(replace(found, near_start=False))
-    assert near or not far
+@settings(max_examples=80, deadline=None)
+@given(found=any_evidence(), offs=st.tuples(st.floats(0.0, 0.15), st.floats(0.0, 0.15)))
+def test_a_scale_farther_from_one_never_helps(found: Evidence, offs: tuple[float, float]) -> None:
+    near, far = sorted(offs)
+    for sign in (-1.0, 1.0):
+        off = decide(replace(found, scale=1.0 + sign * far))
+        assert decide(replace(found, scale=1.0 + sign * near)).accepted or not off.accepted
 
 
+@settings(max_examples=80, deadline=None)
+@given(found=any_evidence(), metres=values("common_m"), where=st.text(max_size=5))
+def test_what_is_only_said_decides_nothing(found: Evidence, metres: float, where: str) -> None:
+    other = replace(found, common_m=metres, rival=where)
+    assert decide(other).accepted == decide(found).accepted
+
+
+@settings(max_examples=80, deadline=None)
 @given(found=any_evidence())
 def test_whatever_is_decided_has_a_reason_in_one_line(found: Evidence) -> None:
-    _, why = decide(found)
-    assert why
-    assert "\n" not in why
+    decision = decide(found)
+    assert decision.kind in DECISIONS
+    assert decision.accepted is (decision.kind == "accepted")
+    assert decision.reason
+    assert "\n" not in decision.reason
 
 
 # -- recorded pairs --------------------------------------------------------------------------------
 
-# Drawn buildings of one size with other rooms that are believed all the same: their outer walls are
-# most of what there is. Each is a failure that stays in sight.
+# Wrong, and believed all the same; each is a failure that stays in sight.
 BELIEVED_WRONGLY = {
+    # Outer walls of one size are most of what there is.
+    ("building 18 0", "building 18 1"),
     ("building 22 0", "building 22 1"),
-    ("building 94 0", "building 94 1"),
+    ("building 78 0", "building 78 1"),
+    ("building 90 0", "building 90 1"),
 }
+
+
+def is_believed_wrongly(pair: RecordedPair) -> bool:
+    is_named = (pair.reference, pair.moving) in BELIEVED_WRONGLY
+    return is_named and pair.accepted and not pair.is_right
 
 
 def rows(*, is_right: bool) -> list[Any]:
@@ -248,9 +399,9 @@ def rows(*, is_right: bool) -> list[Any]:
     return [
         pytest.param(
             pair,
-            id=f"{pair.reference} {pair.moving}",
+            id=f"{pair.source} {pair.reference} {pair.moving}",
             marks=pytest.mark.xfail(reason="believed, and wrong", strict=True)
-            if (pair.reference, pair.moving) in BELIEVED_WRONGLY
+            if is_believed_wrongly(pair)
             else (),
         )
         for pair in PAIRS
@@ -260,20 +411,25 @@ def rows(*, is_right: bool) -> list[Any]:
 
 @pytest.mark.parametrize("pair", rows(is_right=False))
 def test_the_nearest_wrong_pairs_are_not_believed(pair: RecordedPair) -> None:
-    accepted, why = decide(pair.evidence)
-    assert not accepted, why
+    decision = decide(pair.evidence)
+    assert not decision.accepted, decision.reason
 
 
-@pytest.mark.parametrize("pair", rows(is_right=True))
-def test_the_nearest_right_pairs_are_decided_as_when_they_were_recorded(pair: RecordedPair) -> None:
-    accepted, why = decide(pair.evidence)
-    assert accepted == pair.accepted, why
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair.source} {pair.reference}")
+def test_the_nearest_pairs_are_decided_as_when_they_were_recorded(pair: RecordedPair) -> None:
+    decision = decide(pair.evidence)
+    assert decision.kind == pair.decision, decision.reason
 
 
 def test_the_record_holds_wrong_pairs_and_right_ones_on_either_side() -> None:
     sides = [(pair.is_right, pair.accepted) for pair in PAIRS]
     for side in ((False, False), (True, True), (True, False)):
         assert sides.count(side) >= 5, side
+    assert {(p.reference, p.moving) for p in PAIRS if is_believed_wrongly(p)} == BELIEVED_WRONGLY
     for pair in PAIRS:
         for column in COLUMNS:
-            assert value_of(pair.evidence, column) is not None or column == "runner_up_ratio"
+            is_there = number_of(pair.evidence, column) is not None
+            # Looked for where the rest speaks for the answer; an image where that is not sure.
+            assert is_there or column in OPTIONAL
+            is_sure = pair.evidence.share >= 0.9 and column == "mirrored"
+            assert is_there or not pair.accepted or is_sure

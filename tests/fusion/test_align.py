@@ -15,12 +15,11 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion import align_grids
-from slamfusion.fusion.align import _Found, _prove, align_features, track_features
-from slamfusion.fusion.features import FINE_TABLE
+from slamfusion.fusion.align import _prove, align_features, track_features
+from slamfusion.fusion.judge import Found
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.refine import rank
-from slamfusion.fusion.search import SearchWindow
+from slamfusion.fusion.search import SearchWindow, score_motions, wall_widths
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import (
@@ -272,10 +271,10 @@ def test_an_answer_beside_the_best_is_not_called_proven(
     grid = features_of(building(1, 11.0, 9.0), device)
     right = np.array([*grid.centre, 0.0])
     motions = right[None] + np.array([[aside, 0.0, 0.0]])
-    scores = rank(grid, grid, motions, 1, FINE_TABLE, device)
+    evidence = score_motions(grid, grid, motions, 1, device, sigma=wall_widths(grid)[0])
     config = AlignConfig(deadline_s=30.0)
     found = _prove(
-        grid, grid, config, SearchWindow(), device, _Found(motions, scores, None, None, "full")
+        grid, grid, config, SearchWindow(), device, Found(motions, evidence, None, None, "full")
     )
     shift, _ = displacement(found.motions[0], right)
     assert shift < 1.0 or (found.bound_gap or 0.0) > 0.0
@@ -455,6 +454,8 @@ def test_an_alignment_as_json_has_the_keys_that_programs_rely_on(device: Compute
         "bound_gap",
         "time_s",
         "statistics",
+        "match_evidence",
+        "match_decision",
     ]
     assert found.to_json()["name"] == "again"
 

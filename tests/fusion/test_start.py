@@ -8,8 +8,8 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError, StartError
-from slamfusion.fusion import align, fuse_grids
-from slamfusion.fusion.accept import Evidence
+from slamfusion.fusion import fuse_grids, judge
+from slamfusion.fusion.accept import Decision, Evidence
 from slamfusion.fusion.align import align_grids
 from slamfusion.fusion.start import StartPose, Starts, place_starts
 from slamfusion.geometry import Pose2, wrap_angle
@@ -117,7 +117,7 @@ def test_starts_choose_among_the_turns_of_a_square_room(
     """Without them the four are alike; so they are told in the world, one frame of which is far."""
     room, wanted = draw(ROOM, name="room"), quarter_turned(quarter)
     again = room.with_name("again")
-    with pytest.raises(AlignmentError, match=r"ambiguous: .* nothing says which"):
+    with pytest.raises(AlignmentError, match=r"ambiguous: the same place twice"):
         fuse_grids([room, with_origin(again, Pose2(30.0, 4.0, 0.7))], QUICK, device)
     world = Pose2(40.0, -7.0, 1.1)
     told = world.compose(wanted).compose(Pose2(0.2, -0.1, 0.1))
@@ -225,17 +225,18 @@ def test_the_fixed_step_search_begins_at_the_start(device: ComputeDevice) -> Non
 def test_the_decision_is_told_the_start(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With its tolerances; of a bare pose, or of none, it is told that none was given."""
+    """With its tolerances, or as a pose that the answer agrees with; else all poses are equal."""
     told: list[Evidence] = []
 
-    def decide(evidence: Evidence) -> tuple[bool, str]:
+    def decide(evidence: Evidence) -> Decision:
         told.append(evidence)
-        return True, "told"
+        return Decision(False, "different place", "told")
 
-    monkeypatch.setattr(align, "decide", decide)
+    monkeypatch.setattr(judge, "decide", decide)
     grid = building(3)
     start = StartPose(Pose2(0.1, 0.0, 0.02), 0.5, 0.1)
     for given in (start, start.pose, None):
         align_grids(grid, grid.with_name("again"), QUICK, device, given)
-    assert [evidence.start for evidence in told] == [start, None, None]
     assert [evidence.search for evidence in told] == ["window", "full", "full"]
+    assert [evidence.prior < 0.01 for evidence in told] == [True, True, False]
+    assert told[2].prior == 1.0

@@ -5,23 +5,29 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, cast
 
-from slamfusion.fusion.accept import Evidence
+from slamfusion.fusion.accept import DecisionKind, Evidence
 
-__all__ = ["COLUMNS", "RecordedPair", "changed", "load_pairs", "row_of", "value_of"]
+__all__ = ["COLUMNS", "OPTIONAL", "RecordedPair", "changed", "load_pairs", "row_of", "value_of"]
 
 # What the decision looks at: fields of the evidence, and its statistics.
-FIELDS = ("score", "overlap", "walls")
-STATISTICS = (
-    "wall_match",
-    "wall_clash",
-    "wall_clash_near",
-    "chance",
-    "z",
-    "coarse_ratio",
-    "runner_up_ratio",
+FIELDS = (
+    "walls",
+    "common_m",
+    "share",
+    "witnesses",
+    "better",
+    "ratio",
+    "mirrored",
+    "scale",
+    "scaled_share",
+    "clean_share",
 )
+STATISTICS = ("wall_match", "wall_clash", "chance")
 COLUMNS = FIELDS + STATISTICS
+# Numbers that are looked for only where the rest speaks for the answer.
+OPTIONAL = ("mirrored", "scale")
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class RecordedPair:
         source: what kind of pair it is.
         reference, moving: names of the maps.
         is_right: whether the transform that was found is the right one.
-        accepted: what was decided when the record was made.
+        decision: what was decided when the record was made.
         evidence: what the decision looks at.
     """
 
@@ -40,26 +46,32 @@ class RecordedPair:
     reference: str
     moving: str
     is_right: bool
-    accepted: bool
+    decision: DecisionKind
     evidence: Evidence
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it was believed when the record was made."""
+        return self.decision == "accepted"
 
 
 def value_of(evidence: Evidence, column: str) -> float | None:
-    """Return one number; None where there is none (no rival was found)."""
-    if column in FIELDS:
-        return float(getattr(evidence, column))
-    return evidence.statistics.get(column)
+    """Return one number; None where it was not looked for."""
+    if column in STATISTICS:
+        return evidence.statistics[column]
+    value: float | None = getattr(evidence, column)
+    return None if value is None else float(value)
 
 
 def changed(evidence: Evidence, column: str, value: float) -> Evidence:
     """Return the evidence with one number changed."""
+    if column in STATISTICS:
+        return replace(evidence, statistics={**evidence.statistics, column: value})
     if column == "walls":
         return replace(evidence, walls=round(value))
-    if column == "score":
-        return replace(evidence, score=value)
-    if column == "overlap":
-        return replace(evidence, overlap=value)
-    return replace(evidence, statistics={**evidence.statistics, column: value})
+    assert column in FIELDS, column
+    fields: dict[str, Any] = {column: value}
+    return replace(evidence, **fields)
 
 
 def row_of(pair: RecordedPair) -> dict[str, str]:
@@ -69,7 +81,7 @@ def row_of(pair: RecordedPair) -> dict[str, str]:
         "reference": pair.reference,
         "moving": pair.moving,
         "answer": "right" if pair.is_right else "wrong",
-        "decision": "accepted" if pair.accepted else "rejected",
+        "decision": pair.decision,
     }
     for column in COLUMNS:
         value = value_of(pair.evidence, column)
@@ -86,20 +98,27 @@ def load_pairs(path: Path) -> tuple[RecordedPair, ...]:
 
 def _pair(row: dict[str, str]) -> RecordedPair:
     evidence = Evidence(
-        score=float(row["score"]),
-        overlap=float(row["overlap"]),
         walls=int(row["walls"]),
-        statistics={name: float(row[name]) for name in STATISTICS if row[name]},
-        bound_gap=None,
-        rival=False,
+        common_m=float(row["common_m"]),
+        share=float(row["share"]),
+        witnesses=float(row["witnesses"]),
+        better=float(row["better"]),
+        ratio=float(row["ratio"]),
+        rival="elsewhere",
+        pairs=1,
+        prior=1.0,
+        statistics={name: float(row[name]) for name in STATISTICS},
         search="full",
-        near_start=False,
+        mirrored=float(row["mirrored"]) if row["mirrored"] else None,
+        scale=float(row["scale"]) if row["scale"] else None,
+        scaled_share=float(row["scaled_share"] or 0.0),
+        clean_share=float(row["clean_share"]),
     )
     return RecordedPair(
         row["source"],
         row["reference"],
         row["moving"],
         row["answer"] == "right",
-        row["decision"] == "accepted",
+        cast("DecisionKind", row["decision"]),
         evidence,
     )

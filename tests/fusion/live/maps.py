@@ -38,9 +38,9 @@ def three(seed: int = 3) -> dict[str, OccupancyGrid]:
 
 
 @cache
-def trio(seed: int = 0) -> dict[str, OccupancyGrid]:
-    """Return three faulty maps of one small place, whose mirror image fits at 60 % of its walls."""
-    place = building(seed, 9.0, 7.0, 0.05)
+def trio(seed: int = 10) -> dict[str, OccupancyGrid]:
+    """Return three faulty maps of one small place, whose mirror image fits at half its walls."""
+    place = building(seed, 14.0, 6.0, 0.05)
     faults = {
         "a": {"flip_share": 0.002, "resample": False},
         "b": {"yaw_rad": -1.1, "flip_share": 0.01, "shift_share": (0.3, 0.1)},

@@ -107,13 +107,10 @@ class Script:
             cancel.check()
         return _answer(self.searched.get(asked.names, MISFIT), asked)
 
-    def refuse_mirrored(
-        self, pair: Alignment, reference: Any, moving: Any, *_: object
-    ) -> Alignment:
+    def gain_of_image(self, aligner: object, reference: Any, moving: Any, *_: object) -> float:
+        del aligner
         asked = self._ask("mirror", reference, moving, None, None)
-        if asked.names not in self.mirrored:
-            return pair
-        return replace(pair, accepted=False, reason="fits better mirrored")
+        return 2.0 if asked.names in self.mirrored else 0.5
 
     def _ask(
         self, what: str, reference: Any, moving: Any, start: Pose2 | None, cancel: Any
@@ -142,7 +139,7 @@ def _answer(given: Alignment | Exception, asked: Asked) -> Alignment:
 def follow_script(patch: pytest.MonkeyPatch) -> Script:
     """Return a script that every aligner goes by while the patch lasts."""
     script = Script()
-    for name in ("track_features", "align_features", "refuse_mirrored"):
+    for name in ("track_features", "align_features", "gain_of_image"):
         patch.setattr(align, name, getattr(script, name))
     patch.setattr(align, "time", script)
     patch.setattr(Aligner, "features", lambda _, track, __=None: _named(track.name))

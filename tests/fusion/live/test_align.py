@@ -8,11 +8,12 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.live.align import Aligner
+from slamfusion.fusion.live import align as live_align
+from slamfusion.fusion.live.align import MIRROR_SHARE, Aligner
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
-from tests.fusion.live.maps import AWAY, moved_frame, three, touched
+from tests.fusion.live.maps import AWAY, littered, moved_frame, three, touched
 
 LIVE = LiveConfig(search_pause_s=5.0, confirm_s=3.0)
 
@@ -133,6 +134,41 @@ def test_scores_of_an_earlier_run_are_held_against_what_is_tracked(device: Compu
         follow_grid = touched(three()["b"], 1, 0.0005)
         new.follow(follow_grid, lattice.resolution, aligner.config.normalize, LIVE, device)
         assert (aligner.fit(new, aligner.held(held)) is not None) is fits
+
+
+def worn(aligner: Aligner, held: Track, new: Track, share: float, device: ComputeDevice) -> float:
+    """Give a tracked input new walls with litter, which wait to be aligned; return their score."""
+    grid = littered(three()["b"], 1, share)
+    new.follow(grid, aligner.fixed().resolution, aligner.config.normalize, LIVE, device)
+    new.is_steady = False
+    fit = aligner.fit(new, aligner.held(held))
+    assert fit is not None, new.mismatch
+    return fit[0].score
+
+
+@pytest.mark.parametrize("gain", [0.899, 0.901])
+def test_new_walls_that_fit_much_worse_are_held_against_their_mirror_image(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, gain: float
+) -> None:
+    aligner, held, new = searched(device)
+    score = worn(aligner, held, new, 0.06, device)
+    monkeypatch.setattr(live_align, "mirror_gain", lambda *_, **__: gain)
+    worse = score / MIRROR_SHARE + 1e-6
+    aligner.restore(aligner.fixed(), {frozenset("ab"): worse})
+    assert aligner.follow(new, aligner.held(held)) is (gain < 0.9)
+    assert ("fits its mirror image" in new.mismatch) is (gain > 0.9)
+    assert new.mismatch.startswith("to a: ") is (gain > 0.9)
+
+
+@pytest.mark.parametrize(("share", "worse"), [(0.06, -1e-6), (0.0, 0.05)])
+def test_new_walls_that_fit_as_before_or_surely_need_no_look_at_a_mirror_image(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, share: float, worse: float
+) -> None:
+    aligner, held, new = searched(device)
+    score = worn(aligner, held, new, share, device)
+    monkeypatch.setattr(live_align, "mirror_gain", lambda *_, **__: pytest.fail("a look"))
+    aligner.restore(aligner.fixed(), {frozenset("ab"): score / MIRROR_SHARE + worse})
+    assert aligner.follow(new, aligner.held(held))
 
 
 def test_without_a_frame_nothing_is_aligned(device: ComputeDevice) -> None:

@@ -323,7 +323,10 @@ def test_a_map_that_is_mirrored_from_the_start_does_not_vote(
         drive.step(touched(wrong(trio()[name]), number, 0.001))
         assert drive.accepted() == "abc".replace(name, "")
     assert "mirrored or transposed" in drive.input(name).reason
-    drive.step(trio()[name])
+    for number in range(30):
+        drive.maybe(touched(trio()[name], number, 0.001))
+        if len(drive.accepted()) > 2:  # else: a search that took long, on a busy machine, rests
+            break
     assert sorted(drive.accepted()) == ["a", "b", "c"]
 
 
@@ -331,7 +334,7 @@ def test_of_two_maps_one_is_mirrored_and_nobody_can_say_which(device: ComputeDev
     drive = Drive(live_fusion(device))
     update = drive.step(trio()["a"], mirrored(trio()["b"]))
     assert update.fused is None
-    assert "one of the two maps is mirrored" in update.problem
+    assert "a map mirrored or transposed?" in update.problem
     drive.step(trio()["c"])
     assert drive.accepted() == "ac"
 
@@ -348,6 +351,17 @@ def test_a_map_that_turns_into_its_mirror_image_loses_its_vote(device: ComputeDe
 # -- walls that match no more ----------------------------------------------------------------------
 
 
+def is_contradicted(reason: str) -> bool:
+    """Whether a reason says that walls are not where others have them."""
+    words = (
+        "walls do not match",
+        "maps do not fit each other",
+        "ambiguous",
+        "too little in common",
+    )
+    return any(word in reason for word in words)
+
+
 @pytest.mark.parametrize(("share", "pause_s"), [(0.2, 1000.0), (0.3, 0.0)])
 def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
     device: ComputeDevice, share: float, pause_s: float
@@ -358,7 +372,7 @@ def test_a_tracked_map_whose_walls_do_not_match_loses_its_vote_while_that_lasts(
         well = (touched(three()[name], number, 0.001) for name in "ac")
         drive.step(touched(worse, number, 0.001), *well)
         assert drive.accepted() == "ac", drive.input("b").reason
-        assert "walls do not match" in drive.input("b").reason
+        assert is_contradicted(drive.input("b").reason), drive.input("b").reason
     drive.step(three()["b"])
     assert drive.accepted() == "abc"
     # A little litter is no contradiction.
@@ -371,7 +385,7 @@ def test_nothing_that_votes_says_that_its_walls_do_not_match(device: ComputeDevi
     for number, share in enumerate(np.linspace(0.0, 0.3, 7)):
         drive.maybe(littered(three()["b"], 1, float(share)), touched(three()["a"], number, 0.001))
         for record in drive.live.inputs(drive.now_s):
-            assert not (record.accepted and "do not match" in record.reason)
+            assert not (record.accepted and is_contradicted(record.reason))
 
 
 # -- poses -----------------------------------------------------------------------------------------

@@ -157,7 +157,7 @@ def test_the_same_inputs_with_the_same_maps_are_tried_once(script: Script) -> No
     # One of them sent another map: only that is searched.
     last.tracks[1].version = 2
     last()
-    assert script.said() == ["track Fa", "track Fb", "search Fb", "mirror Fb"]
+    assert script.said() == ["track Fa", "track Fb", "search Fb"]
     last.aligner.now_s += 10.0
     last()
     assert not script.said()

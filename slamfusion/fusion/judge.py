@@ -1,0 +1,358 @@
+"""Judge what a search found: measure it, hold it against its rivals, decide, write the record."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import AlignConfig
+from slamfusion.fusion.accept import Evidence, decide, expected_wrong
+from slamfusion.fusion.cancel import CancelToken
+from slamfusion.fusion.features import FINE_TABLE, GridFeatures
+from slamfusion.fusion.frames import motion_of, transform_of
+from slamfusion.fusion.measure import measure
+from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain
+from slamfusion.fusion.motions import displacement
+from slamfusion.fusion.pieces import WallPieces, wall_pieces
+from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
+from slamfusion.fusion.refine import rank, refine
+from slamfusion.fusion.scale import estimate_scale
+from slamfusion.fusion.search import CoarseSearch, wall_widths
+from slamfusion.geometry import Pose2, wrap_angle
+
+__all__ = ["Found", "is_distinct", "judge", "prior_within", "rejected_alignment"]
+
+F64 = npt.NDArray[np.float64]
+
+DISTINCT_CELLS = 20.0
+DISTINCT_YAW_RAD = math.radians(10.0)
+# A bent map fits its place in several ways a metre or two apart; they are one answer.
+BENT_CELLS = 60.0
+# Less of what the common ground could give than this, and one of the maps is bent: a wider width of
+# a wall may tell more, and the fit is spread over the whole map.
+PLAIN_SHARE = 0.7
+# So much less, and its fits a metre or two apart are one answer.
+BENT_SHARE = 0.5
+# Of the answers elsewhere that give this much of it the one with the highest share may be right.
+NOTED_RATIO = 0.7
+# And less than this of either map's walls meets.
+BENT_MATCH = 0.45
+BENT_SCALES = (24.0,)
+# A wide width speaks only where the narrow one says the same by so many pieces.
+NARROW_MIN = 2.0
+YAW_RAD_MIN = math.radians(0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the search leaves for the decision.
+
+    Attributes:
+        motions: (P, 3) what the search ends with.
+        coarse: outcome of the coarse stages; None where there was no search.
+        bound_gap: see ``Alignment.bound_gap``.
+        search: ``full``, ``window``, ``fixed step`` or ``tracked``.
+        prior: see ``Evidence.prior``.
+        candidates: how many of the motions, the first, may be the answer; None: all. The others are
+            rivals only.
+    """
+
+    motions: F64
+    coarse: CoarseSearch | None
+    bound_gap: float | None
+    search: str
+    prior: float = 1.0
+    candidates: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """How an answer stands against its rivals, by one width of a wall.
+
+    Attributes:
+        sigma: the width, cells.
+        motions: (P, 3) the answer, then its rivals.
+        others: which of them are other answers, best first.
+        pieces: what the pieces of wall say of them.
+        inside: those of the others that lie in the window.
+    """
+
+    sigma: float
+    motions: F64
+    others: list[int]
+    pieces: WallPieces
+    inside: list[int]
+
+    @property
+    def better_inside(self) -> float:
+        """The same of the others in the window alone."""
+        pieces = self.pieces
+        return min([pieces.witnesses(0), *(pieces.better(0, k) for k in self.inside)])
+
+    @property
+    def better(self) -> float:
+        """Pieces that say that the answer is better than any other, and than none."""
+        pieces = self.pieces
+        return min([pieces.witnesses(0), *(pieces.better(0, k) for k in self.others)])
+
+    @property
+    def clean_share(self) -> float:
+        """The highest share of another answer that gives at least 0.7 as much."""
+        total, share = self.pieces.total, self.pieces.share()
+        noted = [float(share[k]) for k in self.others if total[k] >= NOTED_RATIO * total[0]]
+        return max(noted, default=0.0)
+
+    @property
+    def share(self) -> float:
+        """Evidence as a share of what the common ground could give."""
+        return float(self.pieces.share()[0])
+
+
+def judge(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    device: ComputeDevice,
+    found: Found,
+    start: Pose2 | None,
+    pairs: int,
+    began: float,
+    cancel: CancelToken | None,
+) -> Alignment:
+    """Measure the answer and its rivals, decide, and write the record.
+
+    Args:
+        reference, moving: the two grids.
+        config: settings of the search, for the mirror image.
+        device: computes.
+        found: at least one motion.
+        start: where the answer is expected, without a window; None: nowhere.
+        pairs: pairs of maps in the job.
+        began: ``time.perf_counter()`` when the work on this pair began.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    widths = wall_widths(reference)
+    stand = _stand(reference, moving, found, widths[0], device, cancel)
+    if stand.share < PLAIN_SHARE and found.coarse is not None:
+        wide = _stand(reference, moving, found, widths[1], device, cancel)
+        is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
+        if is_same and stand.better >= NARROW_MIN:
+            stand = min(stand, wide, key=lambda item: expected_wrong(item.better, item.share))
+    best, others = stand.motions[0], stand.others
+    statistics = measure(reference, moving, best, device, cancel)
+    is_plain = stand.share >= PLAIN_SHARE and stand.sigma == widths[0]
+    if not is_plain and _met(statistics) < BENT_MATCH:
+        # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
+        # leaves the rest; the wide one spreads the misfit over the whole map.
+        best = refine(
+            reference,
+            moving,
+            best[None],
+            1,
+            BENT_SCALES,
+            device,
+            iterations=8,
+            everywhere=True,
+            cancel=cancel,
+        )[0]
+        statistics = measure(reference, moving, best, device, cancel)
+    overlap, error = statistics.pop("overlap"), statistics.pop("error")
+    shown = [best] if not others else [best, stand.motions[others[0]]]
+    scores = rank(reference, moving, np.array(shown), 1, FINE_TABLE, device, cancel=cancel)
+    score = float(scores[0])
+    transform = transform_of(reference, moving, best)
+    runner_up = None
+    if others:
+        ratio = float(scores[1]) / score if score > 0 else 1.0
+        runner_up = RunnerUp(
+            transform_of(reference, moving, shown[1]), float(scores[1]), max(0.0, ratio)
+        )
+    prior = found.prior
+    if (
+        start is not None
+        and found.search == "full"
+        and _near_start(reference, moving, transform, start)
+    ):
+        prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
+    evidence = _evidence(reference, moving, stand, found, runner_up, statistics)
+    evidence = replace(evidence, pairs=pairs, prior=prior)
+    decision = decide(evidence)
+    if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
+        evidence = _looked_closer(
+            evidence, reference, moving, config, device, stand, widths[0], cancel
+        )
+        decision = decide(evidence)
+    match = MatchEvidence(
+        pieces=evidence.witnesses,
+        better=evidence.better,
+        share=evidence.share,
+        common_m=evidence.common_m,
+        rival_ratio=evidence.ratio,
+        expected_wrong=expected_wrong(evidence.better, evidence.share, evidence.pairs, prior),
+        mirrored=evidence.mirrored,
+        scale=evidence.scale,
+        scaled_share=None if evidence.scale is None else evidence.scaled_share,
+        rival_share=evidence.clean_share,
+    )
+    return Alignment(
+        reference.grid.name,
+        moving.grid.name,
+        transform,
+        decision.accepted,
+        decision.reason,
+        score,
+        overlap,
+        error,
+        runner_up,
+        found.bound_gap,
+        time.perf_counter() - began,
+        statistics,
+        None if found.coarse is None else _profile(reference, moving, found.coarse),
+        match,
+        decision.kind,
+    )
+
+
+def _stand(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    found: Found,
+    sigma: float,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> _Stand:
+    """Return the best candidate by one width of a wall, and its rivals, best first."""
+    pieces = wall_pieces(reference, moving, found.motions, sigma, device, cancel)
+    total = pieces.total
+    best = int(np.argmax(total[: found.candidates]))
+    order = np.argsort(-total, kind="stable")
+    order = np.concatenate(([best], order[order != best]))
+    motions, pieces = found.motions[order], pieces.take(order)
+    is_bent = float(pieces.share()[0]) < BENT_SHARE
+    others = _others(motions, BENT_CELLS if is_bent else DISTINCT_CELLS)
+    limit = len(order) if found.candidates is None else found.candidates
+    inside = [k for k in others if order[k] < limit]
+    return _Stand(sigma, motions, others, pieces, inside)
+
+
+def _met(statistics: dict[str, float]) -> float:
+    """Return the share of one map's walls that meet the other's, of the map that has more."""
+    return max(statistics["wall_match_moving"], statistics["wall_match_reference"])
+
+
+def _others(motions: F64, cells: float) -> list[int]:
+    """Return the motions that are another answer than the first: farther, or turned."""
+    return [k for k in range(1, len(motions)) if is_distinct(motions[k], motions[0], cells)]
+
+
+def _evidence(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    stand: _Stand,
+    found: Found,
+    runner_up: RunnerUp | None,
+    statistics: dict[str, float],
+) -> Evidence:
+    """Return what speaks for the answer, and for the best of the others."""
+    pieces, others = stand.pieces, stand.others
+    total, witnesses = pieces.total, pieces.witnesses(0)
+    rival = None
+    if runner_up is not None:
+        pose = runner_up.transform
+        rival = f"at {pose.x:.2f}, {pose.y:.2f} m, {math.degrees(pose.yaw_rad):.0f} deg"
+    highest = max((float(total[k]) for k in others), default=0.0)
+    return Evidence(
+        walls=min(len(reference.wall_points), len(moving.wall_points)),
+        common_m=float(pieces.seen_m[0]),
+        share=stand.share,
+        witnesses=witnesses,
+        better=stand.better,
+        clean_share=stand.clean_share,
+        better_inside=stand.better_inside,
+        ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
+        rival=rival,
+        pairs=1,
+        prior=1.0,
+        statistics=statistics,
+        search=found.search,
+    )
+
+
+def _looked_closer(
+    evidence: Evidence,
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    device: ComputeDevice,
+    stand: _Stand,
+    narrow: float,
+    cancel: CancelToken | None,
+) -> Evidence:
+    """Add what would explain the walls better than the answer: another scale, a mirror image."""
+    motion, mirrored = stand.motions[0], None
+    if evidence.share < SURE_SHARE:
+        mirrored = mirror_gain(reference, moving, motion, config, stand.sigma, device, cancel)
+    # Where little is in common another scale leaves little unexplained: it is always looked for.
+    fit = estimate_scale(reference, moving, motion, (stand.sigma, narrow), device, cancel)
+    return replace(evidence, mirrored=mirrored, scale=fit.scale, scaled_share=fit.share)
+
+
+def prior_within(
+    reference: GridFeatures, moving: GridFeatures, cells: float, yaw_rad: float
+) -> float:
+    """Return how much fewer the poses within these distances are than all that could overlap."""
+    reach = math.hypot(*moving.shape)
+    everywhere = (reference.shape[0] + reach) * (reference.shape[1] + reach) * 2.0 * math.pi
+    here = (2.0 * max(cells, 1.0)) ** 2 * 2.0 * max(min(yaw_rad, math.pi), YAW_RAD_MIN)
+    return min(1.0, here / everywhere)
+
+
+def _near_start(
+    reference: GridFeatures, moving: GridFeatures, transform: Pose2, start: Pose2
+) -> bool:
+    """Whether the answer agrees with the start frame that producers of one robot share."""
+    a = motion_of(reference, moving, transform)
+    b = motion_of(reference, moving, start)
+    shift, turn = displacement(a, b)
+    return shift <= DISTINCT_CELLS and turn <= DISTINCT_YAW_RAD
+
+
+def _profile(reference: GridFeatures, moving: GridFeatures, coarse: CoarseSearch) -> F64:
+    """Return (K, 2) yaw of the map-frame transform, sorted, and the best coarse score there."""
+    turn = reference.grid.grid.origin.yaw_rad - moving.grid.grid.origin.yaw_rad
+    yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in coarse.yaws])
+    order = np.argsort(yaws)
+    return np.stack((yaws[order], coarse.best[order]), axis=1)
+
+
+def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
+    """Whether two motions are different answers rather than the same one found twice."""
+    shift, turn = displacement(a, b)
+    return shift > cells or turn > DISTINCT_YAW_RAD
+
+
+def rejected_alignment(
+    reference: GridFeatures, moving: GridFeatures, reason: str, time_s: float
+) -> Alignment:
+    """Return the record of a pair that could not be searched."""
+    return Alignment(
+        reference.grid.name,
+        moving.grid.name,
+        Pose2(),
+        accepted=False,
+        reason=reason,
+        score=0.0,
+        overlap=0.0,
+        error=0.0,
+        runner_up=None,
+        bound_gap=None,
+        time_s=time_s,
+    )

@@ -1,0 +1,195 @@
+"""What is measured of an answer and its rivals: two of one room, bent maps, starts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.fusion import align_grids
+from slamfusion.fusion.accept import expected_wrong
+from slamfusion.fusion.align import align_features
+from slamfusion.fusion.judge import is_distinct, prior_within, rejected_alignment
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import (
+    assert_right,
+    building,
+    degraded,
+    draw,
+    features_of,
+    fusion_config,
+    off_by,
+    with_origin,
+)
+from tests.support.cuts import along, halves_of, kept
+
+QUICK = fusion_config()
+WINDOW = fusion_config(window_m=1.0, window_yaw_rad=0.3)
+# A room of 4 x 3 m with a niche and a pillar: it looks like itself from one side only.
+ROOM = (
+    "#" * 40,
+    *["#" + "." * 38 + "#"] * 10,
+    "#" + "." * 10 + "#" * 6 + "." * 22 + "#",
+    *["#" + "." * 30 + "#" * 3 + "." * 5 + "#"] * 6,
+    *["#" + "." * 38 + "#"] * 9,
+    "#" * 40,
+)
+
+
+def part_pair(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
+    """Return two halves of a building with 15 % of each in common, and the pose of the second."""
+    truth = building(seed, 16.0, 12.0, 0.05)
+    places = along(truth, truth, Pose2(), "x")
+    known = places[truth.cells >= 0]
+    halves = halves_of(int(known.min()), int(known.max()), 0.15)
+    low = kept(truth, places, (halves.low, halves.low_end)).with_name("low")
+    high = kept(truth, places, (halves.high_start, halves.high))
+    moving, pose = degraded(high, seed, "high", yaw_rad=1.2, flip_share=0.01)
+    return low, moving, pose
+
+
+def record_of(found: Alignment) -> dict[str, float | None]:
+    assert found.evidence is not None
+    return dict(found.evidence.to_json())  # type: ignore[arg-type]
+
+
+def test_a_room_that_stands_twice_is_ambiguous_and_both_places_are_said(
+    device: ComputeDevice,
+) -> None:
+    two = draw("\n".join(line + " " * 20 + line for line in ROOM))
+    frame = Pose2(7.0, -3.0, 0.9)
+    away = with_origin(draw("\n".join(ROOM), name="room"), frame)
+    found = align_grids(two, away, QUICK, device)
+    assert found.decision == "ambiguous"
+    assert found.runner_up is not None
+    lands = [pose.compose(frame) for pose in (found.transform, found.runner_up.transform)]
+    for pose, x in zip(sorted(lands, key=lambda pose: pose.x), (0.0, 6.0), strict=True):
+        assert (pose.x, pose.y) == pytest.approx((x, 0.0), abs=0.05)
+        assert pose.yaw_rad == pytest.approx(0.0, abs=0.01)
+    rival = found.runner_up.transform
+    degrees = math.degrees(rival.yaw_rad)
+    assert f"at {rival.x:.2f}, {rival.y:.2f} m, {degrees:.0f} deg" in found.reason
+    assert record_of(found)["rival_ratio"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("cells", [4.0, 30.0])
+def test_a_map_that_is_bent_much_is_not_believed(
+    device: ComputeDevice, seed: int, cells: float
+) -> None:
+    truth = building(seed, 14.0, 11.0, 0.05)
+    moving, pose = degraded(truth, seed, yaw_rad=0.4, bend_cells=cells)
+    found = align_grids(truth, moving, QUICK, device)
+    if cells < 10.0:
+        assert_right(found, moving, pose)
+    else:
+        assert found.decision in {"bent", "different place", "ambiguous"}, found.reason
+
+
+def test_thick_walls_are_not_taken_for_a_bent_map(device: ComputeDevice) -> None:
+    """A fit of a bent map is wide, and leaves a sharp one: here it would turn by a degree."""
+    truth = building(1, 9.0, 7.0, 0.05)
+    moving, pose = degraded(truth, 1, yaw_rad=1.3, resolution=0.1, wall_change_cells=2)
+    found = align_grids(truth, moving, QUICK, device)
+    assert record_of(found)["share"] == pytest.approx(0.34, abs=0.05)
+    assert_right(found, moving, pose, cells=0.3, degrees=0.2)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_start_makes_little_common_ground_enough(device: ComputeDevice, seed: int) -> None:
+    low, high, pose = part_pair(seed)
+    assert not align_grids(low, high, QUICK, device).accepted
+    right = align_grids(low, high, WINDOW, device, pose.compose(Pose2(0.1, 0.05, 0.02)))
+    assert_right(right, high, pose, cells=2.0, degrees=1.0)
+    for off in (Pose2(3.0, 2.0, 1.0), Pose2(-2.5, 0.0, 0.0), Pose2(0.0, 0.0, math.pi)):
+        wrong = align_grids(low, high, WINDOW, device, pose.compose(off))
+        assert not wrong.accepted, wrong.reason
+
+
+def test_an_answer_near_a_given_start_is_as_much_likelier_as_poses_there_are_fewer(
+    device: ComputeDevice,
+) -> None:
+    truth = building(1, 9.0, 7.0)
+    moving, pose = degraded(truth, 1, yaw_rad=0.5, flip_share=0.02)
+    a, b = features_of(truth, device), features_of(moving, device)
+
+    def expected(start: Pose2 | None) -> float:
+        found = align_features(a, b, QUICK.align, device, start)
+        assert found.evidence is not None
+        assert found.accepted
+        return found.evidence.expected_wrong
+
+    nowhere = expected(None)
+    prior = prior_within(a, b, 20.0, math.radians(10.0))
+    assert expected(pose) == pytest.approx(prior * nowhere, rel=1e-9)
+    assert expected(pose.compose(Pose2(9.0, 9.0, 1.0))) == nowhere
+
+
+def test_more_pairs_of_a_job_let_more_wrong_answers_be_expected(device: ComputeDevice) -> None:
+    a, b = (features_of(building(1).with_name(name), device) for name in "ab")
+    one, many = (
+        align_features(a, b, QUICK.align, device, pairs=pairs).evidence for pairs in (1, 7)
+    )
+    assert one is not None
+    assert many is not None
+    assert many.expected_wrong == pytest.approx(7.0 * one.expected_wrong)
+    assert one.expected_wrong == expected_wrong(one.better, one.share)
+
+
+def test_a_prior_is_the_share_of_the_poses(device: ComputeDevice) -> None:
+    """(side of the window)^2 times its yaws, of (side + reach)^2 times all yaws."""
+    a, b = (features_of(draw("\n".join(["#" * 30] * 30)), device) for _ in range(2))
+    height, width = b.shape
+    reach = math.hypot(height, width)
+    poses = (a.shape[0] + reach) * (a.shape[1] + reach) * 2.0 * math.pi
+    assert prior_within(a, b, 5.0, 0.1) == pytest.approx(10.0**2 * 0.2 / poses)
+    # At least a cell and half a degree, at most all.
+    assert prior_within(a, b, 0.0, 0.0) == pytest.approx(4.0 * math.radians(1.0) / poses)
+    assert prior_within(a, b, 5.0, 99.0) == pytest.approx(100.0 * 2.0 * math.pi / poses)
+    assert prior_within(a, b, 1e6, math.pi) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("motion", "wanted"),
+    [
+        ((19.9, 0.0, 0.0), False),
+        ((20.1, 0.0, 0.0), True),
+        ((0.0, -20.1, 0.0), True),
+        ((0.0, 0.0, math.radians(9.9)), False),
+        ((0.0, 0.0, math.radians(10.1)), True),
+        ((0.0, 0.0, math.radians(359.0)), False),
+    ],
+)
+def test_another_answer_lies_a_metre_or_ten_degrees_away(
+    motion: tuple[float, float, float], wanted: bool
+) -> None:
+    assert is_distinct(np.array(motion), np.zeros(3)) is wanted
+
+
+def test_a_pair_that_was_not_searched_has_no_evidence(device: ComputeDevice) -> None:
+    a, b = (features_of(building(1).with_name(name), device) for name in "ab")
+    found = rejected_alignment(a, b, "why", 1.5)
+    assert (found.accepted, found.reason, found.decision) == (False, "why", "not searched")
+    assert found.evidence is None
+    record = found.to_json()
+    assert record["match_evidence"] is None
+    assert record["match_decision"] == "not searched"
+
+
+def test_a_window_that_holds_the_answer_is_judged_against_rivals_of_everywhere(
+    device: ComputeDevice,
+) -> None:
+    """Within a metre of the right place a room that stands twice has no rival, but it has one."""
+    two = draw("\n".join(line + " " * 20 + line for line in ROOM))
+    room = draw("\n".join(ROOM), name="room")
+    config: FusionConfig = WINDOW
+    found = align_grids(two, room, config, device, Pose2())
+    assert found.runner_up is not None
+    assert found.runner_up.transform.x == pytest.approx(6.0, abs=0.05)
+    shift, _ = off_by(room, found.transform, Pose2())
+    assert shift < 1.0
