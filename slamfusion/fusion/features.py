@@ -15,45 +15,27 @@ import numpy.typing as npt
 
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.fields import FieldDevice
-from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_TABLE
+from slamfusion.compute.layout import (
+    DISTANCE_ONE,
+    DISTANCE_TABLE,
+    DISTANCE_UNSEEN,
+    FIELD_ONE,
+)
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.normalize import NormalizedGrid
+from slamfusion.fusion.wall_evidence import (
+    EvidenceTable,
+    ScoreTable,
+    evidence_table,
+    likeness,
+    score_table,
+)
 
 __all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"]
 
 
-@dataclass(frozen=True, eq=False)
-class ScoreTable:
-    """The worth of a wall point by its squared distance to the other map's nearest wall.
-
-    Attributes:
-        hit, miss: (4097,) uint16; ``base + hit - miss * free share`` is a field's cell.
-        base: worth of a point in unknown space.
-        span: largest gain over the base, so that (value - base) / span is 1 on a wall.
-        name: tells tables apart.
-    """
-
-    hit: npt.NDArray[np.uint16]
-    miss: npt.NDArray[np.uint16]
-    base: int
-    span: int
-    name: str
-
-
-def score_table(sigma: float, base: int, span: int) -> ScoreTable:
-    """Return the table of ``exp(-d^2 / 2)`` less ``min(1, d / 4)`` in free space beyond 1.5.
-
-    Args:
-        sigma: the width of a wall in cells; d above is in units of it.
-        base: lowest reward that is left for walls in free space.
-        span: reward of a point on a wall.
-    """
-    d = np.sqrt(np.arange(DISTANCE2_MAX + 1)) / sigma
-    hit = np.rint(span * np.exp(-0.5 * d * d)).astype(np.uint16)
-    miss = np.rint(base * np.where(d > 1.5, np.minimum(1.0, d / 4.0), 0.0)).astype(np.uint16)
-    return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
-
-
+# Farther than this from its walls the unknown says nothing, metres, and the least in cells.
+SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
 # Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
@@ -79,7 +61,8 @@ class Level:
         wall: (H, W) uint8 on the device, 1 at a surface wall.
         free: (H, W) uint8 on the device, free share 0..255.
         distance2: (H, W) uint16 on the device, squared, cells.
-        distance: (H, W) uint16 on the device, 1/256 cell.
+        distance: (H, W) uint16 on the device, 1/256 cell, ``DISTANCE_UNSEEN`` deep in the unknown.
+        far_distance: the same without that.
         points: (N, 2) int32, surface walls as lattice positions x, y in half cells.
     """
 
@@ -89,6 +72,7 @@ class Level:
     free: DeviceArray[Any]
     distance2: DeviceArray[Any]
     distance: DeviceArray[Any]
+    far_distance: DeviceArray[Any]
     points: npt.NDArray[np.int32]
 
     @property
@@ -111,6 +95,7 @@ class GridFeatures:
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
+        self._chance: dict[tuple[int, float], float] = {}
         self._surface_walls: DeviceArray[Any] | None = None
         self._solid_level: Level | None = None
 
@@ -173,13 +158,31 @@ class GridFeatures:
             check_cancelled(cancel)
             distance2 = self.device.distance_squared(wall)
             check_cancelled(cancel)
-            distance = self.device.look_up(distance2, DISTANCE_TABLE)
+            far = self.device.look_up(distance2, DISTANCE_TABLE)
+            distance = self._seen_distance(far, wall, free, step)
             check_cancelled(cancel)
             mask = self.device.download(wall)
             self._levels[step] = Level(
-                step, mask.shape, wall, free, distance2, distance, _lattice_points(mask != 0)
+                step, mask.shape, wall, free, distance2, distance, far, _lattice_points(mask != 0)
             )
         return self._levels[step]
+
+    def _seen_distance(
+        self,
+        far: DeviceArray[Any],
+        wall: DeviceArray[Any],
+        free: DeviceArray[Any],
+        step: int,
+    ) -> DeviceArray[Any]:
+        """Return the distance in 1/256 cell, where the map knows enough to draw a wall towards it.
+
+        A wall of the other map that lies deep in the unknown of this one belongs to no wall here.
+        """
+        distance = self.device.download(far).copy()
+        reach = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
+        unknown = (self.device.download(free) == 0) & (self.device.download(wall) == 0)
+        distance[unknown & (distance > reach * DISTANCE_ONE)] = DISTANCE_UNSEEN
+        return self.device.upload(distance)
 
     def solid_level(self, cancel: CancelToken | None = None) -> Level:
         """Return the finest level with every solid wall cell, not only the surfaces.
@@ -193,11 +196,50 @@ class GridFeatures:
             wall = self.device.upload(self.grid.solid)
             distance2 = self.device.distance_squared(wall, SOLID_REACH)
             check_cancelled(cancel)
-            distance = self.device.look_up(distance2, DISTANCE_TABLE)
+            far = self.device.look_up(distance2, DISTANCE_TABLE)
+            distance = self._seen_distance(far, wall, free, 1)
             self._solid_level = Level(
-                1, self.shape, wall, free, distance2, distance, self.wall_points
+                1, self.shape, wall, free, distance2, distance, far, self.wall_points
             )
         return self._solid_level
+
+    def chance(self, step: int, sigma: float, cancel: CancelToken | None = None) -> float:
+        """Return what a wall of another place finds on average in the known cells of a level.
+
+        Args:
+            step: of the level. sigma: width of a wall in its cells.
+            cancel: asked before each operation.
+
+        Returns:
+            The mean of ``wall_evidence.likeness`` over known cells, 0..1.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
+        key = (step, sigma)
+        if key not in self._chance:
+            level = self.level(step, cancel)
+            check_cancelled(cancel)
+            share = self.device.download(level.free) / float(FIELD_ONE)
+            known = np.maximum(share, self.device.download(level.wall))
+            found = likeness(sigma)[self.device.download(level.distance2)]
+            total = float(known.sum())
+            self._chance[key] = float((found * known).sum()) / total if total > 0 else 1.0
+        return self._chance[key]
+
+    def evidence_table(
+        self, step: int, sigma: float, top: int, cancel: CancelToken | None = None
+    ) -> EvidenceTable:
+        """Return what a wall of the other map tells in the cells of a level of this one.
+
+        Args:
+            step: of the level. sigma: width of a wall in its cells. top: greatest field value.
+            cancel: asked before each operation.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
+        return evidence_table(self.chance(step, sigma, cancel), sigma, top)
 
     def field(
         self, step: int, table: ScoreTable, cancel: CancelToken | None = None

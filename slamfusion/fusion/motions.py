@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["displacement", "distinct", "invert", "to_lattice"]
+__all__ = ["displacement", "distinct", "distinct_rows", "invert", "to_lattice"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -38,11 +38,29 @@ def displacement(a: F64, b: F64) -> tuple[float, float]:
     return float(math.hypot(a[0] - b[0], a[1] - b[1])), abs(float(turn))
 
 
-def distinct(motions: F64, shift: float, turn: float) -> F64:
-    """Return motions (best first) without those within ``shift`` cells and ``turn`` of a better."""
-    kept: list[F64] = []
-    for motion in motions:
-        near = (displacement(motion, other) for other in kept)
-        if not any(s < shift and t < turn for s, t in near):
-            kept.append(motion)
-    return np.array(kept)
+def distinct(motions: F64, shift: float, turn: float, most: int | None = None) -> F64:
+    """Return motions (best first) without those within ``shift`` cells and ``turn`` of a better.
+
+    Args:
+        motions: (P, 3).
+        shift: cells.
+        turn: rad.
+        most: at most this many; None: all.
+    """
+    return np.asarray(motions[distinct_rows(motions, shift, turn, most)])
+
+
+def distinct_rows(
+    motions: F64, shift: float, turn: float, most: int | None = None
+) -> npt.NDArray[np.intp]:
+    """Return which rows ``distinct`` keeps, ascending."""
+    kept: list[int] = []
+    left = np.arange(len(motions))
+    while len(left) and (most is None or len(kept) < most):
+        best = motions[left[0]]
+        kept.append(int(left[0]))
+        left = left[1:]
+        away = np.hypot(motions[left, 0] - best[0], motions[left, 1] - best[1]) >= shift
+        turned = np.mod(motions[left, 2] - best[2] + math.pi, 2.0 * math.pi) - math.pi
+        left = left[away | (np.abs(turned) >= turn)]
+    return np.array(kept, dtype=np.intp)

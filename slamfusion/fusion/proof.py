@@ -3,10 +3,11 @@
 **The search set.** Yaws ``start + 2 pi k / K`` with K the smallest count for which one step moves
 the farthest wall point by at most one cell; for each, every whole-cell shift that lands the centre
 of the moving grid on a cell centre inside the window where the circle around its walls overlaps
-the reference by half of the shorter side (or inside the given window).
+the reference at all (or inside the given window).
 
 **The score** of a member, an integer: up to ``proof_points`` wall points p of the moving grid, each
-worth the reference's field L (0..15, wide: sigma ``proof_sigma_cells``) in the cell
+worth the reference's evidence field L (see ``wall_evidence``; 0..15, wide: sigma
+``proof_sigma_cells``; unknown ground is worth its base) in the cell
 ``u_k(p) + t``, where ``u_k(p) = floor(R(yaw_k) (p - centre) + 1/2)`` and t is the shift.
 
 **The bound.** A block holds ``step`` consecutive yaws around a middle yaw and ``step`` x ``step``
@@ -42,16 +43,15 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import SHIFT_LANES
 from slamfusion.config import AlignConfig
-from slamfusion.fusion.features import GridFeatures, score_table, spread_sample
-from slamfusion.fusion.search import SearchWindow, shift_range
+from slamfusion.fusion.features import GridFeatures, spread_sample
+from slamfusion.fusion.shifts import SearchWindow, shift_range
 
 __all__ = ["LatticeScore", "Proof", "prove"]
 
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
-LEVELS = 15
-BASE = 4
+TOP = 15
 RADIUS_CLASSES = (0.35, 0.55, 0.75, 1.0)
 FULL_LEVEL_WORK = 6e8
 BLOCKS_AT_ONCE = 1 << 17
@@ -92,7 +92,8 @@ class LatticeScore:
     ) -> None:
         """Lay out the yaws, the shifts, the points and the field."""
         self.device = device
-        table = score_table(config.proof_sigma_cells, base=BASE, span=LEVELS - BASE)
+        table = reference.evidence_table(1, config.proof_sigma_cells, TOP)
+        self.base = table.base
         self.field = reference.field(1, table)
         points = spread_sample(moving.level(1).points, config.proof_points)
         self.own = points / 2.0 - np.array(moving.centre)
@@ -109,9 +110,10 @@ class LatticeScore:
             self.first_yaw, self.yaw_count = -half, 2 * half + 1
         self.start_yaw = window.start[2]
         shape = reference.shape
-        self.rows = shift_range(shape[0], moving.shape, self.reach, window.start[1], window, 1)
-        self.cols = shift_range(shape[1], moving.shape, self.reach, window.start[0], window, 1)
-        self.scale = float((LEVELS - BASE) * len(self.own))
+        self.rows = shift_range(shape[0], self.reach, window.start[1], window, 1)
+        self.cols = shift_range(shape[1], self.reach, window.start[0], window, 1)
+        # Where walls are everywhere, a point on one is worth no more than one in the unknown.
+        self.scale = float(max(1, table.span) * len(self.own))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -176,7 +178,7 @@ class LatticeScore:
         lanes = -(-width // SHIFT_LANES) * SHIFT_LANES
         shape = (height + 2 * self.reach + 2, lanes + 2 * self.reach + 2)
         corner = (self.rows[0] + rows[0] - self.reach, self.cols[0] + cols[0] - self.reach)
-        plane = self.device.polyphase(self.field, corner, 1, shape, BASE)
+        plane = self.device.polyphase(self.field, corner, 1, shape, self.base)
         x, y = self.turned(self.yaw(yaws))
         at_row = np.floor(y + 0.5).astype(np.int32) + self.reach
         at_col = np.floor(x + 0.5).astype(np.int32) + self.reach
@@ -333,10 +335,10 @@ def _pooled(lattice: LatticeScore, window: int, pad: int) -> DeviceArray[Any]:
     """Return the field, padded by ``pad`` before it, with the maximum over windows."""
     height, width = lattice.field.shape
     padded = lattice.device.polyphase(
-        lattice.field, (-pad, -pad), 1, (height + pad, width + pad), BASE
+        lattice.field, (-pad, -pad), 1, (height + pad, width + pad), lattice.base
     ).reshape((height + pad, width + pad))
-    along = lattice.device.max_window(padded, window, along_rows=True, fill=BASE)
-    return lattice.device.max_window(along, window, along_rows=False, fill=BASE)
+    along = lattice.device.max_window(padded, window, along_rows=True, fill=lattice.base)
+    return lattice.device.max_window(along, window, along_rows=False, fill=lattice.base)
 
 
 def _bound_all(lattice: LatticeScore, step: int) -> I32:
@@ -355,7 +357,9 @@ def _bound_all(lattice: LatticeScore, step: int) -> I32:
         pooled = _pooled(lattice, size, pad)
         corner = (row0 + pad, col0 + pad)
         planes.append(
-            device.download(device.polyphase(pooled, corner, step, (plane_rows, plane_cols), BASE))
+            device.download(
+                device.polyphase(pooled, corner, step, (plane_rows, plane_cols), lattice.base)
+            )
         )
     field = device.upload(np.stack(planes).reshape(1, -1, plane_cols))
     at_row, at_col = windows.rows - row0, windows.cols - col0
@@ -374,7 +378,7 @@ class _BlockBounds:
         self.slots = np.zeros(int(groups[-1]) + 1, dtype=np.int32)
         self.slots[groups] = np.arange(len(groups), dtype=np.int32)
         windows = _Windows(lattice, step, groups)
-        self.device = lattice.device
+        self.device, self.base = lattice.device, lattice.base
         self.pad = max(windows.sizes)
         sizes = sorted(set(windows.sizes))
         pooled = [self.device.download(_pooled(lattice, size, self.pad)) for size in sizes]
@@ -388,4 +392,4 @@ class _BlockBounds:
         """Return the bound of each block (B, 3): yaw group, first row, first column."""
         own = blocks.copy()
         own[:, 0] = self.slots[blocks[:, 0]]
-        return self.device.bound_blocks(own, self.starts, self.classes, self.fields, BASE)
+        return self.device.bound_blocks(own, self.starts, self.classes, self.fields, self.base)

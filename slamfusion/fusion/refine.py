@@ -48,6 +48,7 @@ def refine(
     points: int = REFINE_POINTS,
     iterations: int = 4,
     solid: bool = False,
+    everywhere: bool = False,
     cancel: CancelToken | None = None,
 ) -> F64:
     """Move motions to the nearest best fit of walls on walls.
@@ -61,6 +62,7 @@ def refine(
         points: at most this many wall points of each grid.
         iterations: Gauss-Newton steps a scale; fewer once no pose moves by 0.02 cells.
         solid: fit all wall cells, not only surfaces, at step 1.
+        everywhere: also where a map knows nothing, as walls may lie that bent maps draw.
         cancel: asked before each operation.
 
     Returns:
@@ -85,7 +87,7 @@ def refine(
             forward = device.refine_terms(
                 from_mov,
                 _device_poses(poses),
-                ref.distance,
+                ref.distance if not everywhere else ref.far_distance,
                 scale=scale,
                 centre=pivot,
                 backward=False,
@@ -94,7 +96,7 @@ def refine(
             backward = device.refine_terms(
                 from_ref,
                 _device_poses(invert(poses)),
-                mov.distance,
+                mov.distance if not everywhere else mov.far_distance,
                 scale=scale,
                 centre=pivot,
                 backward=True,

@@ -1,10 +1,10 @@
 """Find the rigid motions under which the walls of two grids coincide, best first.
 
-Two stages. The coarse stage scores every whole-cell shift at every yaw on shrunken grids: the
-walls of each map on the other's wall likelihood less a penalty for walls in the other's free
-space, both ways (of the scores tried on recorded pairs the one right most often). The fine stage
-moves the best distinct peaks by robust Gauss-Newton steps on both distance fields, with ever
-narrower scales, and ranks them by the same score on full-resolution cells.
+Three stages. On a coarse level of both grids every shift with any overlap is scored at every yaw
+(see ``shifts``). The best few thousand go down level by level, each to the best of its neighbours
+on the level of half the cell size, and fewer stay on each. The last few are moved by robust
+Gauss-Newton steps on both distance fields, with ever narrower scales, and ranked by the evidence
+of all walls on full-resolution cells (see ``wall_evidence``).
 
 What a motion is: see ``motions``.
 """
@@ -18,20 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import fixed_poses
-from slamfusion.compute.layout import SHIFT_LANES
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
-from slamfusion.fusion.features import (
-    COARSE_TABLE,
-    FINE_TABLE,
-    GridFeatures,
-    Level,
-    spread_sample,
-)
-from slamfusion.fusion.motions import distinct
-from slamfusion.fusion.refine import rank, refine, settle
+from slamfusion.fusion.features import GridFeatures, spread_sample
+from slamfusion.fusion.motions import distinct, distinct_rows, invert, to_lattice
+from slamfusion.fusion.refine import refine, settle
+from slamfusion.fusion.shifts import COARSE_SIGMA, SearchWindow, score_shifts, shift_range
 
 __all__ = [
     "CoarseSearch",
@@ -39,55 +32,53 @@ __all__ = [
     "coarse_search",
     "coarse_step",
     "inside",
+    "score_motions",
     "search",
     "shift_range",
+    "wall_widths",
 ]
 
 F64 = npt.NDArray[np.float64]
 
-TILE = 4
-WALL_SHARE_MAX = 0.6
+# A level on which a wall of any other place finds this much tells little: a finer one is taken.
+COARSE_CHANCE_MAX = 0.8
 FINEST_FACTOR = 4
-COARSE_POINTS = 2048
-YAW_STEP_CELLS = 1.3
-RIM_PERCENTILE = 90.0
-SETTLED = 6
+# Motions that go down from one level to the next, and walls of each map that judge them there.
+DESCENT = ((1536, 384), (256, 768), (96, 1536))
+# Cells of the last level of the descent, metres.
+DESCENT_CELL_M = 0.2
+DESCENT_TOP = 255
+# Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
+# maps are compared that show the same walls in the same places, by the second bent ones.
+WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
+# Motions that are settled, by each width.
+SETTLED = (8, 4)
+FINE_TOP = 255
+FINE_POINTS = 4096
 WINDOW_SLACK_CELLS = 2.0
 WINDOW_SLACK_RAD = math.radians(1.0)
 
 
-@dataclass(frozen=True)
-class SearchWindow:
-    """Where to search: motions within these distances of a start; None for everywhere.
-
-    Attributes:
-        start: (3,) x, y in cells, yaw in rad.
-        shift_cells: largest distance of the centre from the start, None for any.
-        yaw_rad: largest turn from the start.
-    """
-
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    shift_cells: float | None = None
-    yaw_rad: float = math.pi
-
-
 @dataclass(frozen=True, eq=False)
 class CoarseSearch:
-    """The outcome of the coarse stage.
+    """The outcome of the coarse stages.
 
     Attributes:
-        step: fine cells per coarse cell.
+        step: fine cells per cell of the coarsest level.
         yaws: (K,) yaw in rad of each rotation tried.
-        best: (K,) best score at each yaw, 1 for identical maps.
-        motions: (P, 3) best distinct peaks in fine cells, best first.
-        scores: (P,) their coarse scores.
+        best: (K,) most evidence at each yaw, as a share of the most at any; 0 where none speaks for
+            a motion.
+        motions: (P, 3) best distinct motions in fine cells, best first.
+        evidence: (P,) what the last level gives for them, nats a cell of it.
+        last_step: fine cells per cell of the last level.
     """
 
     step: int
     yaws: F64
     best: F64
     motions: F64
-    scores: F64
+    evidence: F64
+    last_step: int
 
 
 def coarse_step(
@@ -95,14 +86,15 @@ def coarse_step(
 ) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
 
-    Finer where walls would fill more than 0.6 of the coarse cells, since a grid that is all wall
-    tells nothing; but never more than four times finer, which would take too long.
+    Finer where walls would be so near each other that any wall finds one; but never more than four
+    times finer, which would take too long.
     """
     longest = max(*reference.shape, *moving.shape)
     step = max(1, math.ceil(longest / cells))
     finest = max(1, math.ceil(longest / (FINEST_FACTOR * cells)))
     while step > finest and (
-        max(grid.level(step, cancel).wall_share for grid in (reference, moving)) > WALL_SHARE_MAX
+        max(grid.chance(step, COARSE_SIGMA, cancel) for grid in (reference, moving))
+        > COARSE_CHANCE_MAX
     ):
         step = max(finest, (2 * step) // 3)
     return step
@@ -116,146 +108,105 @@ def coarse_search(
     device: ComputeDevice,
     cancel: CancelToken | None = None,
 ) -> CoarseSearch:
-    """Score all whole-cell shifts at all yaws on shrunken grids and return the best peaks."""
+    """Score all whole-cell shifts at all yaws on shrunken grids and follow the best down."""
     step = coarse_step(reference, moving, config.coarse_cells, cancel)
-    ref, mov = reference.level(step, cancel), moving.level(step, cancel)
-    centre = np.array(moving.centre) / step
-    from_mov = spread_sample(mov.points, COARSE_POINTS)
-    from_ref = spread_sample(ref.points, COARSE_POINTS)
-    own = from_mov / 2.0 - centre
-    radii = np.hypot(own[:, 0], own[:, 1])
-    rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
-    yaws = _yaw_lattice(YAW_STEP_CELLS / rim, window)
-    reach = math.ceil(float(radii.max())) + 1
-    rows = shift_range(ref.shape[0], mov.shape, reach, window.start[1] / step, window, step)
-    cols = shift_range(ref.shape[1], mov.shape, reach, window.start[0] / step, window, step)
-    surface = _ShiftSurface(ref, mov, reference, moving, rows, cols, reach, cancel)
-    forward = surface.forward(yaws, own, device)
-    backward = surface.backward(yaws, from_ref // 2, centre, device)
-    width = cols[1] - cols[0]
-    check_cancelled(cancel)
-    values, places = device.tile_peaks(forward, backward, width, TILE)
-    count = len(from_ref) + len(from_mov)
-    scores = (values / count - COARSE_TABLE.base) / COARSE_TABLE.span
-    motions, kept = _distinct_peaks(
-        scores, places, yaws, rows[0], cols[0], width, config.candidates
-    )
-    motions[:, :2] *= step
-    return CoarseSearch(step, yaws, scores.max(axis=(1, 2)), motions, kept)
-
-
-def _yaw_lattice(step: float, window: SearchWindow) -> F64:
-    """Return evenly spaced yaws, the start's among them: a full turn, or the window."""
-    if window.yaw_rad >= math.pi:
-        count = max(4, math.ceil(2.0 * math.pi / step))
-        return np.asarray(window.start[2] + np.arange(count) * (2.0 * math.pi / count))
-    half = math.ceil(window.yaw_rad / step)
-    if half == 0:
-        return np.array([window.start[2]])
-    return np.asarray(window.start[2] + np.arange(-half, half + 1) * (window.yaw_rad / half))
-
-
-def shift_range(
-    size: int,
-    moving_shape: tuple[int, int],
-    reach: int,
-    start: float,
-    window: SearchWindow,
-    step: int,
-) -> tuple[int, int]:
-    """Return the half-open range of cells where the moving centre may land along one axis.
-
-    The circle around the moving walls must overlap the reference by half of the shorter side.
-    """
-    if window.shift_cells is not None:
-        half = window.shift_cells / step
-        return math.floor(start - half), math.floor(start + half) + 1
-    overlap = min(size, *moving_shape) // 2
-    return overlap - reach, size - overlap + reach + 1
-
-
-class _ShiftSurface:
-    """The padded planes and offsets that turn shifts into contiguous reads."""
-
-    def __init__(
-        self,
-        ref: Level,
-        mov: Level,
-        reference: GridFeatures,
-        moving: GridFeatures,
-        rows: tuple[int, int],
-        cols: tuple[int, int],
-        reach: int,
-        cancel: CancelToken | None,
-    ) -> None:
-        self.ref, self.mov, self.cancel = ref, mov, cancel
-        self.field_ref = reference.field(ref.step, COARSE_TABLE, cancel)
-        self.field_mov = moving.field(mov.step, COARSE_TABLE, cancel)
-        self.rows, self.cols, self.reach = rows, cols, reach
-        self.height = rows[1] - rows[0]
-        self.width = cols[1] - cols[0]
-        self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
-
-    def forward(self, yaws: F64, own: F64, device: ComputeDevice) -> DeviceArray[np.int32]:
-        """Moving walls on the reference's field: scores (K, shifts)."""
-        reach = self.reach
-        plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
-        corner = (self.cols[0] - reach, self.rows[0] - reach, 0.0)
-        check_cancelled(self.cancel)
-        plane = device.warp(self.field_ref, fixed_poses(corner), plane_shape, COARSE_TABLE.base)
-        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
-        x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
-        y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32)
-        offsets = (y + reach) * plane_shape[1] + (x + reach)
-        check_cancelled(self.cancel)
-        return device.correlate(plane, offsets, (self.height, self.lanes))
-
-    def backward(
-        self, yaws: F64, points: npt.NDArray[np.int32], centre: F64, device: ComputeDevice
-    ) -> DeviceArray[np.int32]:
-        """Reference walls on the moving field, turned; read with shifts running backwards."""
-        plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
-        dx = 0.5 - self.cols[0] - self.width
-        dy = 0.5 - self.rows[0] - self.height
-        cos, sin = np.cos(yaws), np.sin(yaws)
-        poses = np.stack(
-            (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
-        )
-        check_cancelled(self.cancel)
-        planes = device.warp(self.field_mov, fixed_poses(poses), plane_shape, COARSE_TABLE.base)
-        offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
-        check_cancelled(self.cancel)
-        return device.correlate(planes, offsets, (self.height, self.lanes))
-
-
-def _distinct_peaks(
-    scores: F64,
-    places: npt.NDArray[np.int32],
-    yaws: F64,
-    row0: int,
-    col0: int,
-    width: int,
-    most: int,
-) -> tuple[F64, F64]:
-    """Return the best peaks, each farther than a tile or two yaw steps from a better one."""
-    flat = scores.ravel()
-    first = np.argsort(-flat, kind="stable")[: 64 * most]
-    k = first // (scores.shape[1] * scores.shape[2])
-    row, col = np.divmod(places.ravel()[first], width)
-    yaw_step = 2.0 * math.pi / max(len(yaws), 4) if len(yaws) > 1 else math.pi
-    motions = np.stack((col + col0 + 0.5, row + row0 + 0.5, yaws[k]), axis=1).astype(np.float64)
-    kept: list[int] = []
-    for index, motion in enumerate(motions):
-        near = motions[kept]
-        if kept:
-            shift = np.hypot(near[:, 0] - motion[0], near[:, 1] - motion[1])
-            turn = np.abs(np.angle(np.exp(1j * (near[:, 2] - motion[2]))))
-            if np.any((shift < TILE) & (turn < 2.5 * yaw_step)):
-                continue
-        kept.append(index)
-        if len(kept) == most:
+    scores = score_shifts(reference, moving, step, window, device, cancel)
+    flat = scores.evidence.ravel()
+    motions = scores.motions.reshape(-1, 3)
+    yaw_step, last = scores.yaw_step, step
+    order = _most(flat, DESCENT[0][0])
+    motions, found = motions[order], flat[order]
+    target = max(1, round(DESCENT_CELL_M / reference.grid.grid.resolution))
+    for most, points in DESCENT:
+        if last <= target:
             break
-    return motions[kept], flat[first[kept]]
+        order = np.argsort(-found, kind="stable")[:most]
+        half = max(target, last // 2)
+        motions = _neighbours(motions[order], last / 2.0, yaw_step / 2.0)
+        yaw_step *= half / last
+        last = half
+        values = score_motions(
+            reference, moving, motions.reshape(-1, 3), last, device,
+            sigma=COARSE_SIGMA, points=points, cancel=cancel,
+        ).reshape(motions.shape[:2])  # fmt: skip
+        best = values.argmax(axis=1)
+        rows = np.arange(len(best))
+        motions, found = motions[rows, best], values[rows, best]
+        motions, found = _apart(motions, found, float(last), yaw_step)
+    order = np.argsort(-found, kind="stable")
+    rows = distinct_rows(motions[order], 2.5 * step, 2.5 * scores.yaw_step, config.candidates)
+    kept = order[rows]
+    most_evidence = np.maximum(scores.evidence.max(axis=1), 0.0)
+    best = most_evidence / max(float(most_evidence.max()), 1e-9)
+    return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], last)
+
+
+def _most(values: F64, most: int) -> npt.NDArray[np.intp]:
+    """Return the indices of the greatest values, greatest first, the earlier of equals first."""
+    if len(values) > most:
+        least = np.partition(values, len(values) - most)[len(values) - most]
+        chosen = np.nonzero(values >= least)[0]
+    else:
+        chosen = np.arange(len(values))
+    return chosen[np.argsort(-values[chosen], kind="stable")][:most]
+
+
+def _neighbours(motions: F64, shift: float, turn: float) -> F64:
+    """Return (P, 27, 3): each motion and its neighbours, shifted and turned by so much."""
+    steps = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1], [0, -1, 1], indexing="ij"), axis=-1)
+    offsets = steps.reshape(-1, 3) * np.array([shift, shift, turn])
+    return np.asarray(motions[:, None, :] + offsets[None, :, :])
+
+
+def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F64]:
+    """Return the best motion of each box of two cells and turns, best first."""
+    order = np.argsort(-values, kind="stable")
+    yaw = np.mod(motions[order, 2], 2.0 * math.pi)
+    sides = np.array([2.0 * shift, 2.0 * shift, 2.0 * turn])
+    boxes = np.floor(np.column_stack((motions[order, :2], yaw)) / sides).astype(np.int64)
+    _, first = np.unique(boxes, axis=0, return_index=True)
+    kept = order[np.sort(first)]
+    return motions[kept], values[kept]
+
+
+def score_motions(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motions: F64,
+    step: int,
+    device: ComputeDevice,
+    *,
+    sigma: float,
+    points: int = FINE_POINTS,
+    cancel: CancelToken | None = None,
+) -> F64:
+    """Return the evidence (P,) for motions at a level, nats summed over cells of wall of both maps.
+
+    Args:
+        reference, moving: the two grids.
+        motions: (P, 3) where the moving centre lands, fine cells, and yaw.
+        step: level to work on, fine cells a cell.
+        device: computes.
+        sigma: width of a wall, cells of the level.
+        points: at most this many wall points of each grid are looked at; each stands for its share.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    ref, mov = reference.level(step, cancel), moving.level(step, cancel)
+    local = motions / np.array([step, step, 1.0])
+    poses = to_lattice(local, (moving.centre[0] / step, moving.centre[1] / step))
+    total = np.zeros(len(motions))
+    for own, pose, features in ((mov, poses, reference), (ref, invert(poses), moving)):
+        table = features.evidence_table(step, sigma, FINE_TOP, cancel)
+        field = features.field(step, table, cancel)
+        sample = spread_sample(own.points, points)
+        check_cancelled(cancel)
+        values = device.pose_scores(sample, fixed_poses(pose), field, table.base)
+        weight = len(own.points) / len(sample)
+        total += (values - len(sample) * table.base) * (table.unit * weight)
+    return total
 
 
 def search(
@@ -266,7 +217,9 @@ def search(
     device: ComputeDevice,
     cancel: CancelToken | None = None,
 ) -> tuple[CoarseSearch, F64, F64]:
-    """Run both stages; return the coarse outcome, and motions (P, 3) and scores, best first.
+    """Run all stages; return the coarse outcome, motions (P, 3) and evidence (P,), best first.
+
+    Evidence is by the narrow width of a wall.
 
     Args:
         reference, moving: the two grids.
@@ -279,27 +232,38 @@ def search(
         CancelledSearchError: ``cancel`` says so.
     """
     coarse = coarse_search(reference, moving, config, window, device, cancel)
-    middle = max(1, round(coarse.step / 8))
+    middle = max(1, round(coarse.last_step / 2))
     motions = refine(
         reference,
         moving,
         coarse.motions,
         middle,
-        (16.0, 8.0, 4.0),
+        (8.0, 4.0),
         device,
-        points=384,
+        points=512,
         cancel=cancel,
     )
-    scores = rank(
-        reference, moving, motions, middle, FINE_TABLE, device, points=1024, cancel=cancel
-    )
-    motions = distinct(motions[np.argsort(-scores, kind="stable")], 3.0 * middle, 0.02)[:SETTLED]
+    widths = wall_widths(reference)
+    chosen = []
+    for sigma, most in zip(widths, SETTLED, strict=True):
+        scores = score_motions(
+            reference, moving, motions, 1, device, sigma=sigma, points=1024, cancel=cancel
+        )
+        order = np.argsort(-scores, kind="stable")
+        chosen.append(distinct(motions[order], 3.0 * middle, 0.02, most))
+    motions = distinct(np.concatenate(chosen), 3.0 * middle, 0.02)
     motions = inside(window, settle(reference, moving, motions, device, cancel))
     if not len(motions):
         return coarse, motions, np.zeros(0)
-    scores = rank(reference, moving, motions, 1, FINE_TABLE, device, cancel=cancel)
+    scores = score_motions(reference, moving, motions, 1, device, sigma=widths[0], cancel=cancel)
     order = np.argsort(-scores, kind="stable")
     return coarse, motions[order], scores[order]
+
+
+def wall_widths(features: GridFeatures) -> tuple[float, ...]:
+    """Return the widths of a wall by which motions are compared, full-resolution cells."""
+    size = features.grid.grid.resolution
+    return tuple(max(width / size, WALL_CELLS_MIN) for width in WIDTHS_M)
 
 
 def inside(window: SearchWindow, motions: F64) -> F64:

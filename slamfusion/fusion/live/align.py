@@ -8,25 +8,23 @@ from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.accept import CLASH_MAX, MATCH_MIN
+from slamfusion.fusion.accept import decide_mirrored
 from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.live.lattice import Lattice
-from slamfusion.fusion.live.mirror import refuse_mirrored
+from slamfusion.fusion.live.searched import Searched
 from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.search import wall_widths
 from slamfusion.fusion.start import StartPose, Starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
 
 __all__ = ["Aligner", "Held"]
 
-# An input that the search believed by clearly matching walls must go on to match; one that it
-# believed since its place stood out among all others, by this share of the walls that met then.
-CLEAR_MATCH = MATCH_MIN + 0.05
-LASTING_SHARE = 0.85
-CLASH_MORE = 0.05
 # New walls that fit worse than this share of what the search found may be mirrored.
 MIRROR_SHARE = 0.9
 # Messages, besides, after which an unchanged map that jumped is looked at once more.
@@ -44,30 +42,6 @@ class Held:
     name: str
     transform: Pose2
     features: GridFeatures
-
-
-@dataclass(frozen=True)
-class _Searched:
-    """What the search, or the first fusion, gave for a pair."""
-
-    score: float
-    match: float
-    clash: float
-    reason: str
-
-    def lasts(self, pair: Alignment, share: float) -> bool:
-        """Whether a tracked pair still fits: by a share of its score then, and by its walls."""
-        if pair.score < share * self.score:
-            return False
-        if pair.accepted:
-            return True
-        was_clear = self.match >= CLEAR_MATCH and self.clash <= CLASH_MAX
-        statistics = pair.statistics
-        return (
-            not was_clear
-            and statistics.get("wall_match", 0.0) >= LASTING_SHARE * self.match
-            and statistics.get("wall_clash", 1.0) <= self.clash + CLASH_MORE
-        )
 
 
 class Aligner:
@@ -97,7 +71,7 @@ class Aligner:
         self.is_wanted: Callable[[], bool] | None = None
         self.device = device
         self.starts = starts or Starts()
-        self._found: dict[frozenset[str], _Searched] = {}
+        self._found: dict[frozenset[str], Searched] = {}
 
     # -- what is aligned --------------------------------------------------------------------------
 
@@ -119,13 +93,7 @@ class Aligner:
 
     def note(self, pair: Alignment) -> None:
         """Keep what a search gave for a pair."""
-        statistics = pair.statistics
-        self._found[frozenset((pair.reference, pair.moving))] = _Searched(
-            pair.score,
-            statistics.get("wall_match", 0.0),
-            statistics.get("wall_clash", 0.0),
-            pair.reason,
-        )
+        self._found[frozenset((pair.reference, pair.moving))] = Searched.of(pair)
 
     @property
     def scores(self) -> dict[frozenset[str], float]:
@@ -138,17 +106,7 @@ class Aligner:
         On what ground a pair was believed is not kept: until it is searched its walls must match.
         """
         self.lattice = lattice
-        self._found = {pair: _Searched(score, 1.0, 0.0, "") for pair, score in scores.items()}
-
-    def second_look(
-        self,
-        pair: Alignment,
-        reference: GridFeatures,
-        moving: GridFeatures,
-        cancel: CancelToken | None = None,
-    ) -> Alignment:
-        """Return a pair, refused where its maps fit better mirrored."""
-        return refuse_mirrored(pair, reference, moving, self.config.align, self.device, cancel)
+        self._found = {pair: Searched(score, 1.0, 0.0, "") for pair, score in scores.items()}
 
     # -- tracking ---------------------------------------------------------------------------------
 
@@ -165,6 +123,9 @@ class Aligner:
             if found is None or fit[0].score < MIRROR_SHARE * found.score:
                 fit = _unmirrored(self, track, held, fit, cancel)
         if fit is not None:
+            names = frozenset((track.name, held.name))
+            if (found := self._found.get(names)) is not None:
+                self._found[names] = found.tracked(fit[0], self.live.search_share)
             self.believe(track, fit[1], fit[0], is_tracked=True)
         return fit is not None
 
@@ -296,7 +257,6 @@ class Aligner:
                 pair = replace(pair, transform=pair.transform.inverse())
             else:
                 pair = align_features(held.features, own, config, device, start, cancel)
-            pair = self.second_look(pair, held.features, own, cancel)
         except CancelledSearchError:
             track.patience_s *= 2.0
             track.searches -= 1
@@ -348,9 +308,25 @@ def _unmirrored(
     cancel: CancelToken | None,
 ) -> tuple[Alignment, Pose2] | None:
     """Return the fit of new walls, which is much worse than the old ones'; None: mirrored."""
-    believed, own = replace(fit[0], accepted=True), aligner.features(track, cancel)
-    looked = aligner.second_look(believed, held.features, own, cancel)
-    if looked.accepted:
+    pair = fit[0]
+    if pair.evidence is not None and pair.evidence.share >= SURE_SHARE:
         return fit
-    track.mismatch = looked.reason
+    own = aligner.features(track, cancel)
+    refused = decide_mirrored(gain_of_image(aligner, held.features, own, pair, cancel))
+    if refused is None:
+        return fit
+    track.mismatch = f"to {held.name}: {refused.reason}"
     return None
+
+
+def gain_of_image(
+    aligner: Aligner,
+    reference: GridFeatures,
+    own: GridFeatures,
+    pair: Alignment,
+    cancel: CancelToken | None,
+) -> float | None:
+    """Return by how much the mirror image of a tracked map fits better: see ``mirror_gain``."""
+    motion, sigma = motion_of(reference, own, pair.transform), wall_widths(reference)[0]
+    config, device = aligner.config.align, aligner.device
+    return mirror_gain(reference, own, motion, config, sigma, device, cancel)

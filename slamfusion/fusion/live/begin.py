@@ -39,7 +39,7 @@ def align_first(
     Args:
         tracks: inputs that can be brought to one resolution.
         least: how many must agree.
-        aligner: gives the settings, computes, and tells mirrored maps.
+        aligner: gives the settings and computes.
 
     Raises:
         SlamFusionError: too few agree, or memory cannot hold them; in one line.
@@ -55,7 +55,6 @@ def align_first(
             config,
             device,
             list(features),
-            second_look=aligner.second_look,
             starts=aligner.starts,
         )
     except MemoryError:

@@ -10,14 +10,15 @@ The rules, for a robot that drives by the fused map:
   last transform against the reference. A better fit by less than ``live.hold_cells`` moves nothing.
 * **Starts.** An input with a start is looked for around it until it has a place in the fused frame;
   from then on its last transform counts. ``reset`` lets starts count again.
-* **Search.** An input is searched everywhere when it is new, or when its tracked score falls below
-  a share of what the search last gave. A search that finds it elsewhere is believed when the next
+* **Search.** An input is searched everywhere when it is new, or when its tracked score and what the
+  ground in common says both fall below a share of what the search last gave: the maps of two robots
+  may grow away from each other. A search that finds it elsewhere is believed when the next
   map's search finds the same. Where the map does not change (the robot stands) it is searched once
   more after ``live.confirm_s``, or at its second equal message, in another way: against another
   voter, or with the roles swapped. Until then the input does not vote.
 * **Walls.** What votes matches: an input whose walls match the reference's no more loses its vote
   until a search, or a third, says which of the two is right. One that fits clearly better mirrored
-  never votes (``live.mirror``).
+  never votes (``fusion.mirror``).
 * **Poses.** Inputs of one robot whose poses contradict the others' lose their vote while that lasts
   (``live.poses``); where nobody can say who is right, all of these do, and the last map stays.
 * **Limits.** Numbers that no place has, noise and maps that are all occupied are refused before

@@ -1,0 +1,165 @@
+"""What each piece of wall says of each motion: evidence counted by what is independent.
+
+The cells of one wall come to lie on another wall all together, or not at all: a thousand of them
+are no thousand witnesses. So the evidence of the cells (see ``wall_evidence``) is summed over
+pieces, squares of ``PIECE_M`` of the map that the walls belong to, and pieces are what counts.
+A piece is the same piece under every motion, so two motions can be compared piece by piece.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.features import GridFeatures, spread_sample
+
+__all__ = ["PIECE_M", "WallPieces", "wall_pieces"]
+
+F64 = npt.NDArray[np.float64]
+
+# Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.
+PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
+PIECE_POINTS = 8192
+FIELD_TOP = 255
+
+
+@dataclass(frozen=True, eq=False)
+class WallPieces:
+    """The evidence of each piece of wall of both maps under each motion.
+
+    Attributes:
+        evidence: (P, B) nats times metres of wall.
+        most: (P, B) what the pieces could have given at most where the other map has seen
+            something.
+        seen_m: (P,) metres of wall that lie where the other map has seen something.
+    """
+
+    evidence: F64
+    most: F64
+    seen_m: F64
+
+    @property
+    def total(self) -> F64:
+        """(P,) nats times metres of wall, the mean of both maps' walls."""
+        return np.asarray(self.evidence.sum(axis=1))
+
+    def take(self, order: npt.NDArray[np.intp]) -> WallPieces:
+        """Return the same of some motions, in another order."""
+        return WallPieces(self.evidence[order], self.most[order], self.seen_m[order])
+
+    def share(self) -> F64:
+        """Return (P,) the evidence as a share of what the common ground could give."""
+        return np.asarray(self.total / np.maximum(self.most.sum(axis=1), 1e-9))
+
+    def witnesses(self, k: int = 0) -> float:
+        """Return how many pieces of equal weight would say what the pieces say of motion k."""
+        return _witnesses(self.evidence[k])
+
+    def better(self, k: int, other: int) -> float:
+        """Return how many pieces of equal weight would say that k is better than the other."""
+        return _witnesses(self.evidence[k] - self.evidence[other])
+
+
+def _witnesses(values: F64) -> float:
+    """Return (sum)^2 / sum of squares, with the sign of the sum."""
+    squares = float(np.sum(values * values))
+    total = float(values.sum())
+    return 0.0 if squares == 0.0 else total * abs(total) / squares
+
+
+def wall_pieces(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motions: F64,
+    sigma: float,
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
+    *,
+    scales: F64 | None = None,
+    points: int = PIECE_POINTS,
+) -> WallPieces:
+    """Return what each piece of wall says of each motion.
+
+    Args:
+        reference, moving: the two grids.
+        motions: (P, 3) where the moving centre lands, cells, and yaw.
+        sigma: width of a wall in cells.
+        device: holds the fields.
+        cancel: asked before each operation.
+        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
+        points: at most this many wall points of each grid are looked at; each stands for its share.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    size = np.ones(len(motions)) if scales is None else scales
+    there, back = _similarities(motions, moving.centre, size)
+    sides = ((moving, there, reference), (reference, back, moving))
+    parts, most_parts, seen_m = [], [], np.zeros(len(motions))
+    for own, pose, other in sides:
+        check_cancelled(cancel)
+        part, most, seen = _side(own, pose, other, sigma, points, device, cancel)
+        parts.append(part)
+        most_parts.append(most)
+        seen_m += seen
+    return WallPieces(np.concatenate(parts, axis=1), np.concatenate(most_parts, axis=1), seen_m)
+
+
+def _similarities(
+    motions: F64, centre: tuple[float, float], scales: F64
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return (P, 4) fixed poses from the moving lattice to the reference's, and back."""
+    cos, sin = scales * np.cos(motions[:, 2]), scales * np.sin(motions[:, 2])
+    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
+    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
+    there = np.stack((cos, sin, 2.0 * x, 2.0 * y), axis=1)
+    cos, sin = cos / scales**2, sin / scales**2
+    back = np.stack((cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y)), axis=1)
+    one = float(FIXED_ONE)
+    return np.rint(there * one).astype(np.int64), np.rint(back * one).astype(np.int64)
+
+
+def _side(
+    own: GridFeatures,
+    poses: npt.NDArray[np.int64],
+    other: GridFeatures,
+    sigma: float,
+    most_points: int,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> tuple[F64, F64, F64]:
+    """Return (P, B) evidence and most possible of one map's pieces, and (P,) metres seen."""
+    size = own.grid.grid.resolution
+    level = own.level(1, cancel)
+    points = spread_sample(level.points, most_points)
+    # Half: both maps' walls are counted.
+    metres = 0.5 * size * len(level.points) / max(1, len(points))
+    side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
+    squares = np.floor(points * (size / (2.0 * side))).astype(np.int64)
+    _, piece = np.unique(squares, axis=0, return_inverse=True)
+    piece = piece.ravel()
+    count = int(piece.max(initial=-1)) + 1
+    table = other.evidence_table(1, sigma, FIELD_TOP, cancel)
+    field = device.download(other.field(1, table, cancel))
+    near = device.download(other.level(1, cancel).distance2) <= (2.0 * sigma) ** 2
+    seen = near | (other.grid.cells >= 0)
+    x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
+    evidence, most = np.zeros((len(poses), count)), np.zeros((len(poses), count))
+    seen_m = np.zeros(len(poses))
+    for k, pose in enumerate(poses):
+        row, col = fixed_cells(pose, x2, y2)
+        inside = (row >= 0) & (col >= 0) & (row < field.shape[0]) & (col < field.shape[1])
+        row, col, mine = row[inside], col[inside], piece[inside]
+        value = (field[row, col].astype(np.float64) - table.base) * (table.unit * metres)
+        is_seen = seen[row, col]
+        evidence[k] = np.bincount(mine, weights=value, minlength=count)
+        top = is_seen * (table.span * table.unit * metres)
+        most[k] = np.bincount(mine, weights=top, minlength=count)
+        seen_m[k] = float(is_seen.sum()) * metres
+    return evidence, most, seen_m

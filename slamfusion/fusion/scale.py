@@ -1,0 +1,116 @@
+"""Do two maps have one scale? A resolution that is wrong shows as a scale that fits better.
+
+The moving map is taken larger and smaller about the middle of the walls that meet, where an answer
+is right whatever the scale, and each size is compared with the given one piece of wall by piece of
+wall (``pieces``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.fusion.cancel import CancelToken
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.pieces import WallPieces, wall_pieces
+
+__all__ = ["ScaleFit", "estimate_scale"]
+
+F64 = npt.NDArray[np.float64]
+
+# Scales that are tried, coarse and then around the best.
+COARSE = np.linspace(-0.12, 0.12, 25)
+FINE = np.linspace(-0.0075, 0.0075, 7)
+# Shifts that go with them, in widths of a wall.
+SHIFTS = np.array([(x, y, 0.0) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
+POINTS = 1024
+# So many pieces of wall must say that the other scale is better, as an answer needs.
+BETTER_MIN = 6.0
+
+
+@dataclass(frozen=True)
+class ScaleFit:
+    """The scale at which two maps fit best.
+
+    Attributes:
+        scale: size of the moving map's metre in the reference's; 1.0 unless another is better.
+        share: evidence there as a share of what the common ground could give, by the narrow width.
+    """
+
+    scale: float
+    share: float
+
+
+def estimate_scale(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motion: F64,
+    widths: tuple[float, float],
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
+) -> ScaleFit:
+    """Return the scale at which two maps fit best, and how well they do.
+
+    Args:
+        reference, moving: the two grids.
+        motion: (3,) where the moving centre lands, cells, and yaw: right in the common ground.
+        widths: of a wall in cells: the one by which the scale is looked for, and the narrow one.
+        device: holds the fields.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    wide, narrow = widths
+    middle = _middle(reference, moving, motion, wide, device)
+    scale, at = 1.0, motion
+    for offsets, sigma in ((COARSE, wide), (FINE, wide), (FINE, narrow)):
+        scales = scale + offsets
+        motions = np.concatenate(
+            [_about(at, middle, s / scale) + SHIFTS * (sigma, sigma, 1.0) for s in scales]
+        )
+        each = np.repeat(scales, len(SHIFTS))
+        found = wall_pieces(
+            reference, moving, motions, sigma, device, cancel, scales=each, points=POINTS
+        )
+        best = int(np.argmax(found.total))
+        scale, at = float(each[best]), motions[best]
+    both = wall_pieces(
+        reference, moving, np.stack((at, motion)), wide, device, cancel,
+        scales=np.array([scale, 1.0]),
+    )  # fmt: skip
+    if not _is_better(both):
+        scale, at = 1.0, motion
+    fit = wall_pieces(reference, moving, at[None], narrow, device, cancel, scales=np.array([scale]))
+    return ScaleFit(scale, float(fit.share()[0]))
+
+
+def _is_better(both: WallPieces) -> bool:
+    return both.better(0, 1) >= BETTER_MIN
+
+
+def _middle(
+    reference: GridFeatures, moving: GridFeatures, motion: F64, sigma: float, device: ComputeDevice
+) -> F64:
+    """Return (2,) the mean place of moving walls that lie on walls of the reference, its cells."""
+    points = moving.level(1).points / 2.0 - np.array(moving.centre)
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    x = cos * points[:, 0] - sin * points[:, 1] + motion[0]
+    y = sin * points[:, 0] + cos * points[:, 1] + motion[1]
+    height, width = reference.shape
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    x, y = x[inside], y[inside]
+    distance2 = device.download(reference.level(1).distance2)
+    near = distance2[y.astype(np.int64), x.astype(np.int64)] <= sigma * sigma
+    if not near.any():
+        return motion[:2]
+    return np.array([x[near].mean(), y[near].mean()])
+
+
+def _about(motion: F64, middle: F64, scale: float) -> F64:
+    """Return (1, 3) the motion whose moving map, larger by ``scale``, keeps ``middle`` in place."""
+    moved = middle + scale * (motion[:2] - middle)
+    return np.array([[moved[0], moved[1], motion[2]]])

@@ -1,0 +1,215 @@
+"""Every whole-cell shift of one coarse grid over another, at every yaw: ranges, planes, scores.
+
+The walls of each map on the evidence field of the other, both ways (see ``wall_evidence``). The
+planes are padded, so that all shifts of a point lie side by side in memory.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.layout import SHIFT_LANES
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.features import GridFeatures, Level, spread_sample
+
+__all__ = ["TILE", "SearchWindow", "ShiftScores", "score_shifts", "shift_range"]
+
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+
+# Sixteen values fit the packed adds of the correlate kernel.
+COARSE_TOP = 15
+# Width of a wall on coarse levels, cells.
+COARSE_SIGMA = 0.75
+# Shifts a side of which only the best is kept.
+TILE = 4
+COARSE_POINTS = 1024
+# Cells that the walls at this percentile of their radii move from one yaw to the next.
+YAW_STEP_CELLS = 1.3
+RIM_PERCENTILE = 90.0
+
+
+@dataclass(frozen=True)
+class SearchWindow:
+    """Where to search: motions within these distances of a start; None for everywhere.
+
+    Attributes:
+        start: (3,) x, y in cells, yaw in rad.
+        shift_cells: largest distance of the centre from the start, None for any.
+        yaw_rad: largest turn from the start.
+    """
+
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift_cells: float | None = None
+    yaw_rad: float = math.pi
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftScores:
+    """The evidence for the best shift of each tile at each yaw.
+
+    Attributes:
+        step: fine cells per cell.
+        yaws: (K,) yaw in rad.
+        yaw_step: rad from one yaw to the next.
+        evidence: (K, T) nats per cell of wall, summed over the sampled walls of both maps.
+        motions: (K, T, 3) where the moving centre lands, fine cells, and yaw.
+        work: field values that were added.
+    """
+
+    step: int
+    yaws: F64
+    yaw_step: float
+    evidence: F64
+    motions: F64
+    work: float
+
+
+def shift_range(
+    size: int,
+    reach: int,
+    start: float,
+    window: SearchWindow,
+    step: int,
+) -> tuple[int, int]:
+    """Return the half-open range of cells where the moving centre may land along one axis.
+
+    Wherever the circle around the moving walls overlaps the reference at all.
+    """
+    if window.shift_cells is not None:
+        half = window.shift_cells / step
+        return math.floor(start - half), math.floor(start + half) + 1
+    return -reach, size + reach + 1
+
+
+def score_shifts(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    step: int,
+    window: SearchWindow,
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
+) -> ShiftScores:
+    """Score every whole-cell shift at every yaw on one level of both grids.
+
+    Args:
+        reference, moving: the two grids.
+        step: of the level, fine cells per cell.
+        window: where to search.
+        device: computes.
+        cancel: asked before each operation.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    ref, mov = reference.level(step, cancel), moving.level(step, cancel)
+    centre = np.array(moving.centre) / step
+    from_mov = spread_sample(mov.points, COARSE_POINTS)
+    from_ref = spread_sample(ref.points, COARSE_POINTS)
+    own = from_mov / 2.0 - centre
+    radii = np.hypot(own[:, 0], own[:, 1])
+    rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
+    yaws, yaw_step = _yaw_lattice(YAW_STEP_CELLS / rim, window)
+    reach = math.ceil(float(radii.max())) + 1
+    rows = shift_range(ref.shape[0], reach, window.start[1] / step, window, step)
+    cols = shift_range(ref.shape[1], reach, window.start[0] / step, window, step)
+    surface = _ShiftSurface(ref, mov, rows, cols, reach, cancel)
+    ours = reference.evidence_table(step, COARSE_SIGMA, COARSE_TOP, cancel)
+    theirs = moving.evidence_table(step, COARSE_SIGMA, COARSE_TOP, cancel)
+    forward = surface.forward(reference.field(step, ours, cancel), ours.base, yaws, own, device)
+    backward = surface.backward(
+        moving.field(step, theirs, cancel), theirs.base, yaws, from_ref // 2, centre, device
+    )
+    check_cancelled(cancel)
+    width = cols[1] - cols[0]
+    values, places = device.tile_peaks(forward, backward, width, TILE)
+    floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
+    row, col = np.divmod(places.reshape(len(yaws), -1), width)
+    turns = np.broadcast_to(yaws[:, None], row.shape)
+    motions = np.stack(
+        ((col + cols[0] + 0.5) * step, (row + rows[0] + 0.5) * step, turns), axis=2
+    ).astype(np.float64)
+    evidence = np.asarray((values.reshape(len(yaws), -1) - floor) * ours.unit, dtype=np.float64)
+    work = float(forward.size) * len(from_mov) + float(backward.size) * len(from_ref)
+    return ShiftScores(step, yaws, yaw_step, evidence, motions, work)
+
+
+def _yaw_lattice(step: float, window: SearchWindow) -> tuple[F64, float]:
+    """Return evenly spaced yaws, the start's among them, and their distance.
+
+    A full turn, or the window.
+    """
+    if window.yaw_rad >= math.pi:
+        count = max(4, math.ceil(2.0 * math.pi / step))
+        own = 2.0 * math.pi / count
+        return np.asarray(window.start[2] + np.arange(count) * own), own
+    half = math.ceil(window.yaw_rad / step)
+    if half == 0:
+        return np.array([window.start[2]]), step
+    own = window.yaw_rad / half
+    return np.asarray(window.start[2] + np.arange(-half, half + 1) * own), own
+
+
+class _ShiftSurface:
+    """The padded planes and offsets that turn shifts into contiguous reads."""
+
+    def __init__(
+        self,
+        ref: Level,
+        mov: Level,
+        rows: tuple[int, int],
+        cols: tuple[int, int],
+        reach: int,
+        cancel: CancelToken | None,
+    ) -> None:
+        self.ref, self.mov, self.cancel = ref, mov, cancel
+        self.rows, self.cols, self.reach = rows, cols, reach
+        self.height = rows[1] - rows[0]
+        self.width = cols[1] - cols[0]
+        self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
+
+    def forward(
+        self, field: DeviceArray[np.uint8], base: int, yaws: F64, own: F64, device: ComputeDevice
+    ) -> DeviceArray[np.int32]:
+        """Moving walls on the reference's field: scores (K, shifts)."""
+        reach = self.reach
+        plane_shape = (self.height + 2 * reach + 1, self.lanes + 2 * reach + 1)
+        corner = (self.cols[0] - reach, self.rows[0] - reach, 0.0)
+        check_cancelled(self.cancel)
+        plane = device.warp(field, fixed_poses(corner), plane_shape, base)
+        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+        x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
+        y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32)
+        offsets = (y + reach) * plane_shape[1] + (x + reach)
+        check_cancelled(self.cancel)
+        return device.correlate(plane, offsets, (self.height, self.lanes))
+
+    def backward(
+        self,
+        field: DeviceArray[np.uint8],
+        base: int,
+        yaws: F64,
+        points: I32,
+        centre: F64,
+        device: ComputeDevice,
+    ) -> DeviceArray[np.int32]:
+        """Reference walls on the moving field, turned; read with shifts running backwards."""
+        plane_shape = (self.ref.shape[0] + self.height, self.ref.shape[1] + self.lanes)
+        dx = 0.5 - self.cols[0] - self.width
+        dy = 0.5 - self.rows[0] - self.height
+        cos, sin = np.cos(yaws), np.sin(yaws)
+        poses = np.stack(
+            (cos * dx + sin * dy + centre[0], -sin * dx + cos * dy + centre[1], -yaws), axis=1
+        )
+        check_cancelled(self.cancel)
+        planes = device.warp(field, fixed_poses(poses), plane_shape, base)
+        offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
+        check_cancelled(self.cancel)
+        return device.correlate(planes, offsets, (self.height, self.lanes))
