@@ -114,7 +114,7 @@ TOPICS = (
         ("producers",),
         ("fusion", "player"),
         MAP,
-        "the map of one SLAM, in frame NAME_map",
+        "the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)",
     ),
     Topic(
         "NAME/map_metadata",
@@ -130,7 +130,7 @@ TOPICS = (
         ("producers",),
         ("fusion", "player"),
         f"{STREAM}, liveliness lease 0.5 s",
-        "the robot in NAME_map, one for every scan that was used, with its stamp",
+        "the robot in the map's frame, one for every scan that was used, with its stamp",
     ),
     Topic("NAME/path", "nav_msgs/Path", ("producers",), (), MAP, "the path so far, corrected"),
     Topic("fused/map", "nav_msgs/OccupancyGrid", ("fusion",), (), MAP, "the fused map"),
@@ -166,7 +166,7 @@ TOPICS = (
         ("fusion", "player"),
         ("producers", "fusion", "player"),
         STREAM,
-        "fused_map to every NAME_map, odom to base_link of a log; more with publish_tf",
+        "fused_map to the frame of every map, odom to base_link of a log; more with publish_tf",
         needs_tf2=True,
     ),
     Topic(

@@ -32,6 +32,7 @@ class FrameWarnings:
         believed: Believed,
         *,
         frames: Sequence[str],
+        renamed: Mapping[str, tuple[str, str]],
         rivals: Mapping[str, str],
         other_fusion: str,
         leader: str,
@@ -43,25 +44,27 @@ class FrameWarnings:
             settings: of the node.
             believed: who votes.
             frames: of the inputs' maps.
+            renamed: the map's frame and the one that its transform is sent to, of inputs whose
+                frame another one has.
             rivals: parents of our child frames that another node sends too, by child.
             other_fusion: name of another node that fuses into the same topic; empty without.
             leader: name of the input whose pose is taken; empty without.
             has_sent_odometry: whether fused_frame -> odom_frame was sent.
         """
-        self._name_shared(frames, settings.fused_frame)
+        self._name_shared(frames, renamed, settings.fused_frame)
         self._say("rival", _rival_words(settings, rivals, other_fusion), Level.ERROR)
         self._name_unsent(settings, believed, leader, has_sent_odometry=has_sent_odometry)
 
-    def _name_shared(self, frames: Sequence[str], fused: str) -> None:
+    def _name_shared(
+        self, frames: Sequence[str], renamed: Mapping[str, tuple[str, str]], fused: str
+    ) -> None:
         """Name frames that two inputs share, or that are the fused one."""
-        shared = sorted({frame for frame in frames if frames.count(frame) > 1})
-        self._say(
-            "shared frame",
-            f"{len(frames)} maps, and more than one is in frame {shared[0]!r}: the transform of "
-            "the first is sent; give each its own frame_id"
-            if shared
-            else None,
-        )
+        told = [
+            f"{name!r} is in frame {frame!r} as another map is: its transform is sent to {child!r}"
+            for name, (frame, child) in renamed.items()
+        ]
+        said = "; ".join([*told, "give each map a frame_id of its own"])
+        self._say("shared frame", f"the map of {said}" if told else None)
         self._say(
             "own frame",
             f"an input's map is in {fused!r}, the frame of the fused map; rename one of them"

@@ -15,6 +15,7 @@ from slamfusion.fusion.live.session import Believed
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.child_frames import ChildFrames
 from slamfusion.ros.frame_warnings import FrameWarnings
 from slamfusion.ros.frames import TransformError, TransformInput, TransformOutput, TransformStore
 from slamfusion.ros.map_source import HeardPose, MapSource
@@ -34,6 +35,9 @@ SHOWN_S = 10.0
 
 class FusedFrames:
     """Sends fused_map -> every voter's map frame, the fused pose, and fused_map -> odom.
+
+    Where several inputs call their frames the same, each but the first has one of its own; see
+    ``ChildFrames``.
 
     A voter's transform goes out with every pose that it tells, at that pose's stamp; those without
     poses get the newest stamp of anything heard. The pose is that of the healthiest voter: the
@@ -59,6 +63,7 @@ class FusedFrames:
         self.rival = ""
         self._base = base
         self._sources: dict[str, MapSource] = {}
+        self._children = ChildFrames([settings.fused_frame])
         self._newest_s: float | None = None
         # The last stamp and what was sent with it: by child frame, and of the fused pose.
         self._sent: dict[str, tuple[int, Pose2]] = {}
@@ -156,6 +161,8 @@ class FusedFrames:
         And name what is wrong with frames.
         """
         now_s = time.monotonic()
+        for source in self._sources.values():
+            self.child_frame(source)  # claimed in the order of the inputs, whoever votes first
         if self._told is not self.believed:
             self._told = self.believed
             for source in self._sources.values():
@@ -172,6 +179,7 @@ class FusedFrames:
             self.settings,
             self.believed,
             frames=[source.frame for source in self._sources.values() if source.frame],
+            renamed=self._children.renamed(),
             rivals=self._output.rivals(),
             other_fusion=self.rival,
             leader=self.leader,
@@ -189,20 +197,20 @@ class FusedFrames:
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
 
     def _send_frame(self, source: MapSource, transform: Pose2, stamp: Any) -> None:
-        """Send where an input's map frame lies, once the same, and for one input a frame."""
-        frame, parent = source.frame, self.settings.fused_frame
-        if not frame or frame == parent or self._owner(frame) != source.name:
+        """Send where an input's map frame lies, once the same."""
+        frame, parent = self.child_frame(source), self.settings.fused_frame
+        if not frame:
             return
         fresh = self._fresh(frame, stamp, transform, is_revised=True)
         if fresh is not None:
             self._output.send([messages.transform_to_message(transform, parent, frame, fresh)])
 
-    def _owner(self, frame: str) -> str:
-        """Return the first voter whose map has this frame."""
-        for source in self._sources.values():
-            if source.frame == frame and self.believed.transform(source.name) is not None:
-                return source.name
-        return ""
+    def child_frame(self, source: MapSource) -> str:
+        """Return the frame that an input's transform is sent to; empty without one."""
+        if not source.frame or source.frame == self.settings.fused_frame:
+            return ""
+        topic = self._base.node.resolve_topic_name(source.topic)
+        return self._children.of(source.name, topic, source.frame)
 
     def _send_odometry(self, pose: Pose2, heard: HeardPose, *, is_revised: bool) -> None:
         """Send where the odometry frame lies, from the robot's pose in the fused frame."""

@@ -245,7 +245,8 @@ class FusionNode(NodeBase):
         for name in names:
             source = self._sources.get(name)
             topic = "" if source is None else self.node.resolve_topic_name(source.topic)
-            lines.append(input_status(name, source, topic, by_name.get(name), since_s))
+            frame = "-" if source is None else self._frames.child_frame(source) or source.frame
+            lines.append(input_status(name, source, topic, frame, by_name.get(name), since_s))
         is_worse = self.published is not None and not self._memory.is_unconfirmed
         worst = Level.ERROR if is_worse else Level.WARN
         wrong, nothing = self.diagnostics.worst(""), self.nothing_fused()

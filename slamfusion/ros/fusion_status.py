@@ -46,7 +46,12 @@ def fusion_status(
 
 
 def input_status(
-    name: str, source: MapSource | None, topic: str, record: LiveInput | None, since_s: float
+    name: str,
+    source: MapSource | None,
+    topic: str,
+    frame: str,
+    record: LiveInput | None,
+    since_s: float,
 ) -> Status:
     """Return the line of one input.
 
@@ -54,6 +59,7 @@ def input_status(
         name: of the input.
         source: of its maps; None for a saved map.
         topic: its name in full.
+        frame: that its transform is sent to.
         record: as the last update left it; None before its first map.
         since_s: how long ago that update was.
     """
@@ -77,6 +83,6 @@ def input_status(
         "x [m]": transform.x if record.transform is not None else None,
         "y [m]": transform.y if record.transform is not None else None,
         "yaw [rad]": transform.yaw_rad if record.transform is not None else None,
-        "frame": "-" if source is None else source.frame,
+        "frame": frame,
     }
     return Status(PREFIX + name, level, record.reason, values)

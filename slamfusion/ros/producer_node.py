@@ -21,6 +21,7 @@ from slamfusion.compute import open_device
 from slamfusion.config import DeviceConfig, ProducerNodeConfig, RunConfig
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status
+from slamfusion.ros.child_frames import in_namespace
 from slamfusion.ros.map_transform import MapTransform
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.producer_status import producer_figures
@@ -80,7 +81,7 @@ class ProducerNode(NodeBase):
     Topics, all relative: reads ``scan`` and ``odom`` (or transforms); writes ``NAME/map``,
     ``NAME/map_metadata``, ``NAME/pose`` (PoseStamped, one for every scan that was fed, with its
     stamp), ``NAME/path`` and ``/diagnostics``. NAME is the node's name, so two nodes of one kind
-    can run side by side; the map's frame is NAME_map.
+    can run side by side; the map's frame is NAME_map, and robot1/NAME_map in the namespace /robot1.
 
     Scans wait in a queue of ``scan_queue``; when one more comes the oldest is dropped and counted.
     A scan is matched with the odometry of its own time, interpolated; it waits for that up to
@@ -111,7 +112,8 @@ class ProducerNode(NodeBase):
             RunConfig(), producers={kind: section}, device=device, seed=self.settings.seed
         )
         self._own_interval_s = producer(kind).map_interval_s(section)
-        self._map_frame = self.settings.map_frame or f"{self.name}_map"
+        own_frame = in_namespace(node.get_namespace(), f"{self.name}_map")
+        self._map_frame = self.settings.map_frame or own_frame
         self._device = open_device(device.device)
         self._session = ProducerSession(
             kind,

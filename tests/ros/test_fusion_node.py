@@ -152,7 +152,7 @@ BAD = {
     "width": (7, "cells sent"),
     "empty": (None, "empty"),
     "tiny": (None, "too few walls"),
-    "upside down": (None, "walls do not match"),
+    "upside down": (None, "mirrored or transposed"),
     "negative": (-0.1, "resolution"),
     "hung from the ceiling": (None, "origin"),
 }

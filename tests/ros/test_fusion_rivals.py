@@ -84,7 +84,10 @@ def test_rivals_are_named_with_what_to_do(domain: int, processes: Processes, obs
     for grid in three().values():
         makers.send(grid, frame="map")
     observer.wait_status(FUSION, "all 3 inputs vote", timeout_s=60.0)
-    observer.wait_status(FUSION, "more than one is in frame 'map'")
+    observer.wait_status(
+        FUSION,
+        "the map of 'b' is in frame 'map' as another map is: its transform is sent to 'b/map'",
+    )
     observer.wait_status("second: fusion", "all 3 inputs vote", timeout_s=60.0)
     observer.wait_status(FUSION, "another node, '/second', publishes '/fused/map' too: end one")
     observer.wait_status("second: fusion", "another node, '/fusion', publishes '/fused/map' too")

@@ -150,7 +150,7 @@ def test_in_a_namespace_under_other_names(
     observer.listen(0.5)
     processes.node("tinyslam", *names, "-r", "__node:=tiny2", map_update_interval_s=0.2)
     message = wait_for_last_map(observer, maps)
-    assert message.header.frame_id == "tiny2_map"
+    assert message.header.frame_id == "robot1/tiny2_map"
     assert_same_map(message, offline_log("tinyslam", log))
     assert {scan.header.frame_id for scan in heard} == {"laser"}
     assert observer.wait_status("robot1/tiny2: slam")
