@@ -77,7 +77,7 @@ class AlignConfig(Checked):
     )
     deadline_s: float = option(2.0, "stop proving a pair after this long", unit="s", low=0.0)
     coarse_cells: int = option(
-        44, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
+        60, "cells on the longest side of the coarsest grid", low=16, high=512, level="expert"
     )
     candidates: int = option(24, "coarse peaks that are refined", low=1, high=64, level="expert")
     proof_points: int = option(
@@ -160,7 +160,8 @@ class LiveConfig(Checked):
     )
     search_share: float = option(
         0.7,
-        "a tracked score below this share of what the full search gave calls for a new one",
+        "a tracked score, and a fit of the common ground, below this share of what the full search "
+        "gave call for a new one",
         low=0.0,
         high=1.0,
     )

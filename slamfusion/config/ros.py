@@ -32,7 +32,11 @@ class ProducerNodeConfig(Checked):
     )
     base_frame: str = option("base_link", "the robot's frame")
     odom_frame: str = option("odom", "the odometry frame")
-    map_frame: str | None = option(None, "frame of the map; default: the node's name and _map")
+    map_frame: str | None = option(
+        None,
+        "frame of the map; default: the node's name and _map, after the node's namespace where it "
+        "has one",
+    )
     laser_source: Literal["tf", "parameter"] = option(
         "tf",
         "where the laser sits on the robot: by the transforms, or by laser_x, laser_y, laser_yaw",
