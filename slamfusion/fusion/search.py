@@ -47,7 +47,6 @@ FINEST_FACTOR = 4
 DESCENT = ((1536, 384), (256, 768), (96, 1536))
 # Cells of the last level of the descent, metres.
 DESCENT_CELL_M = 0.2
-DESCENT_TOP = 255
 # Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
 # maps are compared that show the same walls in the same places, by the second bent ones.
 WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
