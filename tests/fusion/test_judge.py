@@ -28,6 +28,9 @@ from tests.fusion.drawings import (
 )
 from tests.support.cuts import along, halves_of, kept
 
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
 QUICK = fusion_config()
 WINDOW = fusion_config(window_m=1.0, window_yaw_rad=0.3)
 # A room of 4 x 3 m with a niche and a pillar: it looks like itself from one side only.

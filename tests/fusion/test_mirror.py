@@ -16,6 +16,9 @@ from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, degraded, draw, features_of, picture_of
 from tests.fusion.live.maps import mirrored, transposed, trio
 
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
 CONFIG = AlignConfig(prove=False)
 
 

@@ -18,6 +18,9 @@ from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, draw, features_of
 from tests.support.cuts import along, kept, move_frame
 
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
 CONFIG = AlignConfig(prove=False)
 
 

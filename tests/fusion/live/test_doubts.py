@@ -31,6 +31,9 @@ from tests.fusion.live.maps import (
     trio,
 )
 
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
 MEGABYTE = 1 << 20
 
 

@@ -17,6 +17,9 @@ from tests.fusion.drawings import building, degraded, off_by
 from tests.fusion.live.maps import Drive, live_fusion, shifted
 from tests.support.cuts import along, kept
 
+# About searches, not about NumPy: one leg is enough.
+pytestmark = pytest.mark.once
+
 LENGTH_M, CELL_M = 28.0, 0.1
 MIDDLE_M = LENGTH_M / 2.0
 # Off by less than two cells, and by half a degree.
