@@ -130,18 +130,13 @@ def _searched(
         return Found(motions, coarse, None, "window")
     if window.shift_cells is None and window.yaw_rad >= math.pi:
         found = Found(motions, coarse, None, "full")
-        return (
-            found
-            if not config.prove
-            else _prove(reference, moving, config, window, device, found, cancel)
-        )
-    shift = max(*reference.shape, *moving.shape) * 1.0
-    prior = prior_within(
-        reference,
-        moving,
-        shift if window.shift_cells is None else min(shift, window.shift_cells),
-        window.yaw_rad,
-    )
+        if config.prove:
+            found = _prove(reference, moving, config, window, device, found, cancel)
+        return found
+    shift = float(max(*reference.shape, *moving.shape))
+    if window.shift_cells is not None:
+        shift = min(shift, window.shift_cells)
+    prior = prior_within(reference, moving, shift, window.yaw_rad)
     found = Found(motions, coarse, None, "window", prior)
     if config.prove:
         found = _prove(reference, moving, config, window, device, found, cancel)

@@ -38,8 +38,7 @@ __all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
-# Sixteen levels fit the packed adds of the correlate kernel; a byte serves single lookups.
-COARSE_TABLE = score_table(1.0, base=4, span=11)
+# The score that is told: a byte serves single lookups.
 FINE_TABLE = score_table(3.0, base=64, span=191)
 
 
@@ -74,11 +73,6 @@ class Level:
     distance: DeviceArray[Any]
     far_distance: DeviceArray[Any]
     points: npt.NDArray[np.int32]
-
-    @property
-    def wall_share(self) -> float:
-        """Share of walls among the cells of the level that are wall or mostly known."""
-        return len(self.points) / max(1, self.shape[0] * self.shape[1])
 
 
 class GridFeatures:

@@ -91,14 +91,17 @@ class _Stand:
     @property
     def better_inside(self) -> float:
         """The same of the others in the window alone."""
-        pieces = self.pieces
-        return min([pieces.witnesses(0), *(pieces.better(0, k) for k in self.inside)])
+        return self._better_than(self.inside)
 
     @property
     def better(self) -> float:
         """Pieces that say that the answer is better than any other, and than none."""
+        return self._better_than(self.others)
+
+    def _better_than(self, others: list[int]) -> float:
+        """Return the pieces for the answer against the best of some others, or against none."""
         pieces = self.pieces
-        return min([pieces.witnesses(0), *(pieces.better(0, k) for k in self.others)])
+        return min([pieces.witnesses(0), *(pieces.better(0, k) for k in others)])
 
     @property
     def clean_share(self) -> float:
@@ -182,8 +185,10 @@ def judge(
         and _near_start(reference, moving, transform, start)
     ):
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
-    evidence = _evidence(reference, moving, stand, found, runner_up, statistics)
-    evidence = replace(evidence, pairs=pairs, prior=prior)
+    evidence = _evidence(
+        reference, moving, stand, runner_up, statistics,
+        pairs=pairs, prior=prior, search=found.search,
+    )  # fmt: skip
     decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
@@ -257,9 +262,12 @@ def _evidence(
     reference: GridFeatures,
     moving: GridFeatures,
     stand: _Stand,
-    found: Found,
     runner_up: RunnerUp | None,
     statistics: dict[str, float],
+    *,
+    pairs: int,
+    prior: float,
+    search: str,
 ) -> Evidence:
     """Return what speaks for the answer, and for the best of the others."""
     pieces, others = stand.pieces, stand.others
@@ -279,10 +287,10 @@ def _evidence(
         better_inside=stand.better_inside,
         ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
         rival=rival,
-        pairs=1,
-        prior=1.0,
+        pairs=pairs,
+        prior=prior,
         statistics=statistics,
-        search=found.search,
+        search=search,
     )
 
 
