@@ -143,6 +143,17 @@ __kernel void look_up(__global const ushort *in, __global const ushort *table, c
   for (int index = first; index < stop; index++) out[index] = table[in[index]];
 }
 
+/* out = table[in] where mask is not 0, otherwise[in] elsewhere.
+ * in, out (cells) ushort; mask (cells) uchar; tables ushort, one entry for every value of in.
+ * Global: (ceil(cells / RUN)). */
+__kernel void look_up_where(__global const ushort *in, __global const uchar *mask,
+                            __global const ushort *table, __global const ushort *otherwise,
+                            const int cells, __global ushort *out) {
+  const int first = get_global_id(0) * RUN;
+  const int stop = first + RUN < cells ? first + RUN : cells;
+  for (int i = first; i < stop; i++) out[i] = mask[i] ? table[in[i]] : otherwise[in[i]];
+}
+
 /* What a wall point of the other map is worth in each cell:
  * base + hit[d2] - free * miss[d2] / FIELD_ONE, rounded down, within 0..FIELD_ONE.
  * distance2 (cells) ushort; free_share (cells) uchar 0..255; hit, miss one ushort for every d2;

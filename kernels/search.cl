@@ -78,24 +78,45 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
 
 /* What the points are worth under each pose, summed over chunks of points:
  * partial[p, chunk] = sum of the field in the cells that the points meet, `base` for those off it.
- * points (count, 2) int lattice positions; poses (n, 4) long Q30, points to field;
- * field (height, width) uchar; partial (n, chunks) int. Global: (chunks, n). */
-__kernel void pose_scores(__global const int *points, const int count, __global const long *poses,
-                          const int n, __global const uchar *field, const int height,
-                          const int width, const int base, const int chunk, const int chunks,
+ * points (2, stride) int: x of all points about their middle, then y, stride and chunk multiples of 8;
+ * poses (n, 4) int, points to field, with `shift` bits below a whole cell (see narrow_motions);
+ * field (height, width) uchar; partial (n, chunks) int.
+ * 32 bits, so that eight points move at once: three times as fast on PoCL as one by one in 64.
+ * A point off the field reads its first cell, which is put right at the end.
+ * Global: (chunks, n). */
+__kernel void pose_scores(__global const int *points, const int count, const int stride,
+                          __global const int *poses, const int n, const int shift,
+                          __global const uchar *field, const int height, const int width,
+                          const int base, const int chunk, const int chunks,
                           __global int *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
-  const long4 pose = vload4(p, poses);
-  const int stop = min((c + 1) * chunk, count);
-  int sum = 0;
-  for (int i = c * chunk; i < stop; i++) {
-    const int2 cell = fixed_cell(pose, points[2 * i], points[2 * i + 1]);
-    const int inside = ((uint)cell.x < (uint)width) & ((uint)cell.y < (uint)height);
-    const int value = field[inside ? (size_t)cell.y * width + cell.x : 0];
-    sum += inside ? value : base;
+  const int cosine = poses[4 * p], sine = poses[4 * p + 1];
+  const int tx = poses[4 * p + 2], ty = poses[4 * p + 3];
+  const int first = c * chunk, stop = LOWER(first + chunk, count);
+  const int even = first + ((stop - first) & ~7);
+  int sum = 0, met = 0;
+  for (int i = first; i < even; i += 8) {
+    const int8 x2 = *(__global const int8 *)(points + i);
+    const int8 y2 = *(__global const int8 *)(points + stride + i);
+    const int8 col = (cosine * x2 - sine * y2 + tx) >> shift;
+    const int8 row = (sine * x2 + cosine * y2 + ty) >> shift;
+    const int8 inside = (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
+    const int8 at = inside & (row * width + col);
+    sum += field[at.s0] + field[at.s1] + field[at.s2] + field[at.s3];
+    sum += field[at.s4] + field[at.s5] + field[at.s6] + field[at.s7];
+    const int4 four = inside.lo + inside.hi;
+    met -= four.x + four.y + four.z + four.w;
   }
-  partial[p * chunks + c] = sum;
+  for (int i = even; i < stop; i++) {
+    const int x2 = points[i], y2 = points[stride + i];
+    const int col = (cosine * x2 - sine * y2 + tx) >> shift;
+    const int row = (sine * x2 + cosine * y2 + ty) >> shift;
+    const int inside = ((uint)col < (uint)width) & ((uint)row < (uint)height);
+    sum += field[inside ? row * width + col : 0];
+    met += inside;
+  }
+  partial[p * chunks + c] = sum + (stop - first - met) * (base - (int)field[0]);
 }
 
 /* What the points meet under each pose, summed over chunks of points:

@@ -78,6 +78,7 @@ class NumpyDevice:
     distance_squared = _twin(fields.distance_squared)
     score_field = _twin(fields.score_field)
     look_up = _twin(fields.look_up)
+    look_up_where = _twin(fields.look_up_where)
     max_window = _twin(fields.max_window)
     warp = _twin(fields.warp)
 

@@ -7,9 +7,14 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import FIXED_ONE, FIXED_TO_CELL_SHIFT
 
-__all__ = ["fixed_cells", "fixed_poses"]
+__all__ = ["fixed_cells", "fixed_poses", "narrow_motions"]
 
+I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
+
+# The place of a point after a pose stays below this, so that it fits 32 bits with its sign and what
+# rounding adds.
+NARROW_LIMIT = (1 << 31) - (1 << 20)
 
 
 def fixed_poses(poses: npt.ArrayLike) -> I64:
@@ -31,3 +36,29 @@ def fixed_cells(pose: I64, x2: I64, y2: I64) -> tuple[I64, I64]:
     x = pose[0] * x2 - pose[1] * y2 + pose[2]
     y = pose[1] * x2 + pose[0] * y2 + pose[3]
     return y >> FIXED_TO_CELL_SHIFT, x >> FIXED_TO_CELL_SHIFT
+
+
+def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
+    """Return points about their middle and poses in 32 bits, with as many bits as these leave.
+
+    Args:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        poses: (P, 4) int64 fixed poses.
+
+    Returns:
+        (N, 2) int32 points, (P, 4) int32 poses that move them where the given ones move the given
+        points, and the bits of a place below a whole cell. A map of 2000 cells is read within 0.01
+        cells of where the 64 bits read it.
+    """
+    wide = points.astype(np.int64)
+    middle = (wide.min(axis=0) + wide.max(axis=0)) // 2 if len(wide) else np.zeros(2, np.int64)
+    near = wide - middle
+    x = poses[:, 0] * middle[0] - poses[:, 1] * middle[1] + poses[:, 2]
+    y = poses[:, 1] * middle[0] + poses[:, 0] * middle[1] + poses[:, 3]
+    moved = np.stack((poses[:, 0], poses[:, 1], x, y), axis=1)
+    reach = int(np.abs(near).max(axis=0, initial=0).sum())
+    turn = int(np.abs(moved[:, :2]).max(initial=0))
+    farthest = turn * reach + int(np.abs(moved[:, 2:]).max(initial=0))
+    drop = max(1, (farthest // NARROW_LIMIT).bit_length())
+    narrow = (moved + (1 << (drop - 1))) >> drop
+    return near.astype(np.int32), narrow.astype(np.int32), FIXED_TO_CELL_SHIFT - drop

@@ -89,7 +89,9 @@ class GridFeatures:
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
-        self._chance: dict[tuple[int, float], float] = {}
+        self._known_distances: dict[int, npt.NDArray[np.float64]] = {}
+        self._pieces: dict[tuple[float, int], npt.NDArray[np.intp]] = {}
+        self._seen: dict[int, npt.NDArray[np.bool_]] = {}
         self._surface_walls: DeviceArray[Any] | None = None
         self._solid_level: Level | None = None
 
@@ -153,7 +155,7 @@ class GridFeatures:
             distance2 = self.device.distance_squared(wall)
             check_cancelled(cancel)
             far = self.device.look_up(distance2, DISTANCE_TABLE)
-            distance = self._seen_distance(far, wall, free, step)
+            distance = self._seen_distance(distance2, free, step)
             check_cancelled(cancel)
             mask = self.device.download(wall)
             self._levels[step] = Level(
@@ -162,21 +164,16 @@ class GridFeatures:
         return self._levels[step]
 
     def _seen_distance(
-        self,
-        far: DeviceArray[Any],
-        wall: DeviceArray[Any],
-        free: DeviceArray[Any],
-        step: int,
+        self, distance2: DeviceArray[Any], free: DeviceArray[Any], step: int
     ) -> DeviceArray[Any]:
         """Return the distance in 1/256 cell, where the map knows enough to draw a wall towards it.
 
         A wall of the other map that lies deep in the unknown of this one belongs to no wall here.
         """
-        distance = self.device.download(far).copy()
         reach = max(SEEN_CELLS_MIN, SEEN_M / (self.grid.grid.resolution * step))
-        unknown = (self.device.download(free) == 0) & (self.device.download(wall) == 0)
-        distance[unknown & (distance > reach * DISTANCE_ONE)] = DISTANCE_UNSEEN
-        return self.device.upload(distance)
+        unseen = DISTANCE_TABLE.copy()
+        unseen[unseen > reach * DISTANCE_ONE] = DISTANCE_UNSEEN
+        return self.device.look_up_where(distance2, free, DISTANCE_TABLE, unseen)
 
     def solid_level(self, cancel: CancelToken | None = None) -> Level:
         """Return the finest level with every solid wall cell, not only the surfaces.
@@ -191,7 +188,7 @@ class GridFeatures:
             distance2 = self.device.distance_squared(wall, SOLID_REACH)
             check_cancelled(cancel)
             far = self.device.look_up(distance2, DISTANCE_TABLE)
-            distance = self._seen_distance(far, wall, free, 1)
+            distance = self._seen_distance(distance2, free, 1)
             self._solid_level = Level(
                 1, self.shape, wall, free, distance2, distance, far, self.wall_points
             )
@@ -210,16 +207,51 @@ class GridFeatures:
         Raises:
             CancelledSearchError: ``cancel`` says so.
         """
-        key = (step, sigma)
-        if key not in self._chance:
+        known = self._known_at_distance(step, cancel)
+        total = float(known.sum())
+        return float(likeness(sigma)[: len(known)] @ known) / total if total > 0 else 1.0
+
+    def _known_at_distance(self, step: int, cancel: CancelToken | None) -> npt.NDArray[np.float64]:
+        """Return (N,) the known cells of a level by squared distance to a wall."""
+        if step not in self._known_distances:
             level = self.level(step, cancel)
             check_cancelled(cancel)
-            share = self.device.download(level.free) / float(FIELD_ONE)
-            known = np.maximum(share, self.device.download(level.wall))
-            found = likeness(sigma)[self.device.download(level.distance2)]
-            total = float(known.sum())
-            self._chance[key] = float((found * known).sum()) / total if total > 0 else 1.0
-        return self._chance[key]
+            known = self.device.download(level.free) / np.float32(FIELD_ONE)
+            np.maximum(known, self.device.download(level.wall), out=known)
+            distance2 = self.device.download(level.distance2).ravel()
+            self._known_distances[step] = np.bincount(distance2, weights=known.ravel())
+        return self._known_distances[step]
+
+    def pieces(
+        self, per_half_cell: float, most: int, cancel: CancelToken | None = None
+    ) -> npt.NDArray[np.intp]:
+        """Return (N,) the piece of each sampled surface wall, numbered from 0; see ``pieces``.
+
+        Args:
+            per_half_cell: half a cell, in sides of a piece. most: walls that are sampled.
+            cancel: asked before each operation.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
+        key = (per_half_cell, most)
+        if key not in self._pieces:
+            points = spread_sample(self.level(1, cancel).points, most)
+            col, row = np.floor(points * per_half_cell).astype(np.int64).T
+            squares = col * (row.max(initial=0) + 1) + row
+            self._pieces[key] = np.unique(squares, return_inverse=True)[1].ravel()
+        return self._pieces[key]
+
+    def seen(self, near2: int, cancel: CancelToken | None = None) -> npt.NDArray[np.bool_]:
+        """Return (H, W) the cells that are known, or within this squared distance of a wall.
+
+        Raises:
+            CancelledSearchError: ``cancel`` says so.
+        """
+        if near2 not in self._seen:
+            distance2 = self.device.download(self.level(1, cancel).distance2)
+            self._seen[near2] = (distance2 <= near2) | (self.grid.cells >= 0)
+        return self._seen[near2]
 
     def evidence_table(
         self, step: int, sigma: float, top: int, cancel: CancelToken | None = None

@@ -11,7 +11,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["displacement", "distinct", "distinct_rows", "invert", "to_lattice"]
+from slamfusion.compute.layout import FIXED_ONE
+
+__all__ = [
+    "displacement",
+    "distinct",
+    "distinct_rows",
+    "fixed_similarities",
+    "invert",
+    "to_lattice",
+]
 
 F64 = npt.NDArray[np.float64]
 
@@ -30,6 +39,26 @@ def invert(motions: F64) -> F64:
     x = -cos * motions[:, 0] - sin * motions[:, 1]
     y = sin * motions[:, 0] - cos * motions[:, 1]
     return np.stack((x, y, -motions[:, 2]), axis=1)
+
+
+def fixed_similarities(
+    motions: F64, centre: tuple[float, float], scales: F64
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return (P, 4) fixed poses from the moving lattice to the reference's, and back.
+
+    Args:
+        motions: (P, 3) where the moving centre lands, cells, and yaw.
+        centre: the moving map's, cells.
+        scales: (P,) how much longer the moving map's metre is taken, about its centre.
+    """
+    cos, sin = scales * np.cos(motions[:, 2]), scales * np.sin(motions[:, 2])
+    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
+    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
+    there = np.stack((cos, sin, 2.0 * x, 2.0 * y), axis=1)
+    cos, sin = cos / scales**2, sin / scales**2
+    back = np.stack((cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y)), axis=1)
+    one = float(FIXED_ONE)
+    return np.rint(there * one).astype(np.int64), np.rint(back * one).astype(np.int64)
 
 
 def displacement(a: F64, b: F64) -> tuple[float, float]:

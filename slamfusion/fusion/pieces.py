@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells
-from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
+from slamfusion.fusion.motions import fixed_similarities
 
 __all__ = ["PIECE_M", "WallPieces", "wall_pieces"]
 
@@ -99,7 +99,7 @@ def wall_pieces(
         CancelledSearchError: ``cancel`` says so.
     """
     size = np.ones(len(motions)) if scales is None else scales
-    there, back = _similarities(motions, moving.centre, size)
+    there, back = fixed_similarities(motions, moving.centre, size)
     sides = ((moving, there, reference), (reference, back, moving))
     parts, most_parts, seen_m = [], [], np.zeros(len(motions))
     for own, pose, other in sides:
@@ -109,20 +109,6 @@ def wall_pieces(
         most_parts.append(most)
         seen_m += seen
     return WallPieces(np.concatenate(parts, axis=1), np.concatenate(most_parts, axis=1), seen_m)
-
-
-def _similarities(
-    motions: F64, centre: tuple[float, float], scales: F64
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return (P, 4) fixed poses from the moving lattice to the reference's, and back."""
-    cos, sin = scales * np.cos(motions[:, 2]), scales * np.sin(motions[:, 2])
-    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
-    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
-    there = np.stack((cos, sin, 2.0 * x, 2.0 * y), axis=1)
-    cos, sin = cos / scales**2, sin / scales**2
-    back = np.stack((cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y)), axis=1)
-    one = float(FIXED_ONE)
-    return np.rint(there * one).astype(np.int64), np.rint(back * one).astype(np.int64)
 
 
 def _side(
@@ -141,14 +127,11 @@ def _side(
     # Half: both maps' walls are counted.
     metres = 0.5 * size * len(level.points) / max(1, len(points))
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
-    squares = np.floor(points * (size / (2.0 * side))).astype(np.int64)
-    _, piece = np.unique(squares, axis=0, return_inverse=True)
-    piece = piece.ravel()
+    piece = own.pieces(size / (2.0 * side), most_points, cancel)
     count = int(piece.max(initial=-1)) + 1
     table = other.evidence_table(1, sigma, FIELD_TOP, cancel)
     field = device.download(other.field(1, table, cancel))
-    near = device.download(other.level(1, cancel).distance2) <= (2.0 * sigma) ** 2
-    seen = near | (other.grid.cells >= 0)
+    seen = other.seen(int((2.0 * sigma) ** 2), cancel)
     x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
     evidence, most = np.zeros((len(poses), count)), np.zeros((len(poses), count))
     seen_m = np.zeros(len(poses))

@@ -60,7 +60,7 @@ def refine(
         scales: robust scale of each round, in cells of the level, wide to narrow.
         device: computes the normal equations.
         points: at most this many wall points of each grid.
-        iterations: Gauss-Newton steps a scale; fewer once no pose moves by 0.02 cells.
+        iterations: Gauss-Newton steps a scale; a pose that moves by less than 0.02 cells stops.
         solid: fit all wall cells, not only surfaces, at step 1.
         everywhere: also where a map knows nothing, as walls may lie that bent maps draw.
         cancel: asked before each operation.
@@ -81,8 +81,9 @@ def refine(
     reach = math.hypot(*mov.shape) / 2.0
     local = motions / np.array([step, step, 1.0])
     for scale in scales:
+        moves = np.arange(len(local))
         for _ in range(iterations):
-            poses = to_lattice(local, centre_mov)
+            poses = to_lattice(local[moves], centre_mov)
             check_cancelled(cancel)
             forward = device.refine_terms(
                 from_mov,
@@ -102,8 +103,9 @@ def refine(
                 backward=True,
             )
             change = _solve(forward + backward, scale, reach)
-            local = _apply(local, change, pivot)
-            if np.all(np.abs(change) * (1.0, 1.0, reach) < SETTLED_CELLS):
+            local[moves] = _apply(local[moves], change, pivot)
+            moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
+            if not len(moves):
                 break
     return np.asarray(local * np.array([step, step, 1.0]))
 

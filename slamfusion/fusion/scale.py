@@ -16,6 +16,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pieces import WallPieces, wall_pieces
+from slamfusion.fusion.search import score_motions
 
 __all__ = ["ScaleFit", "estimate_scale"]
 
@@ -73,10 +74,11 @@ def estimate_scale(
             [_about(at, middle, s / scale) + SHIFTS * (sigma, sigma, 1.0) for s in scales]
         )
         each = np.repeat(scales, len(SHIFTS))
-        found = wall_pieces(
-            reference, moving, motions, sigma, device, cancel, scales=each, points=POINTS
-        )
-        best = int(np.argmax(found.total))
+        found = score_motions(
+            reference, moving, motions, 1, device,
+            sigma=sigma, points=POINTS, scales=each, cancel=cancel,
+        )  # fmt: skip
+        best = int(np.argmax(found))
         scale, at = float(each[best]), motions[best]
     both = wall_pieces(
         reference, moving, np.stack((at, motion)), wide, device, cancel,

@@ -18,11 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.lattice import fixed_poses
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
-from slamfusion.fusion.motions import distinct, distinct_rows, invert, to_lattice
+from slamfusion.fusion.motions import distinct, distinct_rows, fixed_similarities
 from slamfusion.fusion.refine import refine, settle
 from slamfusion.fusion.shifts import COARSE_SIGMA, SearchWindow, score_shifts, shift_range
 
@@ -177,6 +176,7 @@ def score_motions(
     *,
     sigma: float,
     points: int = FINE_POINTS,
+    scales: F64 | None = None,
     cancel: CancelToken | None = None,
 ) -> F64:
     """Return the evidence (P,) for motions at a level, nats summed over cells of wall of both maps.
@@ -188,6 +188,7 @@ def score_motions(
         device: computes.
         sigma: width of a wall, cells of the level.
         points: at most this many wall points of each grid are looked at; each stands for its share.
+        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
         cancel: asked before each operation.
 
     Raises:
@@ -195,14 +196,16 @@ def score_motions(
     """
     ref, mov = reference.level(step, cancel), moving.level(step, cancel)
     local = motions / np.array([step, step, 1.0])
-    poses = to_lattice(local, (moving.centre[0] / step, moving.centre[1] / step))
+    centre = (moving.centre[0] / step, moving.centre[1] / step)
+    size = np.ones(len(motions)) if scales is None else scales
+    there, back = fixed_similarities(local, centre, size)
     total = np.zeros(len(motions))
-    for own, pose, features in ((mov, poses, reference), (ref, invert(poses), moving)):
+    for own, pose, features in ((mov, there, reference), (ref, back, moving)):
         table = features.evidence_table(step, sigma, FINE_TOP, cancel)
         field = features.field(step, table, cancel)
         sample = spread_sample(own.points, points)
         check_cancelled(cancel)
-        values = device.pose_scores(sample, fixed_poses(pose), field, table.base)
+        values = device.pose_scores(sample, pose, field, table.base)
         weight = len(own.points) / len(sample)
         total += (values - len(sample) * table.base) * (table.unit * weight)
     return total

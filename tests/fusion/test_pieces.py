@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.pieces import PIECE_M, PIECE_POINTS, WallPieces, _similarities, wall_pieces
+from slamfusion.fusion.motions import fixed_similarities
+from slamfusion.fusion.pieces import PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
 from slamfusion.fusion.search import score_motions
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.definitions import Side, landings, landings_back, look_up, side_of
@@ -154,7 +155,7 @@ def test_a_similarity_there_and_back_is_none(
     motion: tuple[float, float, float], scale: float, point: tuple[int, int]
 ) -> None:
     centre = (31.5, 20.0)
-    there, back = _similarities(np.array([motion]), centre, np.array([scale]))
+    there, back = fixed_similarities(np.array([motion]), centre, np.array([scale]))
 
     def moved(pose: np.ndarray, x2: float, y2: float) -> tuple[float, float]:
         cos, sin, x, y = pose[0] / FIXED_ONE

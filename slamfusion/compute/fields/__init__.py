@@ -54,6 +54,15 @@ class FieldDevice(ArrayDevice, Protocol):
     ) -> DeviceArray[np.uint16]:
         """See ``fields.numpy.look_up``."""
 
+    def look_up_where(
+        self,
+        values: DeviceArray[np.uint16],
+        mask: DeviceArray[np.uint8],
+        table: npt.NDArray[np.uint16],
+        otherwise: npt.NDArray[np.uint16],
+    ) -> DeviceArray[np.uint16]:
+        """See ``fields.numpy.look_up_where``."""
+
     def max_window(
         self, field: DeviceArray[np.uint8], window: int, *, along_rows: bool, fill: int
     ) -> DeviceArray[np.uint8]:

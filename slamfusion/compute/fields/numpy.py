@@ -15,6 +15,7 @@ from slamfusion.compute.layout import DISTANCE_MAX, FIELD_ONE, FREE, OCCUPIED, S
 __all__ = [
     "distance_squared",
     "look_up",
+    "look_up_where",
     "max_window",
     "score_field",
     "shrink",
@@ -114,6 +115,16 @@ def look_up(values: U16, table: U16) -> U16:
         values: any shape, uint16. table: (M,) uint16, longer than the largest value.
     """
     return np.asarray(table[values], dtype=np.uint16)
+
+
+def look_up_where(values: U16, mask: U8, table: U16, otherwise: U16) -> U16:
+    """Return ``table[values]`` where the mask is not 0, ``otherwise[values]`` elsewhere.
+
+    Args:
+        values: any shape, uint16. mask: the same shape, uint8.
+        table, otherwise: (M,) uint16, longer than the largest value.
+    """
+    return np.where(mask != 0, table[values], otherwise[values]).astype(np.uint16)
 
 
 def max_window(field: U8, window: int, *, along_rows: bool, fill: int) -> U8:

@@ -124,6 +124,21 @@ class OpenCLFields(OpenCLQueue):
         )
         return out
 
+    def look_up_where(
+        self,
+        values: DeviceArray[np.uint16],
+        mask: DeviceArray[np.uint8],
+        table: npt.NDArray[np.uint16],
+        otherwise: npt.NDArray[np.uint16],
+    ) -> DeviceArray[np.uint16]:
+        """See ``fields.numpy.look_up_where``."""
+        out = self.empty(values.shape, np.uint16)
+        cells = values.size
+        tables = (self._table(table), self._table(otherwise))
+        size = (-(-cells // RUN),)
+        self._launch("look_up_where", size, values, mask, *tables, np.int32(cells), out)
+        return out
+
     def max_window(
         self, field: DeviceArray[np.uint8], window: int, *, along_rows: bool, fill: int
     ) -> DeviceArray[np.uint8]:

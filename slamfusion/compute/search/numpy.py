@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.lattice import fixed_cells, narrow_motions
 from slamfusion.compute.layout import (
     COUNT_TERMS,
     DISTANCE_ONE,
@@ -216,7 +216,7 @@ def pose_counts(
 
 
 def pose_scores(points: I32, poses: I64, field: U8, base: int) -> I64:
-    """Return the sum of the field over the points under each pose.
+    """Return the sum of the field over the points under each pose, in 32 bits (``narrow_motions``).
 
     Args:
         points: (N, 2) int32 lattice positions, x and y in half cells.
@@ -229,9 +229,10 @@ def pose_scores(points: I32, poses: I64, field: U8, base: int) -> I64:
     """
     height, width = field.shape
     out = np.zeros(len(poses), dtype=np.int64)
-    x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
-    for p, pose in enumerate(poses):
-        row, col = fixed_cells(pose, x2, y2)
+    near, narrow, shift = narrow_motions(points, poses)
+    x2, y2 = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
+    for p, (cos, sin, x, y) in enumerate(narrow.astype(np.int64)):
+        col, row = (cos * x2 - sin * y2 + x) >> shift, (sin * x2 + cos * y2 + y) >> shift
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         known = field[row[inside], col[inside]]
         out[p] = known.sum(dtype=np.int64) + base * (len(points) - len(known))

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.lattice import narrow_motions
 from slamfusion.compute.layout import COUNT_TERMS, REFINE_TERMS, SHIFT_LANES, SHIFT_ROWS
 from slamfusion.compute.opencl_queue import OpenCLQueue
 from slamfusion.errors import DeviceError
@@ -17,6 +18,8 @@ CHUNK_POINTS = 64
 CHUNK_SCORED = 512
 CHUNK_CELLS = 4096
 CHUNK_ROWS = 16
+# Points that `pose_scores` moves at once; its rows of points start at multiples of it.
+POINT_LANES = 8
 
 
 class OpenCLSearch(OpenCLQueue):
@@ -185,15 +188,21 @@ class OpenCLSearch(OpenCLQueue):
         """See ``search.numpy.pose_scores``."""
         count, n = len(points), len(poses)
         chunks = -(-count // CHUNK_SCORED)
+        stride = -(-count // POINT_LANES) * POINT_LANES
+        planes = np.zeros((2, stride), np.int32)
+        near, narrow, shift = narrow_motions(points, poses)
+        planes[:, :count] = near.T
         partial = self.empty((n, chunks), np.int32)
+        before = [np.int32(v) for v in (count, stride)]
         sizes = [np.int32(v) for v in (*field.shape, base, CHUNK_SCORED, chunks)]
         self._launch(
             "pose_scores",
             (chunks, n),
-            self.upload(points),
-            np.int32(count),
-            self.upload(poses),
+            self.upload(planes),
+            *before,
+            self.upload(narrow),
             np.int32(n),
+            np.int32(shift),
             field,
             *sizes,
             partial,

@@ -49,6 +49,12 @@ def _score_field(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, [field])
 
 
+def _look_up_where(device: ComputeDevice, sample: Sample) -> Arrays:
+    distance2, mask = device.upload(sample.distance2), device.upload(sample.walls)
+    tables = (DISTANCE_TABLE, DISTANCE_TABLE[::-1].copy())
+    return [device.download(device.look_up_where(distance2, mask, *tables))]
+
+
 def _look_up(device: ComputeDevice, sample: Sample) -> Arrays:
     distance2 = device.upload(sample.distance2)
     return [device.download(device.look_up(distance2, DISTANCE_TABLE))]
@@ -222,6 +228,7 @@ GRID_CHECKS: dict[str, Check] = {
     "shrink": _shrink,
     "distance_squared": _distance_squared,
     "look_up": _look_up,
+    "look_up_where": _look_up_where,
     "score_field": _score_field,
     "max_window": _max_window,
     "warp": _warp,

@@ -1,0 +1,54 @@
+"""Fixed-point motions: the 32 bit ones read the cells that the 64 bit ones read, and fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.compute.lattice import fixed_cells, fixed_poses, narrow_motions
+
+# Cells; a lattice position is twice as long.
+SIDES = st.integers(1, 16_000)
+
+
+@given(SIDES, st.integers(0, 2**32 - 1))
+def test_narrow_motions_fit_and_read_the_same_place(side: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.integers(0, 2 * side, (64, 2)).astype(np.int32)
+    poses = fixed_poses(rng.uniform((-side, -side, -4.0), (2 * side, 2 * side, 4.0), (16, 3)))
+    near, narrow, shift = narrow_motions(points, poses)
+    assert narrow.dtype == np.int32
+    x2, y2 = points.astype(np.int64).T
+    near_x, near_y = near.astype(np.int64).T
+    # Half a unit for each number of a pose.
+    allowed = (side + 1.5) * 2.0**-shift
+    assert allowed <= 1e-3 * max(1.0, side / 500.0) ** 2
+    for pose, (cos, sin, x, y) in zip(poses, narrow.astype(np.int64), strict=True):
+        col, row = cos * near_x - sin * near_y + x, sin * near_x + cos * near_y + y
+        assert max(np.abs(col).max(), np.abs(row).max()) < 2**31
+        # The nearest cell centre is half a cell away: compare places, not cells.
+        wide_x = (pose[0] * x2 - pose[1] * y2 + pose[2]) / 2.0**31
+        wide_y = (pose[1] * x2 + pose[0] * y2 + pose[3]) / 2.0**31
+        assert np.abs(col / 2.0**shift - wide_x).max() <= allowed
+        assert np.abs(row / 2.0**shift - wide_y).max() <= allowed
+
+
+def test_narrow_motions_keep_the_cells_of_a_small_map() -> None:
+    """Where no point comes near a cell's edge both read the same cells."""
+    side = 200
+    points = (2 * np.stack(np.indices((side, side)), axis=-1).reshape(-1, 2) + 1).astype(np.int32)
+    poses = fixed_poses([(0.0, 0.0, 0.0), (3.0, -7.0, np.pi / 2.0), (50.25, 20.25, np.pi)])
+    near, narrow, shift = narrow_motions(points, poses)
+    x2, y2 = points.astype(np.int64).T
+    near_x, near_y = near.astype(np.int64).T
+    for pose, (cos, sin, x, y) in zip(poses, narrow.astype(np.int64), strict=True):
+        row, col = fixed_cells(pose, x2, y2)
+        np.testing.assert_array_equal((cos * near_x - sin * near_y + x) >> shift, col)
+        np.testing.assert_array_equal((sin * near_x + cos * near_y + y) >> shift, row)
+
+
+def test_no_points_have_narrow_motions_too() -> None:
+    _, narrow, shift = narrow_motions(np.zeros((0, 2), np.int32), fixed_poses((1.0, 2.0, 0.5)))
+    assert narrow.shape == (1, 4)
+    assert shift > 0
