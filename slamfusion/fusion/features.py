@@ -219,7 +219,8 @@ class GridFeatures:
             known = self.device.download(level.free) / np.float32(FIELD_ONE)
             np.maximum(known, self.device.download(level.wall), out=known)
             distance2 = self.device.download(level.distance2).ravel()
-            self._known_distances[step] = np.bincount(distance2, weights=known.ravel())
+            counts = np.bincount(distance2, weights=known.ravel())
+            self._known_distances[step] = np.asarray(counts, dtype=np.float64)
         return self._known_distances[step]
 
     def pieces(
