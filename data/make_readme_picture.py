@@ -22,7 +22,7 @@ DATA = Path(__file__).resolve().parent
 NAMES = ("map_a", "map_b", "map_c")
 # Blue, green, red in OpenCV's order; legible to most colour-blind eyes, and dark where all agree.
 COLOURS = ((178, 114, 0), (115, 158, 0), (0, 94, 213))
-HEIGHT, GAP, CAPTION = 260, 20, 34
+HEIGHT, GAP, CAPTION = 220, 16, 34
 
 Picture = npt.NDArray[np.uint8]
 
