@@ -27,7 +27,7 @@ LONGEST = (
     "launch/test_slamfusion_sh.py",
     "slam/graph/test_slam.py",
     "launch/test_colcon.py",
-    "cli/test_readme.py",
+    "docs/test_pages.py",
     "ros/test_fusion_together.py",
     "slam/graph/test_lost_robot.py",
     "ros/test_launch_script.py",

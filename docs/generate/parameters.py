@@ -1,11 +1,7 @@
-"""The README's tables, from settings and nodes: ``python -m slamfusion.cli.readme``."""
+"""Tables of the settings, from the configuration's fields."""
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-from slamfusion.cli import ros_tables
 from slamfusion.cli.options import (
     ConfigOption,
     config_fields,
@@ -16,7 +12,7 @@ from slamfusion.cli.options import (
 from slamfusion.config import FieldInfo, RunConfig
 from slamfusion.slam.registry import producer, with_producers
 
-__all__ = ["gmapping_table", "parameter_table", "with_tables"]
+__all__ = ["TABLES", "gmapping_table", "parameter_table"]
 
 # Sections that no command has as options: the fusion node has them as parameters.
 NODE_SECTIONS = ("live",)
@@ -44,19 +40,8 @@ def gmapping_table() -> str:
     return "\n".join(lines)
 
 
-# What stands between the marks of each table.
+# Each table by the name of its part.
 TABLES = {"parameters": parameter_table, "gmapping parameters": gmapping_table}
-
-
-def with_tables(readme: str) -> str:
-    """Return the README with the tables between their marks brought up to date."""
-    for name, table in TABLES.items():
-        begin = f"<!-- {name}: written by `python -m slamfusion.cli.readme` -->"
-        end = f"<!-- end of {name} -->"
-        before, rest = readme.split(begin, 1)
-        after = rest.split(end, 1)[1]
-        readme = f"{before}{begin}\n\n{table()}\n\n{end}{after}"
-    return ros_tables.with_tables(readme)
 
 
 def _row(option: ConfigOption) -> str:
@@ -81,13 +66,3 @@ def _range(info: FieldInfo) -> str:
     if info.high is not None:
         return f"at most {info.high:.4g}"
     return {bool: "yes, no", str: "text"}.get(info.kind, "")
-
-
-def main(path: Path) -> None:
-    """Rewrite the tables in a README."""
-    text = path.read_text(encoding="utf-8")
-    path.write_text(with_tables(text), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "README.md"))

@@ -1,17 +1,14 @@
-"""What the ROS nodes have: topics, services and parameters, for the README and the launch files.
+"""What the ROS nodes have: topics, services and parameters, for the pages and the launch files.
 
-``python -m slamfusion.cli.ros_tables`` rewrites ``launch_scripts/slamfusion.yaml`` and, where the
-README has their marks, its tables and its picture of the nodes. Nothing here needs ROS; a test
-holds the lists against the running nodes.
+Tables and a picture for the pages, and the text of ``launch_scripts/slamfusion.yaml``. Nothing here
+needs ROS; a test holds the lists against the running nodes.
 """
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -46,12 +43,10 @@ __all__ = [
     "parameter_table",
     "service_table",
     "topic_table",
-    "with_tables",
 ]
 
 PRODUCERS = BUILT_IN
 NODES = (*PRODUCERS, "fusion", "player")
-LAUNCH_SCRIPTS = Path(__file__).resolve().parents[2] / "launch_scripts"
 
 
 @dataclass(frozen=True)
@@ -335,7 +330,7 @@ def parameter_table() -> str:
     """Return a Markdown table of the parameters that are the nodes' own.
 
     Those of the sections (``tinyslam.``, ``live.``, ...) have the names of the configuration, whose
-    table the README has too.
+    table stands beside this one.
     """
     lines = ["| node | parameter | default | range | what |", "| --- | --- | --- | --- | --- |"]
     for title, node in (("producers", PRODUCERS[0]), ("fusion", "fusion"), ("player", "player")):
@@ -352,7 +347,7 @@ def parameter_table() -> str:
     return "\n".join(lines)
 
 
-# What stands between the marks of each table and of the picture.
+# Tables and picture by the names of their parts.
 TABLES = {
     "ROS nodes": node_graph,
     "ROS topics": topic_table,
@@ -361,23 +356,13 @@ TABLES = {
 }
 
 
-def with_tables(readme: str) -> str:
-    """Return a README with the tables between their marks up to date; without marks as it is."""
-    for name, table in TABLES.items():
-        begin = f"<!-- {name}: written by `python -m slamfusion.cli.ros_tables` -->"
-        end = f"<!-- end of {name} -->"
-        if begin in readme:
-            before, rest = readme.split(begin, 1)
-            readme = f"{before}{begin}\n\n{table()}\n\n{end}{rest.split(end, 1)[1]}"
-    return readme
-
-
 HEAD = """\
-# Parameters of every node, at their defaults; written by `python -m slamfusion.cli.ros_tables`.
+# Parameters of every node, at their defaults; written by `python -m docs.generate`.
 # Copy this file, change what your robot needs, leave out the rest, and name the copy with
 # slamfusion.sh --params FILE, ros2 launch ... params_file:=FILE or --ros-args --params-file FILE.
 # Each key holds for the node of this name in every namespace. A line that is commented out is left
-# open: the words above it, or its profile, say what holds then. Expert settings: see the README.
+# open: the words above it, or its profile, say what holds then. The expert settings stand in
+# docs/reference/parameters.md.
 """
 
 
@@ -467,14 +452,3 @@ def _range(option: ConfigOption) -> str:
 
 def _row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-
-def main(readme: Path) -> None:
-    """Rewrite the parameter file, and the tables of a README."""
-    (LAUNCH_SCRIPTS / "slamfusion.yaml").write_text(parameter_file(), encoding="utf-8")
-    text = readme.read_text(encoding="utf-8")
-    readme.write_text(with_tables(text), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "README.md"))

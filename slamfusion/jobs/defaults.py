@@ -9,7 +9,7 @@ from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 __all__ = ["RUN_DEFAULTS"]
 
 # Of ``run_log``. On recorded and simulated drives the consensus is nearest to the truth and doubles
-# no walls; see the README.
+# no walls; see docs/concepts/voting.md.
 RUN_DEFAULTS = replace(
     RunConfig(), fusion=replace(FusionConfig(), vote=replace(VoteConfig(), mode="consensus"))
 )

@@ -1,4 +1,4 @@
-"""The README: its table is the configuration's, its commands run, its links lead somewhere."""
+"""README and pages: generated parts are the code's, commands run, links lead somewhere."""
 
 from __future__ import annotations
 
@@ -10,29 +10,48 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
+import yaml
 
-from slamfusion.cli.main import COMMANDS
-from slamfusion.cli.readme import TABLES, gmapping_table, parameter_table, with_tables
-from slamfusion.cli.ros_tables import TABLES as ROS_TABLES
-from slamfusion.config import GMAPPING_PROFILES, GmappingConfig, field_infos
+from docs.generate.marks import COMMAND, DOCS, PARTS, pages, with_parts
+from docs.generate.parameters import gmapping_table, parameter_table
+from slamfusion.cli.main import COMMANDS, cli
+from slamfusion.config import GMAPPING_PROFILES, FusionNodeConfig, GmappingConfig, field_infos
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map
 from slamfusion.jobs.doctor import INSTALL
 from tests.cli.command import ROOT, run
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages()}
 # Of a simulated log, a line for each scan and one for its odometry.
 MOST_LINES = 1000
+README_LINES = 150
 
 
-def blocks() -> list[list[str]]:
-    """The ``slamfusion ...`` commands of each bash block, continued lines joined."""
-    found = re.findall(r"```bash\n(.*?)```", README, flags=re.DOTALL)
+def fenced(kind: str) -> list[tuple[str, str]]:
+    """Page and text of each fenced block of a kind, without its indentation."""
+    fence = re.compile(rf"^( *)```{kind}\n(.*?)^\1```$", flags=re.DOTALL | re.MULTILINE)
     return [
-        [line for line in block.replace("\\\n", " ").splitlines() if line.startswith("slamfusion ")]
-        for block in found
+        (name, re.sub(f"^{found[1]}", "", found[2], flags=re.MULTILINE))
+        for name, text in PAGES.items()
+        for found in fence.finditer(text)
     ]
+
+
+def commands(block: str) -> list[str]:
+    """The ``slamfusion ...`` commands of a block, continued lines joined."""
+    lines = block.replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.startswith("slamfusion ")]
+
+
+# Each block once: README's stand on pages too.
+RUN = {block: name for name, block in reversed(fenced("bash"))}
+SHOWN = [
+    pytest.param(command, id=f"{name}: {command[:50]}")
+    for name, block in fenced("")
+    for command in commands(block)
+]
 
 
 def shorten(folder: Path) -> None:
@@ -42,16 +61,27 @@ def shorten(folder: Path) -> None:
         path.write_bytes(gzip.compress(b"".join(lines[:MOST_LINES])))
 
 
-def test_parameter_tables_are_up_to_date() -> None:
-    assert with_tables(README) == README, "run: python -m slamfusion.cli.readme"
+@pytest.mark.parametrize("name", PAGES)
+def test_generated_parts_are_up_to_date(name: str) -> None:
+    assert with_parts(PAGES[name]) == PAGES[name], f"run: {COMMAND}"
 
 
-@pytest.mark.parametrize("name", TABLES | ROS_TABLES)
-def test_a_table_that_is_behind_is_noticed(name: str) -> None:
-    table = (TABLES | ROS_TABLES)[name]()
-    assert table in README
-    row = table.splitlines()[-1]
-    assert with_tables(README.replace(table, table.removesuffix(row))) == README
+@pytest.mark.parametrize("name", PARTS)
+def test_a_part_that_is_behind_is_noticed(name: str) -> None:
+    part = PARTS[name]()
+    (page,) = (text for text in PAGES.values() if f"<!-- {name}: written by" in text)
+    assert part in page
+    row = part.splitlines()[-1]
+    assert with_parts(page.replace(part, part.removesuffix(row))) == page
+
+
+def test_a_part_that_nothing_writes_is_refused() -> None:
+    with pytest.raises(KeyError, match="weather"):
+        with_parts(f"<!-- weather: written by `{COMMAND}` -->\n<!-- end of weather -->")
+
+
+def test_the_readme_is_short() -> None:
+    assert len(PAGES["README.md"].splitlines()) <= README_LINES
 
 
 def test_the_table_of_gmapping_has_both_profiles() -> None:
@@ -74,17 +104,19 @@ def test_the_table_of_gmapping_has_both_profiles() -> None:
 
 
 def test_there_are_commands_to_run() -> None:
-    assert sum(map(len, blocks())) >= 8
-    assert all(blocks())
+    assert sum(len(commands(block)) for block in RUN) >= 8
+    assert all(commands(block) for block in RUN)
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("block", blocks(), ids=lambda block: block[0].split()[1])
+@pytest.mark.parametrize(
+    "block", RUN, ids=lambda block: f"{RUN[block]}: {commands(block)[0].split()[1]}"
+)
 def test_commands_run_on_the_bundled_data(
-    tmp_path: Path, block: list[str], request: pytest.FixtureRequest
+    tmp_path: Path, block: str, request: pytest.FixtureRequest
 ) -> None:
     shutil.copytree(ROOT / "data", tmp_path / "data")
-    for command in block:
+    for command in commands(block):
         done = run(*shlex.split(command)[1:], cwd=tmp_path, is_anew=True)
         assert done.returncode == 0, done.stderr
         assert done.stderr == ""
@@ -93,10 +125,44 @@ def test_commands_run_on_the_bundled_data(
             shorten(tmp_path)
 
 
+@pytest.mark.parametrize("command", SHOWN)
+def test_a_command_for_data_of_the_reader_names_options_that_are_there(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = shlex.split(command, comments=True)[1:]
+    monkeypatch.chdir(tmp_path)
+    for word in words:  # the reader's files
+        if "." in word or word.isupper() or word.endswith("part1"):
+            (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / word).touch()
+    parse(cli, words)
+
+
+def parse(command: click.Command, words: list[str]) -> None:
+    """Read a command line as it would be read, and run nothing.
+
+    Raises:
+        click.UsageError: an option or a subcommand is not there, or has a wrong value.
+    """
+    if words[0] == "node":
+        words = words[: words.index("--ros-args")] if "--ros-args" in words else words
+    context = command.make_context(command.name, list(words))
+    if isinstance(command, click.Group):
+        rest = [*context._protected_args, *context.args]
+        _, found, left = command.resolve_command(context, rest)
+        assert found is not None
+        parse(found, left)
+
+
+@pytest.mark.parametrize("command", ["slamfusion fuse a.yaml --speed 9", "slamfusion fly"])
+def test_a_command_that_is_not_there_is_noticed(command: str) -> None:
+    with pytest.raises(click.UsageError):
+        parse(cli, shlex.split(command)[1:])
+
+
 @pytest.mark.parametrize("written", ["fused_live", "fused_library"])
 def test_a_program_runs_on_the_bundled_data(tmp_path: Path, written: str) -> None:
-    programs = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    (program,) = (text for text in programs if written in text)
+    (program,) = (text for _, text in fenced("python") if written in text)
     shutil.copytree(ROOT / "data", tmp_path / "data")
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -106,11 +172,23 @@ def test_a_program_runs_on_the_bundled_data(tmp_path: Path, written: str) -> Non
     assert found == pytest.approx((truth.cells == OCCUPIED).sum(), rel=0.5)
 
 
+def test_nav2_is_told_our_topic_and_frames() -> None:
+    ((_, example),) = ((name, text) for name, text in fenced("yaml") if name.endswith("nav2.md"))
+    told = yaml.safe_load(example)
+    costmap = told["global_costmap"]["global_costmap"]["ros__parameters"]
+    node = FusionNodeConfig()
+    assert costmap["global_frame"] == node.fused_frame
+    assert told["bt_navigator"]["ros__parameters"]["global_frame"] == node.fused_frame
+    assert costmap["robot_base_frame"] == node.base_frame
+    assert costmap["static_layer"]["map_topic"] == "/fused/map"
+    assert costmap["static_layer"]["map_subscribe_transient_local"] is True
+
+
 def test_every_command_and_driver_is_listed() -> None:
     for command in COMMANDS:
-        assert f"| `{command.name}" in README
+        assert f"| `{command.name}" in PAGES["docs/reference/command_line.md"]
     for device, line in INSTALL.items():
-        assert f"| {device} | {line} |" in README
+        assert f"| {device} | {line} |" in PAGES["docs/install.md"]
 
 
 def test_a_setting_that_no_command_takes_is_not_shown_as_an_option() -> None:
@@ -119,11 +197,44 @@ def test_a_setting_that_no_command_takes_is_not_shown_as_an_option() -> None:
     assert rows["`fusion.vote.extent`"] == "| `--extent`"
 
 
-def test_links_lead_to_files_and_headings() -> None:
-    headings = re.findall(r"^#+ (.*)$", README, flags=re.MULTILINE)
-    anchors = {"#" + re.sub(r"[^\w -]", "", head).lower().replace(" ", "-") for head in headings}
-    for target in re.findall(r"\]\(([^)]+)\)", README):
-        if target.startswith("#"):
-            assert target in anchors, target
-        elif "://" not in target:
-            assert (ROOT / target).exists(), target
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub and the built pages make them."""
+    heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", head).lower().replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_to_files_and_headings(name: str) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", PAGES[name]):
+        if "://" not in target:
+            path, _, anchor = target.partition("#")
+            page = (ROOT / name).parent / path if path else ROOT / name
+            assert page.exists(), target
+            assert not anchor or anchor in anchors(page), target
+
+
+def test_what_newcomers_ask_is_found_from_the_first_page() -> None:
+    for name in ("README.md", "docs/index.md"):
+        page = PAGES[name]
+        for words, target in {
+            "overlap": "concepts/alignment.md#how-much-overlap-do-two-maps-need",
+            "two robots": "guides/two_robots.md",
+            "nav2": "guides/nav2.md",
+            "vote": "concepts/voting.md#which-vote",
+            "start": "guides/fuse_saved_maps.md#start-poses",
+            "paper": "guides/tables_for_a_paper.md",
+            "localise": "guides/localise.md",
+        }.items():
+            (line,) = (row for row in page.splitlines() if row.startswith("|") and target in row)
+            assert words in line.lower(), (name, target)
+
+
+def test_every_page_is_in_the_contents() -> None:
+    listed = set()
+    for name, text in PAGES.items():
+        for block in re.findall(r"```\{toctree\}\n(.*?)```", text, flags=re.DOTALL):
+            rows = [row for row in block.splitlines() if row and not row.startswith(":")]
+            listed |= {((ROOT / name).parent / f"{row}.md").resolve() for row in rows}
+    assert listed == {path for path in DOCS.rglob("*.md") if "_build" not in path.parts} - {
+        DOCS / "index.md"
+    }

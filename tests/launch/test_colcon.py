@@ -12,8 +12,8 @@ from xml.dom import minidom
 
 import pytest
 
+from docs.generate.ros import NODES
 from slamfusion import __version__
-from slamfusion.cli.ros_tables import NODES
 from tests.cli.command import ROOT
 
 if TYPE_CHECKING:

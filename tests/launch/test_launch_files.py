@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from slamfusion.cli.ros_tables import NAME_LISTS, NODES, PRODUCERS, TOPICS, node_parameters
+from docs.generate.ros import NAME_LISTS, NODES, PRODUCERS, TOPICS, node_parameters
 from tests.cli.command import ROOT
 from tests.launch.launch_reader import declared, started
 

@@ -16,7 +16,7 @@ from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from slamfusion.cli.ros_tables import (
+from docs.generate.ros import (
     MAP,
     NAME_LISTS,
     PRODUCERS,

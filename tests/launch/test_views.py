@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from slamfusion.cli.ros_tables import PRODUCERS, SERVICES, TOPICS, node_graph
+from docs.generate.ros import PRODUCERS, SERVICES, TOPICS, node_graph
 from slamfusion.config import FusionNodeConfig
 from tests.cli.command import ROOT
 

@@ -1,0 +1,1 @@
+"""The documentation: pages for Sphinx, and ``docs.generate``, which writes what they repeat."""

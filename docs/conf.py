@@ -1,0 +1,43 @@
+"""How Sphinx builds these pages, without network: ``python -m sphinx -W -b html docs out/docs``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from slamfusion.version import __version__
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+project = "SLAMfusion"
+author = "The SLAMfusion developers"
+copyright = author  # noqa: A001  # Sphinx asks for this name
+version = release = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build", "generate"]
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence"]
+
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_mock_imports = ["rclpy"]
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_custom_sections = [("Source", "params_style"), "Units"]
+
+html_theme = "furo"
+html_title = f"SLAMfusion {release}"
+html_copy_source = False
+html_show_sourcelink = False
+
+
+def setup(app: Sphinx) -> None:
+    """Show pictures in Mermaid's language, which GitHub draws, as the text they are."""
+    from pygments.lexers.special import TextLexer  # noqa: PLC0415
+
+    app.add_lexer("mermaid", TextLexer)

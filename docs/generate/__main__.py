@@ -1,0 +1,20 @@
+"""Bring every generated file up to date: ``python -m docs.generate``."""
+
+from __future__ import annotations
+
+from docs.generate.marks import ROOT, pages, with_parts
+from docs.generate.ros import parameter_file
+
+
+def main() -> None:
+    """Rewrite the parts of README and pages, and the nodes' parameter file."""
+    wanted = {path: with_parts(path.read_text(encoding="utf-8")) for path in pages()}
+    wanted[ROOT / "launch_scripts" / "slamfusion.yaml"] = parameter_file()
+    for path, text in wanted.items():
+        if path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+            print(f"wrote {path.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()

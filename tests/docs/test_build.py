@@ -1,0 +1,72 @@
+"""The pages build without a warning and without network, and can be searched."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from docs.generate.marks import DOCS
+from tests.cli.command import ROOT
+
+if sys.version_info < (3, 11):
+    pytest.skip("the docs extra needs Python 3.11", allow_module_level=True)
+pytest.importorskip("sphinx", reason="Sphinx is absent: install the extra docs")
+pytest.importorskip("myst_parser", reason="MyST is absent: install the extra docs")
+pytest.importorskip("furo", reason="furo is absent: install the extra docs")
+
+# In the build's own process: whoever asks for an address fails.
+OFFLINE = """
+import socket, sys
+def refuse(*_, **__):
+    raise OSError("the build asks the network")
+socket.getaddrinfo = refuse
+socket.socket.connect = refuse
+from sphinx.cmd.build import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("html")
+    words = ["-W", "--keep-going", "-q", "-E", "-b", "html", "-d", str(folder / "trees")]
+    command = [sys.executable, "-c", OFFLINE, *words, str(DOCS), str(folder / "html")]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return folder / "html"
+
+
+def test_every_page_is_built(built: Path):
+    for page in DOCS.rglob("*.md"):
+        assert (built / page.relative_to(DOCS)).with_suffix(".html").is_file(), page
+
+
+@pytest.mark.parametrize(
+    ("word", "page"),
+    [
+        ("overlap", "concepts/alignment"),
+        ("nav2", "guides/nav2"),
+        ("resamplethreshold", "concepts/gmapping"),
+        ("fused_map", "reference/ros"),
+    ],
+)
+def test_the_pages_can_be_searched(built: Path, word: str, page: str):
+    assert (built / "search.html").is_file()
+    text = (built / "searchindex.js").read_text(encoding="utf-8")
+    index = json.loads(text.removeprefix("Search.setIndex(").removesuffix(")"))
+    found = [index[kind][word] for kind in ("terms", "titleterms") if word in index[kind]]
+    numbers = {number for item in found for number in (item if isinstance(item, list) else [item])}
+    assert page in {index["docnames"][number] for number in numbers}
+
+
+def test_a_page_asks_for_nothing_from_elsewhere(built: Path):
+    """What a page loads (scripts, styles, pictures, fonts) lies beside it."""
+    for page in built.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        for part in ('src="http', 'src="//', 'rel="stylesheet" href="http'):
+            assert part not in text, page
