@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from slamfusion.compute.cell_means import CellMeanDevice
 from slamfusion.compute.cell_means import numpy as cell_means
+from slamfusion.compute.chunk_marks import ChunkMarkDevice
+from slamfusion.compute.chunk_marks import numpy as chunk_marks
 from slamfusion.compute.fields import FieldDevice
 from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.hit_counts import HitCountDevice
@@ -40,6 +42,7 @@ FAMILIES: dict[str, type] = {
     "scan_match": ScanMatchDevice,
     "cell_means": CellMeanDevice,
     "hit_counts": HitCountDevice,
+    "chunk_marks": ChunkMarkDevice,
 }
 
 
@@ -52,6 +55,7 @@ class ComputeDevice(
     ScanMatchDevice,
     CellMeanDevice,
     HitCountDevice,
+    ChunkMarkDevice,
     Protocol,
 ):
     """What a compute device must offer: all families."""
@@ -115,6 +119,9 @@ class NumpyDevice:
     touch_pages = _twin(hit_counts.touch_pages)
     count_beams = _twin(hit_counts.count_beams)
     settle_field = _twin(hit_counts.settle_field)
+
+    mark_chunks = _twin(chunk_marks.mark_chunks)
+    nearest_marks = _twin(chunk_marks.nearest_marks)
 
     @staticmethod
     def upload(array: npt.NDArray[Any]) -> Any:

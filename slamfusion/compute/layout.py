@@ -24,6 +24,7 @@ likelihood word       value (8 bits) above 1 bit that says that there is one, ui
 cell mean             mean (20 bits) above observations (12 bits), uint32
 hit count             hits (16 bits) above visits (16 bits), hits included, uint32
 hit sum               sum of the hits' offsets in the cell in x (16 bits) above that in y, uint32
+chunk mark            one bit for each of up to 32 chunks of a drive, uint32
 ====================  ==========================================================================
 """
 
@@ -42,13 +43,17 @@ __all__ = [
     "DISTANCE_TABLE",
     "DISTANCE_UNSEEN",
     "EACH_LANE",
+    "FACINGS",
+    "FACINGS_ALIKE",
     "FIXED_ONE",
     "FULL_HITS",
     "FULL_VISITS",
     "KERNEL_CONSTANTS",
+    "MARK_REACH_MAX",
     "MEAN_HALF",
     "MEAN_SHIFT",
     "MOST_BEAMS",
+    "MOST_CHUNKS",
     "MOST_INPUTS",
     "MOST_OBSERVATIONS",
     "MOST_REACH",
@@ -209,6 +214,17 @@ OFFSET_HALF: Final = 8
 # Shares of visits count in 1/65536.
 SHARE_ONE: Final = 1 << 16
 
+# -- chunk marks -----------------------------------------------------------------------------------
+
+# Chunks of a drive that a word has bits for.
+MOST_CHUNKS: Final = 32
+# Directions that a hit surface faces, and of how many a hit is looked for: all but those that face
+# away. The other face of a thin wall is no sign of this one.
+FACINGS: Final = 8
+FACINGS_ALIKE: Final = 5
+# Hits are looked for at most this many cells around; farther squares flow over.
+MARK_REACH_MAX: Final = 16
+
 # -- what the kernels get --------------------------------------------------------------------------
 
 _FOR_KERNELS: Final = (
@@ -227,6 +243,7 @@ _FOR_KERNELS: Final = (
     *("HITS_SHIFT", "VISITS_MASK", "SUM_SHIFT", "SUM_MASK", "FULL_VISITS", "FULL_HITS"),
     *("MOST_REACH", "OFFSET_SHIFT", "OFFSET_ONE", "OFFSET_HALF"),
     *("CELL_SHIFT", "CELL_HALF", "SHARE_ONE"),
+    *("FACINGS", "FACINGS_ALIKE"),
 )
 # By name, what stands in the kernels under the same name.
 KERNEL_CONSTANTS: Final[dict[str, int]] = {name: int(globals()[name]) for name in _FOR_KERNELS}

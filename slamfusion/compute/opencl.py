@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slamfusion.compute.cell_means.opencl import OpenCLCellMeans
+from slamfusion.compute.chunk_marks.opencl import OpenCLChunkMarks
 from slamfusion.compute.fields.opencl import OpenCLFields
 from slamfusion.compute.hit_counts.opencl import OpenCLHitCounts
 from slamfusion.compute.rays.opencl import OpenCLRays
@@ -23,6 +24,7 @@ class OpenCLDevice(
     OpenCLScanMatch,
     OpenCLCellMeans,
     OpenCLHitCounts,
+    OpenCLChunkMarks,
 ):
     """``ComputeDevice`` on one OpenCL device.
 

@@ -11,7 +11,15 @@ import numpy.typing as npt
 from slamfusion.compute.cell_means import LikelihoodRule, ScanRule
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan, FieldRule
-from slamfusion.compute.layout import BEAM_ONE, CLIMBERS, FULL_HITS, FULL_VISITS, TILE, UNSEEN
+from slamfusion.compute.layout import (
+    BEAM_ONE,
+    CLIMBERS,
+    FACINGS,
+    FULL_HITS,
+    FULL_VISITS,
+    TILE,
+    UNSEEN,
+)
 from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
 
 __all__ = ["MAP_CHECKS"]
@@ -302,6 +310,46 @@ def _settle_field(device: ComputeDevice, sample: Sample) -> Arrays:
     return fetch(device, results)
 
 
+def _marks(sample: Sample) -> tuple[Arrays, Arrays]:
+    """Return a map with some marks (hits, seen, pages), and beams in and beyond its window.
+
+    Of the beams: places, facings, and bits of chunks.
+    """
+    pages, tiles = _window(sample)
+    rng = sample.rng
+    pools = []
+    for shape in ((tiles, FACINGS, TILE, TILE), (tiles, TILE, TILE)):
+        pool = ((rng.random(shape) < 0.1) * (1 << rng.integers(0, 32, shape))).astype(np.uint32)
+        pool[0] = 0
+        pools.append(pool)
+    count = 7 + sum(sample.shape) // 3
+    size = np.tile(np.array(pages.shape[::-1]) * TILE, 2)
+    places = (rng.uniform(-0.1, 1.1, (count, 4)) * size + min(sample.away, 1000.0)) * BEAM_ONE
+    places[0, 2:] = places[0, :2]
+    facings = rng.integers(0, FACINGS, count).astype(np.int32)
+    bits = (1 << rng.integers(0, 32, count)).astype(np.uint32)
+    return [*pools, pages], [places.astype(np.int32), facings, bits]
+
+
+def _mark_chunks(device: ComputeDevice, sample: Sample) -> Arrays:
+    marks, beams = _marks(sample)
+    hits, seen, pages = (device.upload(array) for array in marks)
+    places, facings, bits = (device.upload(array) for array in beams)
+    device.mark_chunks(hits, seen, pages, places, facings, bits)
+    return fetch(device, (hits, seen))
+
+
+def _nearest_marks(device: ComputeDevice, sample: Sample) -> Arrays:
+    marks, beams = _marks(sample)
+    hits, seen, pages = (device.upload(array) for array in marks)
+    places, facings = (device.upload(array) for array in beams[:2])
+    words = beams[2]
+    return [
+        device.nearest_marks(hits, seen, pages, places, facings, device.upload(left_out), reach)
+        for left_out, reach in ((words | words >> 1, 4), (0 * words, 0), (~words, 16))
+    ]
+
+
 MAP_CHECKS: dict[str, Check] = {
     "extend": _extend,
     "score_poses": _score_poses,
@@ -317,4 +365,6 @@ MAP_CHECKS: dict[str, Check] = {
     "take_tiles": _take_tiles,
     "count_beams": _count_beams,
     "settle_field": _settle_field,
+    "mark_chunks": _mark_chunks,
+    "nearest_marks": _nearest_marks,
 }

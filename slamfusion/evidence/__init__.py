@@ -1,0 +1,23 @@
+"""What the scans say of paths without a truth: predictive consistency, comparisons, the verdict.
+
+``score_paths`` scores each path by how well what was seen at other times predicts what was seen
+now, with beams, chunks and stamps that no path has a say in; ``PathEvidence.compare`` tells better
+paths from those that cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from slamfusion.evidence.beams import JudgedScans, judged_scans
+from slamfusion.evidence.predictive import Comparison, PathEvidence, PathScore, score_paths
+from slamfusion.evidence.stamps import CoveredPath, cover_stamps
+
+__all__ = [
+    "Comparison",
+    "CoveredPath",
+    "JudgedScans",
+    "PathEvidence",
+    "PathScore",
+    "cover_stamps",
+    "judged_scans",
+    "score_paths",
+]

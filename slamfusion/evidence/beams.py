@@ -1,0 +1,147 @@
+"""``JudgedScans``: the scans, beams and chunks that paths are scored on, fixed once for all paths.
+
+Nothing here depends on a path: chunks are equal numbers of scans in the order of time, and where
+there are more hits than are needed, every k-th is kept, each scan beginning elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import LogError
+from slamfusion.io import LogScan
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["CHUNKS", "JudgedScans", "judged_scans"]
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+# Parts of a drive that are predicted by the others.
+CHUNKS = 24
+# Hits that are judged, and drawn, at most: they say as much as ten times as many.
+MOST_HITS = 300_000
+# Hits this near to each other, metres, and this many beams apart are on one surface.
+BESIDE_M = 0.3
+MOST_BESIDE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedScans:
+    """The scans of a drive as every path is scored on them.
+
+    Attributes:
+        stamps_s: (N,) float64, times of the scans, seconds, strictly rising.
+        chunks: (N,) int64, the chunk of each scan, 0 to ``CHUNKS`` - 1, never falling.
+        odometry: (N, 3) float64, pose of the robot's base in the odometry frame at each scan,
+            metres and radians; None where a scan has none.
+        lasers: (N, 2) float64, the laser of each scan in the robot's base frame, metres.
+        hits: (B, 2) float64, ends of the judged beams in the robot's base frame, metres.
+        facings_rad: (B,) float64, the direction that the surface faces that each hit, in the
+            robot's base frame; see ``surface_facings``.
+        hit_scans: (B,) int64, the scan of each, never falling.
+        hits_total: hits of the scans, judged or not.
+    """
+
+    stamps_s: F64
+    chunks: I64
+    odometry: F64 | None
+    lasers: F64
+    hits: F64
+    facings_rad: F64
+    hit_scans: I64
+    hits_total: int
+
+    def __len__(self) -> int:
+        """Scans."""
+        return len(self.stamps_s)
+
+    def odometry_path(self) -> Trajectory | None:
+        """Return the odometry as a path; None where there is none."""
+        if self.odometry is None:
+            return None
+        return Trajectory(self.stamps_s, self.odometry, "odometry")
+
+
+def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
+    """Choose what paths of a drive are scored on.
+
+    Args:
+        scans: of a log, in the order of time.
+        most_hits: beams that are judged at most; of more, every k-th hit of each scan.
+
+    Raises:
+        LogError: fewer scans with a hit than there are chunks.
+    """
+    stamps, lasers, odometry = [], [], []
+    points: list[F64] = []
+    facings: list[F64] = []
+    for item in scans:
+        ends = item.scan.points()
+        if not len(ends):
+            continue
+        stamps.append(item.scan.stamp_s)
+        lasers.append((item.scan.mount.x, item.scan.mount.y))
+        pose = item.odometry
+        odometry.append(None if pose is None else (pose.x, pose.y, pose.yaw_rad))
+        points.append(ends)
+        facings.append(surface_facings(ends, lasers[-1]))
+    if len(points) < CHUNKS:
+        message = (
+            f"{len(points)} scans hit something, but paths are scored on at least {CHUNKS}; give "
+            "a longer log"
+        )
+        raise LogError(message)
+    total = sum(map(len, points))
+    step = max(1, -(-total // most_hits))
+    kept = [np.s_[number % step :: step] for number in range(len(points))]
+    known = [pose for pose in odometry if pose is not None]
+    count = len(points)
+    return JudgedScans(
+        stamps_s=np.array(stamps),
+        chunks=np.arange(count, dtype=np.int64) * CHUNKS // count,
+        odometry=np.array(known) if len(known) == count else None,
+        lasers=np.array(lasers),
+        hits=np.concatenate([ends[some] for ends, some in zip(points, kept, strict=True)]),
+        facings_rad=np.concatenate([own[some] for own, some in zip(facings, kept, strict=True)]),
+        hit_scans=np.repeat(
+            np.arange(count, dtype=np.int64),
+            [len(ends[some]) for ends, some in zip(points, kept, strict=True)],
+        ),
+        hits_total=total,
+    )
+
+
+def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
+    """Return the direction that the surface at each hit of one scan faces, towards the laser.
+
+    The surface runs from the hits before to those after, as far as they lie within ``BESIDE_M``; a
+    hit without such neighbours faces the laser.
+
+    Args:
+        points: (M, 2) float64, hits in the order of the beams, metres.
+        laser: x and y of the laser in the same frame.
+
+    Returns:
+        (M,) radians in the frame of the points.
+    """
+    count = len(points)
+    along = np.zeros((count, 2))
+    for step in range(1, MOST_BESIDE + 1):
+        if count <= step:
+            break
+        away = points[step:] - points[:-step]
+        away[np.hypot(away[:, 0], away[:, 1]) > BESIDE_M] = 0.0
+        along[step:] += away
+        along[:-step] += away
+    to_laser = np.asarray(laser) - points
+    normal = np.stack((-along[:, 1], along[:, 0]), axis=1)
+    turned = (normal * to_laser).sum(axis=1) < 0.0
+    normal[turned] *= -1.0
+    alone = ~along.any(axis=1)
+    normal[alone] = to_laser[alone]
+    return np.asarray(np.arctan2(normal[:, 1], normal[:, 0]))

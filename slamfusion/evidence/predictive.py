@@ -1,0 +1,331 @@
+"""Predictive consistency: how well a path's map of other times predicts what each scan saw.
+
+Each judged hit has a likelihood under the map of all chunks but its own and the two beside it, all
+drawn by the path that is scored; the score of a path is the mean log-likelihood of a hit. It is a
+logarithmic score, which is proper [1]: no path gains in expectation by telling of places other than
+those it holds for true. What the others have not seen has a fixed price, so that a path that misses
+a revisit pays for each hit there. Unlike the entropy of a map [2] or counts of its corners and
+enclosed places [3] it predicts readings that the map was not drawn from, and so a torn map cannot
+look crisp by showing everything twice.
+
+Source: [1] Gneiting and Raftery, Strictly proper scoring rules, prediction, and estimation, JASA
+102(477), 2007, sections 4.1 and 7.1 (cross-validated logarithmic score). [2] Droeschel and Behnke,
+Efficient continuous-time SLAM for 3D lidar-based online mapping, ICRA 2018, mean map entropy.
+[3] Filatov, Filatov, Krinkin, Chen and Molodan, 2D SLAM quality evaluation methods, FRUCT 2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
+from slamfusion.errors import TrajectoryError
+from slamfusion.evidence.beams import CHUNKS, JudgedScans
+from slamfusion.evidence.comparison import Comparison, compare_sums
+from slamfusion.evidence.stamps import CoveredPath, cover_stamps
+from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "Comparison",
+    "HitModel",
+    "PathEvidence",
+    "PathScore",
+    "log_likelihoods",
+    "score_paths",
+]
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+B8 = npt.NDArray[np.bool_]
+
+# The lattice is turned against the first pose, radians: most walls are square to it, and a wall
+# along the cells is drawn thinner than one across them.
+LATTICE_YAW_RAD = 0.5
+# Pages of a map at most; 2^24 are a square of 6.5 km of cells of 0.05 m.
+MOST_PAGES = 1 << 24
+
+
+@dataclass(frozen=True)
+class HitModel:
+    """How likely a hit is under a map.
+
+    Attributes:
+        cell_m: side of a cell, metres.
+        spread_cells: standard deviation of a hit about a wall, cells.
+        stray: likelihood of a hit that no wall explains, where the others have seen something.
+        unknown: likelihood where they have seen nothing.
+        reach_cells: how far walls are looked for, cells: farther ones explain nothing.
+        known_cells: a hit this near to a wall is in a place that they have seen, cells.
+    """
+
+    cell_m: float = 0.05
+    spread_cells: float = 1.0
+    stray: float = 0.03
+    unknown: float = 0.35
+    reach_cells: int = 4
+    known_cells: float = 2.0
+
+
+DEFAULT_MODEL = HitModel()
+
+
+@dataclass(frozen=True, eq=False)
+class PathScore:
+    """What the scans say of one path.
+
+    Attributes:
+        name: of the path.
+        path: its poses at the scans.
+        sums: (N,) float64, sum of the log-likelihoods of each scan's judged hits; 0 where the scan
+            was not judged.
+        beams: (N,) int64, judged hits of each scan, the same for all paths.
+        seen: (N,) int64, of these, hits in places that other chunks have seen.
+    """
+
+    name: str
+    path: CoveredPath
+    sums: F64
+    beams: I64
+    seen: I64
+
+    @property
+    def consistency(self) -> float:
+        """Mean log-likelihood of a judged hit; larger is better, at most 0."""
+        return float(self.sums.sum() / self.beams.sum())
+
+    @property
+    def beams_judged(self) -> int:
+        """Hits that were judged."""
+        return int(self.beams.sum())
+
+    @property
+    def seen_share(self) -> float:
+        """Share of the judged hits that lie where other chunks have seen something."""
+        return float(self.seen.sum() / self.beams.sum())
+
+    def by_group(self, groups: I64, count: int) -> tuple[F64, I64]:
+        """Return sums and judged hits of groups of scans.
+
+        Args:
+            groups: (N,) int64, the group of each scan, 0 to ``count`` - 1.
+            count: groups.
+        """
+        sums = np.bincount(groups, self.sums, count).astype(np.float64)
+        beams = np.bincount(groups, self.beams, count).astype(np.int64)
+        return sums, beams
+
+
+@dataclass(frozen=True, eq=False)
+class PathEvidence:
+    """What the scans of a drive say of its paths.
+
+    Attributes:
+        scans: what all paths were scored on.
+        is_judged: (N,) bool, scans that every path has a pose for.
+        scores: of the paths, by name, in the order given.
+    """
+
+    scans: JudgedScans
+    is_judged: B8
+    scores: Mapping[str, PathScore]
+
+    @property
+    def judged_share(self) -> float:
+        """Share of the scans that were judged."""
+        return float(self.is_judged.mean())
+
+    def ranking(self) -> tuple[str, ...]:
+        """Return the names, the best path first; of equals the first given."""
+        return tuple(sorted(self.scores, key=lambda name: -self.scores[name].consistency))
+
+    def compare(self, a: str, b: str) -> Comparison:
+        """Say whether path ``a`` is better than path ``b``, or worse, or cannot be told from it."""
+        first, second = self.scores[a], self.scores[b]
+        return compare_sums(first.sums, second.sums, first.beams, self.is_judged)
+
+    def tied(self) -> tuple[str, ...]:
+        """Return the best path and all that cannot be told from it, the best first."""
+        best, *others = self.ranking()
+        return (best, *(name for name in others if self.compare(best, name).verdict != "better"))
+
+    def over_time(self, name: str, groups: int = CHUNKS) -> tuple[F64, F64, I64]:
+        """Return a path's score over the drive.
+
+        Args:
+            name: of the path.
+            groups: parts of the drive, of equal numbers of scans.
+
+        Returns:
+            (G,) time of the middle of each part in seconds, (G,) its mean log-likelihood of a hit,
+            NaN where none was judged, and (G,) the hits judged.
+        """
+        count = len(self.scans)
+        group = np.arange(count, dtype=np.int64) * groups // count
+        sums, beams = self.scores[name].by_group(group, groups)
+        per_group = np.maximum(np.bincount(group, minlength=groups), 1)
+        times_s = np.bincount(group, self.scans.stamps_s, groups) / per_group
+        mean = np.where(beams > 0, sums / np.maximum(beams, 1), np.nan)
+        return times_s, mean, beams
+
+
+def score_paths(
+    scans: JudgedScans,
+    paths: Mapping[str, Trajectory],
+    device: ComputeDevice,
+    model: HitModel = DEFAULT_MODEL,
+) -> PathEvidence:
+    """Score paths of one drive by predictive consistency.
+
+    Args:
+        scans: see ``judged_scans``.
+        paths: by name, each in a frame of its own, on the clock of the scans; may be sparse.
+        device: draws and looks up.
+        model: how likely a hit is.
+
+    Returns:
+        Scores of all paths on the same hits: those of the scans that every path has a pose for.
+
+    Raises:
+        TrajectoryError: no path; one that meets no scan in time, or the others at none; or one
+            that spreads over many kilometres.
+    """
+    if not paths:
+        message = "there is no path to score; give at least one"
+        raise TrajectoryError(message)
+    covered = {name: cover_stamps(path, scans) for name, path in paths.items()}
+    for name, path in covered.items():
+        if not path.is_covered.any():
+            raise TrajectoryError(_no_scan(name, paths[name], scans))
+    is_judged = np.logical_and.reduce([path.is_covered for path in covered.values()])
+    if not is_judged[scans.hit_scans].any():
+        shares = ", ".join(f"{name} {path.covered_share:.0%}" for name, path in covered.items())
+        message = f"no scan has a pose in every path (each alone: {shares}); leave one out"
+        raise TrajectoryError(message)
+    scores = {
+        name: _score(name, path, scans, is_judged, device, model) for name, path in covered.items()
+    }
+    return PathEvidence(scans, is_judged, scores)
+
+
+def _no_scan(name: str, path: Trajectory, scans: JudgedScans) -> str:
+    """Say that a path meets no scan in time."""
+    if not len(path):
+        return f"{name}: the path has no pose; give one with poses"
+    return (
+        f"{name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, the scans "
+        f"of {scans.stamps_s[0]:.3f} to {scans.stamps_s[-1]:.3f} s; give a path of this log"
+    )
+
+
+def _score(
+    name: str,
+    path: CoveredPath,
+    scans: JudgedScans,
+    is_judged: B8,
+    device: ComputeDevice,
+    model: HitModel,
+) -> PathScore:
+    """Draw the map of a path and look up every judged hit in what the other chunks drew."""
+    kept = is_judged[scans.hit_scans]
+    hit_scans = scans.hit_scans[kept]
+    beams, facings, pages = _placed_beams(name, path.poses, scans, is_judged, kept, model)
+    bits = np.uint32(1) << np.arange(CHUNKS, dtype=np.uint32)
+    chunks = scans.chunks[hit_scans]
+    table = device.upload(pages)
+    tiles = int(pages.max()) + 1
+    hits, seen = (
+        device.extend(device.upload(np.zeros((1, *cells), dtype=np.uint32)), tiles, 0)
+        for cells in ((FACINGS, TILE, TILE), (TILE, TILE))
+    )
+    ends, faces = device.upload(beams), device.upload(facings)
+    device.mark_chunks(hits, seen, table, ends, faces, device.upload(bits[chunks]))
+    left_out = device.upload(_with_neighbours(bits)[chunks])
+    found = device.nearest_marks(hits, seen, table, ends, faces, left_out, model.reach_cells)
+    likelihoods, is_seen = log_likelihoods(found, model)
+    count = len(scans)
+    return PathScore(
+        name=name,
+        path=path,
+        sums=np.bincount(hit_scans, likelihoods, count).astype(np.float64),
+        beams=np.bincount(hit_scans, minlength=count).astype(np.int64),
+        seen=np.bincount(hit_scans[is_seen], minlength=count).astype(np.int64),
+    )
+
+
+def _with_neighbours(bits: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
+    """Return for each chunk its bit and those of the chunks before and after it."""
+    around = bits.copy()
+    around[1:] |= bits[:-1]
+    around[:-1] |= bits[1:]
+    return around
+
+
+def log_likelihoods(found: npt.NDArray[np.int32], model: HitModel) -> tuple[F64, B8]:
+    """Return each hit's log-likelihood, and whether it lies where something was seen.
+
+    Args:
+        found: (B, 2) int32, of ``nearest_marks``.
+        model: how likely a hit is.
+
+    Returns:
+        (B,) float64 and (B,) bool.
+    """
+    has_wall = found[:, 0] >= 0
+    squared = np.where(has_wall, found[:, 0], 0) / float(BEAM_ONE) ** 2
+    # A wall out of reach explains nothing.
+    near = np.where(has_wall, np.exp(-0.5 * squared / model.spread_cells**2), 0.0)
+    is_seen = (found[:, 1] != 0) | (has_wall & (squared <= model.known_cells**2))
+    explained = np.log((1.0 - model.stray) * near + model.stray)
+    return np.where(is_seen, explained, np.log(model.unknown)), is_seen
+
+
+def _placed_beams(
+    name: str, poses: F64, scans: JudgedScans, is_judged: B8, kept: B8, model: HitModel
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Lay the judged beams on a lattice of pages, with tiles wherever a hit is looked up.
+
+    Returns:
+        (B, BEAM_INTS) int32 beams, (B,) int32 directions that their surfaces face, and (PH, PW)
+        int32 pages, as ``chunk_marks`` takes them.
+    """
+    first = poses[np.flatnonzero(is_judged)[0]]
+    lattice = np.array([0.0, 0.0, LATTICE_YAW_RAD])
+    laid = compose_poses(lattice, compose_poses(invert_poses(first), poses))
+    hit_scans = scans.hit_scans[kept]
+    cos, sin = np.cos(laid[:, 2]), np.sin(laid[:, 2])
+    ends = _placed(laid[hit_scans], cos[hit_scans], sin[hit_scans], scans.hits[kept])
+    lasers = _placed(laid, cos, sin, scans.lasers)[hit_scans]
+    cells = np.concatenate((ends, lasers), axis=1) / model.cell_m
+    page = np.floor(cells / TILE)
+    low = page.reshape(-1, 2).min(axis=0) - 1
+    width, height = (page.reshape(-1, 2).max(axis=0) + 2 - low).astype(np.int64)
+    if width * height > MOST_PAGES:
+        side_m = TILE * model.cell_m
+        message = (
+            f"{name}: what it sees spreads over {width * side_m:.0f} x {height * side_m:.0f} m, "
+            "more than can be scored; check the unit and the frame of its poses"
+        )
+        raise TrajectoryError(message)
+    cells -= np.tile(low * TILE, 2)
+    beams = np.asarray(np.floor(cells * BEAM_ONE), dtype=np.int32)
+    col, row = (beams[:, :2] // BEAM_ONE).T
+    used = np.zeros((height, width), dtype=np.bool_)
+    for dx in (-model.reach_cells, model.reach_cells):
+        for dy in (-model.reach_cells, model.reach_cells):
+            used[(row + dy) // TILE, (col + dx) // TILE] = True
+    pages = np.where(used, np.cumsum(used).reshape(used.shape), 0)
+    turned = (laid[hit_scans, 2] + scans.facings_rad[kept]) * FACINGS / (2.0 * np.pi)
+    facings = np.rint(turned).astype(np.int64) % FACINGS
+    return beams, facings.astype(np.int32), pages.astype(np.int32)
+
+
+def _placed(poses: F64, cos: F64, sin: F64, points: F64) -> F64:
+    """Return points of the robot's frame at poses, (M, 2), a point each."""
+    x, y = points[:, 0], points[:, 1]
+    return np.stack((poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y), axis=1)

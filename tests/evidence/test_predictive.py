@@ -1,0 +1,171 @@
+"""Predictive consistency knows the true path from wrong ones, whatever its frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.compute import ComputeDevice, NumpyDevice
+from slamfusion.errors import LogError, TrajectoryError
+from slamfusion.evidence import JudgedScans, judged_scans, score_paths
+from slamfusion.evidence.beams import CHUNKS, surface_facings
+from slamfusion.evidence.predictive import HitModel, log_likelihoods
+from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import bent, circuit, moved, recorded
+
+TRUTH = circuit()
+WRONG = {
+    "torn in two": moved(TRUTH, (0.6, -0.4, 0.0), 72),
+    "shifted at the end": moved(TRUTH, (2.0, 0.0, 0.0), 134),
+    "turned half-way": bent(TRUTH, math.radians(10.0), 72),
+    "drifted": Trajectory(TRUTH.stamps_s, TRUTH.poses * [1.05, 1.05, 1.0], "drifted"),
+}
+
+
+def test_true_path_is_better_than_each_wrong_one(device: ComputeDevice, scans: JudgedScans):
+    evidence = score_paths(scans, {"truth": TRUTH, **WRONG}, device)
+    assert evidence.ranking()[0] == "truth"
+    assert evidence.tied() == ("truth",)
+    for name in WRONG:
+        assert evidence.compare("truth", name).verdict == "better"
+        assert evidence.compare(name, "truth").verdict == "worse"
+
+
+def test_same_path_cannot_be_told_from_itself(device: ComputeDevice, scans: JudgedScans):
+    evidence = score_paths(scans, {"a": TRUTH, "b": TRUTH}, device)
+    found = evidence.compare("a", "b")
+    assert (found.verdict, found.difference, found.p_value) == ("cannot tell", 0.0, 1.0)
+    assert evidence.tied() == ("a", "b")
+
+
+def test_all_paths_are_scored_on_the_same_hits(device: ComputeDevice, scans: JudgedScans):
+    evidence = score_paths(scans, {"truth": TRUTH, **WRONG}, device)
+    for score in evidence.scores.values():
+        assert np.array_equal(score.beams, np.bincount(scans.hit_scans, minlength=len(scans)))
+        assert score.consistency <= 0.0
+
+
+@settings(max_examples=15, deadline=None)
+@given(x=st.floats(-1e5, 1e5), y=st.floats(-1e5, 1e5), yaw_rad=st.floats(-math.pi, math.pi))
+def test_frame_of_a_path_does_not_count(
+    device: ComputeDevice, scans: JudgedScans, x: float, y: float, yaw_rad: float
+):
+    paths = {"here": TRUTH, "there": moved(TRUTH, (x, y, yaw_rad))}
+    evidence = score_paths(scans, paths, device)
+    assert evidence.scores["here"].consistency == pytest.approx(
+        evidence.scores["there"].consistency, abs=1e-4
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(shift_m=st.floats(0.3, 3.0), first=st.integers(40, 130), towards=st.floats(0.0, 6.28))
+def test_shifted_end_is_never_better(
+    device: ComputeDevice, scans: JudgedScans, shift_m: float, first: int, towards: float
+):
+    motion = (shift_m * math.cos(towards), shift_m * math.sin(towards), 0.0)
+    evidence = score_paths(scans, {"truth": TRUTH, "moved": moved(TRUTH, motion, first)}, device)
+    assert evidence.compare("moved", "truth").verdict == "worse"
+
+
+def test_device_and_twins_score_alike(device: ComputeDevice):
+    few = judged_scans(recorded(circuit(48, 1.0)))
+    paths = {"truth": circuit(48, 1.0), "moved": moved(circuit(48, 1.0), (0.2, 0.0, 0.1), 20)}
+    ours, twins = (score_paths(few, paths, each) for each in (device, NumpyDevice()))
+    for name in paths:
+        assert np.array_equal(ours.scores[name].sums, twins.scores[name].sums)
+        assert np.array_equal(ours.scores[name].seen, twins.scores[name].seen)
+
+
+def test_score_over_time_shows_where_a_path_is_wrong(device: ComputeDevice, scans: JudgedScans):
+    paths = {"truth": TRUTH, "late": WRONG["shifted at the end"]}
+    evidence = score_paths(scans, paths, device)
+    times_s, late, beams = evidence.over_time("late")
+    _, true, _ = evidence.over_time("truth")
+    assert len(times_s) == len(late) == CHUNKS
+    assert (np.diff(times_s) > 0.0).all()
+    assert beams.sum() == evidence.scores["late"].beams_judged
+    assert int(np.argmax(true - late)) >= CHUNKS - 2
+
+
+def test_beams_beyond_the_budget_are_thinned_for_every_scan():
+    scans = recorded(TRUTH)
+    every, some = judged_scans(scans), judged_scans(scans, 2000)
+    assert every.hits_total == some.hits_total == len(every.hits)
+    assert 1200 < len(some.hits) <= 2000 + len(some)
+    per_scan = np.bincount(some.hit_scans, minlength=len(some))
+    assert per_scan.min() > 0
+    assert per_scan.max() - per_scan.min() <= 1
+    assert np.array_equal(every.chunks, some.chunks)
+
+
+def test_chunks_are_equal_parts_in_order(scans: JudgedScans):
+    assert (np.diff(scans.chunks) >= 0).all()
+    assert set(np.bincount(scans.chunks)) == {len(scans) // CHUNKS}
+
+
+def test_surfaces_face_the_laser():
+    wall = np.array([(2.0, y) for y in np.linspace(-1.0, 1.0, 21)])
+    assert (
+        surface_facings(wall, (0.0, 0.0)) == pytest.approx(np.full(21, math.pi), abs=1e-6)
+        or (np.abs(np.abs(surface_facings(wall, (0.0, 0.0))) - math.pi) < 1e-6).all()
+    )
+    assert surface_facings(wall, (4.0, 0.0)) == pytest.approx(np.zeros(21), abs=1e-6)
+
+
+def test_a_hit_alone_faces_the_laser():
+    alone = np.array([(1.0, 0.0), (0.0, 3.0)])
+    assert surface_facings(alone, (0.0, 0.0)) == pytest.approx([math.pi, -math.pi / 2])
+
+
+def test_likelihood_is_at_its_ends_what_the_model_says():
+    model = HitModel()
+    on_wall, out_of_reach, unknown, near_wall = [[0, 1], [-1, 1], [-1, 0], [1024**2, 0]]
+    found = np.array([on_wall, out_of_reach, unknown, near_wall], dtype=np.int32)
+    likely, is_seen = log_likelihoods(found, model)
+    one_cell = math.log(0.97 * math.exp(-0.5) + 0.03)
+    assert likely == pytest.approx([0.0, math.log(0.03), math.log(0.35), one_cell])
+    assert is_seen.tolist() == [True, True, False, True]
+
+
+def test_what_nothing_else_has_seen_has_its_price(device: ComputeDevice, scans: JudgedScans):
+    # The last chunk alone is far away from all others.
+    paths = {"away": moved(TRUTH, (50.0, 0.0, 0.0), 138)}
+    score = score_paths(scans, paths, device).scores["away"]
+    dearer = score_paths(scans, paths, device, replace(HitModel(), unknown=0.01)).scores["away"]
+    unseen = score.beams_judged - int(score.seen.sum())
+    assert unseen == np.count_nonzero(scans.hit_scans >= 138)
+    assert score.sums[138:] == pytest.approx(score.beams[138:] * math.log(0.35))
+    cost = unseen * math.log(0.01 / 0.35) / score.beams_judged
+    assert dearer.consistency - score.consistency == pytest.approx(cost)
+
+
+def test_too_few_scans_are_refused():
+    with pytest.raises(LogError, match=rf"^9 scans hit something.*at least {CHUNKS}"):
+        judged_scans(recorded(TRUTH)[:9])
+
+
+def test_bad_paths_are_named(device: ComputeDevice, scans: JudgedScans):
+    late = Trajectory(TRUTH.stamps_s + 1000.0, TRUTH.poses)
+    with pytest.raises(TrajectoryError, match=r"^late: its poses are of 1000\.000 to .* this log"):
+        score_paths(scans, {"late": late}, device)
+    empty = Trajectory(np.empty(0), np.empty((0, 3)))
+    with pytest.raises(TrajectoryError, match=r"^none: the path has no pose"):
+        score_paths(scans, {"none": empty}, device)
+    with pytest.raises(TrajectoryError, match="no path to score"):
+        score_paths(scans, {}, device)
+    wide = Trajectory(TRUTH.stamps_s, TRUTH.poses * [1e4, 1e4, 1.0])
+    with pytest.raises(TrajectoryError, match=r"^wide: what it sees spreads over .* unit"):
+        score_paths(scans, {"wide": wide}, device)
+
+
+def test_paths_of_different_times_cannot_be_compared(device: ComputeDevice):
+    scans = judged_scans(recorded(TRUTH, odometry=False))
+    first = Trajectory(TRUTH.stamps_s[:60], TRUTH.poses[:60])
+    last = Trajectory(TRUTH.stamps_s[80:], TRUTH.poses[80:])
+    with pytest.raises(TrajectoryError, match=r"no scan has a pose in every path .*first 42%"):
+        score_paths(scans, {"first": first, "last": last}, device)
