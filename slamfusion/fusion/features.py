@@ -155,6 +155,7 @@ class GridFeatures:
             distance2 = self.device.distance_squared(wall)
             check_cancelled(cancel)
             far = self.device.look_up(distance2, DISTANCE_TABLE)
+            check_cancelled(cancel)
             distance = self._seen_distance(distance2, free, step)
             check_cancelled(cancel)
             mask = self.device.download(wall)
@@ -188,6 +189,7 @@ class GridFeatures:
             distance2 = self.device.distance_squared(wall, SOLID_REACH)
             check_cancelled(cancel)
             far = self.device.look_up(distance2, DISTANCE_TABLE)
+            check_cancelled(cancel)
             distance = self._seen_distance(distance2, free, 1)
             self._solid_level = Level(
                 1, self.shape, wall, free, distance2, distance, far, self.wall_points
@@ -216,11 +218,11 @@ class GridFeatures:
         if step not in self._known_distances:
             level = self.level(step, cancel)
             check_cancelled(cancel)
-            known = self.device.download(level.free) / np.float32(FIELD_ONE)
-            np.maximum(known, self.device.download(level.wall), out=known)
+            known = self.device.download(level.free).copy()
+            known[self.device.download(level.wall) != 0] = FIELD_ONE
             distance2 = self.device.download(level.distance2).ravel()
             counts = np.bincount(distance2, weights=known.ravel())
-            self._known_distances[step] = np.asarray(counts, dtype=np.float64)
+            self._known_distances[step] = np.asarray(counts / FIELD_ONE, dtype=np.float64)
         return self._known_distances[step]
 
     def pieces(
