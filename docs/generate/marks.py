@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from docs.generate import parameters, ros
+from docs.generate import benchmarks, parameters, ros
 
 __all__ = ["COMMAND", "DOCS", "PARTS", "ROOT", "pages", "with_parts"]
 
@@ -16,7 +16,11 @@ ROOT = DOCS.parent
 OUTSIDE = ("README.md", "CONTRIBUTING.md", "data/README.md")
 COMMAND = "python -m docs.generate"
 # Every generated part by its name.
-PARTS: dict[str, Callable[[], str]] = {**parameters.TABLES, **ros.TABLES}
+PARTS: dict[str, Callable[[], str]] = {
+    **parameters.TABLES,
+    **ros.TABLES,
+    **benchmarks.benchmark_tables(),
+}
 # What stands between the two comments, the first of which names the part.
 _PART = re.compile(
     rf"<!-- (?P<name>[^:\n]+): written by `{re.escape(COMMAND)}` -->\n"

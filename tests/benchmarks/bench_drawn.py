@@ -14,12 +14,12 @@ import time
 from collections import Counter
 from dataclasses import replace
 
-from rich.console import Console
 from rich.table import Table
 
 from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion import align_grids
+from tests.benchmarks.record import add_record_option, console_for
 from tests.support.drawn import BASES, case_error, drawn_cases
 
 COLUMNS = ("right", "right, rejected", "wrong, rejected", "wrong, accepted")
@@ -31,6 +31,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--prove", action="store_true")
     parser.add_argument("--device", default="auto")
+    add_record_option(parser)
     arguments = parser.parse_args()
     device = open_device(arguments.device)
     config = FusionConfig()
@@ -56,7 +57,7 @@ def main() -> None:
         table.add_row(base, *(str(counts[base, column]) for column in COLUMNS))
     totals = [sum(counts[base, column] for base in BASES) for column in COLUMNS]
     table.add_row("all", *map(str, totals))
-    Console().print(table)
+    console_for("drawn", arguments.record).print(table)
     print(f"median {sorted(seconds)[len(seconds) // 2]:.3f} s, {sum(seconds):.1f} s in all")
 
 

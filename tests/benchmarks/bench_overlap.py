@@ -34,6 +34,7 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.records import AlignmentJson
 from slamfusion.grid import OccupancyGrid
+from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import ABSENT, MAPS
 from tests.support.overlap import (
     NEGATIVES,
@@ -284,11 +285,12 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--prove", action="store_true")
+    add_record_option(parser)
     arguments = parser.parse_args()
     names = arguments.only or tuple(SETS)
     if not MAPS.is_dir() and set(names) != {"simulated"}:
         parser.error(ABSENT + ", or ask for --only simulated")
-    console = Console(width=160)
+    console = console_for("overlap", arguments.record, width=160)
     drafts = chosen(names, arguments.seed, arguments.limit)
     results: list[Result] = []
     left_out: Counter[str] = Counter()

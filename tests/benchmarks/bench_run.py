@@ -24,9 +24,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import DATASETS
 
 CSAIL = DATASETS / "mit-csail"
@@ -54,7 +54,7 @@ def run(arguments: list[str], out: Path) -> tuple[dict[str, Any], float, float]:
     return json.loads(done.stdout), wall_s, processor_s() - before_s
 
 
-def time_recorded(repeat: int, extra: list[str]) -> None:
+def time_recorded(repeat: int, extra: list[str], record: Path | None) -> None:
     """Print a row for each run on the recorded drive."""
     table = Table(title=f"mit-csail, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     columns = (
@@ -86,10 +86,12 @@ def time_recorded(repeat: int, extra: list[str]) -> None:
             f"{doubled['fused']:.3f} / {best:.3f} = {doubled['fused'] / best:.2f}",
             f"{max(gap['median_m'] for gap in document['path_gaps']):.2f}",
         )
-    Console(width=220).print(table)
+    console_for("run", record, width=220).print(table)
 
 
-def compare_on_course(course: str, lidar: list[str], seeds: int, extra: list[str]) -> None:
+def compare_on_course(
+    course: str, lidar: list[str], seeds: int, extra: list[str], record: Path | None
+) -> None:
     """Print the map errors on a simulated course with a ground obstacle, a row a seed."""
     names = ("tinyslam", "gmapping", "graph", "fused")
     table = Table(title=f"{course} with a ground obstacle: error [F16], wall F1 (ATE m)")
@@ -131,7 +133,7 @@ def compare_on_course(course: str, lidar: list[str], seeds: int, extra: list[str
         ]
         best = min(errors, key=lambda name: errors[name]["error"])
         table.add_row(str(seed), *cells, str(document["fused_count"]), best)
-    Console(width=160).print(table)
+    console_for(f"run-{course}", record, width=160).print(table)
 
 
 def main() -> None:
@@ -141,13 +143,14 @@ def main() -> None:
     parser.add_argument("--course", help="a simulated course instead")
     parser.add_argument("--lidar", help="another laser than the course's")
     parser.add_argument("--seeds", type=int, default=5, help="drives on the course")
+    add_record_option(parser)
     parser.add_argument("rest", nargs="*", help="more options of run, after --")
     asked = parser.parse_args()
     lidar = ["--lidar", asked.lidar] if asked.lidar else []
     if asked.course is None:
-        time_recorded(asked.repeat, asked.rest)
+        time_recorded(asked.repeat, asked.rest, asked.record)
     else:
-        compare_on_course(asked.course, lidar, asked.seeds, asked.rest)
+        compare_on_course(asked.course, lidar, asked.seeds, asked.rest, asked.record)
 
 
 if __name__ == "__main__":

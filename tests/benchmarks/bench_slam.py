@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
@@ -30,6 +29,7 @@ from slamfusion.sim.simulate import simulate
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import BUILT_IN, make_producer
 from slamfusion.trajectory import Trajectory
+from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import DATASETS
 
 CSAIL, INTEL = DATASETS / "mit-csail", DATASETS / "intel"
@@ -125,6 +125,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--maps", type=Path)
+    add_record_option(parser)
     options = parser.parse_args()
     config = RunConfig()
     device = open_device(options.device, small_kernels=True)
@@ -159,7 +160,7 @@ def main() -> None:
         if options.maps is not None:
             options.maps.mkdir(parents=True, exist_ok=True)
             save_map(runs[0].grid, options.maps / drive.name.replace(", ", "-"))
-    Console(width=160).print(table)
+    console_for(options.producer, options.record, width=160).print(table)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from slamfusion.config import DeviceConfig, RunConfig
 from slamfusion.slam.registry import load_config, open_producer_device
 from tests.benchmarks.gmapping.bench import Bench
+from tests.benchmarks.record import add_record_option, console_for
 
 # Each part, told what it needs, and how many seeds it takes where none are asked for.
 Parts = Mapping[str, tuple[Callable[..., None], int]]
@@ -36,6 +35,7 @@ def parser_of(parts: Parts, description: str | None, seeds: str) -> argparse.Arg
     parser.add_argument("--maps", type=Path, metavar="DIR")
     parser.add_argument("--config", type=Path, metavar="FILE")
     parser.add_argument("--device")
+    add_record_option(parser)
     return parser
 
 
@@ -55,12 +55,12 @@ def measure(
     if options.device:
         config = replace(config, device=DeviceConfig(options.device))
     device = open_producer_device(producer, config)
-    console = Console(width=width)
     for name in options.part or parts:
         part, count = parts[name]
         first = options.first_seed
         seeds = tuple(range(first, first + (options.seeds or count)))
         maps = None if options.maps is None else options.maps / name
+        console = console_for(f"{producer}-{name}", options.record, width=width)
         began_s = time.perf_counter()
         part(Bench(producer, config, device, seeds, maps, console), *more)
         console.print(f"{name}: {time.perf_counter() - began_s:.0f} s in all\n", highlight=False)
