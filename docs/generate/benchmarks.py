@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from docs.generate.markdown import table
+
 __all__ = ["FOLDER", "Measurement", "benchmark_table", "benchmark_tables", "measurements"]
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks" / "data"
@@ -83,9 +85,10 @@ def measurements(folder: Path = FOLDER) -> dict[str, Measurement]:
 
 def benchmark_table(item: Measurement) -> str:
     """Return a measurement as a Markdown table, with what was run, when and where below it."""
-    lines = [_row(item.columns), _row(("---",) * len(item.columns)), *map(_row, item.rows)]
     told = f"{item.date}, commit {item.commit}, {item.machine}: `{item.command}`."
-    return "\n".join([*lines, "", f"*{told}{' ' * bool(item.note)}{item.note}*"])
+    return "\n".join(
+        [table(item.columns, item.rows), "", f"*{told}{' ' * bool(item.note)}{item.note}*"]
+    )
 
 
 def benchmark_tables() -> dict[str, Callable[[], str]]:
@@ -98,7 +101,3 @@ def benchmark_tables() -> dict[str, Callable[[], str]]:
 
 def _by_date(item: Measurement) -> tuple[str, str]:
     return item.date, item.name
-
-
-def _row(cells: tuple[str, ...]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from docs.generate import benchmarks, parameters, ros
+from docs.generate import benchmarks, commands, parameters, ros, schema
 
 __all__ = ["COMMAND", "DOCS", "PARTS", "ROOT", "pages", "with_parts"]
 
@@ -19,6 +19,8 @@ COMMAND = "python -m docs.generate"
 PARTS: dict[str, Callable[[], str]] = {
     **parameters.TABLES,
     **ros.TABLES,
+    **commands.TABLES,
+    **schema.TABLES,
     **benchmarks.benchmark_tables(),
 }
 # What stands between the two comments, the first of which names the part.

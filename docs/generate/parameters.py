@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from docs.generate.markdown import row
 from slamfusion.cli.options import (
     ConfigOption,
     config_fields,
@@ -36,7 +37,7 @@ def gmapping_table() -> str:
             info = option.info
             published = "-" if option.published is None else shown_value(option.published)
             own = "-" if option.default is None else shown_value(option.default)
-            lines.append(_line(f"`{info.name}`", info.unit or "-", published, own, info.help))
+            lines.append(row(f"`{info.name}`", info.unit or "-", published, own, info.help))
     return "\n".join(lines)
 
 
@@ -49,11 +50,7 @@ def _row(option: ConfigOption) -> str:
     name = f"`{option_name(option)}`" if info.level == "public" else "(expert)"
     if option.section in NODE_SECTIONS and info.level == "public":
         name = "(fusion node)"
-    return _line(name, f"`{option.key}`", shown_default(option), _range(info), info.help)
-
-
-def _line(*cells: str) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return row(name, f"`{option.key}`", shown_default(option), _range(info), info.help)
 
 
 def _range(info: FieldInfo) -> str:

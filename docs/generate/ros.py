@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from docs.generate.markdown import row
 from slamfusion.cli.options import ConfigOption, config_fields, shown_default, shown_value
 from slamfusion.config import (
     START_FORM,
@@ -275,7 +276,7 @@ def topic_table() -> str:
             topic.qos,
             topic.text,
         )
-        lines.append(_row(*cells))
+        lines.append(row(*cells))
     return "\n".join(lines)
 
 
@@ -322,7 +323,7 @@ def node_graph() -> str:
 def service_table() -> str:
     """Return a Markdown table of every service."""
     lines = ["| service | type | node | what |", "| --- | --- | --- | --- |"]
-    lines += [_row(f"`{item.name}`", item.type, item.node, item.text) for item in SERVICES]
+    lines += [row(f"`{item.name}`", item.type, item.node, item.text) for item in SERVICES]
     return "\n".join(lines)
 
 
@@ -336,14 +337,14 @@ def parameter_table() -> str:
     for title, node in (("producers", PRODUCERS[0]), ("fusion", "fusion"), ("player", "player")):
         for item in NAME_LISTS.get(node, ()):
             shown = ", ".join(item.default)
-            lines.append(_row(title, f"`{item.name}`", shown, "names", item.text))
+            lines.append(row(title, f"`{item.name}`", shown, "names", item.text))
         if node == "fusion":
             tolerances = f"tolerances {START_M:g} m, {START_RAD:g} rad"
-            lines.append(_row(title, f"`{START_NAME}`", tolerances, "3 or 5 numbers", START_TEXT))
+            lines.append(row(title, f"`{START_NAME}`", tolerances, "3 or 5 numbers", START_TEXT))
         for option in node_parameters(node):
             if not option.section:
                 own = (f"`{option.key}`", shown_default(option), _range(option))
-                lines.append(_row(title, *own, option.info.help))
+                lines.append(row(title, *own, option.info.help))
     return "\n".join(lines)
 
 
@@ -448,7 +449,3 @@ def _range(option: ConfigOption) -> str:
     if high is not None:
         return f"at most {shown_value(high)}"
     return {bool: "yes, no", str: "text"}.get(info.kind, "")
-
-
-def _row(*cells: str) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

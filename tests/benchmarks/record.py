@@ -95,7 +95,7 @@ def commit() -> str:
         subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
         for words in (
             ("rev-parse", "--short=7", "HEAD"),
-            ("status", "--porcelain", "--", "slamfusion", "kernels", "tests"),
+            ("status", "--porcelain", "--", "slamfusion", "kernels"),
         )
     ]
     return done[0].strip() + ("+" if done[1].strip() else "")

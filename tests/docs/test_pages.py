@@ -14,6 +14,7 @@ import click
 import pytest
 import yaml
 
+from docs.generate.commands import walk
 from docs.generate.marks import COMMAND, DOCS, PARTS, pages, with_parts
 from docs.generate.parameters import gmapping_table, parameter_table
 from slamfusion.cli.main import COMMANDS, cli
@@ -21,6 +22,7 @@ from slamfusion.config import GMAPPING_PROFILES, FusionNodeConfig, GmappingConfi
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map
 from slamfusion.jobs.doctor import INSTALL
+from slamfusion.jobs.records import load_schema
 from tests.cli.command import ROOT, run
 
 PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages()}
@@ -29,13 +31,16 @@ MOST_LINES = 1000
 README_LINES = 150
 
 
+FENCE = re.compile(r"^( *)(`{3,})(\S*)\n(.*?)^\1\2$", flags=re.DOTALL | re.MULTILINE)
+
+
 def fenced(kind: str) -> list[tuple[str, str]]:
     """Page and text of each fenced block of a kind, without its indentation."""
-    fence = re.compile(rf"^( *)```{kind}\n(.*?)^\1```$", flags=re.DOTALL | re.MULTILINE)
     return [
-        (name, re.sub(f"^{found[1]}", "", found[2], flags=re.MULTILINE))
+        (name, re.sub(f"^{found[1]}", "", found[4], flags=re.MULTILINE))
         for name, text in PAGES.items()
-        for found in fence.finditer(text)
+        for found in FENCE.finditer(text)
+        if found[3] == kind
     ]
 
 
@@ -240,3 +245,23 @@ def test_every_page_is_in_the_contents() -> None:
     assert listed == {path for path in DOCS.rglob("*.md") if "_build" not in path.parts} - {
         DOCS / "index.md"
     }
+
+
+def test_every_option_of_every_command_has_a_row() -> None:
+    page = PAGES["docs/reference/command_line.md"]
+    names = []
+    for name, context in walk():
+        section = page.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
+        for parameter in context.command.params:
+            for spelled in parameter.opts if isinstance(parameter, click.Option) else ():
+                assert spelled in section, (name, spelled)
+        names.append(name)
+    assert {"slamfusion slam graph", "slamfusion graph optimize", "slamfusion run"} <= set(names)
+
+
+def test_every_key_of_every_document_has_a_row() -> None:
+    page = PAGES["docs/reference/json.md"]
+    for name, item in load_schema()["$defs"].items():
+        for key in item.get("properties", {}):
+            section = page.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
+            assert f"| `{key}` |" in section, (name, key)
