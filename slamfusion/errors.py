@@ -6,6 +6,7 @@ through unchanged where the operating system's own words are clear enough.
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
 
 __all__ = [
@@ -22,7 +23,18 @@ __all__ = [
     "SlamFusionError",
     "StartError",
     "TrajectoryError",
+    "shown",
 ]
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
+
+
+def shown(value: Any) -> str:
+    """Return a value from outside as a message shows it: on one line, and never long."""
+    if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to spell long ones
+        return f"a number of {value.bit_length()} bits"
+    return _SHORT.repr(value)
 
 
 class SlamFusionError(Exception):

@@ -26,6 +26,8 @@ __all__ = [
 
 # Tables in a pipe or file are never squeezed to a terminal's width.
 PIPE_WIDTH = 240
+# Paths of people are shorter; what is longer is no word.
+WORD_CHARACTERS, WORD_ENDS = 400, 40
 
 
 @dataclass
@@ -46,10 +48,14 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def one_line(text: str) -> str:
-    """Return the text without line breaks and control characters."""
+    """Return the text without line breaks and control characters; the middle of long words goes."""
+    words = (
+        word if len(word) <= WORD_CHARACTERS else f"{word[:WORD_ENDS]}...{word[-WORD_ENDS:]}"
+        for word in text.split()
+    )
     return "".join(
         character if character.isprintable() else character.encode("unicode_escape").decode()
-        for character in " ".join(text.split())
+        for character in " ".join(words)
     )
 
 

@@ -8,6 +8,7 @@ tables.
 from __future__ import annotations
 
 from slamfusion.config.core import (
+    INTEGER_MAX,
     PUBLISHED,
     Checked,
     FieldInfo,
@@ -48,7 +49,6 @@ from slamfusion.config.run import (
     RunConfig,
     SideBySideConfig,
     TrajectoryConfig,
-    read_yaml,
 )
 from slamfusion.config.sim import (
     ActionConfig,
@@ -81,6 +81,7 @@ from slamfusion.config.start import (
 
 __all__ = [
     "GMAPPING_PROFILES",
+    "INTEGER_MAX",
     "PUBLISHED",
     "START_FORM",
     "START_M",
@@ -134,7 +135,6 @@ __all__ = [
     "field_infos",
     "from_mapping",
     "option",
-    "read_yaml",
     "split_list",
     "to_mapping",
 ]

@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeVar, Union, overload, runtime_checkable
 
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, shown
 
 __all__ = [
+    "INTEGER_MAX",
     "PUBLISHED",
     "Checked",
     "FieldInfo",
@@ -30,6 +31,11 @@ T = TypeVar("T")
 
 # The profile with the values that an algorithm's authors published.
 PUBLISHED = "published"
+
+# Larger whole numbers fit no record and no library.
+INTEGER_MAX = 2**63 - 1
+# A list ``first..last`` has at most this many numbers.
+LIST_MAX = 10_000
 
 # Step of a list of numbers that is written as ``first..last``, in the unit of the field.
 LIST_STEP = 0.1
@@ -173,7 +179,7 @@ def _check_value(where: str, info: FieldInfo, value: Any) -> None:
             _check_value(where, single, item)
         return
     if info.choices and value not in info.choices:
-        message = f"{where} must be one of {', '.join(info.choices)}, found {value!r}"
+        message = f"{where} must be one of {', '.join(info.choices)}, found {shown(value)}"
         raise ConfigError(message)
     if info.low is None and info.high is None:
         return
@@ -181,7 +187,7 @@ def _check_value(where: str, info: FieldInfo, value: Any) -> None:
     high = math.inf if info.high is None else info.high
     if not low <= value <= high:
         unit = f" {info.unit}" if info.unit else ""
-        message = f"{where} must lie in [{low:g}, {high:g}]{unit}, found {value!r}"
+        message = f"{where} must lie in [{low:g}, {high:g}]{unit}, found {shown(value)}"
         raise ConfigError(message)
 
 
@@ -243,8 +249,8 @@ def from_mapping(config: Any, values: Any, where: str = "config") -> Any:
     arguments: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
-            message = f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}"
+            near = difflib.get_close_matches(shown(key), known, n=1, cutoff=0.0)
+            message = f"{where}: unknown key {shown(key)}; the nearest known one is {near[0]!r}"
             raise ConfigError(message)
         hint = hints[key]
         if hint == Mapping[str, Any]:
@@ -275,7 +281,9 @@ def _sections(known: Mapping[str, Any], values: Any, where: str) -> dict[str, An
         raise ConfigError(message)
     for name in values:
         if name not in known:
-            message = f"{where}: unknown name {name!r}; wanted some of {', '.join(known) or '-'}"
+            message = (
+                f"{where}: unknown name {shown(name)}; wanted some of {', '.join(known) or '-'}"
+            )
             raise ConfigError(message)
     changed = {
         name: from_mapping(known[name], own, f"{where}: {name}") for name, own in values.items()
@@ -298,13 +306,14 @@ def _coerce(value: Any, form: _Form | FieldInfo, where: str) -> Any:
 def _coerced(value: Any, form: _Form | FieldInfo, where: str) -> Any:
     """Return one value as the declared kind; whether it is one of the choices is seen later."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if form.kind is float and is_number:
+    is_usable = not is_number or isinstance(value, float) or abs(value) <= INTEGER_MAX
+    if form.kind is float and is_number and is_usable:
         return float(value)
-    if form.kind is not float and type(value) is form.kind:
+    if form.kind is not float and type(value) is form.kind and is_usable:
         return value
     one = " or ".join(form.choices) or form.kind.__name__
     words = f"a list of {one}" if form.is_list else one
-    message = f"{where}: wanted {words}{' or None' * form.is_optional}, found {value!r}"
+    message = f"{where}: wanted {words}{' or None' * form.is_optional}, found {shown(value)}"
     raise ConfigError(message)
 
 
@@ -321,6 +330,8 @@ def split_list(text: str, kind: type[Any]) -> list[Any]:
         if ".." in text:
             first, last = (float(part) for part in text.split(".."))
             steps = int((last - first) / LIST_STEP + 1e-6)
+            if steps >= LIST_MAX:
+                return [text]
             return [kind(round(first + LIST_STEP * step, 6)) for step in range(steps + 1)]
         return [kind(part) for part in text.split(",")]
     except (ValueError, OverflowError):

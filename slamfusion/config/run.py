@@ -1,13 +1,10 @@
-"""``RunConfig``: everything that decides a result, and how it is read from a file."""
+"""``RunConfig``: everything that decides a result."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
-
-import yaml
 
 from slamfusion.config.core import Checked, option
 from slamfusion.config.experiments import ExperimentConfig
@@ -15,7 +12,6 @@ from slamfusion.config.fusion import EvaluateConfig, FusionConfig, LiveConfig
 from slamfusion.config.sim import SimulateConfig
 from slamfusion.config.slam import GraphOptimizerConfig
 from slamfusion.config.start import checked_starts
-from slamfusion.errors import ConfigError
 
 __all__ = [
     "DeviceConfig",
@@ -24,7 +20,6 @@ __all__ = [
     "RunConfig",
     "SideBySideConfig",
     "TrajectoryConfig",
-    "read_yaml",
 ]
 
 
@@ -150,17 +145,3 @@ class RunConfig(Checked):
         """Refuse what is out of range, and starts that are none."""
         super().__post_init__()
         object.__setattr__(self, "start", checked_starts(self.start))
-
-
-def read_yaml(path: str | Path) -> Any:
-    """Return what a YAML file of settings holds: nested plain values, None where it is empty.
-
-    Raises:
-        ConfigError: no YAML.
-    """
-    text = Path(path).read_text(encoding="utf-8", errors="replace")
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
-        raise ConfigError(message) from None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from slamfusion.errors import StartError
+from slamfusion.errors import StartError, shown
 
 __all__ = ["START_FORM", "START_M", "START_RAD", "checked_start", "checked_starts"]
 
@@ -29,12 +29,13 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
         StartError: not so many numbers, one that is not finite, or a tolerance below 0.
     """
     parts = given.split(",") if isinstance(given, str) else given
-    if not isinstance(parts, Sequence) or any(isinstance(part, bool) for part in parts):
-        message = f"{where}: wanted {START_FORM}, found {given!r}"
+    is_row = isinstance(parts, Sequence) and not isinstance(parts, bytes)
+    if not is_row or any(isinstance(part, bool) for part in parts):
+        message = f"{where}: wanted {START_FORM}, found {shown(given)}"
         raise StartError(message)
     try:
         values = tuple(float(part) for part in parts)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         message = f"{where}: wanted {START_FORM}, all numbers, found {_shown(parts)}"
         raise StartError(message) from None
     if len(values) not in {POSE, POSE_AND_TOLERANCES}:
@@ -56,10 +57,13 @@ def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, .
         StartError: no mapping of names to starts, or one of them is refused.
     """
     if not isinstance(given, Mapping):
-        message = f"{where}: wanted names of inputs with {START_FORM} each, found {given!r}"
+        message = f"{where}: wanted names of inputs with {START_FORM} each, found {shown(given)}"
         raise StartError(message)
-    return {str(name): checked_start(values, f"{where}: {name}") for name, values in given.items()}
+    named = {name if isinstance(name, str) else shown(name): own for name, own in given.items()}
+    return {name: checked_start(own, f"{where}: {name}") for name, own in named.items()}
 
 
 def _shown(parts: Sequence[Any]) -> str:
-    return ",".join(str(part).strip() for part in parts)
+    return ",".join(
+        (part.strip() if isinstance(part, str) else shown(part))[:40] for part in parts[:10]
+    )

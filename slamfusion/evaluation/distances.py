@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.spatial import KDTree
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.errors import MapFileError
+from slamfusion.errors import MapFileError, shown
 from slamfusion.evaluation.cells import wall_centres
 from slamfusion.evaluation.records import DistanceComparisonJson, DistanceRowJson
 from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.io.regular import read_small
+from slamfusion.io.yaml_file import read_yaml
 
 __all__ = [
     "DistanceComparison",
@@ -180,22 +181,23 @@ def load_distances(path: str | Path) -> tuple[MeasuredDistance, ...]:
         message = f"{path}: measured distances come as .csv, .yaml or .yml; rename the file"
         raise MapFileError(message)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        message = f"{path}: not UTF-8 text; save the distances as UTF-8"
-        raise MapFileError(message) from None
+        rows = reader(path)
     except OSError as error:
         message = f"{path}: cannot read the distances ({error.strerror}); check the path"
         raise MapFileError(message) from None
-    rows = reader(text, path)
     if not rows:
         message = f"{path}: no distance in the file; add rows of {', '.join(_COLUMNS)}"
         raise MapFileError(message)
     return tuple(_distance(row, f"{path}: {where}", where) for where, row in rows)
 
 
-def _read_csv(text: str, path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _read_csv(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return (where, values) of each row of a CSV file."""
+    try:
+        text = read_small(path, MapFileError, "a file of distances").decode("utf-8-sig")
+    except UnicodeDecodeError:
+        message = f"{path}: not UTF-8 text; save the distances as UTF-8"
+        raise MapFileError(message) from None
     try:
         lines = list(csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True))
     except csv.Error as error:
@@ -223,13 +225,9 @@ def _read_csv(text: str, path: Path) -> list[tuple[str, dict[str, Any]]]:
     return rows
 
 
-def _read_yaml(text: str, path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _read_yaml(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return (where, values) of each entry of a YAML file."""
-    try:
-        values = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
-        raise MapFileError(message) from None
+    values = read_yaml(path, MapFileError, "a YAML file of distances")
     if isinstance(values, dict):
         values = values.get("distances")
     if values is None:
@@ -259,7 +257,7 @@ def _distance(values: dict[str, Any], where: str, default_name: str) -> Measured
         except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not math.isfinite(number):
-            found = "nothing" if raw is None else repr(raw)
+            found = "nothing" if raw is None else shown(raw)
             message = f"{where}: {column} must be a number of metres, found {found}"
             raise MapFileError(message)
         numbers[column] = number
@@ -268,11 +266,16 @@ def _distance(values: dict[str, Any], where: str, default_name: str) -> Measured
         raise MapFileError(message)
     name = values.get("name")
     return MeasuredDistance(
-        str(name).strip() if name not in (None, "") else default_name,
+        _name(name).strip() if name not in (None, "") else default_name,
         (numbers["x1"], numbers["y1"]),
         (numbers["x2"], numbers["y2"]),
         numbers["distance_m"],
     )
+
+
+def _name(value: Any) -> str:
+    """Return what a distance is called; a name is a text, or something short in its place."""
+    return value if isinstance(value, str) else shown(value)
 
 
 def _mean(values: list[float]) -> float | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import gzip
 import os
 import re
-import stat
 import struct
 import warnings
 import zlib
@@ -28,8 +27,9 @@ import numpy.typing as npt
 from slamfusion.errors import MapFileError, MemoryBudgetError
 from slamfusion.io.atomic import write_atomic
 from slamfusion.io.memory import WORKING_BYTES, check_memory, format_bytes
+from slamfusion.io.regular import open_regular
 
-__all__ = ["Image", "encode_image", "looks_like_image", "read_image", "save_image"]
+__all__ = ["Image", "cannot_read", "encode_image", "looks_like_image", "read_image", "save_image"]
 
 GZIP_MAGIC = b"\x1f\x8b"
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -113,7 +113,7 @@ def looks_like_image(path: Path) -> bool:
         return True
     if name.endswith((".yaml", ".yml")):
         return False
-    with open_regular(path) as file:
+    with _opened(path) as file:
         head = file.read(len(PNG_MAGIC))
     known = (GZIP_MAGIC, PNG_MAGIC, b"BM", b"P2", b"P5", *_OTHER_FORMATS)
     return head.startswith(known)
@@ -126,7 +126,7 @@ def read_image(path: Path) -> Image:
         MapFileError: the file is missing, unreadable, damaged or of another format.
         MemoryBudgetError: the picture and its map would not fit into memory.
     """
-    with open_regular(path) as file:
+    with _opened(path) as file:
         try:
             return _read_stream(path, file)
         except (EOFError, gzip.BadGzipFile, zlib.error) as error:
@@ -175,27 +175,25 @@ def encode_image(pixels: npt.NDArray[np.uint8], image_format: str, where: str) -
 
 
 @contextmanager
-def open_regular(path: Path) -> Iterator[BufferedReader]:
-    """Open a file for reading; folders, devices and pipes are refused, not waited for.
+def _opened(path: Path) -> Iterator[BufferedReader]:
+    """Open a picture for reading.
 
     Raises:
         MapFileError: opening, or reading within the ``with`` block, failed; names the file.
     """
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
-            found = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
-            message = f"{path}: wanted a map file, found {found}; give the file itself"
-            raise MapFileError(message)
-        with path.open("rb") as file:
+        with open_regular(path, MapFileError) as file:
             yield file
-    except FileNotFoundError:
-        message = f"{path}: no such file; check the path"
-        raise MapFileError(message) from None
     except OSError as error:
-        reason = error.strerror or error
-        message = f"{path}: cannot read: {reason}; check the path and its permissions"
-        raise MapFileError(message) from None
+        raise cannot_read(path, error) from None
+
+
+def cannot_read(path: Path, error: OSError) -> MapFileError:
+    """Say in one line why a file of a map cannot be read."""
+    if isinstance(error, FileNotFoundError):
+        return MapFileError(f"{path}: no such file; check the path")
+    reason = error.strerror or error
+    return MapFileError(f"{path}: cannot read: {reason}; check the path and its permissions")
 
 
 def _read_stream(path: Path, file: BufferedReader) -> Image:

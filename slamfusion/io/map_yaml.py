@@ -16,7 +16,8 @@ import yaml
 from slamfusion.errors import MapFileError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, implausible
-from slamfusion.io.images import open_regular
+from slamfusion.io.images import cannot_read
+from slamfusion.io.yaml_file import read_yaml
 
 __all__ = [
     "FREE_THRESH",
@@ -42,7 +43,6 @@ _TRUTH = {
     **dict.fromkeys(("1", "true", "yes", "on", "y"), True),
     **dict.fromkeys(("0", "false", "no", "off", "n"), False),
 }
-_YAML_LIMIT = 2**20
 
 
 @dataclass(frozen=True)
@@ -108,18 +108,10 @@ def read_map_yaml(path: Path) -> MapFile:
 
 def _parse_yaml(path: Path) -> dict[Any, Any]:
     """Return the top mapping of a YAML file, all scalars as the text they are written in."""
-    with open_regular(path) as file:
-        data = file.read(_YAML_LIMIT + 1)
-    if len(data) > _YAML_LIMIT or b"\x00" in data:
-        message = f"{path}: wanted a map's YAML, found binary or endless data; give the YAML file"
-        raise MapFileError(message)
     try:
-        # BaseLoader builds text, lists and mappings only, so 1e-3 and 0.05 stay as written.
-        values = yaml.load(data.decode("utf-8-sig"), Loader=yaml.BaseLoader)  # noqa: S506
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        message = f"{path}: not YAML ({reason}); mend the file or give the map's YAML"
-        raise MapFileError(message) from None
+        values = read_yaml(path, MapFileError, "a map's YAML", as_text=True)
+    except OSError as error:
+        raise cannot_read(path, error) from None
     if not isinstance(values, dict):
         found = "nothing" if values in ("", None) else f"a {type(values).__name__}"
         message = (

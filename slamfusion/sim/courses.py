@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
-import yaml
-
 from slamfusion.config import (
+    INTEGER_MAX,
     ActionConfig,
     DrawnPlace,
     DriveConfig,
@@ -30,8 +29,9 @@ from slamfusion.config import (
     from_mapping,
     to_mapping,
 )
-from slamfusion.errors import ConfigError, SimulationError
+from slamfusion.errors import ConfigError, SimulationError, shown
 from slamfusion.geometry import Pose2
+from slamfusion.io.yaml_file import read_yaml
 from slamfusion.sim.drive import DRIVES
 from slamfusion.sim.lidar import LIDARS
 from slamfusion.sim.world import Person
@@ -186,7 +186,9 @@ class Course:
     def __post_init__(self) -> None:
         """Refuse what cannot be driven or written."""
         if not self.name or self.name.startswith(".") or set(self.name) & set("/\\\0\n"):
-            message = f"a course's name must be a plain file name, found {self.name!r}; change it"
+            message = (
+                f"a course's name must be a plain file name, found {shown(self.name)}; change it"
+            )
             raise SimulationError(message)
         if self.script and self.waypoints is not None:
             message = f"{self.name}: give waypoints or a script, not both"
@@ -221,12 +223,7 @@ def load_course(path: str | Path, seed: int = 0) -> Course:
         SimulationError: settings that contradict each other.
     """
     path = Path(path)
-    text = path.read_text(encoding="utf-8", errors="replace")
-    try:
-        values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        message = f"{path}: not YAML ({' '.join(str(error).split())}); mend the file"
-        raise ConfigError(message) from None
+    values = read_yaml(path, ConfigError, "a course's YAML")
     if not isinstance(values, dict):
         message = f"{path}: wanted a mapping of settings, found {type(values).__name__}"
         raise ConfigError(message)
@@ -337,8 +334,8 @@ def _course(values: dict[str, Any], where: str, folder: Path) -> Course:
 def _check_keys(values: dict[str, Any], known: Collection[str], where: str) -> None:
     for key in values:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)[0]
-            message = f"{where}: unknown key {key!r}; the nearest known one is {near!r}"
+            near = difflib.get_close_matches(shown(key), known, n=1, cutoff=0.0)[0]
+            message = f"{where}: unknown key {shown(key)}; the nearest known one is {near!r}"
             raise ConfigError(message)
 
 
@@ -394,16 +391,16 @@ def _points(value: Any, where: str) -> tuple[Point, ...]:
 def _numbers(value: Any, count: int, where: str) -> tuple[float, ...]:
     """Read a row of finite numbers."""
     row = value if isinstance(value, list) else []
-    numbers = [item for item in row if isinstance(item, (int, float)) and abs(item) < 1e7]
+    numbers = [item for item in row if type(item) in {int, float} and abs(item) < 1e7]
     if len(row) != count or len(numbers) != count:
-        message = f"{where}: wanted {count} numbers in metres and radians, found {value!r}"
+        message = f"{where}: wanted {count} numbers in metres and radians, found {shown(value)}"
         raise ConfigError(message)
     return tuple(float(item) for item in numbers)
 
 
 def _count(value: Any, where: str) -> int:
-    if type(value) is not int or value < 0:
-        message = f"{where}: wanted a whole number from 0, found {value!r}"
+    if type(value) is not int or not 0 <= value <= INTEGER_MAX:
+        message = f"{where}: wanted a whole number from 0, found {shown(value)}"
         raise ConfigError(message)
     return value
 
@@ -414,6 +411,6 @@ def _list(value: Any, where: str) -> list[Any]:
 
 def _of_type(value: Any, kind: type[T], where: str) -> T:
     if not isinstance(value, kind):
-        message = f"{where}: wanted a {kind.__name__}, found {value!r}"
+        message = f"{where}: wanted a {kind.__name__}, found {shown(value)}"
         raise ConfigError(message)
     return value

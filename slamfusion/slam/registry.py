@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import RunConfig, from_mapping, read_yaml
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.config import RunConfig, from_mapping
+from slamfusion.errors import ConfigError, SlamFusionError, shown
+from slamfusion.io.yaml_file import read_yaml
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import Resumable
 
@@ -179,7 +180,7 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
         ConfigError: no YAML, an unknown key or producer, a wrong type or range.
     """
     whole = RunConfig() if base is None else base
-    values = read_yaml(path)
+    values = read_yaml(path, ConfigError, "a YAML file of settings")
     if not isinstance(values, dict):
         return from_mapping(whole, values, str(path))
     sections = values.get("producers") or {}
@@ -195,7 +196,9 @@ def load_config(path: str | Path, base: RunConfig | None = None) -> RunConfig:
         sections = {**moved, **sections}
         values["producers"] = sections
         try:
-            whole = with_producers(whole, [str(name) for name in sections])
+            whole = with_producers(
+                whole, [name if isinstance(name, str) else shown(name) for name in sections]
+            )
         except SlamFusionError as error:
             message = f"{path}: producers: {error}"
             raise ConfigError(message) from None

@@ -493,8 +493,8 @@ def test_a_missing_file_a_folder_and_a_device_are_told_apart(tmp_path: Path) -> 
     (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 1\norigin: [0, 0, 0]\n")
     assert_refused(tmp_path / "map.yaml", "map.pgm", "a folder")
     os.mkfifo(tmp_path / "pipe.yaml")
-    assert_refused(tmp_path / "pipe.yaml", "a device or pipe")
-    with pytest.raises(MapFileError, match="/dev/null: wanted a map file, found a device"):
+    assert_refused(tmp_path / "pipe.yaml", "a pipe")
+    with pytest.raises(MapFileError, match="/dev/null: wanted a file, found a device"):
         load_map("/dev/null")
 
 

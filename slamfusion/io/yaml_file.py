@@ -1,0 +1,104 @@
+"""The one reader of YAML: settings, courses, distances, maps' and bags' YAML.
+
+A file is a regular one of at most 1 MiB. What it holds is counted while it is read, each alias as
+often as it stands for something, so that a short file cannot become a large value; tags that YAML
+cannot make values of, numbers that are none, and whatever else PyYAML stumbles over are one error.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from slamfusion.errors import SlamFusionError, shown
+from slamfusion.io.regular import read_small
+
+__all__ = ["read_yaml"]
+
+# 1 MiB of measured distances is 90 000 values; settings and courses are some hundred.
+VALUES_MAX = 100_000
+DEPTH_MAX = 50
+
+
+class _LimitError(yaml.YAMLError):
+    """The text asks for more than a file of ours ever holds."""
+
+
+class _Counted:
+    """Counts what a loader composes; put before a loader among the bases of a class."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)  # type: ignore[call-arg]
+        self._values = 0
+        self._depth = 0
+        # Values below each anchor, the anchor's own included.
+        self._sizes: dict[str, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose one value and what is below it."""
+        loader: Any = self
+        event = loader.peek_event()
+        anchor = event.anchor
+        if isinstance(event, yaml.AliasEvent):
+            if anchor in loader.anchors and anchor not in self._sizes:
+                message = f"the value of &{shown(anchor)} holds itself"
+                raise _LimitError(message)
+            self._add(self._sizes.get(anchor, 1))
+            return super().compose_node(parent, index)  # type: ignore[misc]
+        before = self._values
+        self._add(1)
+        self._depth += 1
+        if self._depth > DEPTH_MAX:
+            message = f"more than {DEPTH_MAX} levels of nesting"
+            raise _LimitError(message)
+        node = super().compose_node(parent, index)  # type: ignore[misc]
+        self._depth -= 1
+        if anchor is not None:
+            self._sizes[anchor] = self._values - before
+        return node
+
+    def _add(self, count: int) -> None:
+        self._values += count
+        if self._values > VALUES_MAX:
+            message = f"more than {VALUES_MAX} values, aliases counted as often as they are used"
+            raise _LimitError(message)
+
+
+class _Values(_Counted, yaml.SafeLoader):
+    """Plain values: numbers, texts, truth, lists, mappings."""
+
+
+class _Texts(_Counted, yaml.BaseLoader):
+    """Texts, lists and mappings: 1e-3 and 0.05 stay as they are written."""
+
+
+def read_yaml(
+    path: str | Path, error: type[SlamFusionError], what: str, *, as_text: bool = False
+) -> Any:
+    """Return what a YAML file holds: nested plain values, None (texts: empty) where it is empty.
+
+    Args:
+        path: the file.
+        error: raised for everything that is wrong with it.
+        what: the file should be, with its article, for messages.
+        as_text: leave every scalar as the text that it is written in.
+
+    Raises:
+        SlamFusionError: ``error``: no regular file, too large, no UTF-8, no YAML, or too much.
+        OSError: the file cannot be read.
+    """
+    data = read_small(Path(path), error, what)
+    try:
+        loader: Any = _Texts if as_text else _Values
+        return yaml.load(data.decode("utf-8-sig"), Loader=loader)  # noqa: S506 - both are safe
+    except UnicodeDecodeError:
+        message = f"{path}: wanted {what} in UTF-8, found other bytes; save it as UTF-8"
+        raise error(message) from None
+    except Exception as failure:  # noqa: BLE001 - values that are none fail in PyYAML in many ways
+        reason = "a value that is none of its kind"
+        if isinstance(failure, (yaml.YAMLError, ValueError)):
+            reason = " ".join(str(failure).split())[:200]
+        message = f"{path}: not YAML ({reason}); mend the file or give {what}"
+        raise error(message) from None
