@@ -10,7 +10,7 @@ import click
 from slamfusion.cli.options import common_options, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.config import RunConfig
-from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.inputs import check_writable, real_path
 
 if TYPE_CHECKING:
     from slamfusion.jobs.graph import OptimizedGraph
@@ -72,18 +72,18 @@ def optimize_command(
 
 def _check_request(path: Path, out: Path | None, tum_path: Path | None) -> None:
     """Refuse what cannot end well before any work."""
-    taken = {path.resolve(): "the input"}
+    taken = {real_path(path): "the input"}
     for name, target in (("-o", out), ("--tum", tum_path)):
         if target is None:
             continue
-        if target.resolve() in taken:
-            what = taken[target.resolve()]
+        if real_path(target) in taken:
+            what = taken[real_path(target)]
             message = f"{name} {target} would replace {what}; choose another name"
             raise click.UsageError(message)
         if target.is_dir():
             message = f"{name} {target} is a folder; name a file in it"
             raise click.UsageError(message)
-        taken[target.resolve()] = f"the file of {name}"
+        taken[real_path(target)] = f"the file of {name}"
         check_writable(target.parent)
 
 

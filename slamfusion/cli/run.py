@@ -31,7 +31,7 @@ from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.inputs import check_writable, real_path
 from slamfusion.jobs.outputs import AGREEMENT, FAILED, FUSED, REPORT, possible_outputs
 
 if TYPE_CHECKING:
@@ -79,10 +79,10 @@ class _Request:
             self.scan_odometry,
         )
         # Also the image of a map that is named by its YAML file.
-        inputs = {path.resolve() for path in given if path is not None}
-        inputs |= {path.resolve().with_suffix(".pgm") for path in (*self.maps, self.truth) if path}
+        inputs = {real_path(path) for path in given if path is not None}
+        inputs |= {real_path(path).with_suffix(".pgm") for path in (*self.maps, self.truth) if path}
         for path in self.possible_outputs():
-            if path.resolve() in inputs:
+            if real_path(path) in inputs:
                 message = f"-o {self.out} would replace the input {path}; choose another folder"
                 raise click.UsageError(message)
         check_writable(self.out)

@@ -21,7 +21,7 @@ from slamfusion.cli.output import notice, one_line, print_json, print_table, pro
 from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.inputs import check_writable, real_path
 from slamfusion.jobs.outputs import SUFFIXES, output_files
 
 if TYPE_CHECKING:
@@ -97,9 +97,9 @@ class _Request:
             self.resume,
             self.scan_odometry,
         )
-        inputs = {path.resolve() for path in given if path is not None}
+        inputs = {real_path(path) for path in given if path is not None}
         for path in self.outputs():
-            if path.resolve() in inputs:
+            if real_path(path) in inputs:
                 what = "--save-state" if path == self.state else f"-o {self.stem}"
                 message = f"{what} would replace the input {path}; choose another name"
                 raise click.UsageError(message)
@@ -113,17 +113,15 @@ class _Request:
     def _check_state(self) -> None:
         """Refuse a state that cannot be read, or that cannot be written."""
         if self.resume is not None:
-            self.resume.stat()
-            if not self.resume.is_file():
-                message = f"--resume {self.resume}: not a file; give one that --save-state wrote"
-                raise click.UsageError(message)
-            self.resume.open("rb").close()
+            from slamfusion.io.regular import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
+
+            open_regular(self.resume, SlamFusionError).close()
         if self.state is None:
             return
         others = output_files(self.stem, probabilities=self.probabilities)
         if self.report is not None:
             others.append(self.report / "report.html")
-        if self.state.resolve() in {path.resolve() for path in others}:
+        if real_path(self.state) in {real_path(path) for path in others}:
             message = (
                 f"--save-state {self.state} is also a file that the run writes; choose another"
             )

@@ -22,7 +22,7 @@ from slamfusion.evaluation.records import DensePosesJson
 from slamfusion.evaluation.trajectory_error import associate
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses
 from slamfusion.grid import IDENTITY
-from slamfusion.io.lines import TextLines, read_head, strip_gz
+from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.trajectory import Trajectory
 
@@ -121,7 +121,7 @@ def read_odometry(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Traj
     where = Path(path)
     if where.is_dir() or not _is_table(where):
         return read_trajectory(where, config)
-    lines = TextLines(where)
+    lines = TextLines(where, kept_bytes=ROW_BYTES)
     rows = []
     number = 0
     for number, line in lines:

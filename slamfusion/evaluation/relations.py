@@ -17,7 +17,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.records import RelationErrorsAtScansJson, RelationErrorsJson
 from slamfusion.evaluation.statistics import ErrorStatistics, mean_interval
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
-from slamfusion.io.lines import TextLines, strip_gz
+from slamfusion.io.lines import ROW_BYTES, TextLines, strip_gz
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -163,7 +163,7 @@ def read_relations(path: str | Path) -> Relations:
         OSError: the file cannot be opened.
     """
     where = Path(path)
-    lines = TextLines(where)
+    lines = TextLines(where, kept_bytes=ROW_BYTES)
     rows = []
     number = 0
     for number, line in lines:

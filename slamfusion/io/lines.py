@@ -8,20 +8,33 @@ import zlib
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from slamfusion.errors import LogError
+from slamfusion.io.budget import UnpackBudget
+from slamfusion.io.memory import check_memory
+from slamfusion.io.regular import open_regular
 
-__all__ = ["GZIP_MAGIC", "TextLines", "gzip_bytes", "read_head", "strip_gz"]
+__all__ = ["GZIP_MAGIC", "ROW_BYTES", "TextLines", "gzip_bytes", "read_head", "strip_gz"]
 
+# Of a row of some ten numbers while it is a list of Python floats, with the table made of it.
+ROW_BYTES = 600
 GZIP_MAGIC = b"\x1f\x8b"
 _DAMAGE = (EOFError, gzip.BadGzipFile, zlib.error)
 _BUFFER_BYTES = 1 << 16
 # A scan of 100 000 beams takes about 1 MB; what is longer than this is no text.
 _LINE_BYTES = 1 << 24
+# How often memory is looked at where lines are kept.
+_CHECKED_LINES = 1 << 17
 
 
 class TextLines:
     """The lines of a file; each iteration reads from the start and takes constant memory.
+
+    Args:
+        path: the file.
+        kept_bytes: what the caller keeps of each line: where that would not fit into memory, the
+            file is refused while it is read.
 
     Attributes:
         path: the file; whether it is packed is told from its first bytes, not from its name.
@@ -29,8 +42,9 @@ class TextLines:
         is_cut_off: the last iteration met packed data that end early or are damaged.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, kept_bytes: int = 0) -> None:
         self.path = path
+        self._kept_bytes = kept_bytes
         self.fraction_read = 0.0
         self.is_cut_off = False
 
@@ -38,12 +52,17 @@ class TextLines:
         """Yield line number, from 1, and line.
 
         Raises:
-            LogError: a line is too long to be text.
+            LogError: no regular file, a line that is too long to be text, or packed data that
+                unpack to more than any log.
+            MemoryBudgetError: what the caller keeps would not fit into memory.
         """
         self.fraction_read, self.is_cut_off = 0.0, False
-        with self.path.open("rb", buffering=0) as raw:
+        with open_regular(self.path, LogError) as file:
+            raw = file.raw
             size = max(raw.seek(0, io.SEEK_END), 1)
-            stream = _unpacked(raw)
+            stream, is_packed = _unpacked(raw)
+            budget = UnpackBudget(self.path)
+            packed_bytes = 0
             try:
                 read = partial(stream.readline, _LINE_BYTES)
                 for number, line in enumerate(iter(read, b""), start=1):
@@ -53,7 +72,14 @@ class TextLines:
                             "so this is no text log; check the file"
                         )
                         raise LogError(message)
-                    self.fraction_read = min(raw.tell() / size, 1.0)
+                    read_bytes = raw.tell()
+                    if is_packed:
+                        budget.spend(read_bytes - packed_bytes, len(line))
+                        packed_bytes = read_bytes
+                    if self._kept_bytes and number % _CHECKED_LINES == 0:
+                        what = f"keeping {number} lines"
+                        check_memory(number * self._kept_bytes, what, str(self.path))
+                    self.fraction_read = min(read_bytes / size, 1.0)
                     yield number, line
             except _DAMAGE:
                 self.is_cut_off = True
@@ -61,9 +87,14 @@ class TextLines:
 
 
 def read_head(path: Path, count: int = _BUFFER_BYTES) -> bytes:
-    """Return the first bytes of a file, unpacked where it is gzip; less where it is damaged."""
-    with path.open("rb", buffering=0) as raw:
-        stream = _unpacked(raw)
+    """Return the first bytes of a file, unpacked where it is gzip; less where it is damaged.
+
+    Raises:
+        LogError: no regular file.
+        OSError: the file cannot be opened.
+    """
+    with open_regular(path, LogError) as file:
+        stream, _ = _unpacked(file.raw)
         head = bytearray()
         try:
             while len(head) < count and (part := stream.read1(count - len(head))):
@@ -86,11 +117,11 @@ def gzip_bytes(data: bytes) -> bytes:
     return packed.getvalue()
 
 
-def _unpacked(raw: io.FileIO) -> io.BufferedReader:
-    """Return the file's bytes from its start, through gzip where the first bytes say so."""
+def _unpacked(raw: Any) -> tuple[io.BufferedReader, bool]:
+    """Return the file's bytes from its start, and whether gzip unpacks them."""
     raw.seek(0)
     magic = raw.read(len(GZIP_MAGIC))
     raw.seek(0)
     if magic != GZIP_MAGIC:
-        return io.BufferedReader(raw, _BUFFER_BYTES)
-    return io.BufferedReader(gzip.GzipFile(fileobj=raw, mode="rb"), _BUFFER_BYTES)
+        return io.BufferedReader(raw, _BUFFER_BYTES), False
+    return io.BufferedReader(gzip.GzipFile(fileobj=raw, mode="rb"), _BUFFER_BYTES), True

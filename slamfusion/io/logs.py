@@ -83,9 +83,6 @@ def _reader(where: Path) -> Reader:
             )
             raise LogError(message)
         return BagLog
-    if where.exists() and not where.is_file():
-        message = f"{where}: a device or pipe cannot be read twice, as logs are; save it to a file"
-        raise LogError(message)
     head = read_head(where)
     suffix = Path(strip_gz(where.name)).suffix
     reader = _READERS.get(suffix)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.io.lines import TextLines
+from slamfusion.io.lines import ROW_BYTES, TextLines
 
 __all__ = ["ScanOdometry", "read_scan_odometry"]
 
@@ -103,7 +103,7 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
         OSError: the file cannot be opened.
     """
     where = Path(path)
-    lines = TextLines(where)
+    lines = TextLines(where, kept_bytes=ROW_BYTES)
     columns: list[str] = []
     rows: list[list[float]] = []
     number = 0

@@ -12,7 +12,7 @@ import numpy as np
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.io.carmen import CARMEN_WORDS
-from slamfusion.io.lines import TextLines, read_head, strip_gz
+from slamfusion.io.lines import ROW_BYTES, TextLines, read_head, strip_gz
 from slamfusion.io.logs import open_log
 from slamfusion.io.tinyslam_dat import FIELDS
 from slamfusion.io.tum import quaternion_yaw_rad
@@ -117,7 +117,7 @@ def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
         shown = " ".join(header)[:60]
         message = f"{where}: wanted {_WANTED}, found {_printable(shown)!r}; check the file"
         raise TrajectoryError(message)
-    lines = TextLines(where)
+    lines = TextLines(where, kept_bytes=ROW_BYTES)
     last_s = -math.inf
     number = 0
     for number, line in lines:
@@ -205,7 +205,7 @@ def _read_graph(where: Path, name: str) -> Trajectory | None:
     rows: list[Row] = []
     pose: list[float] | None = None
     vertices = 0
-    for number, line in TextLines(where):
+    for number, line in TextLines(where, kept_bytes=ROW_BYTES):
         if line.startswith(b"VERTEX2"):
             fields = line.split()
             if len(fields) != 5:

@@ -38,6 +38,8 @@ _EDGES: Mapping[bytes, tuple[tuple[int, int], ...]] = {
     b"EDGE2": _TORO_ORDER,
 }
 _FIX = b"FIX"
+# Of an edge as Python numbers, with its tables.
+LINE_BYTES = 1500
 _LARGEST_ID = 10**18 - 1
 _WANTED = "VERTEX_SE2, EDGE_SE2 and FIX (g2o), VERTEX2 and EDGE2 (TORO)"
 
@@ -171,7 +173,7 @@ class _Lines:
         self.information: list[list[list[float]]] = []
         self.fixed: set[int] = set()
         self.skipped: Counter[str] = Counter()
-        text = TextLines(path)
+        text = TextLines(path, kept_bytes=LINE_BYTES)
         for number, line in text:
             words = line.split()
             if words and not words[0].startswith(b"#"):

@@ -124,7 +124,7 @@ def test_a_folder_that_is_no_bag_is_refused(tmp_path: Path) -> None:
 def test_a_pipe_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "pipe.log"
     os.mkfifo(path)
-    assert "cannot be read twice" in refusal(path)
+    assert "wanted a file, found a pipe" in refusal(path)
 
 
 def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:

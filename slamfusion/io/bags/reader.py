@@ -11,13 +11,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamfusion.errors import LogError, SlamFusionError
+from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
+from slamfusion.io.bags.unpack import unpack_budget
+from slamfusion.io.regular import open_regular
+from slamfusion.io.yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
 
 __all__ = ["BagMessage", "OpenBag", "open_bag", "stamp_s"]
+
+METADATA = "metadata.yaml"
+_PARTS = (METADATA, "*.db3", "*.mcap", "*.zstd")
 
 
 class BagMessage(NamedTuple):
@@ -128,7 +134,8 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     try:
         # Old ROS 2 bags do not carry their message definitions.
         store = get_typestore(Stores.LATEST)
-        with AnyReader(_files(path), default_typestore=store) as reader:
+        _check_files(path)
+        with unpack_budget(path), AnyReader(_files(path), default_typestore=store) as reader:
             yield OpenBag(path, reader)
     except (SlamFusionError, PermissionError):
         raise
@@ -137,6 +144,9 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
             raise
         message = f"{path}: not a whole bag: a file of it is missing; copy all of it"
         raise LogError(message) from None
+    except MemoryError:
+        message = f"{path}: memory ran out while reading it; free memory, or check that it is whole"
+        raise MemoryBudgetError(message) from None
     except Exception as error:
         reason = textwrap.shorten(str(error), 120) or type(error).__name__
         message = (
@@ -148,12 +158,24 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
 
 def _files(path: Path) -> list[Path]:
     """Return what to open: the path itself, or the storage files of a folder without index."""
-    if path.is_dir() and not (path / "metadata.yaml").exists():
+    if path.is_dir() and not (path / METADATA).exists():
         for pattern in ("*.mcap", "*.db3"):
             files = sorted(path.glob(pattern))
             if files:
                 return files
     return [path]
+
+
+def _check_files(path: Path) -> None:
+    """Refuse pipes and devices among a bag's files, and metadata that are no small YAML."""
+    if not path.is_dir():
+        open_regular(path, LogError).close()
+        return
+    for pattern in _PARTS:
+        for file in path.glob(pattern):
+            open_regular(file, LogError).close()
+    if (path / METADATA).exists():
+        read_yaml(path / METADATA, LogError, "a bag's metadata", as_text=True)
 
 
 def stamp_s(message: Any) -> float:

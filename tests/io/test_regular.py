@@ -1,0 +1,184 @@
+"""Readers open regular files and wait for nothing else; what is packed has a budget."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamfusion.errors import LogError, MemoryBudgetError, SlamFusionError
+from slamfusion.evaluation.distances import load_distances
+from slamfusion.evaluation.odometry import read_odometry
+from slamfusion.evaluation.relations import read_relations
+from slamfusion.io import lines, load_map, open_log, read_trajectory
+from slamfusion.io.budget import TEXT_FREE_BYTES, TEXT_RATIO, UnpackBudget
+from slamfusion.io.lines import TextLines
+from slamfusion.io.regular import open_regular
+from slamfusion.io.scan_odometry import read_scan_odometry
+from slamfusion.pose_graph.g2o import read_g2o
+from slamfusion.sim.courses import load_course
+from slamfusion.slam.registry import load_config
+
+READERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "map": (load_map, ".yaml"),
+    "picture": (lambda path: load_map(path, resolution=0.05), ".pgm"),
+    "settings": (load_config, ".yaml"),
+    "course": (load_course, ".yaml"),
+    "distances": (load_distances, ".yaml"),
+    "table of distances": (load_distances, ".csv"),
+    "log": (open_log, ".log"),
+    "recording": (open_log, ".dat"),
+    "bag": (open_log, ".mcap"),
+    "trajectory": (read_trajectory, ".tum"),
+    "relations": (read_relations, ".txt"),
+    "odometry": (read_odometry, ".txt"),
+    "scan odometry": (read_scan_odometry, ".csv"),
+    "graph": (read_g2o, ".g2o"),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("kind", ["pipe", "device", "socket", "folder"])
+def test_no_reader_waits_for_what_is_no_file(tmp_path: Path, name: str, kind: str) -> None:
+    read, suffix = READERS[name]
+    path = tmp_path / f"a{suffix}"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(str(path))
+    with pytest.raises(SlamFusionError) as caught:
+        read(path)
+    if kind == "folder" and name in {"log", "recording", "bag", "trajectory", "odometry"}:
+        assert "ROS 2 bag" in str(caught.value)
+    else:
+        assert f"wanted a file, found a {kind}" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_links_that_lead_in_a_circle_are_one_error(tmp_path: Path, name: str) -> None:
+    read, suffix = READERS[name]
+    path = tmp_path / f"a{suffix}"
+    path.symlink_to(path)
+    with pytest.raises((SlamFusionError, OSError)) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_file_that_becomes_a_pipe_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, pipe = tmp_path / "file", tmp_path / "pipe"
+    file.write_bytes(b"1")
+    os.mkfifo(pipe)
+    regular = file.stat()
+    monkeypatch.setattr(Path, "stat", lambda _: regular)
+    with pytest.raises(LogError, match="found a pipe"):
+        open_regular(pipe, LogError)
+
+
+BOMBS = {
+    "rows": (b"1 2 3 4 " * 99 + b"\n", "unpacks to more than"),
+    "one line": (b"\0", "longer than 16 MiB"),
+}
+
+
+@pytest.mark.parametrize("case", BOMBS)
+def test_a_bomb_of_gzip_is_refused_before_its_end(tmp_path: Path, case: str) -> None:
+    line, words = BOMBS[case]
+    path = tmp_path / "bomb.log"
+    path.write_bytes(gzip.compress(line * (20 * 2**20 // len(line)), 9))
+    taken: list[int] = []
+    with pytest.raises(LogError, match=words):
+        taken.extend(len(part) for _, part in TextLines(path))
+    assert sum(taken) <= TEXT_FREE_BYTES
+
+
+def test_what_packs_as_logs_do_is_read_to_its_end() -> None:
+    budget = UnpackBudget("a.log.gz", free_bytes=1000)
+    budget.spend(1, 1000)
+    budget.spend(99, 100 * TEXT_RATIO - 1000)
+    with pytest.raises(LogError, match=r"a\.log\.gz: unpacks to more than 200 times"):
+        budget.spend(0, 1)
+
+
+def test_rows_that_would_not_fit_into_memory_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.tum"
+    path.write_bytes(b"1 2 3 4\n" * 300)
+    monkeypatch.setattr(lines, "_CHECKED_LINES", 100)
+    assert len(read_trajectory(path)) == 300
+    monkeypatch.setattr("slamfusion.io.memory.available_memory", lambda: 150 * lines.ROW_BYTES)
+    with pytest.raises(MemoryBudgetError, match=r"a\.tum: keeping 200 lines needs"):
+        read_trajectory(path)
+
+
+def test_a_bomb_in_a_bag_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bags = pytest.importorskip("tests.io.bags")
+    monkeypatch.setattr("slamfusion.io.bags.unpack.BAG_FREE_BYTES", 1 << 16)
+    monkeypatch.setattr("slamfusion.io.bags.unpack.BAG_RATIO", 100)
+    bag = bags.Bag()
+    for number in range(20):
+        bag.scan(1.0 + 0.1 * number, [1.0] * 20_000)
+    paths = []
+    for kind in ("ros1-bz2", "ros1-lz4"):
+        (tmp_path / kind).mkdir()
+        paths.append(bag.write(tmp_path / kind, kind))
+    paths += [packed_bag(tmp_path, bag, mode) for mode in ("STORAGE", "FILE", "MESSAGE")]
+    for path in paths:
+        with pytest.raises(LogError, match="unpacks to more than 100 times"):
+            list(open_log(path))
+
+
+def packed_bag(folder: Path, bag: Any, mode: str) -> Path:
+    """Write a bag's messages to an .mcap folder that is packed with zstd."""
+    from rosbags.rosbag2 import (  # noqa: PLC0415
+        CompressionFormat,
+        CompressionMode,
+        StoragePlugin,
+        Writer,
+    )
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    from tests.io import bags  # noqa: PLC0415
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    path = folder / f"packed-{mode}"
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/scan", bags.SCAN, typestore=store)
+        for number, (time_s, _, name, values) in enumerate(bag.messages):
+            made = bags._MAKERS[name](store.types, is_ros1=False, number=number, **values)
+            writer.write(connection, round(time_s * 1e9), store.serialize_cdr(made, name))
+    return path
+
+
+@pytest.mark.parametrize("mode", ["STORAGE", "FILE", "MESSAGE"])
+def test_packed_bags_of_ordinary_size_are_read(tmp_path: Path, mode: str) -> None:
+    bags = pytest.importorskip("tests.io.bags")
+    bag = bags.Bag()
+    for number in range(20):
+        bag.scan(1.0 + 0.1 * number, [1.0] * 2000)
+    assert sum(1 for _ in open_log(packed_bag(tmp_path, bag, mode))) == 20
+
+
+def test_bzip2_that_ends_early_is_damage(tmp_path: Path) -> None:
+    bags = pytest.importorskip("tests.io.bags")
+    path = bags.Bag().scan(1.0).scan(2.0).write(tmp_path, "ros1-bz2")
+    data = path.read_bytes()
+    at = data.index(b"BZh")
+    path.write_bytes(data[:at] + bz2.compress(b"")[: len(data) - at] + data[at + 14 :])
+    with pytest.raises(LogError):
+        list(open_log(path))
