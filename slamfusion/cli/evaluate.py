@@ -168,6 +168,42 @@ def print_evaluations(evaluations: Sequence[Evaluation]) -> None:
     tolerance = evaluations[0].error.tolerance_m
     title = f"Error against {evaluations[0].error.truth} (walls within {tolerance:g} m)"
     print_table(columns, rows, title=title)
+    _print_faces(evaluations)
+
+
+def _print_faces(evaluations: Sequence[Evaluation]) -> None:
+    """Print the measures that reward no thickness, one row for each map."""
+    rows = []
+    for evaluation in evaluations:
+        error, faces, thickness = (
+            evaluation.error,
+            evaluation.error.faces,
+            evaluation.error.wall_thickness,
+        )
+        outward, back = faces.map_to_truth, faces.truth_to_map
+        rows.append(
+            [
+                error.name,
+                *(number(agreement.f1) for agreement in faces.agreements),
+                number(None if outward is None else outward.mean_m),
+                number(None if back is None else back.mean_m),
+                number(None if thickness is None else thickness.mean_m),
+                number(error.doubled_wall_share),
+                number(error.outside_m2, 1),
+            ]
+        )
+    tolerances = [item.tolerance_m for item in evaluations[0].error.faces.agreements]
+    columns = (
+        "map ",
+        *(f"faces F1 {tolerance_m:g} m" for tolerance_m in tolerances),
+        "to truth m",
+        "from truth m",
+        "thickness m",
+        "doubled",
+        "outside m2",
+    )
+    title = "Faces of walls (wall cells beside free ones), which reward no thickness"
+    print_table(columns, rows, title=title)
 
 
 def _print_distances(comparison: DistanceComparison) -> None:

@@ -26,7 +26,6 @@ from slamfusion.evaluation.map_error import (
     MISSING_FREE,
     MISSING_WALL,
     MapError,
-    WallDistance,
     compare_to_truth,
 )
 from slamfusion.evaluation.odometry import (
@@ -65,6 +64,17 @@ from slamfusion.evaluation.trajectory_error import (
     associate,
     trajectory_errors,
 )
+from slamfusion.evaluation.wall_distances import WallDistance
+from slamfusion.evaluation.wall_faces import (
+    FACE_TOLERANCES_M,
+    FaceAgreement,
+    WallFaces,
+    WallThickness,
+    compare_faces,
+    face_cells,
+    outside_area,
+    wall_thickness,
+)
 
 __all__ = [
     "AGREE_FREE",
@@ -73,6 +83,7 @@ __all__ = [
     "AT_SCAN_S",
     "EXTRA_FREE",
     "EXTRA_WALL",
+    "FACE_TOLERANCES_M",
     "MISSING_FREE",
     "MISSING_WALL",
     "REVISIT_S",
@@ -81,6 +92,7 @@ __all__ = [
     "DistanceComparison",
     "DistanceRow",
     "ErrorStatistics",
+    "FaceAgreement",
     "Interval",
     "MapError",
     "MeasuredDistance",
@@ -92,9 +104,12 @@ __all__ = [
     "Summary",
     "TrajectoryErrors",
     "WallDistance",
+    "WallFaces",
+    "WallThickness",
     "added_doubled_share",
     "associate",
     "compare_distances",
+    "compare_faces",
     "compare_pairs",
     "compare_samples",
     "compare_to_truth",
@@ -102,9 +117,11 @@ __all__ = [
     "doubled_wall_cells",
     "doubled_wall_share",
     "errors_at_scans",
+    "face_cells",
     "load_distances",
     "match_odometry",
     "mean_interval",
+    "outside_area",
     "pooled_p_value",
     "poses_by_odometry",
     "read_odometry",
@@ -113,4 +130,5 @@ __all__ = [
     "subsample_to_scans",
     "t_interval",
     "trajectory_errors",
+    "wall_thickness",
 ]

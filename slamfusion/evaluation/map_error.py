@@ -12,12 +12,26 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.evaluation.cells import sample_on_lattice, wall_centres
-from slamfusion.evaluation.records import MapErrorJson, WallDistanceJson
+from slamfusion.evaluation.doubled_walls import doubled_wall_share
+from slamfusion.evaluation.records import MapErrorJson
+from slamfusion.evaluation.wall_distances import (
+    WallDistance,
+    distance_summary,
+    harmonic_mean,
+    nearest_distances,
+    share_within,
+)
+from slamfusion.evaluation.wall_faces import (
+    WallFaces,
+    WallThickness,
+    compare_faces,
+    outside_area,
+    wall_thickness,
+)
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, known_box, trinary_cells
 
@@ -31,7 +45,6 @@ __all__ = [
     "MISSING_FREE",
     "MISSING_WALL",
     "MapError",
-    "WallDistance",
     "compare_to_truth",
 ]
 
@@ -57,28 +70,8 @@ _DIFFERENCE = np.array(
 )
 
 
-# A wall exactly the tolerance away counts as found, whatever the last digits of the poses are.
-_TOLERANCE_SLACK_M = 1e-6
-
 _SSIM_SIGMA_CELLS = 1.5
 _SSIM_WINDOW_CELLS = 11
-
-
-@dataclass(frozen=True)
-class WallDistance:
-    """Distances from each wall cell of one map to the nearest wall cell of the other, metres.
-
-    Attributes:
-        mean_m, p95_m, max_m: between cell centres; p95 is the 95th percentile.
-    """
-
-    mean_m: float
-    p95_m: float
-    max_m: float
-
-    def to_json(self) -> WallDistanceJson:
-        """Return ``mean``, ``p95`` and ``max`` in metres."""
-        return {"mean": self.mean_m, "p95": self.p95_m, "max": self.max_m}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +93,11 @@ class MapError:
             inside the box; None when neither has any.
         map_to_truth: from each wall of the map to the nearest true wall; None when a side has none.
         truth_to_map: from each true wall to the nearest wall of the map; None likewise.
+        faces: the faces of the walls against the true ones, which reward no thickness.
+        wall_thickness: of the map's walls; None where no wall has a face.
+        doubled_wall_share: share of the map's wall cells with a parallel wall close by, 0..1.
+        outside_m2: area that the map knows outside of the truth's outline and more than
+            ``tolerance_m`` from it, square metres; also beyond the box.
         ssim: mean structural similarity of the trinary images over the box, at most 1.
         coverage: share of the truth's known cells that the map knows, 0..1.
         tolerance_m: as given.
@@ -120,6 +118,10 @@ class MapError:
     iou_free: float | None
     map_to_truth: WallDistance | None
     truth_to_map: WallDistance | None
+    faces: WallFaces
+    wall_thickness: WallThickness | None
+    doubled_wall_share: float
+    outside_m2: float
     ssim: float
     coverage: float
     tolerance_m: float
@@ -144,6 +146,10 @@ class MapError:
             "iou_free": self.iou_free,
             "map_to_truth_m": self.map_to_truth.to_json() if self.map_to_truth else None,
             "truth_to_map_m": self.truth_to_map.to_json() if self.truth_to_map else None,
+            "faces": self.faces.to_json(),
+            "wall_thickness_m": self.wall_thickness.to_json() if self.wall_thickness else None,
+            "doubled_wall_share": self.doubled_wall_share,
+            "outside_m2": self.outside_m2,
             "ssim": self.ssim,
             "confusion": {
                 truth_class: dict(zip(CLASS_NAMES, map(int, row), strict=True))
@@ -204,10 +210,10 @@ def compare_to_truth(
     # The walls, as points of the truth's map frame.
     true_walls = wall_centres(true_classes, truth)
     map_walls = wall_centres(map_classes, grid, transform)
-    map_to_truth = _nearest_distances(map_walls, true_walls)
-    truth_to_map = _nearest_distances(true_walls, map_walls)
-    precision = _share_within(map_to_truth, tolerance_m)
-    recall = _share_within(truth_to_map, tolerance_m)
+    map_to_truth = nearest_distances(map_walls, true_walls)
+    truth_to_map = nearest_distances(true_walls, map_walls)
+    precision = share_within(map_to_truth, tolerance_m)
+    recall = share_within(truth_to_map, tolerance_m)
 
     known = int(confusion[1:].sum())
     return MapError(
@@ -217,11 +223,17 @@ def compare_to_truth(
         confusion=confusion,
         wall_precision=precision,
         wall_recall=recall,
-        wall_f1=_harmonic_mean(precision, recall),
+        wall_f1=harmonic_mean(precision, recall),
         iou_occupied=_intersection_over_union(confusion, 2),
         iou_free=_intersection_over_union(confusion, 1),
-        map_to_truth=_summary(map_to_truth),
-        truth_to_map=_summary(truth_to_map),
+        map_to_truth=distance_summary(map_to_truth),
+        truth_to_map=distance_summary(truth_to_map),
+        faces=compare_faces(map_classes, grid, transform, true_classes, truth),
+        wall_thickness=wall_thickness(grid, normalize=normalize),
+        doubled_wall_share=doubled_wall_share(grid, normalize=normalize),
+        outside_m2=outside_area(
+            map_classes, grid, transform, true_classes, truth, margin_m=tolerance_m
+        ),
         ssim=_mean_ssim(expected, found),
         coverage=int(confusion[1:, 1:].sum()) / known,
         tolerance_m=tolerance_m,
@@ -254,47 +266,6 @@ def _intersection_over_union(confusion: npt.NDArray[np.int64], index: int) -> fl
     both = int(confusion[index, index])
     either = int(confusion[index].sum() + confusion[:, index].sum()) - both
     return both / either if either else None
-
-
-def _nearest_distances(
-    walls: npt.NDArray[np.float64], others: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64] | None:
-    """Return (N,) metres to the nearest of ``others``, inf where there is none; None without walls.
-
-    Args:
-        walls: (N, 2) points, metres.
-        others: (M, 2) points, metres, same frame.
-    """
-    if walls.shape[0] == 0:
-        return None
-    if others.shape[0] == 0:
-        return np.full(walls.shape[0], np.inf)
-    distances, _ = KDTree(others).query(walls)
-    return np.asarray(distances, dtype=np.float64)
-
-
-def _share_within(distances: npt.NDArray[np.float64] | None, tolerance_m: float) -> float | None:
-    """Return the share of distances at most the tolerance, or None without walls."""
-    if distances is None:
-        return None
-    return float(np.mean(distances <= tolerance_m + _TOLERANCE_SLACK_M))
-
-
-def _harmonic_mean(precision: float | None, recall: float | None) -> float | None:
-    """Return F1, 0 when both are 0, None when one is undefined."""
-    if precision is None or recall is None:
-        return None
-    total = precision + recall
-    return 2.0 * precision * recall / total if total else 0.0
-
-
-def _summary(distances: npt.NDArray[np.float64] | None) -> WallDistance | None:
-    """Return mean, 95th percentile and maximum, or None when a side has no walls."""
-    if distances is None or not np.isfinite(distances[0]):
-        return None
-    return WallDistance(
-        float(distances.mean()), float(np.percentile(distances, 95)), float(distances.max())
-    )
 
 
 def _mean_ssim(expected: npt.NDArray[np.int8], found: npt.NDArray[np.int8]) -> float:

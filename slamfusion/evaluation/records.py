@@ -15,6 +15,7 @@ __all__ = [
     "DistanceComparisonJson",
     "DistanceRowJson",
     "ErrorStatisticsJson",
+    "FaceAgreementJson",
     "MapErrorJson",
     "PairedDifferenceJson",
     "RelationErrorsAtScansJson",
@@ -23,6 +24,8 @@ __all__ = [
     "TrajectoryAlignmentJson",
     "TrajectoryErrorsJson",
     "WallDistanceJson",
+    "WallFacesJson",
+    "WallThicknessJson",
 ]
 
 
@@ -95,6 +98,41 @@ class WallDistanceJson(TypedDict):
     """The largest, metres."""
 
 
+class FaceAgreementJson(TypedDict):
+    """How the faces of walls (wall cells beside free ones) agree with the true ones."""
+
+    tolerance_m: float
+    """A face this near counts as found, metres."""
+    precision: float | None
+    """Share of the map's face cells with a true one within the tolerance; null without a face."""
+    recall: float | None
+    """Share of the true face cells with one of the map within it; null without a face."""
+    f1: float | None
+    """Harmonic mean of the two; null when one of them is."""
+
+
+class WallFacesJson(TypedDict):
+    """The faces of a map's walls against the true ones; thickness counts for nothing."""
+
+    agreements: Sequence[FaceAgreementJson]
+    """At each tolerance, the narrowest first."""
+    map_to_truth_m: WallDistanceJson | None
+    """From each face cell of the map to the nearest true one; null when a side has none."""
+    truth_to_map_m: WallDistanceJson | None
+    """From each true face cell to the nearest of the map; null when a side has none."""
+
+
+class WallThicknessJson(TypedDict):
+    """How thick walls are, measured through each cell beside a free one, metres."""
+
+    mean: float
+    """Mean, metres."""
+    median: float
+    """The middle one, metres."""
+    p95: float
+    """95th percentile, metres."""
+
+
 class MapErrorJson(TypedDict):
     """How a map differs from the truth."""
 
@@ -124,6 +162,14 @@ class MapErrorJson(TypedDict):
     """From each wall of the map to the nearest true wall; null when a side has none."""
     truth_to_map_m: WallDistanceJson | None
     """From each true wall to the nearest wall of the map; null when a side has none."""
+    faces: WallFacesJson
+    """The faces of the map's walls against the true ones."""
+    wall_thickness_m: WallThicknessJson | None
+    """How thick the map's walls are; null when no wall is beside a free cell."""
+    doubled_wall_share: float
+    """Share of the map's wall cells that have a parallel wall close by, 0 to 1."""
+    outside_m2: float
+    """Area that the map knows outside of the truth's outline, square metres."""
     ssim: float
     """Mean structural similarity of the trinary images, at most 1."""
     confusion: Mapping[str, Mapping[str, int]]

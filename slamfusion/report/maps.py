@@ -245,14 +245,17 @@ def error_section(
         "Fernandes and Alexandre 2016: the root of the summed squared differences with unknown -1, "
         "free 0 and wall 1.",
         pictures=pictures,
-        tables=[_error_table(evaluations, placed)],
+        tables=[_error_table(evaluations, placed), _face_table(evaluations)],
     )
+
+
+# Heading, digits, whether larger is better, and the value of each map.
+_Measure = tuple[str, int, bool, list[float | None]]
 
 
 def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment | None]) -> Table:
     """Return all measures with the best of each column marked."""
-    # Per measure: heading, digits, whether larger is better, the values.
-    measures: list[tuple[str, int, bool, list[float | None]]] = [
+    measures: list[_Measure] = [
         ("error [F16]", 2, False, [item.error for item in evaluations]),
         ("wall precision", 3, True, [item.wall_precision for item in evaluations]),
         ("wall recall", 3, True, [item.wall_recall for item in evaluations]),
@@ -274,12 +277,7 @@ def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment
         ("SSIM", 3, True, [item.ssim for item in evaluations]),
         ("coverage", 3, True, [item.coverage for item in evaluations]),
     ]
-    rows = [[Cell(item.name)] for item in evaluations]
-    for _, digits, larger_is_better, values in measures:
-        defined = [value for value in values if value is not None]
-        best = (max if larger_is_better else min)(defined) if len(defined) > 1 else None
-        for row, value in zip(rows, values, strict=True):
-            row.append(number(value, digits, "best" if value == best is not None else "plain"))
+    rows = _measure_rows(evaluations, measures)
     for row, alignment in zip(rows, alignments, strict=True):
         if alignment is not None and not alignment.accepted:
             row[0] = Cell(f"{row[0].text} (not aligned)", "bad")
@@ -291,6 +289,53 @@ def _error_table(evaluations: Sequence[MapError], alignments: Sequence[Alignment
         f"Walls count as right or found within {tolerance:g} m. Distances are means from each wall "
         "cell to the nearest one of the other map. The best of each column is green.",
     )
+
+
+def _face_table(evaluations: Sequence[MapError]) -> Table:
+    """Return the measures that reward no thickness with the best of each column marked."""
+    agreements = evaluations[0].faces.agreements if evaluations else ()
+    measures: list[_Measure] = [
+        (
+            f"faces F1 {agreement.tolerance_m:g} m",
+            3,
+            True,
+            [item.faces.agreements[index].f1 for item in evaluations],
+        )
+        for index, agreement in enumerate(agreements)
+    ]
+    outward = [item.faces.map_to_truth for item in evaluations]
+    back = [item.faces.truth_to_map for item in evaluations]
+    measures += [
+        ("face to true m", 3, False, [item.mean_m if item else None for item in outward]),
+        ("true face to map m", 3, False, [item.mean_m if item else None for item in back]),
+        ("doubled walls", 3, False, [item.doubled_wall_share for item in evaluations]),
+        ("outside m\N{SUPERSCRIPT TWO}", 1, False, [item.outside_m2 for item in evaluations]),
+    ]
+    rows = _measure_rows(evaluations, measures)
+    # No thickness is the best one: it is told, and none is marked.
+    for row, item in zip(rows, evaluations, strict=True):
+        row.append(number(item.wall_thickness.mean_m if item.wall_thickness else None, 3))
+    return Table(
+        "Faces of walls",
+        ("map", *(heading for heading, *_ in measures), "wall thickness m"),
+        rows,
+        "Faces are the wall cells that share a side with a free cell, so what is filled behind a "
+        "wall counts for nothing. Outside is the area that the map knows beyond the truth's "
+        "outline. The best of each column is green.",
+    )
+
+
+def _measure_rows(
+    evaluations: Sequence[MapError], measures: Sequence[_Measure]
+) -> list[list[Cell]]:
+    """Return a row of measures for each map, with the best of each column marked."""
+    rows = [[Cell(item.name)] for item in evaluations]
+    for _, digits, larger_is_better, values in measures:
+        defined = [value for value in values if value is not None]
+        best = (max if larger_is_better else min)(defined) if len(defined) > 1 else None
+        for row, value in zip(rows, values, strict=True):
+            row.append(number(value, digits, "best" if value == best is not None else "plain"))
+    return rows
 
 
 def _common_box(

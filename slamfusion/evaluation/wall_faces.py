@@ -1,0 +1,291 @@
+"""Measures of walls that reward no thickness: their faces, their thickness, what lies outside.
+
+A laser sees the face of a wall and never what is behind it. A map that fills the cells behind its
+walls comes nearer to a truth of thick walls in every cell-by-cell measure, without saying anything
+more about where a robot may go. Only the faces decide that: the occupied cells next to free ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation.cells import wall_centres
+from slamfusion.evaluation.records import FaceAgreementJson, WallFacesJson, WallThicknessJson
+from slamfusion.evaluation.wall_distances import (
+    WallDistance,
+    distance_summary,
+    harmonic_mean,
+    nearest_distances,
+    share_within,
+)
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid, trinary_cells
+
+__all__ = [
+    "FACE_TOLERANCES_M",
+    "FaceAgreement",
+    "WallFaces",
+    "WallThickness",
+    "compare_faces",
+    "face_cells",
+    "outside_area",
+    "wall_thickness",
+]
+
+_DEFAULT_NORMALIZE = NormalizeConfig()
+
+# How far a face may lie from a true one and still be right, metres: a cell of the usual maps, two
+# cells, and what a robot's safety margin is.
+FACE_TOLERANCES_M = (0.05, 0.1, 0.2)
+
+_FREE, _WALL = 0, 1
+# Steps along rows, columns and both diagonals, with their length in cells.
+_DIRECTIONS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, math.sqrt(2.0)), (1, -1, math.sqrt(2.0)))
+
+
+@dataclass(frozen=True)
+class FaceAgreement:
+    """How the faces of a map's walls agree with the true ones.
+
+    Attributes:
+        tolerance_m: a face this near counts as found.
+        precision: share of the map's face cells with a true face cell within the tolerance, 0..1;
+            None where the map has no face.
+        recall: share of the true face cells with one of the map within it; None where the truth
+            has none.
+        f1: harmonic mean of the two; None when one of them is.
+    """
+
+    tolerance_m: float
+    precision: float | None
+    recall: float | None
+    f1: float | None
+
+    def to_json(self) -> FaceAgreementJson:
+        """Return the tolerance and the three shares as plain values."""
+        return {
+            "tolerance_m": self.tolerance_m,
+            "precision": self.precision,
+            "recall": self.recall,
+            "f1": self.f1,
+        }
+
+
+@dataclass(frozen=True)
+class WallFaces:
+    """The faces of a map's walls against the true ones.
+
+    Attributes:
+        agreements: one per tolerance, in the order given.
+        map_to_truth: from each face cell of the map to the nearest true one; None when a side has
+            none.
+        truth_to_map: from each true face cell to the nearest of the map; None likewise.
+    """
+
+    agreements: tuple[FaceAgreement, ...]
+    map_to_truth: WallDistance | None
+    truth_to_map: WallDistance | None
+
+    def f1(self, tolerance_m: float) -> float | None:
+        """Return F1 at one of the tolerances; None where it is not defined.
+
+        Raises:
+            KeyError: it was not asked for at this tolerance.
+        """
+        by_tolerance = {item.tolerance_m: item.f1 for item in self.agreements}
+        return by_tolerance[tolerance_m]
+
+    def to_json(self) -> WallFacesJson:
+        """Return the agreements and both distances as plain values."""
+        return {
+            "agreements": [item.to_json() for item in self.agreements],
+            "map_to_truth_m": self.map_to_truth.to_json() if self.map_to_truth else None,
+            "truth_to_map_m": self.truth_to_map.to_json() if self.truth_to_map else None,
+        }
+
+
+@dataclass(frozen=True)
+class WallThickness:
+    """How thick walls are, measured through each face cell, metres.
+
+    Attributes:
+        mean_m, median_m, p95_m: p95 is the 95th percentile.
+    """
+
+    mean_m: float
+    median_m: float
+    p95_m: float
+
+    def to_json(self) -> WallThicknessJson:
+        """Return ``mean``, ``median`` and ``p95`` in metres."""
+        return {"mean": self.mean_m, "median": self.median_m, "p95": self.p95_m}
+
+
+def face_cells(classes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+    """Mark the faces of walls: the occupied cells that share a side with a free one.
+
+    A wall seen from both sides has two faces, one cell thick or more; one that was seen from one
+    side alone has one face however far it is filled behind.
+
+    Args:
+        classes: (H, W) int8 in {-1, 0, 1}.
+
+    Returns:
+        (H, W) bool.
+    """
+    free = np.pad(classes == _FREE, 1)
+    beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+    return np.asarray((classes == _WALL) & beside)
+
+
+def compare_faces(
+    classes: npt.NDArray[np.int8],
+    grid: OccupancyGrid,
+    transform: Pose2,
+    true_classes: npt.NDArray[np.int8],
+    truth: OccupancyGrid,
+    *,
+    tolerances_m: Sequence[float] = FACE_TOLERANCES_M,
+) -> WallFaces:
+    """Compare the faces of a map's walls with the true ones.
+
+    Faces are found on each map's own lattice; distances lie between the centres of their cells, so
+    they do not depend on a common lattice.
+
+    Args:
+        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``.
+        grid: gives resolution and origin of ``classes``.
+        transform: maps a point of the map's frame into the truth's, metres.
+        true_classes: likewise of the truth.
+        truth: gives resolution and origin of ``true_classes``.
+        tolerances_m: at each of them precision, recall and F1 are counted; at least 0.
+    """
+    found = _centres(face_cells(classes), grid, transform)
+    expected = _centres(face_cells(true_classes), truth, IDENTITY)
+    map_to_truth = nearest_distances(found, expected)
+    truth_to_map = nearest_distances(expected, found)
+    agreements = []
+    for tolerance_m in tolerances_m:
+        precision = share_within(map_to_truth, tolerance_m)
+        recall = share_within(truth_to_map, tolerance_m)
+        agreements.append(
+            FaceAgreement(tolerance_m, precision, recall, harmonic_mean(precision, recall))
+        )
+    return WallFaces(
+        tuple(agreements), distance_summary(map_to_truth), distance_summary(truth_to_map)
+    )
+
+
+def wall_thickness(
+    grid: OccupancyGrid, *, normalize: NormalizeConfig = _DEFAULT_NORMALIZE
+) -> WallThickness | None:
+    """Measure how thick the walls of a map are.
+
+    Through each face cell the occupied cells in a row are counted along rows, columns and both
+    diagonals; the shortest of the four is the thickness there. So a slanted wall is no thicker than
+    a straight one by more than its steps, and a wall's length does not count.
+
+    Args:
+        grid: the map.
+        normalize: which cells are walls, and which free.
+
+    Returns:
+        None for a map whose walls have no face.
+    """
+    classes = trinary_cells(grid.cells, normalize)
+    faces = face_cells(classes)
+    if not faces.any():
+        return None
+    walls = classes == _WALL
+    runs = [
+        (_run_behind(walls, row, col) + _run_behind(walls, -row, -col) - 1)[faces] * length
+        for row, col, length in _DIRECTIONS
+    ]
+    thickness_m = np.min(runs, axis=0) * grid.resolution
+    return WallThickness(
+        float(thickness_m.mean()),
+        float(np.median(thickness_m)),
+        float(np.percentile(thickness_m, 95)),
+    )
+
+
+def outside_area(
+    classes: npt.NDArray[np.int8],
+    grid: OccupancyGrid,
+    transform: Pose2,
+    true_classes: npt.NDArray[np.int8],
+    truth: OccupancyGrid,
+    *,
+    margin_m: float,
+) -> float:
+    """Return the area that a map knows outside of the truth's outline, square metres.
+
+    The outline holds the known cells of the truth and what they enclose (the inside of pillars and
+    of thick walls), widened by a margin. Beams that went through glass, reflections, and a part
+    that was mapped in a wrong place lie outside; the error of [F16] sees none of it beyond the
+    truth's box.
+
+    Args:
+        classes: (H, W) int8 in {-1, 0, 1}, the cells of ``grid``.
+        grid: gives resolution and origin of ``classes``.
+        transform: maps a point of the map's frame into the truth's, metres.
+        true_classes: likewise of the truth.
+        truth: gives resolution and origin of ``true_classes``.
+        margin_m: a cell this near to the outline does not count, at least 0.
+    """
+    margin = math.floor(margin_m / truth.resolution + 1e-6)
+    known = np.pad(true_classes != UNKNOWN, margin)
+    outline = ndimage.binary_fill_holes(known)
+    if margin:
+        # Distance to the nearest cell of the outline; a square of cells would reach further.
+        outline = ndimage.distance_transform_edt(~outline) <= margin + 1e-6
+    rows, cols = np.nonzero(classes != UNKNOWN)
+    points = transform.transform(grid.cell_centres(rows, cols))
+    true_rows, true_cols = truth.cell_indices(points)
+    true_rows, true_cols = true_rows + margin, true_cols + margin
+    within = (true_rows >= 0) & (true_rows < outline.shape[0])
+    within &= (true_cols >= 0) & (true_cols < outline.shape[1])
+    within[within] = outline[true_rows[within], true_cols[within]]
+    return int(np.count_nonzero(~within)) * grid.resolution**2
+
+
+def _centres(
+    marked: npt.NDArray[np.bool_], grid: OccupancyGrid, transform: Pose2
+) -> npt.NDArray[np.float64]:
+    """Return the centres of marked cells, carried through ``transform``, (N, 2) metres."""
+    return wall_centres(marked.astype(np.int8), grid, transform)
+
+
+def _run_behind(walls: npt.NDArray[np.bool_], row_step: int, col_step: int) -> npt.NDArray[np.int_]:
+    """Return of each wall cell how many follow it without a gap in one direction, itself counted.
+
+    Args:
+        walls: (H, W) bool.
+        row_step: -1, 0 or 1.
+        col_step: likewise; one of the two is not 0.
+
+    Returns:
+        (H, W) int, 0 off the walls.
+    """
+    if row_step == 0:
+        return _run_behind(walls.T, col_step, 0).T
+    runs = walls.astype(np.int_)
+    order = range(walls.shape[0] - 2, -1, -1) if row_step > 0 else range(1, walls.shape[0])
+    for row in order:
+        following = np.zeros_like(runs[row])
+        source = runs[row + row_step]
+        if col_step == 0:
+            following = source
+        elif col_step > 0:
+            following[:-1] = source[1:]
+        else:
+            following[1:] = source[:-1]
+        runs[row] += np.where(walls[row], following, 0)
+    return runs

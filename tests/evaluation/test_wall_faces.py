@@ -1,0 +1,239 @@
+"""Measures that reward no thickness, on maps small enough to count by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation import (
+    FACE_TOLERANCES_M,
+    MapError,
+    compare_to_truth,
+    face_cells,
+    outside_area,
+    wall_thickness,
+)
+from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
+
+NORMALIZE = NormalizeConfig()
+CHARACTERS = {"?": -1, ".": 0, "#": 100}
+
+
+def draw(*rows: str, resolution: float = 0.05, origin: Pose2 = IDENTITY) -> OccupancyGrid:
+    """Draw a grid; the first string is the top row, so the last is row 0."""
+    cells = np.array([[CHARACTERS[c] for c in row] for row in reversed(rows)], dtype=np.int8)
+    return OccupancyGrid(cells, resolution, origin)
+
+
+def compare(
+    grid: OccupancyGrid, truth: OccupancyGrid, transform: Pose2 = IDENTITY, margin_m: float = 0.0
+) -> MapError:
+    return compare_to_truth(grid, truth, transform, normalize=NORMALIZE, tolerance_m=margin_m)
+
+
+def outside(grid: OccupancyGrid, truth: OccupancyGrid, margin_m: float = 0.0) -> float:
+    classes = trinary_cells(grid.cells, NORMALIZE)
+    true_classes = trinary_cells(truth.cells, NORMALIZE)
+    return outside_area(classes, grid, IDENTITY, true_classes, truth, margin_m=margin_m)
+
+
+def faces(*rows: str) -> list[str]:
+    """Draw where the faces are, in the order of the rows as given."""
+    marked = face_cells(trinary_cells(draw(*rows).cells, NORMALIZE))
+    return ["".join("f" if cell else "-" for cell in row) for row in marked[::-1]]
+
+
+def test_faces_are_the_wall_cells_that_share_a_side_with_a_free_one() -> None:
+    assert faces(
+        "####?",
+        "####?",
+        "..#??",
+        "..#??",
+    ) == [
+        "-----",
+        "ff---",
+        "--f--",
+        "--f--",
+    ]
+
+
+def test_a_wall_has_a_face_on_each_side_that_is_free() -> None:
+    assert faces("...", "###", "###", "###", "...") == ["---", "fff", "---", "fff", "---"]
+
+
+def test_a_free_cell_at_a_corner_alone_makes_no_face() -> None:
+    assert faces(".?", "?#") == ["--", "--"]
+
+
+def test_a_map_against_itself_has_perfect_faces() -> None:
+    grid = draw("####", "#..#", "#..#", "####")
+    result = compare(grid, grid).faces
+    assert [item.f1 for item in result.agreements] == [1.0, 1.0, 1.0]
+    assert result.map_to_truth is not None
+    assert result.map_to_truth.max_m == 0.0
+
+
+def test_what_is_filled_behind_a_wall_changes_no_measure_of_faces() -> None:
+    truth = draw("?????", "?????", "#####", ".....", ".....")
+    filled = draw("#####", "#####", "#####", ".....", ".....")
+    thin, thick = compare(truth, truth), compare(filled, truth)
+    assert thick.faces == thin.faces
+    # The share of walls within the tolerance pays for the filling, here by loss.
+    assert thick.wall_precision != thin.wall_precision
+
+
+def test_a_wall_grown_into_the_room_loses_its_faces() -> None:
+    truth = draw("#####", ".....", ".....", ".....", ".....", ".....")
+    grown = draw("#####", "#####", "#####", ".....", ".....", ".....")
+    result = compare(grown, truth).faces
+    # Two cells of 0.05 m off: wrong at one cell, right at two, whose tolerance is inclusive.
+    assert [item.f1 for item in result.agreements] == [0.0, 1.0, 1.0]
+    assert result.map_to_truth is not None
+    assert result.map_to_truth.mean_m == pytest.approx(0.1)
+
+
+def test_precision_counts_the_maps_faces_and_recall_the_true_ones() -> None:
+    truth = draw("##########", "..........")
+    half = draw("#####?????", "..........")
+    agreement = compare(half, truth).faces.agreements[0]
+    assert agreement.precision == 1.0
+    # Within a cell of the five found ones lies a sixth.
+    assert agreement.recall == pytest.approx(0.6)
+    assert agreement.f1 == pytest.approx(2 * 0.6 / 1.6)
+    turned = compare(truth, half).faces.agreements[0]
+    assert (turned.precision, turned.recall) == (pytest.approx(0.6), 1.0)
+
+
+def test_faces_are_carried_through_the_transform() -> None:
+    truth = draw("####?", "#...?", "#..##", "#####")
+    moved = OccupancyGrid(truth.cells, 0.05, Pose2(30.0, -4.0, 0.7))
+    back = Pose2(30.0, -4.0, 0.7).inverse()
+    assert compare(moved, truth, back).faces.f1(0.05) == 1.0
+    assert compare(moved, truth).faces.f1(0.2) == 0.0
+
+
+def test_a_map_without_faces_has_no_figures() -> None:
+    truth = draw("###", "...")
+    empty = draw("???", "...")
+    result = compare(empty, truth)
+    assert result.faces.map_to_truth is None
+    assert result.faces.agreements[0].precision is None
+    assert result.faces.agreements[0].recall == 0.0
+    assert result.faces.f1(0.05) is None
+    assert result.wall_thickness is None
+
+
+def test_f1_is_told_at_the_tolerances_that_were_counted_only() -> None:
+    grid = draw("###", "...")
+    result = compare(grid, grid).faces
+    assert [item.tolerance_m for item in result.agreements] == list(FACE_TOLERANCES_M)
+    with pytest.raises(KeyError):
+        result.f1(0.07)
+
+
+@pytest.mark.parametrize("cells", [1, 2, 3, 6])
+def test_thickness_is_that_across_the_wall_in_metres(cells: int) -> None:
+    wall = ["#" * 30] * cells
+    upright = draw("." * 30, *wall, "." * 30)
+    across = OccupancyGrid(np.ascontiguousarray(upright.cells.T), 0.05)
+    for grid in (upright, across):
+        found = wall_thickness(grid)
+        assert found is not None
+        # At the wall's two ends a diagonal leaves it sooner.
+        assert found.median_m == pytest.approx(cells * 0.05)
+
+
+@pytest.mark.parametrize("falls", [True, False])
+def test_a_diagonal_wall_is_measured_along_the_other_diagonal(falls: bool) -> None:
+    rows, cols = np.mgrid[:40, :40]
+    offset = rows - cols if falls else rows + cols - 39
+    cells = np.where(np.abs(offset) <= 3, 100, 0).astype(np.int8)
+    found = wall_thickness(OccupancyGrid(cells, 0.05))
+    assert found is not None
+    # Seven cells along a row, 7 / sqrt(2) across: three or four steps of a diagonal.
+    assert 3 * math.sqrt(2) * 0.05 <= found.median_m <= 4 * math.sqrt(2) * 0.05
+
+
+def test_thickness_tells_the_mean_of_thin_and_thick_walls() -> None:
+    grid = draw("." * 40, "#" * 40, "." * 40, *["#" * 40] * 3, "." * 40)
+    found = wall_thickness(grid)
+    assert found is not None
+    # Faces: 40 cells of the thin wall, 40 on each side of the thick one.
+    assert found.mean_m == pytest.approx((40 * 1 + 80 * 3) / 120 * 0.05, rel=0.03)
+    assert found.p95_m == pytest.approx(0.15)
+
+
+def test_what_is_known_outside_the_outline_is_counted_in_square_metres() -> None:
+    truth = draw("?????", "?###?", "?...?", "?###?", "?????", resolution=0.5)
+    found = draw("?.?#?", "?###?", "?...?", "?###?", "?????", resolution=0.5)
+    assert outside(found, truth) == pytest.approx(2 * 0.25)
+    assert outside(truth, truth) == 0.0
+
+
+def test_what_the_truth_encloses_lies_inside() -> None:
+    truth = draw("#####", "#???#", "#????", "#???#", "#####")
+    closed = draw("#####", "#???#", "#???#", "#???#", "#####")
+    found = draw("#####", "#...#", "#...#", "#...#", "#####")
+    assert outside(found, closed) == 0.0
+    # An opening in the outline leaves what is behind it outside.
+    assert outside(found, truth) == pytest.approx(10 * 0.05**2)
+
+
+def test_the_margin_is_a_distance() -> None:
+    truth = draw("?????????", "?????????", "?????????", "???..????", "?????????")
+    found = draw(".........", ".........", "?????????", "???..????", "?????????")
+    everything = outside(found, truth)
+    assert everything == pytest.approx(18 * 0.05**2)
+    # Two cells up are within 0.1 m, their neighbours to the side are not.
+    assert outside(found, truth, margin_m=0.1) == pytest.approx(16 * 0.05**2)
+
+
+def test_spikes_beyond_the_box_of_the_truth_count() -> None:
+    truth = draw("###", "#.#", "###")
+    spiked = OccupancyGrid(np.zeros((3, 200), dtype=np.int8), 0.05)
+    assert outside(spiked, truth) == pytest.approx(3 * 197 * 0.05**2)
+    far = OccupancyGrid(np.zeros((2, 2), dtype=np.int8), 0.05, Pose2(-500.0, 500.0))
+    assert outside(far, truth) == pytest.approx(4 * 0.05**2)
+
+
+def test_the_document_holds_the_measures_as_plain_values() -> None:
+    truth = draw("?????", "#####", ".....", ".....")
+    found = draw(".....", "#####", ".....", ".....")
+    document = json.loads(json.dumps(compare(found, truth).to_json()))
+    assert document["faces"]["agreements"][0] == {
+        "tolerance_m": 0.05,
+        "precision": 1.0,
+        "recall": 1.0,
+        "f1": 1.0,
+    }
+    assert document["faces"]["map_to_truth_m"]["max"] == 0.0
+    assert document["wall_thickness_m"]["median"] == pytest.approx(0.05)
+    assert document["doubled_wall_share"] == 0.0
+    assert document["outside_m2"] == pytest.approx(5 * 0.05**2)
+
+
+@settings(max_examples=40)
+@given(
+    hnp.arrays(
+        np.int8,
+        st.tuples(st.integers(1, 9), st.integers(1, 9)),
+        elements=st.sampled_from([-1, 0, 1]),
+    )
+)
+def test_faces_lie_on_walls_and_do_not_depend_on_the_axes(cells: np.ndarray) -> None:
+    marked = face_cells(cells)
+    assert not (marked & (cells != 1)).any()
+    assert (face_cells(np.ascontiguousarray(cells.T)) == marked.T).all()
+    assert (face_cells(np.ascontiguousarray(cells[::-1])) == marked[::-1]).all()
+    # Filling the unknown behind walls makes no face and takes none away.
+    filled = cells.copy()
+    filled[cells == -1] = 1
+    assert (face_cells(filled)[cells == 1] == marked[cells == 1]).all()
