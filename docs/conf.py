@@ -23,6 +23,7 @@ exclude_patterns = ["_build", "generate"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 
+toc_object_entries = False
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_mock_imports = ["rclpy"]

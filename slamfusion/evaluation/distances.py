@@ -107,12 +107,12 @@ class DistanceComparison:
 
     @property
     def mean_absolute_error_m(self) -> float | None:
-        """Mean of |error| over the rows that found their walls; None when none did."""
+        """Mean absolute error over the rows that found their walls; None when none did."""
         return _mean([abs(row.error_m) for row in self.rows if row.error_m is not None])
 
     @property
     def mean_absolute_error_percent(self) -> float | None:
-        """Mean of |error| in percent of the measured distance; None when no row found its walls."""
+        """Mean absolute error in percent of the distances; None when no row found its walls."""
         return _mean([abs(row.error_percent) for row in self.rows if row.error_percent is not None])
 
     def to_json(self) -> DistanceComparisonJson:

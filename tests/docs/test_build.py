@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import pytest
 
+import slamfusion
 from docs.generate.marks import DOCS
 from tests.cli.command import ROOT
 
@@ -62,6 +64,14 @@ def test_the_pages_can_be_searched(built: Path, word: str, page: str):
     found = [index[kind][word] for kind in ("terms", "titleterms") if word in index[kind]]
     numbers = {number for item in found for number in (item if isinstance(item, list) else [item])}
     assert page in {index["docnames"][number] for number in numbers}
+
+
+def test_every_public_name_of_the_library_is_described(built: Path):
+    inventory = (built / "objects.inv").read_bytes()
+    lines = zlib.decompress(inventory.split(b"using zlib.\n", 1)[1]).decode().splitlines()
+    described = {line.split(" ")[0].rpartition(".")[2] for line in lines}
+    numbers = {"FREE", "OCCUPIED", "UNKNOWN", "__version__"}
+    assert set(slamfusion.__all__) - numbers <= described
 
 
 def test_a_page_asks_for_nothing_from_elsewhere(built: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import re
 import shlex
 import shutil
@@ -165,6 +166,39 @@ def parse(command: click.Command, words: list[str]) -> None:
 def test_a_command_that_is_not_there_is_noticed(command: str) -> None:
     with pytest.raises(click.UsageError):
         parse(cli, shlex.split(command)[1:])
+
+
+def test_modules_and_scripts_that_pages_name_are_there() -> None:
+    named = {
+        (name, word)
+        for name, text in PAGES.items()
+        for word in re.findall(r"python -m ((?:tests|docs|slamfusion)[\w.]*)", text)
+    }
+    assert len(named) > 10
+    for name, module in named:
+        assert importlib.util.find_spec(module.rstrip(".")), (name, module)
+    for name, text in PAGES.items():
+        for script in re.findall(r"launch_scripts/[\w./-]*\w", text):
+            assert (ROOT / script).exists(), (name, script)
+
+
+def test_options_in_running_text_are_there() -> None:
+    """Of commands between backticks; places to fill in are passed over."""
+    contexts = dict(walk())
+    seen = 0
+    for name, text in PAGES.items():
+        for span in re.findall(r"`(slamfusion [^`]+)`", " ".join(text.split())):
+            found = max((key for key in contexts if span.startswith(key)), key=len, default=None)
+            for option in re.findall(r"(?<=\s)--[a-z][\w-]*", span):
+                if found is not None and not found.endswith(" node"):
+                    known = {
+                        item
+                        for parameter in contexts[found].command.params
+                        for item in (*parameter.opts, *parameter.secondary_opts)
+                    }
+                    assert option in {*known, "--help"}, (name, span)
+                    seen += 1
+    assert seen > 5
 
 
 @pytest.mark.parametrize("written", ["fused_live", "fused_library"])
