@@ -1,7 +1,7 @@
 """``JudgedScans``: the scans, beams and chunks that paths are scored on, fixed once for all paths.
 
-Nothing here depends on a path: chunks are equal numbers of scans in the order of time, and where
-there are more hits than are needed, every k-th is kept, each scan beginning elsewhere.
+Nothing here depends on a path: chunks are equal numbers of scans in the order of time, and hits are
+thinned by where the scan saw them.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ I64 = npt.NDArray[np.int64]
 CHUNKS = 24
 # Hits that are judged, and drawn, at most: they say as much as ten times as many.
 MOST_HITS = 300_000
+# Of the hits of a scan this near to each other one is judged, metres.
+SPACING_M = 0.2
 # Hits this near to each other, metres, and this many beams apart are on one surface.
 BESIDE_M = 0.3
 MOST_BESIDE = 4
@@ -70,50 +72,65 @@ class JudgedScans:
 def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> JudgedScans:
     """Choose what paths of a drive are scored on.
 
+    Of the hits of a scan that lie in one square of ``SPACING_M`` the first is kept: walls beside
+    the robot get most of the beams, and those far away tell most of its heading. Where more than
+    ``most_hits`` are left, every second one of each scan, every fourth, and so on.
+
     Args:
         scans: of a log, in the order of time.
-        most_hits: beams that are judged at most; of more, every k-th hit of each scan.
+        most_hits: that are judged at most.
 
     Raises:
         LogError: fewer scans with a hit than there are chunks.
     """
     stamps, lasers, odometry = [], [], []
-    points: list[F64] = []
-    facings: list[F64] = []
+    kept: list[F64] = []
+    total = count = 0
+    step = 1
     for item in scans:
         ends = item.scan.points()
         if not len(ends):
             continue
+        total += len(ends)
         stamps.append(item.scan.stamp_s)
         lasers.append((item.scan.mount.x, item.scan.mount.y))
         pose = item.odometry
         odometry.append(None if pose is None else (pose.x, pose.y, pose.yaw_rad))
-        points.append(ends)
-        facings.append(surface_facings(ends, lasers[-1]))
-    if len(points) < CHUNKS:
+        rows = np.column_stack((ends, surface_facings(ends, lasers[-1])))
+        kept.append(rows[_spaced(ends)][len(kept) % step :: step])
+        count += len(kept[-1])
+        if count > most_hits:
+            # Each scan begins elsewhere: what stays is what the wider step would have kept.
+            kept = [own[number % (2 * step) // step :: 2] for number, own in enumerate(kept)]
+            step, count = 2 * step, sum(map(len, kept))
+    if len(kept) < CHUNKS:
         message = (
-            f"{len(points)} scans hit something, but paths are scored on at least {CHUNKS}; give "
+            f"{len(kept)} scans hit something, but paths are scored on at least {CHUNKS}; give "
             "a longer log"
         )
         raise LogError(message)
-    total = sum(map(len, points))
-    step = max(1, -(-total // most_hits))
-    kept = [np.s_[number % step :: step] for number in range(len(points))]
     known = [pose for pose in odometry if pose is not None]
-    count = len(points)
+    hits = np.concatenate(kept)
     return JudgedScans(
         stamps_s=np.array(stamps),
-        chunks=np.arange(count, dtype=np.int64) * CHUNKS // count,
-        odometry=np.array(known) if len(known) == count else None,
+        chunks=np.arange(len(kept), dtype=np.int64) * CHUNKS // len(kept),
+        odometry=np.array(known) if len(known) == len(kept) else None,
         lasers=np.array(lasers),
-        hits=np.concatenate([ends[some] for ends, some in zip(points, kept, strict=True)]),
-        facings_rad=np.concatenate([own[some] for own, some in zip(facings, kept, strict=True)]),
-        hit_scans=np.repeat(
-            np.arange(count, dtype=np.int64),
-            [len(ends[some]) for ends, some in zip(points, kept, strict=True)],
-        ),
+        hits=hits[:, :2],
+        facings_rad=hits[:, 2],
+        hit_scans=np.repeat(np.arange(len(kept), dtype=np.int64), [len(own) for own in kept]),
         hits_total=total,
     )
+
+
+def _spaced(points: F64) -> I64:
+    """Return the first point of each square that has some, in the order of the points."""
+    squares = np.floor(points / SPACING_M)
+    squares -= squares.min(axis=0)
+    _, first = np.unique(
+        squares[:, 0] * (squares[:, 1].max() + 1.0) + squares[:, 1], return_index=True
+    )
+    return np.asarray(np.sort(first), dtype=np.int64)
 
 
 def surface_facings(points: F64, laser: tuple[float, float]) -> F64:

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.evidence import JudgedScans, judged_scans, score_paths
-from slamfusion.evidence.beams import CHUNKS, surface_facings
+from slamfusion.evidence.beams import CHUNKS, SPACING_M, surface_facings
 from slamfusion.evidence.predictive import HitModel, log_likelihoods
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import bent, circuit, moved, recorded
+from tests.evidence.rooms import BEAMS, bent, circuit, moved, recorded
 
 TRUTH = circuit()
 WRONG = {
@@ -92,15 +92,29 @@ def test_score_over_time_shows_where_a_path_is_wrong(device: ComputeDevice, scan
     assert int(np.argmax(true - late)) >= CHUNKS - 2
 
 
-def test_beams_beyond_the_budget_are_thinned_for_every_scan():
+def test_hits_beyond_the_budget_are_thinned_for_every_scan():
     scans = recorded(TRUTH)
     every, some = judged_scans(scans), judged_scans(scans, 2000)
-    assert every.hits_total == some.hits_total == len(every.hits)
-    assert 1200 < len(some.hits) <= 2000 + len(some)
-    per_scan = np.bincount(some.hit_scans, minlength=len(some))
-    assert per_scan.min() > 0
-    assert per_scan.max() - per_scan.min() <= 1
+    assert every.hits_total == some.hits_total == BEAMS * len(TRUTH)
+    assert 1000 < len(some.hits) <= 2000 < len(every.hits) <= every.hits_total
+    for number in range(len(every)):
+        own, all_of_it = (each.hits[each.hit_scans == number] for each in (some, every))
+        step = 8
+        assert np.array_equal(own, all_of_it[number % step :: step])
     assert np.array_equal(every.chunks, some.chunks)
+
+
+def test_hits_beside_each_other_count_once():
+    scan = recorded(TRUTH)[0]
+    for range_m, is_wide in ((8.0, True), (0.5, False)):
+        ranges = np.full(BEAMS, range_m, dtype=np.float32)
+        seen = replace(scan.scan, ranges=ranges)
+        judged = judged_scans([replace(scan, scan=seen)] * CHUNKS)
+        squares = np.unique(np.floor(seen.points() / SPACING_M), axis=0)
+        assert (len(squares) == BEAMS) == is_wide
+        assert np.bincount(judged.hit_scans).tolist() == [len(squares)] * CHUNKS
+        own = judged.hits[judged.hit_scans == 0]
+        assert len(np.unique(np.floor(own / SPACING_M), axis=0)) == len(own)
 
 
 def test_chunks_are_equal_parts_in_order(scans: JudgedScans):
