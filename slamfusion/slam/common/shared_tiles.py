@@ -16,7 +16,14 @@ import numpy.typing as npt
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import TILE
 from slamfusion.compute.tiles import TileDevice
-from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN, grown_window, joined_tiles
+from slamfusion.slam.common.shapes import check_kinds, check_shapes
+from slamfusion.slam.common.tile_map import (
+    FIRST_TILES,
+    MARGIN,
+    check_tiles,
+    grown_window,
+    joined_tiles,
+)
 
 __all__ = ["SharedTileMaps"]
 
@@ -171,8 +178,23 @@ class SharedTileMaps:
         }
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned."""
+        """Take over what ``to_arrays`` returned.
+
+        Raises:
+            ValueError: arrays that do not fit each other, pages of tiles that are not there, or
+                room for far more tiles than there are.
+        """
+        tiles = check_tiles(arrays, self.pools, "N H W", "users")
+        check_shapes(arrays, {"capacity": ""})
+        check_kinds(arrays, {"capacity": np.int64})
         capacity = int(arrays["capacity"])
+        if not tiles <= capacity <= max(4 * tiles, FIRST_TILES):
+            message = f"room for {capacity} tiles, of which {tiles} are used"
+            raise ValueError(message)
+        users = np.bincount(arrays["pages"].ravel(), minlength=tiles)
+        if not np.array_equal(users[1:], arrays["users"][1:]):
+            message = "users: not as many as the pages have"
+            raise ValueError(message)
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self._users = np.zeros(capacity, dtype=np.int32)
         self._users[: len(arrays["users"])] = arrays["users"]

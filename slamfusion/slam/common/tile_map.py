@@ -16,8 +16,9 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import TILE
 from slamfusion.compute.tiles import TileDevice
 from slamfusion.errors import MemoryBudgetError
+from slamfusion.slam.common.shapes import check_indices, check_kinds, check_shapes
 
-__all__ = ["TileMap", "grown_window", "joined_tiles"]
+__all__ = ["TileMap", "check_tiles", "grown_window", "joined_tiles"]
 
 # Tiles of a new pool: a room's, so that a small map never grows.
 FIRST_TILES = 64
@@ -30,6 +31,38 @@ MARGIN = 2
 MOST_PAGES = 1 << 24
 # Pages on a side that beams can cross, which count in 1/1024 cell in 32 bits.
 MOST_SIDE = 1 << 15
+
+
+def check_tiles(
+    arrays: Mapping[str, npt.NDArray[Any]],
+    pools: Mapping[str, DeviceArray[Any]],
+    pages: str,
+    *others: str,
+) -> int:
+    """Return how many tiles each saved pool holds.
+
+    Args:
+        arrays: what was saved of a map of tiles.
+        pools: the map's own, whose cells are of the same kinds.
+        pages: shape of the page tables, see ``check_shapes``.
+        others: names of arrays with a value for each tile.
+
+    Raises:
+        ValueError: arrays that do not fit each other or the pools, or pages of tiles that are not
+            there.
+    """
+    shapes = {f"pool_{name}": f"T {TILE} {TILE}" for name in pools}
+    shapes |= {"pages": pages, "corner": "2", **dict.fromkeys(others, "T")}
+    lengths = check_shapes(arrays, shapes)
+    check_kinds(arrays, {f"pool_{name}": pool.dtype for name, pool in pools.items()})
+    kinds: dict[str, npt.DTypeLike] = {"pages": np.int32, "corner": np.int64}
+    check_kinds(arrays, kinds | dict.fromkeys(others, np.int32))
+    if arrays["pages"].size > MOST_PAGES * max(len(arrays["pages"]), 1):
+        message = f"a window of {arrays['pages'].shape} pages"
+        raise ValueError(message)
+    check_indices("pages", arrays["pages"], lengths.get("T", 0))
+    check_indices("corner", arrays["corner"], MOST_SIDE, first=-MOST_SIDE)
+    return lengths.get("T", 0)
 
 
 def grown_window(
@@ -198,7 +231,18 @@ class TileMap:
         return {"pages": self.pages, "corner": self.corner, "tiles": tiles, **pools}
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned, with the pools that it has."""
+        """Take over what ``to_arrays`` returned, with the pools that it has.
+
+        Raises:
+            ValueError: arrays that do not fit each other, or pages of tiles that are not there.
+        """
+        kept = {name: pool for name, pool in self.pools.items() if f"pool_{name}" in arrays}
+        check_shapes(arrays, {"tiles": ""})
+        check_kinds(arrays, {"tiles": np.int64})
+        tiles = check_tiles(arrays, kept, "H W")
+        if not kept or not 0 < int(arrays["tiles"]) <= tiles:
+            message = f"{arrays['tiles']} tiles used, of {tiles}"
+            raise ValueError(message)
         self.pages, self.corner = arrays["pages"].copy(), arrays["corner"].copy()
         self.tiles = int(arrays["tiles"])
         names = [name for name in self.pools if f"pool_{name}" in arrays]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import Pose2, compose_poses, wrap_angles
+from slamfusion.slam.common.shapes import check_finite, check_indices, check_kinds, check_shapes
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ParticlePaths"]
@@ -18,6 +19,21 @@ F64 = npt.NDArray[np.float64]
 
 # Least standard deviations of a cloud, metres, metres, radians: its entropy stays finite.
 LEAST_SIGMAS = (1e-3, 1e-3, 1e-3)
+
+# Of what is saved: T nodes of N particles, S scans.
+SHAPES = {
+    "node_poses": "T N 3",
+    "node_parents": "T N",
+    "node_entropies": "T",
+    "scan_stamps_s": "S",
+    "scan_nodes": "S",
+    "scan_motions": "S 3",
+}
+KINDS: dict[str, npt.DTypeLike] = {
+    **dict.fromkeys(SHAPES, np.float64),
+    "node_parents": np.int32,
+    "scan_nodes": np.int64,
+}
 
 
 class ParticlePaths:
@@ -88,7 +104,20 @@ class ParticlePaths:
         }
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned."""
+        """Take over what ``to_arrays`` returned.
+
+        Raises:
+            ValueError: arrays that do not fit each other.
+        """
+        arrays = dict(arrays)
+        lengths = check_shapes(arrays, SHAPES)
+        check_kinds(arrays, KINDS)
+        check_finite(arrays)
+        check_indices("node_parents", arrays["node_parents"], self._count)
+        check_indices("scan_nodes", arrays["scan_nodes"], lengths["T"], first=-1)
+        if lengths["N"] != self._count:
+            message = f"paths of {lengths['N']} particles, wanted {self._count}"
+            raise ValueError(message)
         self._poses = list(arrays["node_poses"])
         self._parents = list(arrays["node_parents"])
         self._entropies = arrays["node_entropies"].tolist()

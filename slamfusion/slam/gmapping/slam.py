@@ -30,7 +30,7 @@ from slamfusion.scan import LaserScan
 from slamfusion.slam.common.mapper import Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of, row_of
-from slamfusion.slam.common.state import read_state, restore_health, write_state
+from slamfusion.slam.common.state import read_state, restore_health, restoring, write_state
 from slamfusion.slam.common.tracking import Tracker
 from slamfusion.slam.gmapping.beams import Beams, beams_of
 from slamfusion.slam.gmapping.health import FilterHealth
@@ -47,7 +47,7 @@ __all__ = ["Gmapping"]
 
 F64 = npt.NDArray[np.float64]
 NAME = "gmapping"
-STATE_FORMAT = 5
+STATE_FORMAT = 6
 
 
 class Gmapping:
@@ -291,14 +291,15 @@ class Gmapping:
             message = f"{path}: was made with other defaults of its profile; start from the log"
             raise SlamFusionError(message)
         made = cls(config, device, seed)
-        restore_health(made.health, state.health)
-        made.last_stamp_s = state.last_stamp_s
-        made._tracker.restore(state.tracker)
-        made._moved, made._filtered_s = state.moved, state.filtered_s
-        made._is_mapped = state.is_mapped
-        made._particles = state.particles
-        made._maps.restore(state.maps)
-        made._paths.restore(state.paths)
+        with restoring(path):
+            restore_health(made.health, state.health)
+            made.last_stamp_s = state.last_stamp_s
+            made._tracker.restore(state.tracker)
+            made._moved, made._filtered_s = state.moved, state.filtered_s
+            made._is_mapped = state.is_mapped
+            made._particles = state.particles
+            made._maps.restore(state.maps)
+            made._paths.restore(state.paths)
         return made
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
+from slamfusion.slam.common.shapes import check_finite, check_indices, check_shapes
 from slamfusion.slam.common.tracking import TrackerState
 from slamfusion.slam.gmapping.health import FilterHealth
 from slamfusion.slam.gmapping.particles import Particles
@@ -56,3 +57,22 @@ class GmappingState:
     particles: Particles
     maps: MapsState
     paths: dict[str, npt.NDArray[Any]]
+
+    def __post_init__(self) -> None:
+        """Refuse parts that do not fit each other.
+
+        Raises:
+            ValueError: other numbers of particles, or numbers that are not finite.
+        """
+        own = self.particles
+        arrays = {
+            "poses": own.poses,
+            "log_weights": own.log_weights,
+            "path_weights": own.path_weights,
+            "anchor": self.maps.anchor,
+            "pages": self.maps.tiles["pages"],
+        }
+        shapes = {"poses": "N 3", "log_weights": "N", "path_weights": "N", "anchor": "2"}
+        check_shapes(arrays, {**shapes, "pages": "N H W"})
+        check_finite(arrays)
+        check_indices("best", own.best, len(own))

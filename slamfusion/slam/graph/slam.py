@@ -27,7 +27,7 @@ from slamfusion.slam.common.mapper import Closure, MapJob, Series, Step
 from slamfusion.slam.common.matcher import PoseHypothesis
 from slamfusion.slam.common.pose_rows import pose_of
 from slamfusion.slam.common.runner import FIRST_REPORTED
-from slamfusion.slam.common.state import read_state, restore_health, write_state
+from slamfusion.slam.common.state import read_state, restore_health, restoring, write_state
 from slamfusion.slam.graph.closure_search import ClosureSearch
 from slamfusion.slam.graph.health import GraphHealth
 from slamfusion.slam.graph.local_map import LocalMap
@@ -42,7 +42,7 @@ from slamfusion.trajectory import Trajectory
 __all__ = ["GraphSlam"]
 
 NAME = "graph"
-STATE_FORMAT = 5
+STATE_FORMAT = 6
 
 
 class GraphSlam:
@@ -287,13 +287,14 @@ class GraphSlam:
             path, name=cls.name, version=STATE_FORMAT, config=config, seed=seed, kind=GraphState
         )
         made = cls(config, device, seed)
-        restore_health(made.health, state.health)
-        made.last_stamp_s = state.last_stamp_s
-        made._localizer.restore(state.localizer)
-        made._graph.restore(state.graph)
-        made._local_map.restore(state.local_map)
-        made._loops.restore(state.loops)
-        made._path.restore(state.path)
+        with restoring(path):
+            restore_health(made.health, state.health)
+            made.last_stamp_s = state.last_stamp_s
+            made._localizer.restore(state.localizer)
+            made._graph.restore(state.graph)
+            made._local_map.restore(state.local_map)
+            made._loops.restore(state.loops)
+            made._path.restore(state.path)
         return made
 
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.pose_rows import row_of
+from slamfusion.slam.common.shapes import check_finite, check_indices, check_shapes
 from slamfusion.slam.common.tracking import TrackerState
 from slamfusion.slam.graph.constraints import Constraint
 from slamfusion.slam.graph.health import GraphHealth
@@ -61,6 +62,25 @@ class NodesState:
     has_odometry: Bools
     odometry: F64
 
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not fit each other.
+
+        Raises:
+            ValueError: shapes, sizes, or numbers that are not finite.
+        """
+        _check(
+            self,
+            sizes="N",
+            ends="B 2",
+            lasers="N 2",
+            travelled_m="N",
+            has_odometry="N",
+            odometry="N 3",
+        )
+        if self.sizes.sum() != len(self.ends) or (self.sizes < 0).any():
+            message = f"nodes of {self.sizes.sum()} hits, found {len(self.ends)}"
+            raise ValueError(message)
+
     @classmethod
     def of(cls, nodes: Sequence[Node]) -> NodesState:
         """Return the state of some nodes; none is fine."""
@@ -103,6 +123,10 @@ class ConstraintsState:
     information: F64
     is_closure: Bools
 
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not fit each other; see ``NodesState``."""
+        _check(self, ends="M 2", motions="M 3", information="M 3 3", is_closure="M")
+
     @classmethod
     def of(cls, constraints: Sequence[Constraint]) -> ConstraintsState:
         """Return the state of some constraints; none is fine."""
@@ -135,6 +159,13 @@ class PendingState:
     corrections: F64
     travelled_m: F64
     how: tuple[How, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse parts that do not fit each other; see ``NodesState``."""
+        _check(self, corrections="K 3", travelled_m="K")
+        if not len(self.how) == len(self.constraints.ends) == len(self.corrections):
+            message = f"{len(self.how)} closures with {len(self.corrections)} corrections"
+            raise ValueError(message)
 
     @classmethod
     def of(cls, closures: Sequence[PendingClosure]) -> PendingState:
@@ -174,6 +205,17 @@ class MapGraphState:
     is_urgent: bool
     solved_at: int
 
+    def __post_init__(self) -> None:
+        """Refuse parts that do not fit each other; see ``NodesState``."""
+        _check(self, poses="N 3", weights="W")
+        if len(self.nodes.sizes) != len(self.poses):
+            message = f"{len(self.nodes.sizes)} nodes with {len(self.poses)} poses"
+            raise ValueError(message)
+        if len(self.weights) > len(self.constraints.ends):  # the newest are not solved yet
+            message = f"{len(self.constraints.ends)} constraints with {len(self.weights)} weights"
+            raise ValueError(message)
+        check_indices("constraints", self.constraints.ends, len(self.poses))
+
 
 @dataclass(frozen=True, eq=False)
 class LocalMapState:
@@ -188,6 +230,13 @@ class LocalMapState:
     active: int
     node_pose: Pose2
     begun: tuple[tuple[int, int, Pose2], ...]
+
+    def __post_init__(self) -> None:
+        """Refuse parts that do not fit each other; see ``NodesState``."""
+        if len(self.submaps) != len(self.components):
+            message = f"{len(self.submaps)} submaps of {len(self.components)} components"
+            raise ValueError(message)
+        check_indices("components", self.components, len(self.submaps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +285,10 @@ class PathState:
     reported: F64
     responses: F64
 
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not fit each other; see ``NodesState``."""
+        _check(self, stamps_s="S", nodes="S", motions="S 3", reported="S 3", responses="K 2")
+
 
 @dataclass(frozen=True, eq=False)
 class LocalizerState:
@@ -256,6 +309,33 @@ class GraphState:
     local_map: LocalMapState
     loops: LoopClosureState
     path: PathState
+
+    def __post_init__(self) -> None:
+        """Refuse what leads to nodes and submaps that are not there.
+
+        Raises:
+            ValueError: an index is out of range.
+        """
+        nodes, submaps = len(self.graph.poses), len(self.local_map.submaps)
+        check_indices("path.nodes", self.path.nodes, nodes, first=-1)
+        if submaps:
+            check_indices("local_map.active", self.local_map.active, submaps)
+        anchors = [int(arrays["own"][0]) for arrays in self.local_map.submaps]
+        check_indices("local_map.submaps", anchors, nodes)
+        for one, other, _ in self.local_map.begun:
+            check_indices("local_map.begun", (one, other), nodes)
+        check_indices("loops.pending", self.loops.pending.constraints.ends, nodes)
+        for hypothesis in self.loops.relocalization.hypotheses:
+            check_indices("loops.relocalization", hypothesis.hits.constraints.ends, nodes)
+        for name in ("last_searched", "linked_m"):
+            check_indices(f"loops.{name}", [one for one, _ in getattr(self.loops, name)], submaps)
+
+
+def _check(state: Any, **shapes: str) -> None:
+    """Refuse arrays of a state that have other shapes, or numbers that are not finite."""
+    arrays = {name: getattr(state, name) for name in shapes}
+    check_shapes(arrays, shapes)
+    check_finite(arrays)
 
 
 def _rows(poses: Sequence[Pose2]) -> F64:

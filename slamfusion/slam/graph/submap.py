@@ -21,6 +21,7 @@ from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE
 from slamfusion.geometry import Pose2
 from slamfusion.slam.common.matcher import FieldMap
+from slamfusion.slam.common.shapes import check_indices, check_kinds, check_shapes
 from slamfusion.slam.common.tile_map import TileMap
 
 __all__ = ["UNSEEN_WALL", "Pyramid", "Submap", "likelihood_rule", "seen_score"]
@@ -171,7 +172,14 @@ class Submap:
         return {"own": own, "low": self.low, "high": self.high, **self._tiles.to_arrays()}
 
     def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Take over what ``to_arrays`` returned."""
+        """Take over what ``to_arrays`` returned.
+
+        Raises:
+            ValueError: arrays of other shapes or kinds; see also ``TileMap.restore``.
+        """
+        check_shapes(arrays, {"own": "3", "low": "2", "high": "2"})
+        check_kinds(arrays, {"own": np.int64, "low": np.float64, "high": np.float64})
+        check_indices("own", arrays["own"][2], 2)
         self.anchor, self.scans = (int(value) for value in arrays["own"][:2])
         self._is_finished = bool(arrays["own"][2])
         self.low, self.high = arrays["low"], arrays["high"]

@@ -37,6 +37,7 @@ from tests.slam.drives import (
     stalled,
     true_poses,
 )
+from tests.support.states import write_arrays
 
 pytestmark = pytest.mark.once
 
@@ -1025,8 +1026,7 @@ def test_a_state_that_lacks_a_part_is_refused(
         arrays = dict(file)
     del arrays[name]
     path = tmp_path / "less"
-    with path.open("wb") as less:
-        np.savez(less, **arrays)
+    write_arrays(path, arrays)
     assert refused(path, device) == f"not a whole state, '{name}' is missing"
 
 
@@ -1044,7 +1044,7 @@ def test_a_damaged_state_is_refused_in_one_line(
 
 def test_a_state_that_cannot_be_read_is_named(device: ComputeDevice, tmp_path: Path):
     assert "No such file" in refused(tmp_path / "nowhere", device)
-    assert "Is a directory" in refused(tmp_path, device)
+    assert "wanted a file, found a folder" in refused(tmp_path, device)
 
 
 def test_a_state_of_another_producer_or_format_is_refused(

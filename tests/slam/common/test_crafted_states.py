@@ -1,0 +1,205 @@
+"""States that were changed after they were saved, and ones that no mapper can have saved."""
+
+from __future__ import annotations
+
+import copy
+import io
+import math
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import NumpyDevice
+from slamfusion.config import GmappingConfig, GraphConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.slam.gmapping.slam import Gmapping
+from slamfusion.slam.graph.slam import GraphSlam
+from tests.slam.drives import drive
+from tests.support.states import Arrays, read_parts, write_parts
+
+SCANS = 12
+MAPPERS: dict[str, tuple[Any, Any]] = {
+    "graph": (GraphSlam, GraphConfig()),
+    "gmapping": (Gmapping, GmappingConfig(particles=2)),
+}
+GONE = object()
+# No value is one of these: whole numbers are counts, poses lie on a map, words are few.
+NEVER: tuple[Any, ...] = (GONE, True, -1, 1 << 70, 1e308, math.nan, math.inf, "x", [], {}, [[]])
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A state of each mapper that has one."""
+    folder = tmp_path_factory.mktemp("states")
+    scans, _ = drive(SCANS)
+    made = {}
+    for name, (kind, config) in MAPPERS.items():
+        mapper = kind(config, NumpyDevice(), 0)
+        for scan in scans:
+            mapper.feed(scan.scan, scan.odometry)
+        made[name] = folder / f"{name}.state"
+        mapper.save_state(made[name])
+    return made
+
+
+def refusal(path: Path, name: str) -> str:
+    """Return the one line that a state is refused with; empty where it is taken."""
+    kind, config = MAPPERS[name]
+    try:
+        kind.load_state(path, config, NumpyDevice(), 0)
+    except SlamFusionError as error:
+        message = str(error)
+        assert message.startswith(f"{path}: ")
+        assert "\n" not in message
+        assert len(message) < len(str(path)) + 400
+        return message
+    return ""
+
+
+def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield where every value of a record is; of long lists the first."""
+    if at:
+        yield at
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from places(item, (*at, key))
+    elif isinstance(value, list):
+        for index, item in enumerate(value[:1]):
+            yield from places(item, (*at, index))
+
+
+def edited(record: Any, at: tuple[Any, ...], value: Any) -> Any:
+    """Return a record with another value somewhere, or without it."""
+    whole = copy.deepcopy(record)
+    inner = whole
+    for key in at[:-1]:
+        inner = inner[key]
+    if value is GONE:
+        del inner[at[-1]]
+    else:
+        inner[at[-1]] = value
+    return whole
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+def test_edits_of_a_record_are_refused_or_make_a_state(
+    saved: dict[str, Path], tmp_path: Path, name: str, request: pytest.FixtureRequest
+) -> None:
+    """Of values that are none, with the digest that belongs to them, none ends in a traceback."""
+    is_full = request.config.getoption("--full")
+    record, arrays = read_parts(saved[name])
+    path = tmp_path / "edited"
+    refused = total = 0
+    found = list(places(record["state"]))
+    for number, at in enumerate(found):
+        # Each place meets some of the values, the places in turn all.
+        for value in NEVER if is_full else NEVER[number % len(NEVER) :][: number % 2]:
+            write_parts(path, edited(record, ("state", *at), value), arrays)
+            refused += bool(refusal(path, name))
+            total += 1
+    assert 0.7 * total < refused
+
+
+def is_free(array: str) -> bool:
+    """Return whether any number of values would do: of pages, closures not solved, responses."""
+    return array.endswith(("pages", "weights", "responses"))
+
+
+EDITS = {
+    "another kind": lambda array: array.astype(np.float32 if array.dtype != np.float32 else "i2"),
+    "another axis": lambda array: array[None],
+    "a value that is missing": lambda array: array[:-1],
+    "complex numbers": lambda array: array.astype(np.complex128),
+}
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+@pytest.mark.parametrize("edit", EDITS)
+def test_an_array_of_another_kind_or_shape_is_refused(
+    saved: dict[str, Path], tmp_path: Path, name: str, edit: str
+) -> None:
+    record, arrays = read_parts(saved[name])
+    path = tmp_path / "edited"
+    for array in arrays:
+        if edit == "a value that is missing" and (arrays[array].size < 2 or is_free(array)):
+            continue
+        changed: Arrays = {**arrays, array: EDITS[edit](arrays[array])}
+        write_parts(path, record, changed)
+        assert refusal(path, name), array
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "value"),
+    [
+        ("graph", "graph.constraints.ends", 10_000),
+        ("graph", "path.nodes", -2),
+        ("graph", "graph.poses", math.nan),
+        ("graph", "local_map.submaps.0.pages", 10_000),
+        ("graph", "local_map.submaps.0.own", 2),
+        ("graph", "graph.nodes.sizes", -1),
+        ("gmapping", "maps.tiles.pages", -1),
+        ("gmapping", "maps.tiles.pages", 1 << 30),
+        ("gmapping", "maps.tiles.users", 3),
+        ("gmapping", "maps.tiles.capacity", 1 << 40),
+        ("gmapping", "maps.tiles.corner", 1 << 40),
+        ("gmapping", "particles.poses", math.inf),
+        ("gmapping", "paths.node_parents", 2),
+    ],
+)
+def test_what_leads_out_of_a_map_is_refused(
+    saved: dict[str, Path], tmp_path: Path, name: str, array: str, value: float
+) -> None:
+    """A page that is not there would let a kernel read beside its memory."""
+    record, arrays = read_parts(saved[name])
+    changed = arrays[array].copy()
+    changed[(-1,) * changed.ndim] = value
+    path = tmp_path / "edited"
+    write_parts(path, record, {**arrays, array: changed})
+    assert "a state that no mapper has saved" in refusal(path, name)
+
+
+def test_a_state_that_was_changed_after_it_was_saved_is_refused(
+    saved: dict[str, Path], tmp_path: Path
+) -> None:
+    with np.load(saved["graph"]) as file:
+        arrays = dict(file)
+    arrays["graph.poses"] = arrays["graph.poses"] + 1e-9
+    path = tmp_path / "changed"
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+    assert "it was changed after it was saved" in refusal(path, "graph")
+
+
+def member(header: str, data: bytes) -> bytes:
+    """Return an ``.npy`` file of a header and whatever follows."""
+    text = header.encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + data
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA])
+@pytest.mark.parametrize("shape", ["(1 << 50,)", "(1125899906842624,)", "(-1,)", "(2, 2)", "()"])
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, packing: int, shape: str) -> None:
+    path = tmp_path / "bomb"
+    text = f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}}}"
+    with zipfile.ZipFile(path, "w", packing) as file:
+        file.writestr("record.npy", member(text, bytes(1 << 20)))
+    assert "not a whole state" in refusal(path, "graph")
+
+
+def test_parts_that_lie_over_each_other_are_refused(tmp_path: Path) -> None:
+    """A directory may name one part of a file a thousand times."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as packed:
+        packed.writestr("record.npy", bytes(1000))
+        info = packed.infolist()[0]
+        for number in range(1000):
+            other = copy.copy(info)
+            other.filename = f"a{number}.npy"
+            packed.filelist.append(other)
+    path = tmp_path / "folded"
+    path.write_bytes(file.getvalue())
+    assert "not a whole state" in refusal(path, "graph")
