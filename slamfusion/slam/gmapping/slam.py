@@ -277,9 +277,8 @@ class Gmapping:
 
         Args:
             path: the file.
-            config: must be what the state was made with.
+            config, seed: must be what the state was made with.
             device: where the maps are to live.
-            seed: likewise.
 
         Raises:
             SlamFusionError: no state of ours, or one made with other settings.

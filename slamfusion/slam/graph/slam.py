@@ -276,9 +276,8 @@ class GraphSlam:
 
         Args:
             path: the file.
-            config: must be what the state was made with.
+            config, seed: must be what the state was made with.
             device: where the submaps are to live.
-            seed: likewise.
 
         Raises:
             SlamFusionError: no state of ours, or one made with other settings.
