@@ -1,16 +1,24 @@
-"""Which inputs agree: the largest group whose pairwise transforms close."""
+"""Which inputs agree: the largest group whose pairwise transforms close.
+
+A pair that was rejected connects nothing, but the others of a group imply a transform for it. Where
+that lays much of the two maps on one ground, the group needs a reason to stand: see ``Stands``.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["PATH_GAP", "Group", "closure_error", "largest_group", "path_transform"]
+__all__ = ["PATH_GAP", "Group", "Stands", "closure_error", "largest_group", "path_transform"]
+
+# Told a rejected pair and the transform that the accepted pairs of a group imply for it (moving map
+# frame to the reference's): whether the group may stand although the pair was rejected.
+Stands = Callable[[Alignment, Pose2], bool]
 
 CLOSURE_CELLS = 12.0
 CLOSURE_YAW_RAD = math.radians(3.0)
@@ -51,11 +59,13 @@ def largest_group(
     pairs: Sequence[Alignment],
     centres: dict[str, tuple[float, float]],
     resolution: float,
+    stands: Stands | None = None,
 ) -> Group:
     """Return the largest connected group of inputs whose accepted triangles all close.
 
     A triangle whose three pairs have paths that agree is closed by them: bent maps of one drive
-    lock on each other here in one pair and there in the next.
+    lock on each other here in one pair and there in the next. Of a group in which a pair was
+    rejected ``stands`` must hold.
 
     Of equally large groups the one with the greater sum of scores, then the earlier inputs.
 
@@ -64,6 +74,8 @@ def largest_group(
         each input's known box in its map frame, metres. resolution: metres per cell; a triangle
         closes within 12 cells and 3 degrees, the sum of what
             three alignments of bent maps may each be off.
+        stands: asked of each rejected pair inside a group that closes; None: rejected pairs break
+            nothing.
     """
     edges = {frozenset((p.reference, p.moving)): p for p in pairs if p.accepted}
     is_many = len(names) > EXHAUSTIVE_INPUTS
@@ -77,13 +89,15 @@ def largest_group(
                 continue
             if not _closes(members, inside, centres, resolution):
                 continue
+            if not _stands(members, pairs, stands):
+                continue
             group = Group(members, _sum_of_scores(inside))
             if best is None or group.score > best.score:
                 best = group
         if best is not None:
             return best
     if is_many:
-        return _grown_group(names, edges, centres, resolution)
+        return _grown_group(names, pairs, centres, resolution, stands)
     return Group(tuple(names[:1]), 0.0)
 
 
@@ -121,13 +135,28 @@ def _closes(
     return True
 
 
+def _stands(members: Sequence[str], pairs: Sequence[Alignment], stands: Stands | None) -> bool:
+    """Whether no rejected pair among the members speaks against them."""
+    if stands is None:
+        return True
+    for pair in pairs:
+        if pair.accepted or not {pair.reference, pair.moving} <= set(members):
+            continue
+        implied = path_transform(pair.moving, pair.reference, members, pairs)
+        if implied is not None and not stands(pair, implied):
+            return False
+    return True
+
+
 def _grown_group(
     names: Sequence[str],
-    edges: dict[frozenset[str], Alignment],
+    pairs: Sequence[Alignment],
     centres: dict[str, tuple[float, float]],
     resolution: float,
+    stands: Stands | None,
 ) -> Group:
     """Return a group grown from the best pairs, for more inputs than can be tried exhaustively."""
+    edges = {frozenset((p.reference, p.moving)): p for p in pairs if p.accepted}
     best = Group(tuple(names[:1]), 0.0)
     for seed in sorted(edges.values(), key=lambda pair: -pair.score)[: len(names)]:
         members = [name for name in names if name in {seed.reference, seed.moving}]
@@ -136,7 +165,8 @@ def _grown_group(
                 continue
             trial = [*members, name]
             inside = {key: pair for key, pair in edges.items() if key <= set(trial)}
-            if _is_connected(trial, inside) and _closes(trial, inside, centres, resolution):
+            is_one = _is_connected(trial, inside) and _closes(trial, inside, centres, resolution)
+            if is_one and _stands(trial, pairs, stands):
                 members = trial
         inside = {key: pair for key, pair in edges.items() if key <= set(members)}
         ordered = tuple(name for name in names if name in members)

@@ -19,6 +19,7 @@ from slamfusion.errors import AlignmentError, ConfigError, GridError
 from slamfusion.fusion.align import align_features, rejected_alignment, track_features
 from slamfusion.fusion.consistency import Group, largest_group, path_transform
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.implied import ImpliedPairs, words_over
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     check_resampling,
@@ -168,11 +169,12 @@ def align_group(
         ConfigError: the reference named in the config is no member.
     """
     pairs = _align_pairs(features, config, device, progress, second_look, starts or Starts())
-    group = _agree(names, features, pairs, reasons)
+    implied = ImpliedPairs(features, len(pairs), device)
+    group = _agree(names, features, pairs, reasons, implied)
     reference = choose_reference(group.members, features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs, device)
     left_out = {
-        name: _left_out(name, reference, group, pairs)
+        name: _left_out(name, reference, group, pairs, implied)
         for name in features
         if name not in group.members
     }
@@ -220,6 +222,7 @@ def _agree(
     features: dict[str, GridFeatures],
     pairs: Sequence[Alignment],
     reasons: dict[str, str],
+    implied: ImpliedPairs,
 ) -> Group:
     """Return the largest group that fits together, or raise with every input's reason."""
     if len(names) == 1 and features:
@@ -231,7 +234,9 @@ def _agree(
         x, y = feature.grid.grid.origin.transform(own)
         centres[name] = (float(x), float(y))
     usable = [name for name in names if name in features]
-    group = largest_group(usable, pairs, centres, resolution) if usable else Group((), 0.0)
+    group = Group((), 0.0)
+    if usable:
+        group = largest_group(usable, pairs, centres, resolution, implied.stands)
     if len(group.members) < MINIMUM_INPUTS:
         found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
         words = "; ".join([*reasons.values(), *found])
@@ -310,7 +315,7 @@ def _to_reference(
                     yaw_profile=other.yaw_profile,
                     statistics=other.statistics | tracked.statistics,
                 )
-            reason = f"accepted over {name} to {reference}" if other is None else other.reason
+            reason = words_over(name, tracked) if other is None else other.reason
             out[name] = replace(tracked, accepted=True, reason=reason)
     return out
 
@@ -330,7 +335,11 @@ def _own(features: GridFeatures) -> Alignment:
 
 
 def _left_out(
-    name: str, reference: str, group: Group, pairs: Sequence[Alignment]
+    name: str,
+    reference: str,
+    group: Group,
+    pairs: Sequence[Alignment],
+    implied: ImpliedPairs,
 ) -> tuple[str, Alignment | None]:
     """Return why an input is not in the group, in one line, and the alignment that shows it.
 
@@ -346,7 +355,7 @@ def _left_out(
     failed = [pair for pair in mine if not pair.accepted]
     if failed:
         shown = _from_the_side_of(name, failed[0])
-        return f"to {shown.reference}: {shown.reason}", shown
+        return f"to {shown.reference}: {shown.reason}{implied.words_against(failed[0])}", shown
     reason = "its transforms to the others do not close (a to b to c to a)"
     return reason, _from_the_side_of(name, mine[0]) if mine else None
 

@@ -142,6 +142,40 @@ def test_a_rejected_side_leaves_a_triangle_open() -> None:
     assert members("abc", pairs) == "abc"
 
 
+def test_a_rejected_pair_is_asked_about_where_the_others_put_it() -> None:
+    asked: list[tuple[str, str]] = []
+
+    def stands(rejected: Alignment, implied: Pose2) -> bool:
+        asked.append((rejected.reference, rejected.moving))
+        right = pair(rejected.moving, rejected.reference).transform
+        assert (implied.x, implied.y) == pytest.approx((right.x, right.y))
+        assert implied.yaw_rad == pytest.approx(right.yaw_rad)
+        return True
+
+    pairs = [pair("b", "a"), pair("c", "a"), pair("c", "b", error=ASIDE, accepted=False)]
+    assert largest_group(list("abc"), pairs, CENTRES, SIZE, stands).members == ("a", "b", "c")
+    assert asked == [("b", "c")]
+    # Accepted pairs, and rejected ones to a map of no group, are nobody's question.
+    asked.clear()
+    apart = [pair("b", "a"), pair("c", "a", accepted=False), pair("c", "b", accepted=False)]
+    assert largest_group(list("abc"), apart, CENTRES, SIZE, stands).members == ("a", "b")
+    assert asked == []
+
+
+@pytest.mark.parametrize("names", ["abcd", "abcdefghijklmnop"])
+def test_a_group_falls_apart_over_a_rejected_pair_that_does_not_stand(names: str) -> None:
+    chain = [pair(b, a, 0.5 + 0.01 * i) for i, (a, b) in enumerate(itertools.pairwise(names))]
+    pairs = [*chain, pair("c", "a", accepted=False)]
+
+    def group(*, answer: bool) -> str:
+        found = largest_group(list(names), pairs, CENTRES, SIZE, lambda *_: answer)
+        return "".join(found.members)
+
+    assert group(answer=True) == names
+    # The two of the pair are in no group together; with b goes what hangs on c.
+    assert group(answer=False) == names[1:]
+
+
 def test_without_accepted_pairs_the_first_input_stands_alone() -> None:
     group = largest_group(list("abc"), [pair("b", "a", accepted=False)], CENTRES, SIZE)
     assert group.members == ("a",)

@@ -1,0 +1,113 @@
+"""What walls say of a pair that was rejected, under the transform that other pairs imply for it.
+
+Maps that share little may each fit a third: the pair is rejected, the group stands. But where the
+implied transform lays much of both maps on one ground, their walls must bear it out there. Few
+poses are left to chance then, so far less evidence does than a search would need.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.fusion.accept import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
+from slamfusion.fusion.align import track_features
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.frames import motion_of
+from slamfusion.fusion.judge import (
+    DISTINCT_CELLS,
+    DISTINCT_YAW_RAD,
+    is_distinct,
+    prior_within,
+)
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+
+__all__ = ["Implied", "ImpliedPairs", "words_over"]
+
+# Ground that both maps know, as a share of the smaller one's: on less their walls need not meet.
+MUCH_GROUND = 0.3
+
+
+@dataclass(frozen=True)
+class Implied:
+    """What came of a rejected pair under the transform that others imply.
+
+    Attributes:
+        alignment: refined from there.
+        stands: whether the pair speaks against no group.
+        words: why, in a few words.
+    """
+
+    alignment: Alignment
+    stands: bool
+    words: str
+
+
+class ImpliedPairs:
+    """Looks at rejected pairs under implied transforms, at each only once."""
+
+    def __init__(
+        self, features: dict[str, GridFeatures], pairs: int, device: ComputeDevice
+    ) -> None:
+        """Keep the maps by name, how many pairs the job has, and the device."""
+        self.features, self.pairs, self.device = features, pairs, device
+        self.seen: dict[tuple[str, str, Pose2], Implied] = {}
+
+    def stands(self, pair: Alignment, transform: Pose2) -> bool:
+        """Whether a rejected pair speaks against no group that implies the transform."""
+        return self.look(pair, transform).stands
+
+    def look(self, pair: Alignment, transform: Pose2) -> Implied:
+        """Return what the walls of a rejected pair say of an implied transform.
+
+        Args:
+            pair: names the maps.
+            transform: moving map frame to the reference's, metres.
+        """
+        key = pair.reference, pair.moving, transform
+        if key not in self.seen:
+            self.seen[key] = self._look(pair, transform)
+        return self.seen[key]
+
+    def words_against(self, pair: Alignment) -> str:
+        """Return what walls say against a pair where others put it, to end a reason; or nothing."""
+        for (reference, moving, _), found in self.seen.items():
+            if (reference, moving) == (pair.reference, pair.moving) and not found.stands:
+                return f"; where the others put it, it gives {found.words}"
+        return ""
+
+    def _look(self, pair: Alignment, transform: Pose2) -> Implied:
+        reference, moving = self.features[pair.reference], self.features[pair.moving]
+        found = track_features(reference, moving, self.device, transform)
+        if found.overlap < MUCH_GROUND:
+            return Implied(found, True, f"{found.overlap:.0%} of the ground in common")
+        evidence = found.evidence
+        if evidence is None:
+            return Implied(found, False, "no walls")
+        prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
+        wrong = expected_wrong(evidence.pieces, evidence.share, self.pairs, prior)
+        is_borne_out = (
+            evidence.share >= SHARE_MIN
+            and wrong < EXPECTED_WRONG_MAX
+            and found.statistics["wall_clash"] <= CLASH_MAX
+        )
+        went = is_distinct(
+            motion_of(reference, moving, found.transform), motion_of(reference, moving, transform)
+        )
+        words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
+        return Implied(found, (found.accepted or is_borne_out) and not went, words)
+
+
+def words_over(name: str, found: Alignment) -> str:
+    """Return why an input stands that no accepted pair joins to the reference, in one line.
+
+    Args:
+        name: of the input.
+        found: its alignment to the reference where the pairs between imply it.
+    """
+    said = f"accepted over others: as a pair with {found.reference}, {name} was rejected"
+    if found.evidence is None:
+        return said
+    share, metres = found.evidence.share, found.evidence.common_m
+    return f"{said}; here they give {share:.0%} of what {metres:.0f} m of common walls could"

@@ -1,0 +1,132 @@
+"""Rejected pairs under the transform that others imply: borne out, contradicted, nothing shared."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.fusion import fuse_grids
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.implied import ImpliedPairs, words_over
+from slamfusion.fusion.pipeline import SecondLook
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from tests.fusion.drawings import building, features_of, fusion_config
+
+QUICK = fusion_config()
+
+
+def part(grid: OccupancyGrid, name: str, low: float, high: float) -> OccupancyGrid:
+    """Return what lies between two shares of a grid's width; the rest unknown, frame kept."""
+    cells = grid.cells.copy()
+    width = cells.shape[1]
+    cells[:, : round(low * width)] = UNKNOWN
+    cells[:, round(high * width) :] = UNKNOWN
+    return replace(grid, cells=cells).with_name(name)
+
+
+def rejected(reference: str, moving: str) -> Alignment:
+    return Alignment(
+        reference, moving, Pose2(9.0, 9.0), False, "by hand", 0.1, 0.1, 0.0, None, None, 0.0
+    )
+
+
+def looked(device: ComputeDevice, grids: dict[str, OccupancyGrid], at: Pose2) -> tuple[bool, str]:
+    features = {name: features_of(grid, device) for name, grid in grids.items()}
+    reference, moving = grids
+    implied = ImpliedPairs(features, 3, device)
+    pair = rejected(reference, moving)
+    assert implied.words_against(pair) == ""
+    found = implied.look(pair, at)
+    assert implied.stands(pair, at) is found.stands
+    against = implied.words_against(pair)
+    assert against == ("" if found.stands else f"; where the others put it, it gives {found.words}")
+    return found.stands, found.words
+
+
+def test_walls_bear_out_what_others_imply(device: ComputeDevice) -> None:
+    place = building(3, 11.0, 9.0)
+    grids = {"a": part(place, "a", 0.0, 0.8), "b": part(place, "b", 0.3, 1.0)}
+    stands, words = looked(device, grids, Pose2(0.1, -0.1, math.radians(0.5)))
+    assert stands
+    assert words.startswith(("99%", "100%", "98%", "97%"))
+
+
+@pytest.mark.parametrize("at", [Pose2(1.5, 0.7), Pose2(0.0, 0.0, math.radians(25.0))])
+def test_walls_contradict_what_others_imply(device: ComputeDevice, at: Pose2) -> None:
+    place = building(3, 11.0, 9.0)
+    grids = {"a": part(place, "a", 0.0, 0.8), "b": part(place, "b", 0.3, 1.0)}
+    stands, _ = looked(device, grids, at)
+    assert not stands
+
+
+def test_another_building_on_the_same_ground_contradicts(device: ComputeDevice) -> None:
+    grids = {"a": building(3, 11.0, 9.0).with_name("a"), "b": building(4, 11.0, 9.0).with_name("b")}
+    stands, _ = looked(device, grids, Pose2())
+    assert not stands
+
+
+def test_maps_that_share_little_ground_contradict_nothing(device: ComputeDevice) -> None:
+    place = building(3, 11.0, 9.0)
+    grids = {"a": part(place, "a", 0.0, 0.5), "b": part(place, "b", 0.45, 1.0)}
+    stands, words = looked(device, grids, Pose2(0.3, 0.2))
+    assert stands
+    assert words.endswith("of the ground in common")
+
+
+def test_a_pair_is_looked_at_once_for_each_transform(device: ComputeDevice) -> None:
+    place = building(3, 11.0, 9.0)
+    features = {name: features_of(place.with_name(name), device) for name in "ab"}
+    implied = ImpliedPairs(features, 1, device)
+    pair = rejected("a", "b")
+    first = implied.look(pair, Pose2())
+    assert implied.look(pair, Pose2()) is first
+    assert implied.look(pair, Pose2(2.0, 0.0)) is not first
+
+
+def refusing(a: str, b: str, put: Pose2 | None = None) -> SecondLook:
+    """Reject one pair; put another one, of ``b`` and a third, aside where asked."""
+
+    def second_look(pair: Alignment, _: GridFeatures, __: GridFeatures) -> Alignment:
+        names = {pair.reference, pair.moving}
+        if names == {a, b}:
+            return replace(pair, accepted=False, reason="refused by hand")
+        if put is not None and b in names:
+            aside = put if pair.moving == b else put.inverse()
+            return replace(pair, transform=pair.transform.compose(aside))
+        return pair
+
+    return second_look
+
+
+def test_a_group_stands_over_a_rejected_pair_that_its_walls_bear_out(device: ComputeDevice) -> None:
+    place = building(3, 11.0, 9.0)
+    grids = [place.with_name("a"), place.with_name("b"), place.with_name("c")]
+    result = fuse_grids(grids, QUICK, device, second_look=refusing("a", "c"))
+    assert [record.name for record in result.accepted] == ["a", "b", "c"]
+    (over,) = [r for r in result.accepted if r.reason.startswith("accepted over others")]
+    assert "100% of what" in over.reason
+
+
+def test_a_group_does_not_stand_over_a_rejected_pair_that_contradicts(
+    device: ComputeDevice,
+) -> None:
+    place = building(3, 11.0, 9.0)
+    grids = [place.with_name(name) for name in "abc"]
+    look = refusing("a", "c", Pose2(1.7, 0.0))
+    result = fuse_grids(grids, QUICK, device, second_look=look)
+    assert len(result.accepted) == 2
+    (left,) = result.rejected
+    assert left.name in {"a", "c"}
+    assert "refused by hand; where the others put it, it gives" in left.reason
+
+
+def test_the_words_of_what_could_not_be_measured() -> None:
+    bare = rejected("a", "b")
+    assert words_over("b", bare) == "accepted over others: as a pair with a, b was rejected"
+    assert np.isclose(bare.score, 0.1)
