@@ -9,12 +9,14 @@ tail of the best of many chance fits (Karlin and Altschul 1990, for sequences), 
 best of all other poses, stands for all that were searched. The pieces count by the share of what
 the common ground could give, since a chance fit leaves much of it unexplained:
 
-    n = better * max(share, SHARE_FLOOR)
+    n = better * (share - UNEXPLAINED * (1 - share))    two good maps of one place
+    n = better * max(share, SHARE_FLOOR)                maps of which one is bent, or old
     expected_wrong = pairs * prior * TRIALS * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
-``EXPECTED_WRONG_MAX``. Of 242 pairs of different buildings and of halves that share nothing, the
-tail falls as 0.22 exp(-1.9 n); TRIALS and RATE stay on the safe side of that. A start that was
+``EXPECTED_WRONG_MAX``. Of 700 pairs of different buildings and of halves that share nothing, the
+tail falls as 0.08 exp(-1.2 n) for good maps, and faster for bent ones; TRIALS and RATE stay on the
+safe side of that. A start that was
 given makes the poses near it as much more probable as they are fewer than all poses.
 
 A mirror image and a map of another scale may match better than anything else does and are looked
@@ -60,6 +62,8 @@ TRIALS = 2.0
 RATE = 1.0
 # Maps that are bent explain less of their common ground; pieces count at least this much.
 SHARE_FLOOR = 0.6
+# Good maps explain nearly all of it: what they leave unexplained takes off so many times as much.
+UNEXPLAINED = 2.0
 # More pieces than this make no difference that a number can show.
 COUNTED_MAX = 500.0
 # Less of what the common ground could give: the maps do not fit each other.
@@ -129,6 +133,7 @@ class Evidence:
         mirrored: the evidence for the mirror image over that for the answer; None: not looked for.
         scale: size of the moving map's metre in the reference's, None: not estimated.
         scaled_share: ``share`` at that scale, by the narrow width of a wall.
+        is_plain: weighed as two good maps (``WallPieces.doubt``), not as maps that may be bent.
         better_inside: ``better`` among the answers in the window; None without one.
         clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """
@@ -149,15 +154,21 @@ class Evidence:
     scaled_share: float = 0.0
     clean_share: float = 0.0
     better_inside: float | None = None
+    is_plain: bool = False
 
 
-def expected_wrong(better: float, share: float, pairs: int = 1, prior: float = 1.0) -> float:
+def expected_wrong(
+    better: float, share: float, pairs: int = 1, prior: float = 1.0, *, is_plain: bool = False
+) -> float:
     """Return how many wrong answers are to be expected to look as good, in the whole job.
 
     Args:
-        better, share, pairs, prior: see ``Evidence``.
+        better, share, pairs, prior, is_plain: see ``Evidence``.
     """
-    counted = min(better * max(share, SHARE_FLOOR), COUNTED_MAX)
+    weight = max(share, SHARE_FLOOR)
+    if is_plain:
+        weight = max(0.0, share - UNEXPLAINED * (1.0 - share))
+    counted = min(better * weight, COUNTED_MAX)
     return pairs * prior * TRIALS * math.exp(-RATE * max(counted, -COUNTED_MAX))
 
 
@@ -185,7 +196,7 @@ def decide(evidence: Evidence) -> Decision:
             f"ambiguous: {evidence.share:.0%} of what common walls could give, while another "
             f"transform leaves less unexplained ({evidence.clean_share:.0%})",
         )
-    wrong = expected_wrong(evidence.better, evidence.share, evidence.pairs, evidence.prior)
+    wrong = _wrong(evidence, evidence.better)
     if wrong >= EXPECTED_WRONG_MAX and not (_is_whole(evidence) or _is_expected(evidence)):
         return _not_alone(evidence, wrong)
     is_scaled = evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_MAX
@@ -207,6 +218,13 @@ def decide(evidence: Evidence) -> Decision:
     if evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_SAID:
         said += f"; the maps differ in scale by {abs(evidence.scale - 1.0):.1%}"
     return Decision(True, "accepted", said)
+
+
+def _wrong(evidence: Evidence, better: float) -> float:
+    """Return the wrong answers to be expected if the answer were better by so many pieces."""
+    return expected_wrong(
+        better, evidence.share, evidence.pairs, evidence.prior, is_plain=evidence.is_plain
+    )
 
 
 def decide_mirrored(mirrored: float | None) -> Decision | None:
@@ -240,13 +258,13 @@ def _is_expected(evidence: Evidence) -> bool:
     if evidence.search != "window" or evidence.better_inside is None:
         return False
     is_as_good = evidence.better >= -TIE and evidence.share >= SHARE_TIED
-    found = expected_wrong(evidence.better_inside, evidence.share, evidence.pairs, evidence.prior)
+    found = _wrong(evidence, evidence.better_inside)
     return is_as_good and found < EXPECTED_WRONG_MAX
 
 
 def _not_alone(evidence: Evidence, wrong: float) -> Decision:
     """Refuse what chance or another place may explain as well."""
-    alone = expected_wrong(evidence.witnesses, evidence.share, evidence.pairs, evidence.prior)
+    alone = _wrong(evidence, evidence.witnesses)
     if alone >= EXPECTED_WRONG_MAX:
         return _refused(
             "too little in common",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
-from slamfusion.fusion.accept import Evidence, decide, expected_wrong
+from slamfusion.fusion.accept import EXPECTED_WRONG_MAX, Evidence, decide, expected_wrong
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures
 from slamfusion.fusion.frames import motion_of, transform_of
@@ -20,9 +20,10 @@ from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.pieces import WallPieces, wall_pieces
 from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
-from slamfusion.fusion.refine import rank, refine
+from slamfusion.fusion.refine import polish, rank, refine
 from slamfusion.fusion.scale import estimate_scale
 from slamfusion.fusion.search import CoarseSearch, wall_widths
+from slamfusion.fusion.slides import slides
 from slamfusion.geometry import Pose2, wrap_angle
 
 __all__ = ["Found", "is_distinct", "judge", "prior_within", "rejected_alignment"]
@@ -34,11 +35,14 @@ DISTINCT_YAW_RAD = math.radians(10.0)
 # A bent map fits its place in several ways a metre or two apart; they are one answer.
 BENT_CELLS = 60.0
 # Less of what the common ground could give than this, and one of the maps is bent: a wider width of
-# a wall may tell more, and the fit is spread over the whole map.
-PLAIN_SHARE = 0.7
+# a wall may tell more, and the fit is spread over the whole map. Where an answer gives more, what
+# others leave unexplained speaks against them by so much.
+PLAIN_SHARE = 0.75
+DOUBT = 1.0
 # So much less, and its fits a metre or two apart are one answer.
 BENT_SHARE = 0.5
-# Of the answers elsewhere that give this much of it the one with the highest share may be right.
+# Of the answers that give this much of the most evidence the one with the highest share may be
+# right.
 NOTED_RATIO = 0.7
 # And less than this of either map's walls meets.
 BENT_MATCH = 0.45
@@ -89,6 +93,11 @@ class _Stand:
     inside: list[int]
 
     @property
+    def is_plain(self) -> bool:
+        """Whether it is weighed as that of two good maps of one place."""
+        return self.pieces.doubt > 0.0
+
+    @property
     def better_inside(self) -> float:
         """The same of the others in the window alone."""
         return self._better_than(self.inside)
@@ -97,6 +106,10 @@ class _Stand:
     def better(self) -> float:
         """Pieces that say that the answer is better than any other, and than none."""
         return self._better_than(self.others)
+
+    def wrong(self, pairs: int = 1, prior: float = 1.0) -> float:
+        """Return the wrong answers to be expected to look as good; see ``expected_wrong``."""
+        return expected_wrong(self.better, self.share, pairs, prior, is_plain=self.is_plain)
 
     def _better_than(self, others: list[int]) -> float:
         """Return the pieces for the answer against the best of some others, or against none."""
@@ -142,31 +155,10 @@ def judge(
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
-    widths = wall_widths(reference)
-    stand = _stand(reference, moving, found, widths[0], device, cancel)
-    if stand.share < PLAIN_SHARE and found.coarse is not None:
-        wide = _stand(reference, moving, found, widths[1], device, cancel)
-        is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
-        if is_same and stand.better >= NARROW_MIN:
-            stand = min(stand, wide, key=lambda item: expected_wrong(item.better, item.share))
-    best, others = stand.motions[0], stand.others
-    statistics = measure(reference, moving, best, device, cancel)
-    is_plain = stand.share >= PLAIN_SHARE and stand.sigma == widths[0]
-    if not is_plain and _met(statistics) < BENT_MATCH:
-        # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
-        # leaves the rest; the wide one spreads the misfit over the whole map.
-        best = refine(
-            reference,
-            moving,
-            best[None],
-            1,
-            BENT_SCALES,
-            device,
-            iterations=8,
-            everywhere=True,
-            cancel=cancel,
-        )[0]
-        statistics = measure(reference, moving, best, device, cancel)
+    narrow = wall_widths(reference)[0]
+    stand = _chosen(reference, moving, device, found, pairs, cancel)
+    others = stand.others
+    best, statistics = _placed(reference, moving, device, found, stand, cancel)
     overlap, error = statistics.pop("overlap"), statistics.pop("error")
     shown = [best] if not others else [best, stand.motions[others[0]]]
     scores = rank(reference, moving, np.array(shown), 1, FINE_TABLE, device, cancel=cancel)
@@ -192,7 +184,7 @@ def judge(
     decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
-            evidence, reference, moving, config, device, stand, widths[0], cancel
+            evidence, reference, moving, config, device, stand, narrow, cancel
         )
         decision = decide(evidence)
     match = MatchEvidence(
@@ -201,7 +193,7 @@ def judge(
         share=evidence.share,
         common_m=evidence.common_m,
         rival_ratio=evidence.ratio,
-        expected_wrong=expected_wrong(evidence.better, evidence.share, evidence.pairs, prior),
+        expected_wrong=stand.wrong(pairs, prior),
         mirrored=evidence.mirrored,
         scale=evidence.scale,
         scaled_share=None if evidence.scale is None else evidence.scaled_share,
@@ -226,16 +218,75 @@ def judge(
     )
 
 
-def _stand(
+def _chosen(
     reference: GridFeatures,
     moving: GridFeatures,
-    found: Found,
-    sigma: float,
     device: ComputeDevice,
+    found: Found,
+    pairs: int,
     cancel: CancelToken | None,
 ) -> _Stand:
-    """Return the best candidate by one width of a wall, and its rivals, best first."""
-    pieces = wall_pieces(reference, moving, found.motions, sigma, device, cancel)
+    """Return the answer and its rivals, weighed as two good maps, or as maps that are bent."""
+    narrow, broad = wall_widths(reference)
+    pieces = wall_pieces(reference, moving, found.motions, narrow, device, cancel)
+    stand = _stand(found, narrow, pieces)
+    if found.coarse is None:
+        return stand
+    plain = _stand(found, narrow, replace(pieces, doubt=DOUBT))
+    if _is_plain(plain, stand):
+        if plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX:
+            plain = _with_slides(reference, moving, plain, device, cancel)
+        if is_distinct(plain.motions[0], stand.motions[0]):
+            return plain
+        return min(plain, stand, key=_Stand.wrong)
+    pieces = wall_pieces(reference, moving, found.motions, broad, device, cancel)
+    wide = _stand(found, broad, pieces)
+    is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
+    if not is_same or stand.better < NARROW_MIN:
+        return stand
+    return min(stand, wide, key=_Stand.wrong)
+
+
+def _placed(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    device: ComputeDevice,
+    found: Found,
+    stand: _Stand,
+    cancel: CancelToken | None,
+) -> tuple[F64, dict[str, float]]:
+    """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``)."""
+    best = stand.motions[0]
+    is_bent = stand.share < PLAIN_SHARE or stand.sigma > wall_widths(reference)[0]
+    if not is_bent and found.coarse is not None:
+        best = polish(reference, moving, best, device, cancel)
+    statistics = measure(reference, moving, best, device, cancel)
+    if is_bent and _met(statistics) < BENT_MATCH:
+        # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
+        # leaves the rest; the wide one spreads the misfit over the whole map.
+        best = refine(
+            reference,
+            moving,
+            best[None],
+            1,
+            BENT_SCALES,
+            device,
+            iterations=8,
+            everywhere=True,
+            cancel=cancel,
+        )[0]
+        statistics = measure(reference, moving, best, device, cancel)
+    return best, statistics
+
+
+def _stand(found: Found, sigma: float, pieces: WallPieces) -> _Stand:
+    """Return the best candidate by what the pieces say of all, and its rivals, best first.
+
+    Args:
+        found: the motions.
+        sigma: the width of a wall by which the pieces were weighed, cells.
+        pieces: of all motions.
+    """
     total = pieces.total
     best = int(np.argmax(total[: found.candidates]))
     order = np.argsort(-total, kind="stable")
@@ -246,6 +297,37 @@ def _stand(
     limit = len(order) if found.candidates is None else found.candidates
     inside = [k for k in others if order[k] < limit]
     return _Stand(sigma, motions, others, pieces, inside)
+
+
+def _is_plain(plain: _Stand, kind: _Stand) -> bool:
+    """Whether two good maps of one place explain the walls nearly as well as bent ones could.
+
+    Args:
+        plain: the best answer where what it leaves unexplained speaks against it.
+        kind: the best answer where that weighs little.
+    """
+    gives = float(plain.pieces.evidence[0].sum())
+    return plain.share >= PLAIN_SHARE and gives >= NOTED_RATIO * float(kind.pieces.total[0])
+
+
+def _with_slides(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    stand: _Stand,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> _Stand:
+    """Return the same with the best shifts of the answer among its rivals."""
+    further = slides(
+        reference, moving, stand.motions[0], stand.sigma, DISTINCT_CELLS, device, cancel
+    )
+    pieces = wall_pieces(reference, moving, further, stand.sigma, device, cancel)
+    pieces = stand.pieces.joined(pieces)
+    total = pieces.total
+    new = range(len(stand.motions), len(stand.motions) + len(further))
+    others = sorted([*stand.others, *new], key=lambda k: -total[k])
+    motions = np.concatenate((stand.motions, further))
+    return replace(stand, motions=motions, pieces=pieces, others=others)
 
 
 def _met(statistics: dict[str, float]) -> float:
@@ -285,6 +367,7 @@ def _evidence(
         better=stand.better,
         clean_share=stand.clean_share,
         better_inside=stand.better_inside,
+        is_plain=stand.is_plain,
         ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
         rival=rival,
         pairs=pairs,

@@ -8,7 +8,7 @@ A piece is the same piece under every motion, so two motions can be compared pie
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -38,32 +38,58 @@ class WallPieces:
         most: (P, B) what the pieces could have given at most where the other map has seen
             something.
         seen_m: (P,) metres of wall that lie where the other map has seen something.
+        doubt: how much what a piece could have given and does not give speaks against a motion.
+            The table of evidence is kind to maps that are bent or old; of two good maps of one
+            place little stays unexplained, and 1 doubts each motion that leaves more.
     """
 
     evidence: F64
     most: F64
     seen_m: F64
+    doubt: float = 0.0
+
+    @property
+    def weighed(self) -> F64:
+        """(P, B) the evidence less ``doubt`` times what stays unexplained."""
+        if self.doubt == 0.0:
+            return self.evidence
+        return np.asarray(self.evidence - self.doubt * (self.most - self.evidence))
 
     @property
     def total(self) -> F64:
-        """(P,) nats times metres of wall, the mean of both maps' walls."""
-        return np.asarray(self.evidence.sum(axis=1))
+        """(P,) what is weighed, of all pieces: nats times metres, the mean of both maps' walls."""
+        return np.asarray(self.weighed.sum(axis=1))
 
     def take(self, order: npt.NDArray[np.intp]) -> WallPieces:
         """Return the same of some motions, in another order."""
-        return WallPieces(self.evidence[order], self.most[order], self.seen_m[order])
+        return replace(
+            self,
+            evidence=self.evidence[order],
+            most=self.most[order],
+            seen_m=self.seen_m[order],
+        )
+
+    def joined(self, other: WallPieces) -> WallPieces:
+        """Return the same of further motions, of the same pieces."""
+        return replace(
+            self,
+            evidence=np.concatenate((self.evidence, other.evidence)),
+            most=np.concatenate((self.most, other.most)),
+            seen_m=np.concatenate((self.seen_m, other.seen_m)),
+        )
 
     def share(self) -> F64:
         """Return (P,) the evidence as a share of what the common ground could give."""
-        return np.asarray(self.total / np.maximum(self.most.sum(axis=1), 1e-9))
+        return np.asarray(self.evidence.sum(axis=1) / np.maximum(self.most.sum(axis=1), 1e-9))
 
     def witnesses(self, k: int = 0) -> float:
         """Return how many pieces of equal weight would say what the pieces say of motion k."""
-        return _witnesses(self.evidence[k])
+        return _witnesses(self.weighed[k])
 
     def better(self, k: int, other: int) -> float:
         """Return how many pieces of equal weight would say that k is better than the other."""
-        return _witnesses(self.evidence[k] - self.evidence[other])
+        weighed = self.weighed
+        return _witnesses(weighed[k] - weighed[other])
 
 
 def _witnesses(values: F64) -> float:

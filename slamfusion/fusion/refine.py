@@ -17,7 +17,7 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, ScoreTable, spread_sample
 from slamfusion.fusion.motions import invert, to_lattice
 
-__all__ = ["rank", "refine", "settle"]
+__all__ = ["polish", "rank", "refine", "settle"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -28,6 +28,8 @@ SPREAD_POINTS = 512
 SCALE_SPREAD = 4.0
 SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
+# Robust scales of the last fit of two maps that show the same walls, cells.
+POLISH_SCALES = (4.0, 2.0, 1.0)
 
 
 def _device_poses(motions: F64) -> npt.NDArray[np.float32]:
@@ -170,6 +172,39 @@ def settle(
             cancel=cancel,
         )
     return settled
+
+
+def polish(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motion: F64,
+    device: ComputeDevice,
+    cancel: CancelToken | None = None,
+) -> F64:
+    """Fit the surfaces of two maps that show the same walls as narrowly as cells allow.
+
+    Where little is in common a wide fit is pulled by walls that the other map does not have. Walls
+    of which one map's are thicker are left as they are: see ``settle``.
+
+    Args:
+        reference, moving: the two grids.
+        motion: (3,) right to a few cells.
+        device: computes the normal equations.
+        cancel: asked before each operation.
+
+    Returns:
+        (3,) the motion there.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    motions = motion[None]
+    if _surface_distance(reference, moving, motions, device, cancel)[0] > SURFACE_RADII[0]:
+        return motion
+    fitted = refine(
+        reference, moving, motions, 1, POLISH_SCALES, device, points=FINAL_POINTS, cancel=cancel
+    )
+    return np.asarray(fitted[0])
 
 
 def _surface_distance(
