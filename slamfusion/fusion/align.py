@@ -79,6 +79,8 @@ def align_features(
     start: Pose2 | StartPose | None = None,
     cancel: CancelToken | None = None,
     pairs: int = 1,
+    *,
+    looks_at_image: bool = True,
 ) -> Alignment:
     """Align two prepared grids; see ``align_grids``.
 
@@ -86,6 +88,7 @@ def align_features(
         reference, moving, config, device, start: as there.
         cancel: asked before each operation.
         pairs: pairs of maps in the job: the more there are, the more an answer has to show.
+        looks_at_image: search a pair that is refused once more as a mirror image, to name it.
 
     Raises:
         CancelledSearchError: ``cancel`` says so; what was computed of the grids is kept.
@@ -113,6 +116,7 @@ def align_features(
     if start is None and config.shared_frame:
         start = Pose2()
     expected = pose_of(start)
+    found = replace(found, looks_at_image=looks_at_image)
     return judge(reference, moving, config, device, found, expected, pairs, began, cancel)
 
 

@@ -11,18 +11,24 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
-from slamfusion.fusion.accept import EXPECTED_WRONG_MAX, Evidence, decide, expected_wrong
+from slamfusion.fusion.accept import (
+    EXPECTED_WRONG_MAX,
+    SHARE_MIN,
+    Evidence,
+    decide,
+    expected_wrong,
+)
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures
 from slamfusion.fusion.frames import motion_of, transform_of
 from slamfusion.fusion.measure import measure
-from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain
+from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain, mirror_image
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.pieces import WallPieces, wall_pieces
 from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
 from slamfusion.fusion.refine import polish, rank, refine
 from slamfusion.fusion.scale import estimate_scale
-from slamfusion.fusion.search import CoarseSearch, wall_widths
+from slamfusion.fusion.search import CoarseSearch, SearchWindow, search, wall_widths
 from slamfusion.fusion.slides import slides
 from slamfusion.geometry import Pose2, wrap_angle
 
@@ -50,6 +56,8 @@ BENT_SCALES = (24.0,)
 # A wide width speaks only where the narrow one says the same by so many pieces.
 NARROW_MIN = 2.0
 YAW_RAD_MIN = math.radians(0.5)
+# A mirror image that gives more times as much is not told from one that gives this.
+GAIN_MAX = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +72,7 @@ class Found:
         prior: see ``Evidence.prior``.
         candidates: how many of the motions, the first, may be the answer; None: all. The others are
             rivals only.
+        looks_at_image: whether what is refused is searched once more as a mirror image.
     """
 
     motions: F64
@@ -72,6 +81,7 @@ class Found:
     search: str
     prior: float = 1.0
     candidates: int | None = None
+    looks_at_image: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +195,11 @@ def judge(
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
             evidence, reference, moving, config, device, stand, narrow, cancel
+        )
+        decision = decide(evidence)
+    elif found.search == "full" and found.looks_at_image:
+        evidence = _looked_at_image(
+            evidence, reference, moving, config, device, stand, pairs, cancel
         )
         decision = decide(evidence)
     match = MatchEvidence(
@@ -394,6 +409,29 @@ def _looked_closer(
     # Where little is in common another scale leaves little unexplained: it is always looked for.
     fit = estimate_scale(reference, moving, motion, (stand.sigma, narrow), device, cancel)
     return replace(evidence, mirrored=mirrored, scale=fit.scale, scaled_share=fit.share)
+
+
+def _looked_at_image(
+    evidence: Evidence,
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    device: ComputeDevice,
+    stand: _Stand,
+    pairs: int,
+    cancel: CancelToken | None,
+) -> Evidence:
+    """Add the mirror image where it would be believed, though the map itself is not."""
+    image = mirror_image(moving, device)
+    coarse, motions, _ = search(reference, image, config, SearchWindow(), device, cancel)
+    if not len(motions):
+        return evidence
+    other = _chosen(reference, image, device, Found(motions, coarse, None, "full"), pairs, cancel)
+    if other.share < SHARE_MIN or other.wrong(pairs) >= EXPECTED_WRONG_MAX:
+        return evidence
+    own, gained = (float(item.pieces.evidence[0].sum()) for item in (stand, other))
+    gain = GAIN_MAX if own * GAIN_MAX <= gained else gained / own
+    return replace(evidence, mirrored=gain)
 
 
 def prior_within(

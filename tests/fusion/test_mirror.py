@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from slamfusion.fusion.align import align_features
 from slamfusion.fusion.mirror import mirror_gain, mirror_image
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.search import SearchWindow, search, wall_widths
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, degraded, draw, features_of, picture_of
 from tests.fusion.live.maps import mirrored, transposed, trio
 
@@ -74,7 +76,46 @@ def test_what_nothing_speaks_for_has_no_gain(device: ComputeDevice) -> None:
     assert mirror_gain(a, b, away, CONFIG, wall_widths(a)[0], device) is None
 
 
-def test_what_is_sure_or_refused_is_not_searched_again(
+def half(grid: OccupancyGrid, low: float, high: float) -> OccupancyGrid:
+    """Return what lies between two shares of a grid's width, the rest unknown."""
+    cells = grid.cells.copy()
+    width = cells.shape[1]
+    cells[:, : round(low * width)] = UNKNOWN
+    cells[:, round(high * width) :] = UNKNOWN
+    return replace(grid, cells=cells)
+
+
+def test_what_is_refused_is_named_if_its_image_would_be_believed(device: ComputeDevice) -> None:
+    """A mirrored half fits nowhere itself; its image does."""
+    place = building(4, 14.0, 9.0, 0.05)
+    low, high = half(place, 0.0, 0.65).with_name("low"), half(place, 0.35, 1.0).with_name("high")
+    right = aligned(low, high, device)
+    assert right.accepted, right.reason
+    found = aligned(low, mirrored(high), device)
+    assert found.decision == "mirrored"
+    assert found.evidence is not None
+    assert found.evidence.mirrored is not None
+    assert found.evidence.mirrored > 1.0
+    unnamed = align_features(
+        features_of(low, device),
+        features_of(mirrored(high), device),
+        CONFIG,
+        device,
+        looks_at_image=False,
+    )
+    assert not unnamed.accepted
+    assert unnamed.decision != "mirrored"
+
+
+def test_another_building_is_no_mirror_image(device: ComputeDevice) -> None:
+    refused = aligned(trio()["a"], building(4, 12.0, 8.0, 0.05), device)
+    assert not refused.accepted
+    assert refused.decision != "mirrored"
+    assert refused.evidence is not None
+    assert refused.evidence.mirrored is None
+
+
+def test_what_is_sure_is_not_searched_again(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks: list[str] = []
@@ -89,10 +130,6 @@ def test_what_is_sure_or_refused_is_not_searched_again(
     assert sure.evidence is not None
     assert sure.evidence.share >= 0.9
     assert sure.evidence.mirrored is None
-    refused = aligned(trio()["a"], building(4, 12.0, 8.0, 0.05), device)
-    assert not refused.accepted
-    assert refused.evidence is not None
-    assert refused.evidence.mirrored is None
     assert not looks
     # Walls of half the thickness are no less right, but not sure.
     faint, _ = degraded(trio()["a"], 3, "faint", yaw_rad=0.6, wall_change_cells=1, flip_share=0.05)

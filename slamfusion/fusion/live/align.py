@@ -253,10 +253,14 @@ class Aligner:
         try:
             if is_swapped:
                 back = None if start is None else start.inverse()
-                pair = align_features(own, held.features, config, device, back, cancel)
+                pair = align_features(
+                    own, held.features, config, device, back, cancel, looks_at_image=False
+                )
                 pair = replace(pair, transform=pair.transform.inverse())
             else:
-                pair = align_features(held.features, own, config, device, start, cancel)
+                pair = align_features(
+                    held.features, own, config, device, start, cancel, looks_at_image=False
+                )
         except CancelledSearchError:
             track.patience_s *= 2.0
             track.searches -= 1
