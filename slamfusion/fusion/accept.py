@@ -11,12 +11,13 @@ the common ground could give, since a chance fit leaves much of it unexplained:
 
     n = better * (share - UNEXPLAINED * (1 - share))    two good maps of one place
     n = better * max(share, SHARE_FLOOR)                maps of which one is bent, or old
-    expected_wrong = pairs * prior * TRIALS * exp(-RATE * n)
+    expected_wrong = pairs * prior * TRIALS * (1 + UNPROVEN * gap) * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
 ``EXPECTED_WRONG_MAX``. Of 700 pairs of different buildings and of halves that share nothing, the
 tail falls as 0.08 exp(-1.2 n) for good maps, and faster for bent ones; TRIALS and RATE stay on the
-safe side of that. A start that was
+safe side of that. A proof that was asked for and not finished (gap) leaves poses in which a better
+rival may be. A start that was
 given makes the poses near it as much more probable as they are fewer than all poses.
 
 A mirror image and a map of another scale may match better than anything else does and are looked
@@ -27,7 +28,7 @@ beside those of the other, and is not believed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
 __all__ = [
@@ -64,6 +65,9 @@ RATE = 1.0
 SHARE_FLOOR = 0.6
 # Good maps explain nearly all of it: what they leave unexplained takes off so many times as much.
 UNEXPLAINED = 2.0
+# Where a proof ends at its deadline, what it left undecided counts as further trials: at a gap of
+# 1, the most there is, as so many times the others.
+UNPROVEN = 4.0
 # More pieces than this make no difference that a number can show.
 COUNTED_MAX = 500.0
 # Less of what the common ground could give: the maps do not fit each other.
@@ -134,6 +138,7 @@ class Evidence:
         scale: size of the moving map's metre in the reference's, None: not estimated.
         scaled_share: ``share`` at that scale, by the narrow width of a wall.
         is_plain: weighed as two good maps (``WallPieces.doubt``), not as maps that may be bent.
+        gap: what a proof left undecided, 0..1 (``Alignment.bound_gap``); 0 without one.
         better_inside: ``better`` among the answers in the window; None without one.
         clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """
@@ -155,21 +160,29 @@ class Evidence:
     clean_share: float = 0.0
     better_inside: float | None = None
     is_plain: bool = False
+    gap: float = 0.0
 
 
 def expected_wrong(
-    better: float, share: float, pairs: int = 1, prior: float = 1.0, *, is_plain: bool = False
+    better: float,
+    share: float,
+    pairs: int = 1,
+    prior: float = 1.0,
+    *,
+    is_plain: bool = False,
+    gap: float = 0.0,
 ) -> float:
     """Return how many wrong answers are to be expected to look as good, in the whole job.
 
     Args:
-        better, share, pairs, prior, is_plain: see ``Evidence``.
+        better, share, pairs, prior, is_plain, gap: see ``Evidence``.
     """
     weight = max(share, SHARE_FLOOR)
     if is_plain:
         weight = max(0.0, share - UNEXPLAINED * (1.0 - share))
     counted = min(better * weight, COUNTED_MAX)
-    return pairs * prior * TRIALS * math.exp(-RATE * max(counted, -COUNTED_MAX))
+    trials = TRIALS * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
+    return pairs * prior * trials * math.exp(-RATE * max(counted, -COUNTED_MAX))
 
 
 def decide(evidence: Evidence) -> Decision:
@@ -223,7 +236,12 @@ def decide(evidence: Evidence) -> Decision:
 def _wrong(evidence: Evidence, better: float) -> float:
     """Return the wrong answers to be expected if the answer were better by so many pieces."""
     return expected_wrong(
-        better, evidence.share, evidence.pairs, evidence.prior, is_plain=evidence.is_plain
+        better,
+        evidence.share,
+        evidence.pairs,
+        evidence.prior,
+        is_plain=evidence.is_plain,
+        gap=evidence.gap,
     )
 
 
@@ -270,6 +288,14 @@ def _not_alone(evidence: Evidence, wrong: float) -> Decision:
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, "
             f"{evidence.witnesses:.1f} independent pieces of wall",
+        )
+    if evidence.gap > 0.0 and _wrong(replace(evidence, gap=0.0), evidence.better) < (
+        EXPECTED_WRONG_MAX
+    ):
+        return _refused(
+            "ambiguous",
+            f"ambiguous: the proof was not finished in time (gap {evidence.gap:.2f}), and without "
+            f"it {wrong:.2g} wrong answers are to be expected",
         )
     if evidence.share >= SHARE_FIT and evidence.rival is not None:
         return _refused(

@@ -117,9 +117,11 @@ class _Stand:
         """Pieces that say that the answer is better than any other, and than none."""
         return self._better_than(self.others)
 
-    def wrong(self, pairs: int = 1, prior: float = 1.0) -> float:
+    def wrong(self, pairs: int = 1, prior: float = 1.0, gap: float = 0.0) -> float:
         """Return the wrong answers to be expected to look as good; see ``expected_wrong``."""
-        return expected_wrong(self.better, self.share, pairs, prior, is_plain=self.is_plain)
+        return expected_wrong(
+            self.better, self.share, pairs, prior, is_plain=self.is_plain, gap=gap
+        )
 
     def _better_than(self, others: list[int]) -> float:
         """Return the pieces for the answer against the best of some others, or against none."""
@@ -189,7 +191,7 @@ def judge(
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
     evidence = _evidence(
         reference, moving, stand, runner_up, statistics,
-        pairs=pairs, prior=prior, search=found.search,
+        pairs=pairs, prior=prior, search=found.search, gap=found.bound_gap or 0.0,
     )  # fmt: skip
     decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
@@ -208,11 +210,12 @@ def judge(
         share=evidence.share,
         common_m=evidence.common_m,
         rival_ratio=evidence.ratio,
-        expected_wrong=stand.wrong(pairs, prior),
+        expected_wrong=stand.wrong(pairs, prior, evidence.gap),
         mirrored=evidence.mirrored,
         scale=evidence.scale,
         scaled_share=None if evidence.scale is None else evidence.scaled_share,
         rival_share=evidence.clean_share,
+        good_maps=evidence.is_plain,
     )
     return Alignment(
         reference.grid.name,
@@ -251,7 +254,8 @@ def _chosen(
     if _is_plain(plain, stand):
         if plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX:
             plain = _with_slides(reference, moving, plain, device, cancel)
-        if is_distinct(plain.motions[0], stand.motions[0]):
+        is_enough = plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
+        if is_enough or is_distinct(plain.motions[0], stand.motions[0]):
             return plain
         return min(plain, stand, key=_Stand.wrong)
     pieces = wall_pieces(reference, moving, found.motions, broad, device, cancel)
@@ -365,6 +369,7 @@ def _evidence(
     pairs: int,
     prior: float,
     search: str,
+    gap: float,
 ) -> Evidence:
     """Return what speaks for the answer, and for the best of the others."""
     pieces, others = stand.pieces, stand.others
@@ -383,6 +388,7 @@ def _evidence(
         clean_share=stand.clean_share,
         better_inside=stand.better_inside,
         is_plain=stand.is_plain,
+        gap=gap,
         ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
         rival=rival,
         pairs=pairs,

@@ -65,6 +65,8 @@ class MatchEvidenceJson(TypedDict):
     """The share at that scale; null: not estimated."""
     rival_share: float
     """The highest share of another answer that gives at least 0.7 of its evidence."""
+    good_maps: bool
+    """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
 
 
 class AlignmentJson(TypedDict):
@@ -151,6 +153,8 @@ class MatchEvidence:
         scale: the moving map's metre in the reference's; None: not estimated.
         scaled_share: ``share`` at that scale; None: not estimated.
         rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
+        good_maps: whether answers are compared as of two good maps of one place, so that what one
+            leaves unexplained speaks against it; otherwise as of maps that may be bent.
     """
 
     pieces: float
@@ -163,6 +167,7 @@ class MatchEvidence:
     scale: float | None
     scaled_share: float | None = None
     rival_share: float = 0.0
+    good_maps: bool = False
 
     def to_json(self) -> MatchEvidenceJson:
         """Return the keys that other programs rely on."""
@@ -177,6 +182,7 @@ class MatchEvidence:
             "scale": self.scale,
             "scaled_share": self.scaled_share,
             "rival_share": self.rival_share,
+            "good_maps": self.good_maps,
         }
 
 

@@ -30,6 +30,8 @@ SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
 # Robust scales of the last fit of two maps that show the same walls, cells.
 POLISH_SCALES = (4.0, 2.0, 1.0)
+# So many times as many wall cells to a cell of their surface, and the walls of a map are thicker.
+THICKER = 1.15
 
 
 def _device_poses(motions: F64) -> npt.NDArray[np.float32]:
@@ -181,10 +183,11 @@ def polish(
     device: ComputeDevice,
     cancel: CancelToken | None = None,
 ) -> F64:
-    """Fit the surfaces of two maps that show the same walls as narrowly as cells allow.
+    """Fit two maps that show the same walls as narrowly as cells allow.
 
     Where little is in common a wide fit is pulled by walls that the other map does not have. Walls
-    of which one map's are thicker are left as they are: see ``settle``.
+    that are equally thick are fitted by their surfaces, others by all of their cells: see
+    ``settle``.
 
     Args:
         reference, moving: the two grids.
@@ -198,11 +201,20 @@ def polish(
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
-    motions = motion[None]
-    if _surface_distance(reference, moving, motions, device, cancel)[0] > SURFACE_RADII[0]:
-        return motion
+    thick = [
+        len(grid.wall_points) / max(1, len(grid.level(1, cancel).points))
+        for grid in (reference, moving)
+    ]
     fitted = refine(
-        reference, moving, motions, 1, POLISH_SCALES, device, points=FINAL_POINTS, cancel=cancel
+        reference,
+        moving,
+        motion[None],
+        1,
+        POLISH_SCALES,
+        device,
+        points=FINAL_POINTS,
+        solid=max(thick) > THICKER * min(thick),
+        cancel=cancel,
     )
     return np.asarray(fitted[0])
 

@@ -110,6 +110,7 @@ class Recorder:
             scale=match.scale,
             scaled_share=match.scaled_share or 0.0,
             clean_share=match.rival_share,
+            is_plain=match.good_maps,
         )
         decision = decide(evidence).kind
         said = alignment.decision

@@ -50,6 +50,8 @@ def evidence(**changes: Any) -> Evidence:
         "scaled_share": 0.6,
         "clean_share": 0.0,
         "better_inside": None,
+        "is_plain": False,
+        "gap": 0.0,
     }
     statistics = {"wall_match": 0.6, "wall_clash": 0.02, "chance": 0.1}
     for name, value in changes.items():
@@ -71,6 +73,10 @@ GROUND = {"search": "tracked", "wall_match": 0.3, "share": 0.5, "witnesses": 12.
 # Looked for around a start, where one elsewhere is as good.
 STARTED = TIED | {"search": "window", "prior": 0.1, "better_inside": 20.0, "share": 0.81}
 
+# Weighed as two good maps; judged with a proof that ended at its deadline.
+GOOD = {"is_plain": True}
+UNPROVEN = {"share": WHOLE}
+
 # What is changed in evidence that is believed, what is decided then, and a word of the reason. Rows
 # that end on one limit follow each other: at it, and beyond it.
 GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
@@ -88,6 +94,20 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"share": 0.6, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 60%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 30%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "walls do not match: 30%"),
+    # Good maps: what is left unexplained takes off twice as much.
+    (GOOD | {"share": WHOLE, "better": ENOUGH + 1e-6}, "accepted", "walls match: 100%"),
+    (GOOD | {"share": WHOLE, "better": ENOUGH - 1e-6}, "ambiguous", "explains 40% of it"),
+    (GOOD | {"share": 0.9, "better": ENOUGH / 0.7 + 1e-6}, "accepted", "walls match: 90%"),
+    (GOOD | {"share": 0.9, "better": ENOUGH / 0.7 - 1e-6}, "ambiguous", "explains 40% of it"),
+    (GOOD | {"share": 0.66, "witnesses": 1e3, "better": 1e3}, "too little in common", ""),
+    (GOOD | {"share": 0.9, "witnesses": 5.0, "better": 5.0}, "too little in common", "5.0"),
+    # A proof that was not finished: five times the trials at most.
+    (UNPROVEN | {"gap": 1.0, "better": ENOUGH + math.log(5.0) + 1e-6}, "accepted", ""),
+    (UNPROVEN | {"gap": 1.0, "better": ENOUGH + math.log(5.0) - 1e-6}, "ambiguous", "gap 1.00"),
+    (UNPROVEN | {"gap": 0.5, "better": ENOUGH + math.log(3.0) + 1e-6}, "accepted", ""),
+    (UNPROVEN | {"gap": 0.5, "better": ENOUGH + math.log(3.0) - 1e-6}, "ambiguous", "not finished"),
+    (UNPROVEN | {"gap": 9.0, "better": ENOUGH + math.log(5.0) + 1e-6}, "accepted", ""),
+    (UNPROVEN | {"gap": 0.5, "better": ENOUGH - 1e-6}, "ambiguous", "the same place twice?"),
     # More pairs, more wrong ones; poses near a start, fewer.
     ({"share": WHOLE, "better": ENOUGH + math.log(10.0) + 1e-6, "pairs": 10}, "accepted", ""),
     ({"share": WHOLE, "better": ENOUGH + math.log(10.0) - 1e-6, "pairs": 10}, "ambiguous", ""),
@@ -260,6 +280,20 @@ def test_how_many_wrong_answers_are_to_be_expected(
     assert expected_wrong(*arguments) == pytest.approx(2.0 * wanted, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("share", "weight"), [(1.0, 1.0), (0.9, 0.7), (0.75, 0.25), (2 / 3, 0.0), (0.3, 0.0)]
+)
+def test_of_good_maps_what_is_unexplained_takes_off(share: float, weight: float) -> None:
+    found = expected_wrong(7.0, share, is_plain=True)
+    assert found == pytest.approx(2.0 * math.exp(-7.0 * weight))
+
+
+@pytest.mark.parametrize(("gap", "times"), [(-1.0, 1.0), (0.0, 1.0), (0.25, 2.0), (1.0, 5.0)])
+def test_what_a_proof_leaves_undecided_counts_as_trials(gap: float, times: float) -> None:
+    proven = expected_wrong(4.0, 0.8, 3, 0.5)
+    assert expected_wrong(4.0, 0.8, 3, 0.5, gap=gap) == pytest.approx(times * proven)
+
+
 def test_an_image_is_refused_only_where_it_fits_better() -> None:
     assert decide_mirrored(None) is None
     assert decide_mirrored(0.9) is None
@@ -349,6 +383,14 @@ def test_better_evidence_never_turns_an_acceptance_into_a_rejection(column: str)
 
     assert {*FOR, *AGAINST, *SAID, "scale"} == {*COLUMNS, "pairs", "prior"}
     check()
+
+
+@settings(max_examples=80, deadline=None)
+@given(found=any_evidence(), gaps=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)))
+def test_a_wider_gap_never_helps(found: Evidence, gaps: tuple[float, float]) -> None:
+    small, large = sorted(gaps)
+    wide = decide(replace(found, gap=large))
+    assert decide(replace(found, gap=small)).accepted or not wide.accepted
 
 
 @settings(max_examples=80, deadline=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,6 +136,32 @@ def test_better_is_antisymmetric(pairs: list[tuple[float, float]]) -> None:
     pieces = pieces_of([a for a, _ in pairs], [b for _, b in pairs])
     assert pieces.better(0, 1) == -pieces.better(1, 0)
     assert pieces.better(0, 0) == 0.0
+
+
+def test_what_stays_unexplained_is_doubted() -> None:
+    given = WallPieces(np.array([[3.0, -1.0]]), np.array([[4.0, 2.0]]), np.ones(1))
+    assert given.total == pytest.approx([2.0])
+    doubted = replace(given, doubt=1.0)
+    assert np.array_equal(doubted.weighed, [[3.0 - 1.0, -1.0 - 3.0]])
+    assert doubted.total == pytest.approx([-2.0])
+    assert doubted.share() == given.share() == pytest.approx([2.0 / 6.0])
+    assert doubted.witnesses() == pytest.approx(-4.0 / 20.0)
+    # The one that gives less is the better one if it leaves nothing unexplained.
+    two = WallPieces(
+        np.array([[4.0, 1.0], [3.0, 0.0]]), np.array([[6.0, 3.0], [3.0, 0.0]]), np.ones(2)
+    )
+    assert two.better(0, 1) > 0.0
+    assert replace(two, doubt=1.0).better(0, 1) < 0.0
+
+
+def test_pieces_of_further_motions_are_joined() -> None:
+    a, b = pieces_of([1.0, 2.0]), pieces_of([3.0, 4.0], [5.0, 6.0])
+    joined = replace(a, doubt=0.5).joined(b)
+    assert np.array_equal(joined.evidence, [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    assert joined.most.shape == (3, 2)
+    assert joined.seen_m.shape == (3,)
+    assert joined.doubt == 0.5
+    assert replace(a, doubt=0.5).take(np.array([0])).doubt == 0.5
 
 
 def test_motions_are_taken_in_any_order() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import DISTANCE_ONE, DISTANCE_UNSEEN
 from slamfusion.fusion.features import FINE_TABLE
 from slamfusion.fusion.motions import displacement, invert, to_lattice
-from slamfusion.fusion.refine import rank, refine, settle
+from slamfusion.fusion.refine import polish, rank, refine, settle
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, features_of, random_cells
 
@@ -62,6 +63,36 @@ def test_settling_thick_walls_on_thin_ones_stays_centred(
     shift, turn = displacement(found, answer)
     assert shift < 0.6 * thick
     assert turn < math.radians(0.6) * thick
+
+
+@pytest.mark.parametrize("away", [(0.8, 0.5, 0.006), (-0.6, 0.9, -0.008)])
+def test_polishing_comes_home_where_most_walls_are_in_one_map_alone(
+    device: ComputeDevice, away: tuple[float, float, float]
+) -> None:
+    """A wide fit is pulled by what the other map has not seen; the narrow one is not."""
+    whole = building(5, 14.0, 9.0, 0.05)
+    strip = whole.cells.copy()
+    strip[:, 90:] = -1
+    ref, mov = features_of(whole, device), features_of(replace(whole, cells=strip), device)
+    (rows, cols) = np.nonzero(strip >= 0)
+    corner = np.array([cols.min(), rows.min()])
+    answer = np.array([*(np.array(mov.centre) + corner), 0.0])
+    found = polish(ref, mov, answer + away, device)
+    shift, turn = displacement(found, answer)
+    assert shift < 0.1
+    assert turn < 1e-3
+
+
+@pytest.mark.parametrize("thick", [1, 2])
+def test_polishing_thick_walls_on_thin_ones_stays_centred(
+    device: ComputeDevice, thick: int
+) -> None:
+    thin, fat = features_of(rooms(0), device), features_of(rooms(thick), device)
+    for moving, reference in ((thin, fat), (fat, thin)):
+        middle = np.array([reference.shape[1] / 2, reference.shape[0] / 2, 0.0])
+        start = middle + np.array([0.3, -0.2, 0.002])
+        shift, _ = displacement(polish(reference, moving, start, device), middle)
+        assert shift < 0.2, moving.grid.name
 
 
 def test_rank_of_a_map_on_itself_is_one_and_falls_with_distance(device: ComputeDevice) -> None:

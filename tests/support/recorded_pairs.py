@@ -82,6 +82,7 @@ def row_of(pair: RecordedPair) -> dict[str, str]:
         "moving": pair.moving,
         "answer": "right" if pair.is_right else "wrong",
         "decision": pair.decision,
+        "good_maps": "yes" if pair.evidence.is_plain else "no",
     }
     for column in COLUMNS:
         value = value_of(pair.evidence, column)
@@ -113,6 +114,7 @@ def _pair(row: dict[str, str]) -> RecordedPair:
         scale=float(row["scale"]) if row["scale"] else None,
         scaled_share=float(row["scaled_share"] or 0.0),
         clean_share=float(row["clean_share"]),
+        is_plain=row["good_maps"] == "yes",
     )
     return RecordedPair(
         row["source"],
