@@ -4,18 +4,20 @@ What is not the package's own stands here as links, because ``colcon build --sym
 every name below its own build folder: one with ``..`` would lead out of that.
 """
 
+import re
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "slamfusion"
 NODES = ("tinyslam", "gmapping", "graph", "fusion", "player")
+VERSION = re.findall('__version__ = "(.*)"', Path(NAME, "version.py").read_text())[0]
 # With --symlink-install this runs without them, and the library finds them beside the checkout.
 KERNELS = [f"{NAME}.kernels"] if Path("kernels").is_dir() else []
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     description="Run several 2D SLAMs side by side, align their maps, and let them vote",
     author="The SLAMfusion developers",
     maintainer="The SLAMfusion developers",

@@ -62,13 +62,18 @@ def test_the_files_are_where_ros2_launch_looks(workspace: Path):
     assert installed == {item.name for item in (scripts / "ament" / "config").iterdir()}
 
 
-def test_the_library_of_the_workspace_is_used_with_its_kernels_and_templates(workspace: Path):
+def test_the_library_of_the_workspace_is_used_with_all_its_files(workspace: Path):
     code = (
         "import slamfusion.report, pathlib; from slamfusion.compute.program import kernel_folder; "
+        "from slamfusion.jobs.records import load_schema; from importlib.metadata import version; "
         "folder = pathlib.Path(slamfusion.__file__).parent; "
-        "print(folder, kernel_folder(), *(folder / 'report' / 'templates').iterdir(), sep='\\n')"
-    )
-    package, kernels, *templates = sourced(workspace, f'python3 -c "{code}"').splitlines()
+        "print(version('slamfusion'), load_schema('fuse')['$ref'], folder, kernel_folder(), "
+        "*(folder / 'report' / 'templates').iterdir(), sep='\\n')"
+    ).replace("$", r"\$")
+    found = sourced(workspace, f'python3 -c "{code}"').splitlines()
+    number, document, package, kernels, *templates = found
+    assert number == __version__
+    assert document == "#/$defs/fuse"
     assert str(workspace) in package
     assert str(workspace) in kernels
     assert {Path(item).name for item in templates} == {
@@ -120,8 +125,6 @@ def test_the_manifests_say_the_same():
 
     assert said("name") == ["slamfusion"]
     assert said("version") == [__version__]
-    setup = (ament / "setup.py").read_text()
-    assert f'version="{__version__}"' in setup
     project = (ROOT / "pyproject.toml").read_text()
     assert re.search(r'^description = "(.*)"$', project, re.MULTILINE)[1] == said("description")[0]
     # Every message package that the nodes import.
