@@ -13,7 +13,7 @@ __all__ = ["COMMAND", "DOCS", "PARTS", "ROOT", "pages", "with_parts"]
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
 # Pages that do not stand in docs/.
-OUTSIDE = ("README.md", "CONTRIBUTING.md", "data/README.md")
+OUTSIDE = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "data/README.md")
 COMMAND = "python -m docs.generate"
 # Every generated part by its name.
 PARTS: dict[str, Callable[[], str]] = {
