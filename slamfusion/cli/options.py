@@ -27,6 +27,7 @@ __all__ = [
     "ConfigOption",
     "common_options",
     "config_fields",
+    "drive_files",
     "drive_options",
     "file_option",
     "map_resolution_option",
@@ -175,10 +176,8 @@ def report_option(parameter: str) -> Callable[[F], F]:
     return file_option("--report", parameter, "DIR", text)
 
 
-def drive_options(judged: str) -> Callable[[F], F]:
-    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``, ``--probabilities``.
-
-    The first three name files beside LOG.
+def drive_files(judged: str) -> Callable[[F], F]:
+    """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: files beside LOG.
 
     Args:
         judged: what the errors by the relations are of, as help says it.
@@ -204,17 +203,30 @@ def drive_options(judged: str) -> Callable[[F], F]:
             "odom_theta), taken instead of the poses in LOG: those of a corrected log are the "
             "answer of a SLAM.",
         ),
-        click.option(
-            "--probabilities",
-            is_flag=True,
-            help="Also write the map with its probabilities: NAME_probability.yaml and .png.",
-        ),
     )
 
     def decorate(function: F) -> F:
         for option in reversed(options):
             function = option(function)
         return function
+
+    return decorate
+
+
+def drive_options(judged: str) -> Callable[[F], F]:
+    """Give a command the files beside LOG, and ``--probabilities``.
+
+    Args:
+        judged: see ``drive_files``.
+    """
+    probabilities = click.option(
+        "--probabilities",
+        is_flag=True,
+        help="Also write the map with its probabilities: NAME_probability.yaml and .png.",
+    )
+
+    def decorate(function: F) -> F:
+        return drive_files(judged)(probabilities(function))
 
     return decorate
 

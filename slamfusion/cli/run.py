@@ -12,6 +12,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fused import print_alignments, print_pairs
+from slamfusion.cli.judge import print_verdict
 from slamfusion.cli.options import (
     common_options,
     drive_options,
@@ -226,6 +227,8 @@ def _tell(run: LogRun, *, debug: bool) -> None:
     for name, result in run.results.items():
         for sentence in result.run.warnings():
             notice(f"{name}: {sentence}")
+    if run.no_verdict is not None:
+        notice(f"no verdict on the paths: {run.no_verdict}")
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:
@@ -253,6 +256,9 @@ def _print(run: LogRun, saved: SavedRun) -> None:
         print(f"fused map: {saved.folder / FUSED}.yaml")
         print(f"agreement: {saved.folder / AGREEMENT}.yaml")
     print(f"report:    {saved.folder / REPORT / 'report.html'}")
+    if run.verdict is not None:
+        print()
+        print_verdict(run.verdict)
 
 
 def _print_producers(run: LogRun) -> None:

@@ -2,7 +2,7 @@
 
 ``score_paths`` scores each path by how well what was seen at other times predicts what was seen
 now, with beams, chunks and stamps that no path has a say in; ``PathEvidence.compare`` tells better
-paths from those that cannot be told apart.
+paths from those that cannot be told apart, and ``reach_verdict`` puts it into words.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.predictive import Comparison, PathEvidence, PathScore, score_paths
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
+from slamfusion.evidence.verdict import Verdict, reach_verdict
 
 __all__ = [
     "Comparison",
@@ -17,7 +18,9 @@ __all__ = [
     "JudgedScans",
     "PathEvidence",
     "PathScore",
+    "Verdict",
     "cover_stamps",
     "judged_scans",
+    "reach_verdict",
     "score_paths",
 ]

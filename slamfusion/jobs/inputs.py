@@ -38,7 +38,7 @@ Progress = Callable[[str, int, int], None]
 # Told in a sentence what is doubtful about an input.
 Warn = Callable[[str], None]
 
-SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm")
+SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".tum", ".txt", ".csv")
 
 
 def load_maps(

@@ -24,6 +24,7 @@ from slamfusion.evaluation.records import (
     RelationErrorsAtScansJson,
     TrajectoryAlignmentJson,
 )
+from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
 from slamfusion.fusion.records import AlignmentJson, PathGapJson
 from slamfusion.slam.records import ProducerRunJson
 
@@ -38,6 +39,8 @@ __all__ = [
     "FailureDocument",
     "FuseDocument",
     "FusionJson",
+    "JudgeDocument",
+    "JudgedPathJson",
     "MeasuresJson",
     "NoAlignmentJson",
     "PathErrorsJson",
@@ -285,6 +288,46 @@ class TrajectoryDocument(_MeasuresJson, SettingsJson):
     """The file of the true trajectory."""
 
 
+class JudgedPathJson(_MeasuresJson):
+    """A path that was judged, with the errors that could be measured."""
+
+    name: str
+    """The path: its file's name without the ending."""
+    file: str
+    """Its file."""
+    poses: int
+    """Its poses."""
+    path_length_m: float
+    """Its length, metres."""
+
+
+class JudgeDocument(CircumstancesJson):
+    """``slamfusion judge``; exit code 1 where something is ``not_measured``."""
+
+    path_evidence: Sequence[PathEvidenceJson]
+    """What the scans say of each path, the best first."""
+    verdict: PathVerdictJson
+    """What the scans say of all paths."""
+    paths: Sequence[JudgedPathJson]
+    """The paths as they were given."""
+    ranking_by_truth: Sequence[str]
+    """The paths by their ATE, the least first; empty without a truth."""
+    ranking_by_relations: Sequence[str]
+    """The paths by their mean error on the relations, the least first; empty without relations."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+    log: str
+    """The log that the paths are of."""
+    relations: str | None
+    """The file of known relations."""
+    odometry_file: str | None
+    """The file of raw odometry."""
+    scan_odometry: str | None
+    """The file that gave the scans their odometry."""
+    truth: str | None
+    """The file of the true trajectory."""
+
+
 class ProducerJson(ProducerRunJson, MeasuresJson):
     """What one producer made of a log, what it took, and the errors that could be measured."""
 
@@ -401,6 +444,12 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """Where nothing was fused, the map whose walls the others' fit best; else null."""
     path_gaps: Sequence[PathGapJson]
     """Between every two producers' paths in the fused frame."""
+    path_evidence: Sequence[PathEvidenceJson]
+    """What the scans say of each path, the best first; empty where they could not be asked."""
+    verdict: PathVerdictJson | None
+    """What the scans say of all paths; null where they could not be asked."""
+    no_verdict: str | None
+    """Why the scans could not be asked; null where they were."""
     evaluations: Sequence[EvaluationJson]
     """Errors of the inputs and of the fused map, with --truth."""
     error: str | None

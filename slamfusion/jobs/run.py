@@ -14,6 +14,7 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.evidence.verdict import Verdict
 from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts, place_starts
@@ -30,6 +31,7 @@ from slamfusion.jobs.inputs import (
     distinct_names,
     load_maps,
 )
+from slamfusion.jobs.judge import judge_log
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.produced import ProducerResult, measure_run
@@ -57,6 +59,8 @@ class LogRun:
         results: the producers that made a map, by name, with their errors.
         doubled: the doubled walls of the fusion; None where nothing was fused.
         evaluations: errors of the inputs and of the fused map; empty without a true map.
+        verdict: what the scans say of the producers' paths; None where they could not be asked.
+        no_verdict: why they could not; None where they were.
         failure: why there is no fused map that may be used; None where there is one.
         not_measured: what could not be measured, a sentence each.
         stages: wall time of each stage in order, seconds.
@@ -74,6 +78,8 @@ class LogRun:
     results: Mapping[str, ProducerResult]
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...]
+    verdict: Verdict | None
+    no_verdict: str | None
     failure: SlamFusionError | None
     not_measured: tuple[str, ...]
     stages: Mapping[str, float]
@@ -179,6 +185,10 @@ def run_log(
     stages["fusion"] = time.perf_counter() - began_s
 
     began_s = time.perf_counter()
+    verdict, no_verdict = _judge(outcomes, files, config, device)
+    stages["evidence"] = time.perf_counter() - began_s
+
+    began_s = time.perf_counter()
     doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
     troubles: list[str] = []
     evaluations = _evaluate(grids, fusion, true_map, config, device, progress, troubles)
@@ -194,6 +204,8 @@ def run_log(
         results=results,
         doubled=doubled,
         evaluations=evaluations,
+        verdict=verdict,
+        no_verdict=no_verdict,
         failure=failure,
         not_measured=tuple(troubles),
         stages=stages,
@@ -251,6 +263,20 @@ def _fuse(
             names = ", ".join(item.name for item in failed)
             return fusion, SlamFusionError(f"--require-all, but no map of {names}")
     return fusion, None
+
+
+def _judge(
+    outcomes: Sequence[Outcome], files: LogFiles, config: RunConfig, device: ComputeDevice
+) -> tuple[Verdict | None, str | None]:
+    """Ask the scans which path they bear out; a log that cannot be judged is a run all the same."""
+    paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
+    if not paths:
+        return None, "no producer has a path"
+    try:
+        found = judge_log(files.log, paths, config, device, tuple(paths), files.scan_odometry)
+    except SlamFusionError as error:
+        return None, str(error)
+    return found, None
 
 
 def _evaluate(

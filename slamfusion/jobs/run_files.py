@@ -154,6 +154,7 @@ def _reported(run: LogRun) -> RunReport:
         doubled=None
         if run.doubled is None
         else (run.doubled.inputs | {"fused map": run.doubled.fused}),
+        verdict=run.verdict,
         evaluations=[item.error for item in run.evaluations],
         evaluation_alignments=[item.alignment for item in run.evaluations],
         truth=run.truth,
@@ -195,6 +196,9 @@ def run_document(
         "agreement": None if usable is None else str(files[AGREEMENT][0]),
         "best_founded": None if best is None else best.name,
         "path_gaps": [gap.to_json() for gap in run.fusion.gaps],
+        "path_evidence": [] if run.verdict is None else run.verdict.paths_to_json(),
+        "verdict": None if run.verdict is None else run.verdict.to_json(),
+        "no_verdict": run.no_verdict,
         "evaluations": [item.to_json() for item in run.evaluations],
         "error": None if failure is None else str(failure),
         "not_measured": run.not_measured,

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from slamfusion.evaluation import MapError, RelationErrors, TrajectoryErrors
+from slamfusion.evidence.verdict import Verdict
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.grid import OccupancyGrid
@@ -48,6 +49,7 @@ class RunReport:
         pairs: where nothing was fused, the pairs that were tried.
         gaps: between the paths of producers in the fused frame.
         doubled: shares of doubled walls by name, that of the fused map as ``fused map``.
+        verdict: what the scans say of the paths; None where they could not be asked.
         evaluations: errors of maps against the truth.
         evaluation_alignments: what each of them rests on.
         truth: the true path.
@@ -65,6 +67,7 @@ class RunReport:
     pairs: Sequence[Alignment] = ()
     gaps: Sequence[PathGap] = ()
     doubled: Mapping[str, float] | None = None
+    verdict: Verdict | None = None
     evaluations: Sequence[MapError] = ()
     evaluation_alignments: Sequence[Alignment | None] = ()
     truth: Trajectory | None = None

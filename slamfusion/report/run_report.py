@@ -8,6 +8,7 @@ import numpy as np
 
 from slamfusion.config import RunConfig
 from slamfusion.io.atomic import AtomicFiles
+from slamfusion.report.evidence import evidence_section
 from slamfusion.report.fusion_report import (
     alignment_section,
     dissent_section,
@@ -73,6 +74,8 @@ def write_run_report(
         SlamFusionError: the directory cannot be written.
     """
     sections = [_maps_section(report, config)]
+    if report.verdict is not None:
+        sections.append(evidence_section(report.verdict))
     if report.runs:
         sections += [paths_section(report, config), *_health_section(report)]
     if report.result is not None:
@@ -102,6 +105,8 @@ def _banner(report: RunReport) -> Banner:
     if result is not None:
         lines += [(f"{record.name} was rejected:", record.reason) for record in result.rejected]
     lines += list(report.warnings)
+    if report.verdict is not None:
+        lines.append(("Verdict:", report.verdict.sentence))
     if result is None or report.failure:
         headline = "Do not use this map" if result is not None else "Nothing was fused"
         return Banner("bad", headline, [("", report.failure), *lines])

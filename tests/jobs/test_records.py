@@ -202,6 +202,7 @@ FAILURES: dict[str, tuple[str, ...]] = {
     "experiment real-logs": ("experiment", "real-logs", "--datasets", "absent", "-o", "out"),
     "slam": ("slam", "tinyslam", "absent.log", "-o", "out", "--device", "numpy"),
     "trajectory": ("trajectory", "absent.tum", "--truth", "other.tum"),
+    "judge": ("judge", "absent.log", "absent.tum", "--device", "numpy"),
     "graph optimize": ("graph", "optimize", "absent.g2o"),
     "bench": ("bench", "--device", "abacus"),
 }

@@ -34,7 +34,15 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved.document), "run")
     assert saved.folder == tmp_path / "out"
-    assert list(saved.stages) == ["producers", "fusion", "errors", "report"]
+    assert list(saved.stages) == ["producers", "fusion", "evidence", "errors", "report"]
+    assert run.verdict is not None
+    assert saved.document["verdict"] is not None
+    assert saved.document["verdict"]["best"] == run.verdict.best_producer == run.verdict.best
+    evidence = saved.document["path_evidence"]
+    assert {item["name"] for item in evidence} == {"tinyslam", "graph"}
+    page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
+    assert run.verdict.sentence in page
+    assert list((tmp_path / "out" / "report").glob("*-evidence.png"))
     assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
 
     # One without a fused map goes beside it, and says why there is none.

@@ -52,6 +52,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "experiment real-logs": (experiments.RealLogsDocument,),
     "slam": (jobs.SlamDocument,),
     "trajectory": (jobs.TrajectoryDocument,),
+    "judge": (jobs.JudgeDocument,),
     "graph optimize": (tools.GraphOptimizeDocument,),
     "devices": (tools.DevicesDocument,),
     "doctor": (tools.DoctorDocument,),

@@ -1,0 +1,140 @@
+"""Where one path of a drive leaves another: spans of time, and how far they lie apart in them.
+
+Two paths are laid on each other where they agree best, so that one that broke away near its end
+does not turn the rest. What the scans say of such a span is asked of its scans alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.evidence.comparison import compare_sums
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.geometry import compose_poses, fit_motion
+
+__all__ = ["Span", "path_gap_m", "path_spans"]
+
+F64 = npt.NDArray[np.float64]
+B8 = npt.NDArray[np.bool_]
+
+# Two paths part where they are this far from each other, metres, and meet again at half of it.
+# Good paths of one drive differ by up to 0.2 m.
+PART_M = 0.3
+# Shorter spans are none, seconds.
+LEAST_S = 1.0
+# A pose is fitted as two points, this far before and behind it, metres: headings count too.
+LEVER_M = 3.0
+# Rounds of fitting the better half of the poses.
+FITS = 20
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of a drive in which a path goes with the best one, or does not.
+
+    Attributes:
+        from_s, to_s: seconds since the first scan.
+        agrees: whether the path is near the best one.
+        gap_m: how far they are apart at most, metres.
+        verdict: what the scans of the span say of the path against the best one; None where the
+            two agree.
+    """
+
+    from_s: float
+    to_s: float
+    agrees: bool
+    gap_m: float
+    verdict: Literal["better", "worse", "cannot tell"] | None = None
+
+
+def path_spans(evidence: PathEvidence, name: str, best: str) -> tuple[Span, ...]:
+    """Return the spans of a drive in which a path agrees with the best one, and in which not.
+
+    Args:
+        evidence: of both paths.
+        name: the path.
+        best: what it is held against; the same name gives one span that agrees.
+
+    Returns:
+        Spans in the order of time that together cover the judged part of the drive.
+    """
+    judged = np.flatnonzero(evidence.is_judged)
+    since_s = evidence.scans.stamps_s[judged] - evidence.scans.stamps_s[0]
+    gap_m = path_gap_m(evidence, name, best)
+    apart = _parted(gap_m, since_s)
+    cuts = np.flatnonzero(np.diff(apart.astype(np.int8))) + 1
+    first, last = np.r_[0, cuts], np.r_[cuts, len(apart)]
+    spans = []
+    for start, stop in zip(first.tolist(), last.tolist(), strict=True):
+        verdict = None
+        if apart[start]:
+            inside = np.zeros(len(evidence.scans), dtype=np.bool_)
+            inside[judged[start:stop]] = True
+            a, b = evidence.scores[name], evidence.scores[best]
+            verdict = compare_sums(a.sums, b.sums, a.beams, inside).verdict
+        end_s = float(since_s[stop] if stop < len(since_s) else since_s[-1])
+        widest_m = float(gap_m[start:stop].max())
+        spans.append(Span(float(since_s[start]), end_s, not apart[start], widest_m, verdict))
+    return tuple(spans)
+
+
+def path_gap_m(evidence: PathEvidence, name: str, best: str) -> F64:
+    """Return how far a path lies from another at each judged scan, metres.
+
+    The paths are laid on each other where the better half of their poses fits: least trimmed
+    squares, begun from the whole and from each third of the drive.
+
+    Source: Rousseeuw and Van Driessen, Computing LTS regression for large data sets, Data Mining
+    and Knowledge Discovery 12, 2006 (concentration steps).
+    """
+    moving = evidence.scores[name].path.poses[evidence.is_judged]
+    still = evidence.scores[best].path.poses[evidence.is_judged]
+    count = len(moving)
+    thirds = [
+        slice(k * count // 3, max(k * count // 3 + 1, (k + 1) * count // 3)) for k in (0, 1, 2)
+    ]
+    found = [_fit_half(moving, still, begin) for begin in (slice(0, count), *thirds)]
+    return min(found, key=lambda gap_m: float(np.median(gap_m)))
+
+
+def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
+    """Return what is left at each pose after fitting the half of them that fits best, metres."""
+    kept = np.zeros(len(moving), dtype=np.bool_)
+    kept[begin] = True
+    for _ in range(FITS):
+        motion = fit_motion(_with_levers(moving[kept]), _with_levers(still[kept]))
+        laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
+        left = np.hypot(*(laid[:, :2] - still[:, :2]).T)
+        half = left <= np.median(left)
+        if np.array_equal(half, kept):
+            break
+        kept = half
+    return np.asarray(left, dtype=np.float64)
+
+
+def _with_levers(poses: F64) -> F64:
+    """Return (2 N, 3) points before and behind each of (N, 3) poses."""
+    lever_m = LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
+    ahead, behind = poses.copy(), poses.copy()
+    ahead[:, :2] += lever_m
+    behind[:, :2] -= lever_m
+    return np.concatenate((ahead, behind))
+
+
+def _parted(gap_m: F64, since_s: F64) -> B8:
+    """Say at which scans two paths have parted, with a lower threshold for meeting again."""
+    wide, near = gap_m > PART_M, gap_m <= 0.5 * PART_M
+    # The last scan that is wide or near decides; before the first such scan, nothing has parted.
+    decided = np.where(wide, 1, np.where(near, -1, 0))
+    last = np.maximum.accumulate(np.where(decided != 0, np.arange(len(gap_m)), -1))
+    apart = np.where(last >= 0, decided[np.maximum(last, 0)] > 0, False)
+    edges = np.flatnonzero(np.diff(np.r_[0, apart.astype(np.int8), 0]))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        end_s = since_s[min(stop, len(since_s) - 1)]
+        if end_s - since_s[start] < LEAST_S:
+            apart[start:stop] = False
+    return np.asarray(apart, dtype=np.bool_)

@@ -1,0 +1,78 @@
+"""What JSON documents say of the evidence for paths; the text under a key is its meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, TypedDict
+
+__all__ = ["PathEvidenceJson", "PathSpanJson", "PathTimeJson", "PathVerdictJson"]
+
+
+class PathSpanJson(TypedDict):
+    """A part of a drive in which a path goes with the best one, or does not."""
+
+    from_s: float
+    """Where it begins, seconds since the first scan."""
+    to_s: float
+    """Where it ends, seconds since the first scan."""
+    agrees: bool
+    """Whether the path is near the best one."""
+    gap_m: float
+    """How far the two are apart at most, metres."""
+    verdict: Literal["better", "worse", "cannot tell"] | None
+    """What the scans of the span say of the path against the best one; null where they agree."""
+
+
+class PathTimeJson(TypedDict):
+    """How well a path is borne out in one part of the drive."""
+
+    time_s: float
+    """Mean time of the part's scans, seconds since the first scan."""
+    consistency: float | None
+    """Mean log-likelihood of a hit; null where none was judged."""
+    beams: int
+    """Hits that were judged."""
+
+
+class PathEvidenceJson(TypedDict):
+    """What the scans say of one path."""
+
+    name: str
+    """The path."""
+    consistency: float
+    """Mean log-likelihood of a hit under what other scans drew by the path; larger is better."""
+    tied: bool
+    """Whether it is the best path, or cannot be told from it."""
+    behind_best: float
+    """Score of the best path less this one's."""
+    behind_best_95: tuple[float, float] | None
+    """Interval of that, 95 %; null for the best."""
+    p_value: float | None
+    """Two-sided, of no difference to the best; null for the best."""
+    beams_judged: int
+    """Hits that the score rests on, the same for all paths."""
+    scans_judged: int
+    """Scans that they are of: those that every path has a pose for."""
+    seen_share: float
+    """Share of the hits that lie where other scans have seen something, by this path."""
+    own_poses_share: float
+    """Share of the log's scans that the path itself has a pose for."""
+    covered_share: float
+    """The same with poses that odometry carried on."""
+    over_time: Sequence[PathTimeJson]
+    """The score in equal parts of the drive, in the order of time."""
+    spans: Sequence[PathSpanJson]
+    """Where the path goes with the best one, and where it does not."""
+
+
+class PathVerdictJson(TypedDict):
+    """Which path the scans bear out best."""
+
+    best: str
+    """The path that the scans bear out best."""
+    best_producer: str | None
+    """The same among paths that a producer made itself; null where there is none."""
+    sentence: str
+    """The verdict in words."""
+    sure: bool
+    """Whether every other path is worse beyond chance."""

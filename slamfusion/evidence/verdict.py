@@ -1,0 +1,213 @@
+"""The verdict: which path the scans bear out best, by how much, how sure, and where one left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from slamfusion.evidence.parting import Span, path_spans
+from slamfusion.evidence.predictive import Comparison, PathEvidence
+from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
+
+__all__ = ["PathVerdict", "Verdict", "reach_verdict"]
+
+# With a smaller share of hits that were also seen at other times, little can be told.
+LITTLE_SEEN = 0.25
+# Less of the scans than this share was judged: worth a word.
+MOST_JUDGED = 0.95
+
+
+@dataclass(frozen=True)
+class PathVerdict:
+    """What is said of one path.
+
+    Attributes:
+        name: of the path.
+        consistency: its score, mean log-likelihood of a hit.
+        tied: whether it is the best, or cannot be told from it.
+        against_best: how the best compares with it; None for the best.
+        spans: where it agrees with the best path, and where not.
+    """
+
+    name: str
+    consistency: float
+    tied: bool
+    against_best: Comparison | None
+    spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What the scans say of all paths of a drive.
+
+    Attributes:
+        evidence: what it rests on.
+        best: the path that the scans bear out best.
+        best_producer: the same among those that are a SLAM's own; None where there is none.
+        sure: whether no other path is tied with the best.
+        sentence: all of it in words.
+        paths: of each path, the best first.
+    """
+
+    evidence: PathEvidence
+    best: str
+    best_producer: str | None
+    sure: bool
+    sentence: str
+    paths: tuple[PathVerdict, ...]
+
+    def to_json(self) -> PathVerdictJson:
+        """Return the verdict for a JSON document."""
+        return {
+            "best": self.best,
+            "best_producer": self.best_producer,
+            "sentence": self.sentence,
+            "sure": self.sure,
+        }
+
+    def paths_to_json(self) -> list[PathEvidenceJson]:
+        """Return what is said of each path for a JSON document, the best first."""
+        return [_path_to_json(self.evidence, path) for path in self.paths]
+
+
+def reach_verdict(evidence: PathEvidence, producers: Collection[str] = ()) -> Verdict:
+    """Say which path the scans bear out best.
+
+    Args:
+        evidence: of one path or more.
+        producers: names of paths that are a SLAM's own, and not made of others.
+    """
+    ranking, tied = evidence.ranking(), evidence.tied()
+    best = ranking[0]
+    paths = tuple(
+        PathVerdict(
+            name,
+            evidence.scores[name].consistency,
+            name in tied,
+            None if name == best else evidence.compare(best, name),
+            path_spans(evidence, name, best),
+        )
+        for name in ranking
+    )
+    return Verdict(
+        evidence=evidence,
+        best=best,
+        best_producer=next((name for name in ranking if name in producers), None),
+        sure=len(ranking) > 1 and len(tied) == 1,
+        sentence=" ".join(_sentences(evidence, paths)),
+        paths=paths,
+    )
+
+
+# --- in words ---------------------------------------------------------------------------------
+
+
+def _sentences(evidence: PathEvidence, paths: tuple[PathVerdict, ...]) -> list[str]:
+    """Return the sentences of the verdict, the ranking first."""
+    sentences = [_ranking_words(paths)]
+    sentences += [words for path in paths[1:] if (words := _parting_words(path, paths[0].name))]
+    best = evidence.scores[paths[0].name]
+    if best.seen_share < LITTLE_SEEN:
+        sentences.append(
+            f"Only {best.seen_share:.0%} of what was seen was also seen at other times, so that "
+            "the scans tell little."
+        )
+    if evidence.judged_share < MOST_JUDGED:
+        sentences.append(
+            f"{evidence.judged_share:.0%} of the scans were judged: where every path has a pose."
+        )
+    return sentences
+
+
+def _ranking_words(paths: tuple[PathVerdict, ...]) -> str:
+    """Say which path is best, and by how much."""
+    best, *others = paths
+    if not others:
+        return (
+            f"{best.name} is the only path (log-likelihood of a hit {best.consistency:.3f}): there "
+            "is none to compare it with."
+        )
+    tied = [path.name for path in others if path.tied]
+    worse = [path for path in others if not path.tied]
+    if tied:
+        words = f"The scans cannot tell {_and([best.name, *tied])} apart"
+        if not worse:
+            return f"{words}."
+        return f"{words}; {_and([_worse_words(path) for path in worse])}."
+    return f"The scans bear out {best.name} best: {_and([_worse_words(path) for path in worse])}."
+
+
+def _worse_words(path: PathVerdict) -> str:
+    """Say how much less likely what was seen is by a path than by the best one."""
+    found = path.against_best
+    if found is None:
+        return path.name
+    less, low, high = (1.0 - math.exp(-gap) for gap in (found.difference, found.low, found.high))
+    return f"by {path.name} a hit is {less:.1%} less likely ({low:.1%} to {high:.1%})"
+
+
+def _parting_words(path: PathVerdict, best: str) -> str:
+    """Say where a path leaves the best one, and what the scans say there; empty: nowhere."""
+    apart = [span for span in path.spans if not span.agrees]
+    if not apart:
+        return ""
+    longest = max(apart, key=lambda span: span.to_s - span.from_s)
+    words = (
+        f"{path.name} leaves {best} from {longest.from_s:.0f} to {longest.to_s:.0f} s, by up to "
+        f"{longest.gap_m:.1f} m"
+    )
+    if len(apart) > 1:
+        others_s = sum(span.to_s - span.from_s for span in apart) - (longest.to_s - longest.from_s)
+        words += f", and elsewhere for {others_s:.0f} s"
+    there = {
+        "worse": f"there the scans speak for {best}",
+        "better": f"there the scans speak for {path.name}",
+        "cannot tell": "which of the two is right there the scans do not tell",
+    }
+    return f"{words}: {there[longest.verdict or 'cannot tell']}."
+
+
+def _and(words: list[str]) -> str:
+    """Return words as a list in a sentence."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+# --- for JSON ---------------------------------------------------------------------------------
+
+
+def _path_to_json(evidence: PathEvidence, path: PathVerdict) -> PathEvidenceJson:
+    score, found = evidence.scores[path.name], path.against_best
+    times_s, mean, beams = evidence.over_time(path.name)
+    start_s = float(evidence.scans.stamps_s[0])
+    return {
+        "name": path.name,
+        "consistency": path.consistency,
+        "tied": path.tied,
+        "behind_best": 0.0 if found is None else found.difference,
+        "behind_best_95": None if found is None else (found.low, found.high),
+        "p_value": None if found is None else found.p_value,
+        "beams_judged": score.beams_judged,
+        "scans_judged": int(evidence.is_judged.sum()),
+        "seen_share": score.seen_share,
+        "own_poses_share": score.path.own_share,
+        "covered_share": score.path.covered_share,
+        "over_time": [
+            {
+                "time_s": float(time_s) - start_s,
+                "consistency": float(value) if count else None,
+                "beams": int(count),
+            }
+            for time_s, value, count in zip(times_s, mean, beams, strict=True)
+        ],
+        "spans": [
+            {
+                "from_s": span.from_s,
+                "to_s": span.to_s,
+                "agrees": span.agrees,
+                "gap_m": span.gap_m,
+                "verdict": span.verdict,
+            }
+            for span in path.spans
+        ],
+    }

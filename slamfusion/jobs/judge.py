@@ -1,0 +1,212 @@
+"""Which path of a drive the scans bear out best, with no truth to go by."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError, TrajectoryError
+from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence.verdict import Verdict, reach_verdict
+from slamfusion.io import open_log, read_trajectory
+from slamfusion.jobs.documents import circumstances, path_text
+from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
+from slamfusion.jobs.records import JudgeDocument, JudgedPathJson
+from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["JudgeFiles", "JudgedPaths", "judge_log", "judge_paths"]
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class JudgeFiles:
+    """A log, paths of it, and what they are held against; None: there is none.
+
+    Attributes:
+        log: the scans.
+        paths: of each path, by its name.
+        relations: known motions between pairs of times.
+        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        truth: the true trajectory.
+        scan_odometry: what gives the scans their odometry instead of the log.
+    """
+
+    log: Path
+    paths: Mapping[str, Path]
+    relations: Path | None = None
+    odometry: Path | None = None
+    truth: Path | None = None
+    scan_odometry: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedPaths:
+    """Paths of a drive in the order that the scans put them in.
+
+    Attributes:
+        files: where everything was read.
+        config: the settings in effect.
+        paths: the poses, by name.
+        verdict: what the scans say.
+        measures: errors of each path by name, where there was something to measure by.
+        not_measured: what could not be measured, a sentence each.
+        device: what computed, in words.
+    """
+
+    files: JudgeFiles
+    config: RunConfig
+    paths: Mapping[str, Trajectory]
+    verdict: Verdict
+    measures: Mapping[str, Measures]
+    not_measured: tuple[str, ...]
+    device: str
+
+    def ranking_by_truth(self) -> tuple[str, ...]:
+        """Return the names of the paths that met the truth, that of the least ATE first."""
+        errors = {
+            name: found.truth.ate.rmse
+            for name, found in self.measures.items()
+            if found.truth is not None
+        }
+        return tuple(sorted(errors, key=errors.__getitem__))
+
+    def ranking_by_relations(self) -> tuple[str, ...]:
+        """Return the names of the paths that met the relations, the least mean error first."""
+        errors = {
+            name: found.relations.translation.mean
+            for name, found in self.measures.items()
+            if found.relations is not None
+        }
+        return tuple(sorted(errors, key=errors.__getitem__))
+
+    def to_json(self) -> JudgeDocument:
+        """Return what ``slamfusion judge`` prints as JSON."""
+        files = self.files
+        return {
+            "path_evidence": self.verdict.paths_to_json(),
+            "verdict": self.verdict.to_json(),
+            "paths": [self._path_to_json(name) for name in self.paths],
+            "ranking_by_truth": self.ranking_by_truth(),
+            "ranking_by_relations": self.ranking_by_relations(),
+            "not_measured": self.not_measured,
+            "log": str(files.log),
+            "relations": path_text(files.relations),
+            "odometry_file": path_text(files.odometry),
+            "scan_odometry": path_text(files.scan_odometry),
+            "truth": path_text(files.truth),
+            **circumstances(self.config, self.device),
+        }
+
+    def _path_to_json(self, name: str) -> JudgedPathJson:
+        path, found = self.paths[name], self.measures.get(name, Measures())
+        return {
+            **found.to_json(),
+            "name": name,
+            "file": str(self.files.paths[name]),
+            "poses": len(path),
+            "path_length_m": path.path_length_m(),
+        }
+
+
+def judge_paths(
+    log: str | Path,
+    paths: Sequence[str | Path],
+    config: RunConfig | None = None,
+    device: ComputeDevice | None = None,
+    *,
+    relations: str | Path | None = None,
+    odometry: str | Path | None = None,
+    truth: str | Path | None = None,
+    scan_odometry: str | Path | None = None,
+    warn: Warn = _LOG.warning,
+) -> JudgedPaths:
+    """Rank paths of a log by what its scans say of them, and measure them where there is a truth.
+
+    Args:
+        log: a CARMEN or tinySLAM log, or a ROS bag.
+        paths: files of poses on the clock of the log, made by any SLAM, each in its own frame.
+        config: ``log``, ``trajectory`` and the device are used; default: the defaults.
+        device: scores; default: the one that the settings name.
+        relations: known motions between pairs of times: errors of the paths.
+        odometry: raw odometry of the whole run, to carry poses on to the relations' times.
+        truth: the true trajectory: errors of the paths.
+        scan_odometry: what gives the scans their odometry instead of the log.
+        warn: told in a sentence what is doubtful about the log.
+
+    Raises:
+        LogError: the log cannot be read, or has too few scans.
+        TrajectoryError: a path, the relations, the odometry or the truth cannot be read, or a path
+            meets no scan in time.
+        DeviceError: the device cannot be opened.
+        OSError: a file cannot be opened.
+    """
+    if not paths:
+        message = f"{log}: no path to judge; give at least one file of poses"
+        raise TrajectoryError(message)
+    config = config or RunConfig()
+    given = [Path(path) for path in paths]
+    names = distinct_names(given)
+    files = JudgeFiles(
+        Path(log),
+        dict(zip(names, given, strict=True)),
+        *map(as_path, (relations, odometry, truth, scan_odometry)),
+    )
+    read = {name: read_trajectory(path, config.log) for name, path in files.paths.items()}
+    held = Yardsticks.read(
+        config, relations=files.relations, odometry=files.odometry, truth=files.truth
+    )
+    device = device_for(config) if device is None else device
+    verdict = judge_log(files.log, read, config, device, (), files.scan_odometry, warn=warn)
+    scans = verdict.evidence.scans.odometry_path()
+    measures, not_measured = {}, []
+    for name, path in read.items():
+        try:
+            measures[name] = measure_trajectory(
+                path,
+                config.trajectory,
+                relations=held.relations,
+                odometry=held.odometry,
+                scans=scans,
+                truth=held.truth,
+            )
+        except SlamFusionError as error:
+            not_measured.append(f"{name}: {error}")
+    return JudgedPaths(files, config, read, verdict, measures, tuple(not_measured), device.name)
+
+
+def judge_log(
+    log: Path,
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    producers: Collection[str] = (),
+    scan_odometry: Path | None = None,
+    *,
+    warn: Warn | None = None,
+) -> Verdict:
+    """Read the scans of a log and say which of its paths they bear out best.
+
+    Args:
+        log: the scans.
+        paths: by name; see ``score_paths``.
+        config: ``log`` is used.
+        device: scores.
+        producers: names of paths that are a SLAM's own.
+        scan_odometry: what gives the scans their odometry instead of the log.
+        warn: told in a sentence what is odd about the log; None: nobody.
+
+    Raises:
+        LogError, TrajectoryError, DeviceError, OSError: see ``judge_paths``.
+    """
+    source = open_log(log, config.log, scan_odometry)
+    judged = judged_scans(source)
+    if warn is not None:
+        for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
+            warn(f"{log}: {sentence}")
+    return reach_verdict(score_paths(judged, paths, device), producers)

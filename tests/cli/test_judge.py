@@ -1,0 +1,61 @@
+"""``slamfusion judge`` as a user starts it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slamfusion.io import write_tum
+from slamfusion.io.carmen import write_carmen
+from slamfusion.trajectory import Trajectory
+from tests.cli.command import assert_one_line_failure, json_of, run
+from tests.evidence.rooms import bent, circuit, recorded
+
+pytestmark = pytest.mark.once
+
+TRUTH = circuit()
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("judge")
+    write_carmen(folder / "drive.log", recorded(TRUTH))
+    write_tum(folder / "good.tum", Trajectory(TRUTH.stamps_s, TRUTH.poses))
+    write_tum(folder / "bent.tum", bent(TRUTH, 0.2, 70))
+    return folder
+
+
+def test_the_table_and_the_verdict_are_printed(drive: Path) -> None:
+    files = (drive / "drive.log", drive / "bent.tum", drive / "good.tum")
+    done = run("judge", *files, "--truth", drive / "good.tum")
+    assert done.returncode == 0, done.stderr
+    rows = [line.split() for line in done.stdout.splitlines() if line.split()[:1]]
+    ranked = [row for row in rows if row[0] in {"good", "bent"}]
+    assert [row[0] for row in ranked] == ["good", "bent"]
+    # Both rankings: by the scans, and by the truth.
+    assert [row[-1] for row in ranked] == ["1", "2"]
+    assert "verdict: The scans bear out good best: by bent a hit is " in done.stdout
+    assert "bent leaves good from " in done.stdout
+
+
+def test_json_has_the_promised_keys(drive: Path) -> None:
+    files = (drive / "drive.log", drive / "bent.tum", drive / "good.tum")
+    document = json_of(run("judge", *files, "--json"))
+    assert document["verdict"]["best"] == "good"
+    assert document["verdict"]["sure"] is True
+    assert [item["name"] for item in document["path_evidence"]] == ["good", "bent"]
+    keys = {"name", "consistency", "tied", "beams_judged", "spans"}
+    assert all(keys <= set(item) for item in document["path_evidence"])
+
+
+def test_bad_input_is_one_line(drive: Path, tmp_path: Path) -> None:
+    log = drive / "drive.log"
+    assert_one_line_failure(run("judge", log, tmp_path / "absent.tum"), "absent.tum")
+    assert_one_line_failure(run("judge", tmp_path / "absent.log", drive / "good.tum"), "absent.log")
+    done = run("judge", log)
+    assert done.returncode == 2
+    assert "PATH" in done.stderr
+    done = run("judge", log, drive / "good.tum", "--odometry", drive / "good.tum")
+    assert done.returncode == 2
+    assert "give --relations FILE" in done.stderr

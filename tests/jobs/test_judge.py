@@ -1,0 +1,100 @@
+"""``judge_paths`` as a library: paths of a log in files, with a truth and without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import LogError, TrajectoryError
+from slamfusion.io import write_tum
+from slamfusion.io.carmen import write_carmen
+from slamfusion.jobs.documents import plain
+from slamfusion.jobs.judge import judge_paths
+from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import bent, circuit, moved, recorded
+from tests.support.documents import check_document
+
+TRUTH = circuit()
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with its true path, a path in another frame, a sparse one, and one that goes wrong."""
+    folder = tmp_path_factory.mktemp("drive")
+    write_carmen(folder / "drive.log", recorded(TRUTH))
+    paths = {
+        "truth": TRUTH,
+        "elsewhere": moved(TRUTH, (30.0, -4.0, 2.0)),
+        "sparse": Trajectory(TRUTH.stamps_s[::6], TRUTH.poses[::6]),
+        "bent": bent(TRUTH, 0.2, 70),
+    }
+    for name, path in paths.items():
+        write_tum(folder / f"{name}.tum", path)
+    return folder
+
+
+def test_paths_are_ranked_without_a_truth(drive: Path) -> None:
+    files = [drive / "bent.tum", drive / "elsewhere.tum", drive / "sparse.tum"]
+    found = judge_paths(drive / "drive.log", files)
+    assert list(found.paths) == ["bent", "elsewhere", "sparse"]
+    assert found.verdict.best in {"elsewhere", "sparse"}
+    assert [path.name for path in found.verdict.paths][-1] == "bent"
+    assert f"bent leaves {found.verdict.best} from " in found.verdict.sentence
+    document = found.to_json()
+    check_document(plain(document), "judge")
+    assert (document["ranking_by_truth"], document["ranking_by_relations"]) == ((), ())
+    by_name = {item["name"]: item for item in document["path_evidence"]}
+    assert by_name["sparse"]["own_poses_share"] == pytest.approx(1.0 / 6.0)
+    assert by_name["sparse"]["covered_share"] > 0.9
+    assert not by_name["bent"]["tied"]
+
+
+def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
+    files = [drive / "bent.tum", drive / "elsewhere.tum"]
+    found = judge_paths(drive / "drive.log", files, RunConfig(), truth=drive / "truth.tum")
+    assert found.ranking_by_truth() == ("elsewhere", "bent")
+    assert found.ranking_by_relations() == ()
+    document = plain(found.to_json())
+    check_document(document, "judge")
+    bent_path, elsewhere = document["paths"]
+    assert elsewhere["ate"]["rmse"] == pytest.approx(0.0, abs=1e-6)
+    assert bent_path["ate"]["rmse"] > 0.1
+
+
+def test_what_cannot_be_measured_does_not_take_the_verdict_along(
+    drive: Path, tmp_path: Path
+) -> None:
+    write_tum(tmp_path / "other.tum", Trajectory(TRUTH.stamps_s + 1e4, TRUTH.poses))
+    files = [drive / "bent.tum", drive / "elsewhere.tum"]
+    found = judge_paths(drive / "drive.log", files, truth=tmp_path / "other.tum")
+    assert found.verdict.best == "elsewhere"
+    assert [words.split(":")[0] for words in found.not_measured] == ["bent", "elsewhere"]
+    check_document(plain(found.to_json()), "judge")
+
+
+def test_bad_input_is_one_line(drive: Path, tmp_path: Path) -> None:
+    log, good = drive / "drive.log", drive / "truth.tum"
+    write_tum(tmp_path / "late.tum", Trajectory(TRUTH.stamps_s + 1e4, TRUTH.poses))
+    with pytest.raises(TrajectoryError, match=r"^late: its poses are of 10000\.000 to .* log$"):
+        judge_paths(log, [good, tmp_path / "late.tum"])
+    with pytest.raises(TrajectoryError, match=r"no path to judge"):
+        judge_paths(log, [])
+    write_carmen(tmp_path / "short.log", recorded(TRUTH)[:12])
+    with pytest.raises(LogError, match=r"^12 scans hit something"):
+        judge_paths(tmp_path / "short.log", [good])
+    (tmp_path / "text.tum").write_text("no poses here\n", encoding="ascii")
+    with pytest.raises(TrajectoryError, match=r"text\.tum: wanted a TUM file"):
+        judge_paths(log, [tmp_path / "text.tum"])
+    with pytest.raises(OSError, match=r"absent\.tum"):
+        judge_paths(log, [tmp_path / "absent.tum"])
+
+
+def test_two_files_of_one_name_are_told_apart(drive: Path, tmp_path: Path) -> None:
+    write_tum(tmp_path / "bent.tum", TRUTH)
+    found = judge_paths(drive / "drive.log", [drive / "bent.tum", tmp_path / "bent.tum"])
+    assert len(set(found.paths)) == 2
+    assert found.verdict.best == f"{tmp_path.name}/bent"
+    assert np.array_equal(found.paths[found.verdict.best].stamps_s, TRUTH.stamps_s)
