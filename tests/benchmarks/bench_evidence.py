@@ -1,0 +1,267 @@
+"""How far the scans alone tell right paths from wrong ones, on simulated drives.
+
+    python -m tests.benchmarks.bench_evidence --drives out/drives --worlds 1,101 --make
+    python -m tests.benchmarks.bench_evidence --drives out/drives --worlds 1 --lidars rplidar
+
+Validity: the true path, made wrong in a known way, must score below the true path; and the true
+path should be the best of all, or not to be told from it. Choice: ATE of the producer whose path
+scores best over that of the best one in hindsight, beside always taking the same one. Intervals are
+95 % of a bootstrap that draws whole courses of a world. A kidnapping is cut at the place where the
+robot was carried away, and each segment is a drive of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+
+from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.evaluation import trajectory_errors
+from slamfusion.evidence import PathEvidence, judged_scans, score_paths
+from slamfusion.evidence.predictive import HitModel
+from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.io import LogScan
+from slamfusion.slam.registry import BUILT_IN
+from slamfusion.trajectory import Trajectory
+from tests.support.evidence_drives import drive_trials, key_of, make_drive, read_drive
+
+F64 = npt.NDArray[np.float64]
+TRUTH = "truth"
+# Drives of this condition are cut where the true path jumps by this, metres.
+KIDNAPPING, JUMP_M = "kidnapping", 1.0
+DRAWS = 2000
+
+
+def moved_from(path: Trajectory, share: float, motion: Sequence[float]) -> Trajectory:
+    """Return a path that is moved from a share of it on, by a motion in the robot's frame there."""
+    first = int(share * len(path))
+    at = path.poses[first]
+    about = compose_poses(compose_poses(at, np.array(motion)), invert_poses(at))
+    poses = path.poses.copy()
+    poses[first:] = compose_poses(about, poses[first:])
+    return Trajectory(path.stamps_s, poses)
+
+
+def drifted(path: Trajectory, share: float) -> Trajectory:
+    """Return a path whose every step is longer by a share."""
+    start = np.append(path.poses[0, :2], 0.0)
+    scale = np.array([1.0 + share, 1.0 + share, 1.0])
+    return Trajectory(path.stamps_s, (path.poses - start) * scale + start)
+
+
+# A true path made wrong.
+WRONG: dict[str, Callable[[Trajectory], Trajectory]] = {
+    "torn in two, 100 m apart": lambda path: moved_from(path, 0.5, (0.0, 100.0, 0.0)),
+    "torn in two, 0.5 m apart": lambda path: moved_from(path, 0.5, (0.0, 0.5, 0.0)),
+    "last 7 % shifted by 2 m": lambda path: moved_from(path, 0.93, (0.0, 2.0, 0.0)),
+    "turned by 10 degrees half-way": lambda path: moved_from(path, 0.5, (0, 0, math.radians(10))),
+    "drifted by 5 %": lambda path: drifted(path, 0.05),
+}
+
+
+@dataclass
+class Found:
+    """What was found on one drive, or on a segment of one.
+
+    Attributes:
+        key: of the drive.
+        condition, lidar, world, harmed: of it.
+        scores: by path, the truth and the wrong ones among them.
+        worse: verdict of each wrong path against the truth.
+        tied: the best of truth and producers, and what cannot be told from it.
+        ate_m: by producer.
+        pairs: (better by evidence, of the two the nearer to the truth) of producers told apart.
+        time_s: of choosing beams and scoring the producers' paths.
+    """
+
+    key: str
+    condition: str
+    lidar: str
+    world: str
+    harmed: str
+    scores: dict[str, float]
+    worse: dict[str, str]
+    tied: tuple[str, ...]
+    ate_m: dict[str, float]
+    pairs: list[tuple[str, str]] = field(default_factory=list)
+    time_s: float = 0.0
+
+    @property
+    def chosen(self) -> str:
+        """The producer whose path scores best."""
+        return max(self.ate_m, key=self.scores.__getitem__)
+
+    def ratio(self, name: str) -> float:
+        """ATE of a producer over that of the best in hindsight; NaN where it made no path."""
+        return self.ate_m.get(name, math.nan) / min(self.ate_m.values())
+
+
+def segments(
+    scans: Sequence[LogScan], truth: Trajectory, is_cut: bool
+) -> Iterator[tuple[Sequence[LogScan], Trajectory]]:
+    """Yield the parts of a drive that are judged each for itself."""
+    steps = np.hypot(*np.diff(truth.poses[:, :2], axis=0).T)
+    cuts = [0, *(np.flatnonzero(steps > JUMP_M) + 1), len(truth)] if is_cut else [0, len(truth)]
+    for first, last in itertools.pairwise(cuts):
+        part = np.s_[first:last]
+        yield scans[part], Trajectory(truth.stamps_s[part], truth.poses[part], TRUTH)
+
+
+def between(path: Trajectory, first_s: float, last_s: float) -> Trajectory:
+    """Return the poses of a path within a time."""
+    kept = (path.stamps_s >= first_s - 1e-6) & (path.stamps_s <= last_s + 1e-6)
+    return Trajectory(path.stamps_s[kept], path.poses[kept], path.name)
+
+
+def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterator[Found]:
+    """Yield what is found on a drive, or on each segment of it."""
+    drive = read_drive(folder)
+    condition = drive.trial["condition"]
+    for scans, truth in segments(drive.scans, drive.truth, condition == KIDNAPPING):
+        span = truth.stamps_s[0], truth.stamps_s[-1]
+        parts = {name: between(path, *span) for name, path in drive.paths.items()}
+        parts = {name: path for name, path in parts.items() if len(path) > 1}
+        wrong = {name: change(truth) for name, change in WRONG.items()}
+        began_s = time.perf_counter()
+        judged = judged_scans(scans)
+        score_paths(judged, parts, device, model)
+        time_s = time.perf_counter() - began_s
+        evidence = score_paths(judged, {TRUTH: truth, **parts, **wrong}, device, model)
+        contest = score_subset(evidence, (TRUTH, *parts))
+        ate_m = {name: trajectory_errors(path, truth).ate.rmse for name, path in parts.items()}
+        found = Found(
+            drive.key,
+            condition,
+            drive.trial["lidar"],
+            drive.trial["world"],
+            drive.trial["harmed"],
+            {name: score.consistency for name, score in evidence.scores.items()},
+            {name: evidence.compare(name, TRUTH).verdict for name in WRONG},
+            contest.tied(),
+            ate_m,
+            time_s=time_s,
+        )
+        names = list(parts)
+        for number, a in enumerate(names):
+            for b in names[number + 1 :]:
+                verdict = evidence.compare(a, b).verdict
+                if verdict != "cannot tell":
+                    best = a if verdict == "better" else b
+                    found.pairs.append((best, min((a, b), key=ate_m.__getitem__)))
+        yield found
+
+
+def score_subset(evidence: PathEvidence, names: Sequence[str]) -> PathEvidence:
+    """Return the evidence of some of the paths."""
+    kept = {name: evidence.scores[name] for name in names}
+    return PathEvidence(evidence.scans, evidence.is_judged, kept)
+
+
+def clustered(ratios: F64, clusters: Sequence[str], statistic: Callable[[F64], float]) -> str:
+    """Return a statistic with the interval of a bootstrap that draws whole clusters."""
+    names = sorted(set(clusters))
+    members = [np.flatnonzero([own == name for own in clusters]) for name in names]
+    rng = np.random.default_rng(0)
+    drawn = [
+        statistic(
+            ratios[np.concatenate([members[k] for k in rng.integers(0, len(names), len(names))])]
+        )
+        for _ in range(DRAWS // 5)
+    ]
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    return f"{statistic(ratios):.3f} [{low:.3f}, {high:.3f}]"
+
+
+def geometric_mean(ratios: F64) -> float:
+    return float(np.exp(np.log(ratios).mean()))
+
+
+def ninetieth(ratios: F64) -> float:
+    return float(np.quantile(ratios, 0.9))
+
+
+def print_validity(console: Console, found: Sequence[Found]) -> None:
+    """Print how often the truth is known."""
+    table = Table("made wrong", "below the truth", "told for sure", title="True paths made wrong")
+    for name in WRONG:
+        below = sum(item.scores[name] < item.scores[TRUTH] for item in found)
+        told = sum(item.worse[name] == "worse" for item in found)
+        table.add_row(name, f"{below} of {len(found)}", f"{told} of {len(found)}")
+    console.print(table)
+    tied = [item for item in found if TRUTH in item.tied]
+    share = len(tied) / len(found)
+    console.print(
+        f"true path in the tie group of the best: {len(tied)} of {len(found)} ({share:.0%})"
+    )
+    for item in found:
+        if TRUTH not in item.tied:
+            best = item.tied[0]
+            ate_m = item.ate_m[best]
+            console.print(
+                f"  not in {item.key}: {best} {item.scores[best]:.3f}, truth "
+                f"{item.scores[TRUTH]:.3f}; its ATE is {ate_m:.3f} m"
+            )
+
+
+def print_choice(console: Console, found: Sequence[Found], title: str) -> None:
+    """Print what choosing by evidence is worth."""
+    clusters = [f"{item.condition} {item.world}" for item in found]
+    table = Table("choice", "geometric mean", "90th percentile", "largest", title=title)
+    rows = {"by evidence": np.array([item.ratio(item.chosen) for item in found])}
+    rows |= {f"always {name}": np.array([item.ratio(name) for item in found]) for name in BUILT_IN}
+    for name, ratios in rows.items():
+        has = np.isfinite(ratios)
+        own = [cluster for cluster, one in zip(clusters, has, strict=True) if one]
+        words = [clustered(ratios[has], own, of) for of in (geometric_mean, ninetieth)]
+        table.add_row(name, *words, f"{ratios[has].max():.2f}")
+    console.print(table)
+    pairs = [pair for item in found for pair in item.pairs]
+    right = sum(best == nearer for best, nearer in pairs)
+    total = sum(math.comb(len(item.ate_m), 2) for item in found)
+    console.print(f"pairs of producers told apart: {len(pairs)} of {total}, rightly {right}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--drives", type=Path, required=True, help="folder that keeps the drives")
+    parser.add_argument("--worlds", default="1,101", help="seeds of the worlds, with commas")
+    parser.add_argument("--lidars", default="kinect,hokuyo,rplidar")
+    parser.add_argument("--make", action="store_true", help="make the drives that are not there")
+    parser.add_argument("--json", type=Path, help="write what was found on each drive")
+    parser.add_argument("--device", default="auto")
+    arguments = parser.parse_args()
+    device, model = open_device(arguments.device), HitModel()
+    worlds = [int(word) for word in arguments.worlds.split(",")]
+    found: list[Found] = []
+    for trial in drive_trials(worlds, lidars=arguments.lidars.split(",")):
+        folder = arguments.drives / key_of(trial)
+        if arguments.make:
+            make_drive(trial, arguments.drives, device)
+        if (folder / "drive.json").exists():
+            found += judge_drive(folder, device, model)
+    console = Console(width=110)
+    print_validity(console, found)
+    whole = [item for item in found if item.condition != KIDNAPPING]
+    kidnapped = [item for item in found if item.condition == KIDNAPPING]
+    print_choice(console, whole, f"ATE to the best in hindsight, {len(whole)} drives")
+    if kidnapped:
+        print_choice(console, kidnapped, f"The same in {len(kidnapped)} segments of kidnappings")
+    times_s = [item.time_s for item in found]
+    console.print(f"beams and scores: {np.mean(times_s):.2f} s a drive, at most {max(times_s):.2f}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps([vars(item) for item in found], indent=1))
+
+
+if __name__ == "__main__":
+    main()
