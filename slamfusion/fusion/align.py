@@ -21,7 +21,15 @@ from slamfusion.fusion.normalize import check_resampling, common_resolution, nor
 from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.refine import settle
-from slamfusion.fusion.search import SearchWindow, inside, score_motions, search, wall_widths
+from slamfusion.fusion.search import (
+    FINER_CHANCE_MAX,
+    SearchWindow,
+    coarse_step,
+    inside,
+    score_motions,
+    search,
+    wall_widths,
+)
 from slamfusion.fusion.start import StartPose, pose_of
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -80,7 +88,7 @@ def align_features(
     cancel: CancelToken | None = None,
     pairs: int = 1,
     *,
-    looks_at_image: bool = True,
+    thorough: bool = True,
 ) -> Alignment:
     """Align two prepared grids; see ``align_grids``.
 
@@ -88,7 +96,7 @@ def align_features(
         reference, moving, config, device, start: as there.
         cancel: asked before each operation.
         pairs: pairs of maps in the job: the more there are, the more an answer has to show.
-        looks_at_image: search a pair that is refused once more as a mirror image, to name it.
+        thorough: search a pair that is refused once more on a finer level, and as a mirror image.
 
     Raises:
         CancelledSearchError: ``cancel`` says so; what was computed of the grids is kept.
@@ -116,8 +124,38 @@ def align_features(
     if start is None and config.shared_frame:
         start = Pose2()
     expected = pose_of(start)
-    found = replace(found, looks_at_image=looks_at_image)
+    pair = judge(reference, moving, config, device, found, expected, pairs, began, cancel)
+    if pair.accepted or not thorough or found.search != "full":
+        return pair
+    found = _searched_finer(reference, moving, config, window, device, found, cancel)
+    found = replace(found, looks_at_image=True)
     return judge(reference, moving, config, device, found, expected, pairs, began, cancel)
+
+
+def _searched_finer(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    window: SearchWindow,
+    device: ComputeDevice,
+    found: Found,
+    cancel: CancelToken | None,
+) -> Found:
+    """Search once more where walls filled the coarsest level; what was found stays a rival."""
+    cells, chance = config.coarse_cells, FINER_CHANCE_MAX
+    step = coarse_step(reference, moving, cells, cancel, chance)
+    if found.coarse is None or step >= found.coarse.step:
+        return found
+    coarse, more, _ = search(reference, moving, config, window, device, cancel, chance)
+    motions = np.concatenate((more, found.motions))
+    sigma = wall_widths(reference)[0]
+    values = score_motions(reference, moving, motions, 1, device, sigma=sigma, cancel=cancel)
+    motions = motions[np.argsort(-values, kind="stable")]
+    is_other = not _is_same(motions[0], found.motions[0])
+    found = replace(found, coarse=coarse, motions=motions)
+    if config.prove and is_other:
+        found = _prove(reference, moving, config, window, device, found, cancel)
+    return found
 
 
 def _searched(

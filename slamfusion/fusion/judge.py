@@ -81,7 +81,7 @@ class Found:
     search: str
     prior: float = 1.0
     candidates: int | None = None
-    looks_at_image: bool = True
+    looks_at_image: bool = False
 
 
 @dataclass(frozen=True, eq=False)

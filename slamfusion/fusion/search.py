@@ -26,6 +26,7 @@ from slamfusion.fusion.refine import refine, settle
 from slamfusion.fusion.shifts import COARSE_SIGMA, SearchWindow, score_shifts, shift_range
 
 __all__ = [
+    "FINER_CHANCE_MAX",
     "CoarseSearch",
     "SearchWindow",
     "coarse_search",
@@ -40,7 +41,8 @@ __all__ = [
 F64 = npt.NDArray[np.float64]
 
 # A level on which a wall of any other place finds this much tells little: a finer one is taken.
-COARSE_CHANCE_MAX = 0.8
+# Where a search found nothing to believe, one that takes longer does so sooner.
+COARSE_CHANCE_MAX, FINER_CHANCE_MAX = 0.8, 0.55
 FINEST_FACTOR = 4
 # Motions that go down from one level to the next, and walls of each map that judge them there.
 DESCENT = ((1536, 384), (256, 768), (96, 1536))
@@ -80,7 +82,11 @@ class CoarseSearch:
 
 
 def coarse_step(
-    reference: GridFeatures, moving: GridFeatures, cells: int, cancel: CancelToken | None = None
+    reference: GridFeatures,
+    moving: GridFeatures,
+    cells: int,
+    cancel: CancelToken | None = None,
+    chance: float = COARSE_CHANCE_MAX,
 ) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
 
@@ -91,8 +97,7 @@ def coarse_step(
     step = max(1, math.ceil(longest / cells))
     finest = max(1, math.ceil(longest / (FINEST_FACTOR * cells)))
     while step > finest and (
-        max(grid.chance(step, COARSE_SIGMA, cancel) for grid in (reference, moving))
-        > COARSE_CHANCE_MAX
+        max(grid.chance(step, COARSE_SIGMA, cancel) for grid in (reference, moving)) > chance
     ):
         step = max(finest, (2 * step) // 3)
     return step
@@ -105,9 +110,10 @@ def coarse_search(
     window: SearchWindow,
     device: ComputeDevice,
     cancel: CancelToken | None = None,
+    chance: float = COARSE_CHANCE_MAX,
 ) -> CoarseSearch:
     """Score all whole-cell shifts at all yaws on shrunken grids and follow the best down."""
-    step = coarse_step(reference, moving, config.coarse_cells, cancel)
+    step = coarse_step(reference, moving, config.coarse_cells, cancel, chance)
     scores = score_shifts(reference, moving, step, window, device, cancel)
     flat = scores.evidence.ravel()
     motions = scores.motions.reshape(-1, 3)
@@ -218,6 +224,7 @@ def search(
     window: SearchWindow,
     device: ComputeDevice,
     cancel: CancelToken | None = None,
+    chance: float = COARSE_CHANCE_MAX,
 ) -> tuple[CoarseSearch, F64, F64]:
     """Run all stages; return the coarse outcome, motions (P, 3) and evidence (P,), best first.
 
@@ -229,11 +236,12 @@ def search(
         window: where to search.
         device: computes.
         cancel: asked before each operation.
+        chance: what a wall of any other place may find on the coarsest level, 0..1.
 
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
-    coarse = coarse_search(reference, moving, config, window, device, cancel)
+    coarse = coarse_search(reference, moving, config, window, device, cancel, chance)
     middle = max(1, round(coarse.last_step / 2))
     motions = refine(
         reference,

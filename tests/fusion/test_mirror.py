@@ -101,7 +101,7 @@ def test_what_is_refused_is_named_if_its_image_would_be_believed(device: Compute
         features_of(mirrored(high), device),
         CONFIG,
         device,
-        looks_at_image=False,
+        thorough=False,
     )
     assert not unnamed.accepted
     assert unnamed.decision != "mirrored"

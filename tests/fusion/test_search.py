@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
+from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import spread_sample
 from slamfusion.fusion.frames import motion_of
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.search import (
     COARSE_SIGMA,
     FINE_TOP,
+    FINER_CHANCE_MAX,
     SearchWindow,
     coarse_search,
     coarse_step,
@@ -27,7 +30,14 @@ from slamfusion.fusion.shifts import COARSE_TOP, score_shifts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from tests.fusion.definitions import evidence_of, level_side, side_of
-from tests.fusion.drawings import building, degraded, features_of, random_cells, random_grid
+from tests.fusion.drawings import (
+    assert_right,
+    building,
+    degraded,
+    features_of,
+    random_cells,
+    random_grid,
+)
 
 CONFIG = AlignConfig(prove=False)
 # No turn of these is a multiple of 45 degrees, where rounding would decide.
@@ -301,6 +311,31 @@ def test_the_coarse_step_is_the_first_that_is_fine_enough(
     assert coarse_step(features, features, 16) == wanted
     plain = features_of(building(1), device)
     assert coarse_step(plain, features, 16) == coarse_step(features, plain, 16) <= wanted
+
+
+def test_a_search_that_takes_longer_begins_on_a_finer_level(device: ComputeDevice) -> None:
+    grid = features_of(building(3, 11.0, 9.0, 0.05), device)
+    usual = coarse_step(grid, grid, 24)
+    finer = coarse_step(grid, grid, 24, chance=FINER_CHANCE_MAX)
+    assert grid.chance(usual, COARSE_SIGMA) > FINER_CHANCE_MAX
+    assert finer < usual
+    window = SearchWindow((*grid.centre, 0.0), 20.0, 0.2)
+    config = replace(CONFIG, coarse_cells=24)
+    coarse, _, _ = search(grid, grid, config, window, device, chance=FINER_CHANCE_MAX)
+    assert coarse.step == finer
+    assert coarse_search(grid, grid, config, window, device).step == usual
+
+
+def test_what_a_quick_search_misses_a_thorough_one_finds(device: ComputeDevice) -> None:
+    """On cells of 0.6 m the walls of this building are everywhere."""
+    truth = building(2, 24.0, 18.0, 0.05)
+    moving, pose = degraded(truth, 2, "moving", yaw_rad=1.1, flip_share=0.05)
+    pair = features_of(truth, device), features_of(moving, device)
+    config = AlignConfig(prove=False, coarse_cells=22)
+    assert not align_features(*pair, config, device, thorough=False).accepted
+    found = align_features(*pair, config, device)
+    assert found.accepted, found.reason
+    assert_right(found, moving, pose)
 
 
 def test_the_coarse_step_follows_the_longest_side_and_shrinks_where_walls_fill_the_cells(

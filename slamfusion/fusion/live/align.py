@@ -254,12 +254,12 @@ class Aligner:
             if is_swapped:
                 back = None if start is None else start.inverse()
                 pair = align_features(
-                    own, held.features, config, device, back, cancel, looks_at_image=False
+                    own, held.features, config, device, back, cancel, thorough=False
                 )
                 pair = replace(pair, transform=pair.transform.inverse())
             else:
                 pair = align_features(
-                    held.features, own, config, device, start, cancel, looks_at_image=False
+                    held.features, own, config, device, start, cancel, thorough=False
                 )
         except CancelledSearchError:
             track.patience_s *= 2.0
