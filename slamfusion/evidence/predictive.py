@@ -165,13 +165,31 @@ class PathEvidence:
             (G,) time of the middle of each part in seconds, (G,) its mean log-likelihood of a hit,
             NaN where none was judged, and (G,) the hits judged.
         """
-        count = len(self.scans)
-        group = np.arange(count, dtype=np.int64) * groups // count
+        group = self._parts(groups)
         sums, beams = self.scores[name].by_group(group, groups)
         per_group = np.maximum(np.bincount(group, minlength=groups), 1)
         times_s = np.bincount(group, self.scans.stamps_s, groups) / per_group
         mean = np.where(beams > 0, sums / np.maximum(beams, 1), np.nan)
         return times_s, mean, beams
+
+    def seen_over_time(self, name: str, groups: int = CHUNKS) -> F64:
+        """Return of each part of the drive the share of its hits that other parts have seen too.
+
+        Args:
+            name: of the path.
+            groups: parts of the drive, of equal numbers of scans.
+
+        Returns:
+            (G,) 0 to 1; NaN where no hit was judged.
+        """
+        score, group = self.scores[name], self._parts(groups)
+        beams = np.bincount(group, score.beams, groups)
+        seen = np.bincount(group, score.seen, groups)
+        return np.asarray(np.where(beams > 0, seen / np.maximum(beams, 1), np.nan))
+
+    def _parts(self, groups: int) -> I64:
+        """Return the part of the drive that each scan is in, (N,)."""
+        return np.arange(len(self.scans), dtype=np.int64) * groups // len(self.scans)
 
 
 def score_paths(

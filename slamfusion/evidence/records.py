@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, TypedDict
 
-__all__ = ["PathEvidenceJson", "PathSpanJson", "PathTimeJson", "PathVerdictJson"]
+__all__ = ["PathEvidenceJson", "PathSpanJson", "PathTimeJson", "PathVerdictJson", "UntoldSpanJson"]
 
 
 class PathSpanJson(TypedDict):
@@ -32,6 +32,8 @@ class PathTimeJson(TypedDict):
     """Mean log-likelihood of a hit; null where none was judged."""
     beams: int
     """Hits that were judged."""
+    seen_share: float | None
+    """Share of them that other parts of the drive have seen; null where none was judged."""
 
 
 class PathEvidenceJson(TypedDict):
@@ -65,6 +67,15 @@ class PathEvidenceJson(TypedDict):
     """Where the path goes with the best one, and where it does not."""
 
 
+class UntoldSpanJson(TypedDict):
+    """A part of a drive of which the scans tell nothing."""
+
+    from_s: float
+    """Where it begins, seconds since the first scan."""
+    to_s: float
+    """Where it ends, seconds since the first scan."""
+
+
 class PathVerdictJson(TypedDict):
     """Which path the scans bear out best."""
 
@@ -76,3 +87,5 @@ class PathVerdictJson(TypedDict):
     """The verdict in words."""
     sure: bool
     """Whether every other path is worse beyond chance."""
+    untold: Sequence[UntoldSpanJson]
+    """Parts of the drive that hardly saw what any other part saw, by the best path."""

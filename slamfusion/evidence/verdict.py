@@ -6,14 +6,18 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
+import numpy as np
+
 from slamfusion.evidence.parting import Span, path_spans
 from slamfusion.evidence.predictive import Comparison, PathEvidence
 from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
 
 __all__ = ["PathVerdict", "Verdict", "reach_verdict"]
 
-# With a smaller share of hits that were also seen at other times, little can be told.
+# Of a part of the drive with a smaller share of hits that other parts have seen nothing is told.
 LITTLE_SEEN = 0.25
+# Parts that are named; of more, their share of the drive.
+MOST_NAMED = 4
 # Less of the scans than this share was judged: worth a word.
 MOST_JUDGED = 0.95
 
@@ -48,6 +52,8 @@ class Verdict:
         sure: whether no other path is tied with the best.
         sentence: all of it in words.
         paths: of each path, the best first.
+        untold: (from, to) seconds since the first scan, where nothing can be told: parts of the
+            drive that hardly saw what any other part saw.
     """
 
     evidence: PathEvidence
@@ -56,6 +62,7 @@ class Verdict:
     sure: bool
     sentence: str
     paths: tuple[PathVerdict, ...]
+    untold: tuple[tuple[float, float], ...]
 
     def to_json(self) -> PathVerdictJson:
         """Return the verdict for a JSON document."""
@@ -64,6 +71,7 @@ class Verdict:
             "best_producer": self.best_producer,
             "sentence": self.sentence,
             "sure": self.sure,
+            "untold": [{"from_s": from_s, "to_s": to_s} for from_s, to_s in self.untold],
         }
 
     def paths_to_json(self) -> list[PathEvidenceJson]:
@@ -90,29 +98,46 @@ def reach_verdict(evidence: PathEvidence, producers: Collection[str] = ()) -> Ve
         )
         for name in ranking
     )
+    untold = _untold(evidence, best)
     return Verdict(
         evidence=evidence,
         best=best,
         best_producer=next((name for name in ranking if name in producers), None),
         sure=len(ranking) > 1 and len(tied) == 1,
-        sentence=" ".join(_sentences(evidence, paths)),
+        sentence=" ".join(_sentences(evidence, paths, untold)),
         paths=paths,
+        untold=untold,
     )
+
+
+def _untold(evidence: PathEvidence, best: str) -> tuple[tuple[float, float], ...]:
+    """Return the spans of a drive of which the scans tell nothing, seconds since the first one."""
+    stamps_s = evidence.scans.stamps_s - evidence.scans.stamps_s[0]
+    seen = evidence.seen_over_time(best)
+    bounds = -(-np.arange(len(seen) + 1) * len(stamps_s) // len(seen))
+    ends_s = stamps_s[np.minimum(bounds, len(stamps_s) - 1)]
+    spans: list[tuple[float, float]] = []
+    for part in np.flatnonzero(~(seen >= LITTLE_SEEN)).tolist():
+        from_s, to_s = float(ends_s[part]), float(ends_s[part + 1])
+        if spans and spans[-1][1] == from_s:
+            from_s = spans.pop()[0]
+        spans.append((from_s, to_s))
+    return tuple(spans)
 
 
 # --- in words ---------------------------------------------------------------------------------
 
 
-def _sentences(evidence: PathEvidence, paths: tuple[PathVerdict, ...]) -> list[str]:
+def _sentences(
+    evidence: PathEvidence,
+    paths: tuple[PathVerdict, ...],
+    untold: tuple[tuple[float, float], ...],
+) -> list[str]:
     """Return the sentences of the verdict, the ranking first."""
     sentences = [_ranking_words(paths)]
     sentences += [words for path in paths[1:] if (words := _parting_words(path, paths[0].name))]
-    best = evidence.scores[paths[0].name]
-    if best.seen_share < LITTLE_SEEN:
-        sentences.append(
-            f"Only {best.seen_share:.0%} of what was seen was also seen at other times, so that "
-            "the scans tell little."
-        )
+    if untold:
+        sentences.append(_untold_words(untold, evidence))
     if evidence.judged_share < MOST_JUDGED:
         sentences.append(
             f"{evidence.judged_share:.0%} of the scans were judged: where every path has a pose."
@@ -168,6 +193,16 @@ def _parting_words(path: PathVerdict, best: str) -> str:
     return f"{words}: {there[longest.verdict or 'cannot tell']}."
 
 
+def _untold_words(untold: tuple[tuple[float, float], ...], evidence: PathEvidence) -> str:
+    """Say of which parts of the drive nothing can be told."""
+    if len(untold) <= MOST_NAMED:
+        parts = _and([f"{from_s:.0f} to {to_s:.0f} s" for from_s, to_s in untold])
+    else:
+        drive_s = float(evidence.scans.stamps_s[-1] - evidence.scans.stamps_s[0])
+        parts = f"{sum(to_s - from_s for from_s, to_s in untold) / drive_s:.0%} of the drive"
+    return f"Nothing can be told of {parts}: what was seen then was hardly seen at other times."
+
+
 def _and(words: list[str]) -> str:
     """Return words as a list in a sentence."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
@@ -179,6 +214,7 @@ def _and(words: list[str]) -> str:
 def _path_to_json(evidence: PathEvidence, path: PathVerdict) -> PathEvidenceJson:
     score, found = evidence.scores[path.name], path.against_best
     times_s, mean, beams = evidence.over_time(path.name)
+    seen = evidence.seen_over_time(path.name)
     start_s = float(evidence.scans.stamps_s[0])
     return {
         "name": path.name,
@@ -197,8 +233,9 @@ def _path_to_json(evidence: PathEvidence, path: PathVerdict) -> PathEvidenceJson
                 "time_s": float(time_s) - start_s,
                 "consistency": float(value) if count else None,
                 "beams": int(count),
+                "seen_share": float(share) if count else None,
             }
-            for time_s, value, count in zip(times_s, mean, beams, strict=True)
+            for time_s, value, count, share in zip(times_s, mean, beams, seen, strict=True)
         ],
         "spans": [
             {

@@ -89,6 +89,7 @@ def evidence_picture(verdict: Verdict) -> bytes:
         write_note(last, f"parted from {PART_M:g} m on")
         style_axes(last)
         last.set_yscale("log")
+        last.tick_params(which="minor", colors=INK, width=0.5, length=2)
         last.set_title("from the best path", loc="left", color=INK, fontsize=7.5, pad=3)
         last.set_ylabel("m", color=INK, fontsize=7.5)
         scores.tick_params(labelbottom=False)

@@ -65,14 +65,24 @@ def test_one_path_alone_is_compared_with_nothing(device: ComputeDevice, scans: J
     assert span.agrees
 
 
-def test_little_seen_twice_is_said(device: ComputeDevice):
-    # Down a corridor and never back: each part is seen once.
-    along = np.linspace(0.0, 600.0, 96)
-    poses = np.stack((along, 0.0 * along, 0.0 * along), axis=1)
-    path = Trajectory(0.25 * np.arange(96), poses)
-    scans = judged_scans(recorded(circuit(96), odometry=False))
+def test_where_nothing_can_be_told_is_said(device: ComputeDevice):
+    # In the room, then off through a place that is seen once, and back.
+    count = 144
+    poses = circuit(count, 3.0).poses.copy()
+    poses[60:84, 0] += 20.0 * np.arange(1, 25)
+    path = Trajectory(0.25 * np.arange(count), poses)
+    scans = judged_scans(recorded(circuit(count, 3.0), odometry=False))
     verdict = reach_verdict(score_paths(scans, {"a": path, "b": path}, device))
-    assert "so that the scans tell little" in verdict.sentence
+    assert verdict.untold == ((15.0, 21.0),)
+    assert "Nothing can be told of 15 to 21 s: " in verdict.sentence
+    assert verdict.to_json()["untold"] == [{"from_s": 15.0, "to_s": 21.0}]
+    away = np.outer(20.0 * np.arange(count), [1.0, 0.0, 0.0])
+    lost = Trajectory(path.stamps_s, circuit(count, 3.0).poses + away)
+    verdict = reach_verdict(score_paths(scans, {"a": lost, "b": lost}, device))
+    assert verdict.untold == ((0.0, 35.75),)
+    known = reach_verdict(score_paths(scans, {"a": circuit(count, 3.0)}, device))
+    assert known.untold == ()
+    assert "Nothing can be told" not in known.sentence
 
 
 def test_scans_that_a_path_has_no_pose_for_are_said(device: ComputeDevice, scans: JudgedScans):
