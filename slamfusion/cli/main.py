@@ -60,8 +60,8 @@ EXIT_FAILURE = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
-# What they warn of is told: a library whose memory was changed, a producer that is not used, ...
-TOLD_LOGGERS = ("slamfusion.compute.pocl", "slamfusion.slam.registry")
+# What they warn of is told: a changed library, a full cache, a producer that is not used, ...
+TOLD_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
 
 
 class _InOrder(click.Group):

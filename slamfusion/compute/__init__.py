@@ -9,20 +9,26 @@ when an OpenCL device is asked for.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
+from slamfusion.compute.pocl_cache import find_cache
 from slamfusion.errors import DeviceError
 
 if TYPE_CHECKING:
     from slamfusion.compute.device import DeviceInfo
     from slamfusion.compute.pocl import PoclState
 
+_LOG = logging.getLogger(__name__)
+
 __all__ = ["ComputeDevice", "NumpyDevice", "list_devices", "open_device", "pocl_state"]
 
 
 def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> ComputeDevice:
     """Return the compute device that ``wanted`` names.
+
+    Where PoCL would be chosen and can keep its kernels nowhere, ``auto`` means NumPy; it is logged.
 
     Args:
         wanted: ``auto``, ``numpy``, an index of ``slamfusion devices``, or part of a name.
@@ -34,16 +40,28 @@ def open_device(wanted: str = "auto", *, small_kernels: bool = False) -> Compute
     """
     if wanted == "numpy":
         return NumpyDevice()
+    cache = find_cache()  # before pyopencl, which keeps files too
     try:
         from slamfusion.compute.opencl import OpenCLDevice  # noqa: PLC0415 - optional at run time
+
+        return OpenCLDevice(wanted, small_kernels=small_kernels)
     except ImportError as error:
         message = f"pyopencl cannot be imported ({error}); install it or use `--device numpy`"
         raise DeviceError(message) from error
-    return OpenCLDevice(wanted, small_kernels=small_kernels)
+    except (DeviceError, OSError) as error:
+        if cache.folder is not None:
+            raise
+        if wanted != "auto":
+            mend = "free some space, or run with `--device numpy`"
+            message = f"{cache.detail}; {mend}"
+            raise DeviceError(message) from error
+        _LOG.warning("%s: NumPy computes instead, which takes longer", cache.detail)
+        return NumpyDevice()
 
 
 def list_devices() -> list[DeviceInfo]:
     """Describe every OpenCL device; empty where pyopencl or a platform is missing."""
+    find_cache()
     try:
         from slamfusion.compute import device  # noqa: PLC0415 - optional at run time
     except ImportError:
@@ -53,6 +71,7 @@ def list_devices() -> list[DeviceInfo]:
 
 def pocl_state() -> PoclState | None:
     """Say whether the wheel's PoCL knows this processor; None where pyopencl is missing."""
+    find_cache()
     try:
         from slamfusion.compute import device  # noqa: PLC0415 - optional at run time
     except ImportError:

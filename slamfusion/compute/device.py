@@ -16,10 +16,17 @@ from slamfusion.compute.pocl import (
     name_processor,
     offer_single_thread,
 )
+from slamfusion.compute.pocl_cache import PLATFORM, find_cache
 from slamfusion.compute.records import DeviceJson
 from slamfusion.errors import DeviceError
 
-__all__ = ["DeviceInfo", "choose_device", "find_devices", "list_devices", "pocl_state"]
+__all__ = [
+    "DeviceInfo",
+    "choose_device",
+    "find_devices",
+    "list_devices",
+    "pocl_state",
+]
 
 SIMULATOR = "oclgrind"
 NO_DEVICE = (
@@ -60,10 +67,12 @@ class DeviceInfo:
 def find_devices() -> list[Any]:
     """Return every OpenCL device; an empty list without any platform.
 
-    PoCL's single-thread device and the extra's Intel device are last, so that neither is the first.
+    None of PoCL where it can keep its kernels nowhere. PoCL's single-thread device and the extra's
+    Intel device are last, so that neither is the first.
     """
     name_processor()
     offer_single_thread()
+    has_cache = find_cache().folder is not None
     try:
         with intel_shown():
             platforms = cl.get_platforms()
@@ -71,6 +80,8 @@ def find_devices() -> list[Any]:
         return []
     devices = []
     for platform in platforms:
+        if platform.name.strip() == PLATFORM and not has_cache:
+            continue
         try:
             devices.extend(platform.get_devices())
         except cl.Error:
