@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from docs.generate import benchmarks, commands, parameters, ros, schema
+from docs.generate import benchmarks, commands, notebooks, parameters, ros, schema
 
 __all__ = ["COMMAND", "DOCS", "PARTS", "ROOT", "pages", "with_parts"]
 
@@ -22,6 +22,7 @@ PARTS: dict[str, Callable[[], str]] = {
     **commands.TABLES,
     **schema.TABLES,
     **benchmarks.benchmark_tables(),
+    **notebooks.notebook_parts(),
 }
 # What stands between the two comments, the first of which names the part.
 _PART = re.compile(
