@@ -299,3 +299,11 @@ def test_every_key_of_every_document_has_a_row() -> None:
         for key in item.get("properties", {}):
             section = page.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
             assert f"| `{key}` |" in section, (name, key)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((DOCS / "concepts").glob("*.md")), ids=lambda path: path.stem
+)
+def test_a_method_names_its_sources_and_what_differs(path: Path) -> None:
+    if path.stem != "differences":
+        assert "\n## Sources and what differs\n" in path.read_text(encoding="utf-8")
