@@ -411,7 +411,10 @@ def _looked_closer(
     """Add what would explain the walls better than the answer: another scale, a mirror image."""
     motion, mirrored = stand.motions[0], None
     if evidence.share < SURE_SHARE:
-        mirrored = mirror_gain(reference, moving, motion, config, stand.sigma, device, cancel)
+        mirrored = mirror_gain(
+            reference, moving, motion, config, stand.sigma, device, cancel,
+            doubt=stand.pieces.doubt,
+        )  # fmt: skip
     # Where little is in common another scale leaves little unexplained: it is always looked for.
     fit = estimate_scale(reference, moving, motion, (stand.sigma, narrow), device, cancel)
     return replace(evidence, mirrored=mirrored, scale=fit.scale, scaled_share=fit.share)
@@ -433,7 +436,9 @@ def _looked_at_image(
     if not len(motions):
         return evidence
     other = _chosen(reference, image, device, Found(motions, coarse, None, "full"), pairs, cancel)
-    if other.share < SHARE_MIN or other.wrong(pairs) >= EXPECTED_WRONG_MAX:
+    # A half of a place that is nearly its own image may fit both ways.
+    least = EXPECTED_WRONG_MAX * min(1.0, stand.wrong(pairs))
+    if other.share < SHARE_MIN or other.wrong(pairs) >= least:
         return evidence
     own, gained = (float(item.pieces.evidence[0].sum()) for item in (stand, other))
     gain = GAIN_MAX if own * GAIN_MAX <= gained else gained / own

@@ -36,6 +36,8 @@ def mirror_gain(
     sigma: float,
     device: ComputeDevice,
     cancel: CancelToken | None = None,
+    *,
+    doubt: float = 0.0,
 ) -> float | None:
     """Return the evidence for the best fit of the moving map's image over that for a motion.
 
@@ -47,6 +49,7 @@ def mirror_gain(
         sigma: width of a wall, cells.
         device: computes.
         cancel: asked before each operation.
+        doubt: how much speaks against both what they leave unexplained, see ``WallPieces``.
 
     Returns:
         None where nothing speaks for the motion.
@@ -54,7 +57,8 @@ def mirror_gain(
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
-    own = float(wall_pieces(reference, moving, motion[None], sigma, device, cancel).total[0])
+    pieces = wall_pieces(reference, moving, motion[None], sigma, device, cancel)
+    own = float(replace(pieces, doubt=doubt).total[0])
     if own <= 0.0:
         return None
     image = mirror_image(moving, device)
@@ -62,7 +66,7 @@ def mirror_gain(
     if not len(motions):
         return 0.0
     pieces = wall_pieces(reference, image, motions, sigma, device, cancel)
-    return float(pieces.total.max()) / own
+    return max(0.0, float(replace(pieces, doubt=doubt).total.max())) / own
 
 
 def mirror_image(features: GridFeatures, device: ComputeDevice) -> GridFeatures:
