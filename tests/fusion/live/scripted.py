@@ -99,8 +99,12 @@ class Script:
         device: object,
         start: Pose2 | None = None,
         cancel: CancelToken | None = None,
+        *,
+        thorough: bool = True,
     ) -> Alignment:
         del config, device
+        # Maps that grow are searched often: what is refused now may not be soon.
+        assert not thorough
         asked = self._ask("search", reference, moving, start, cancel)
         self.now_s += self.takes_s
         if cancel is not None:
