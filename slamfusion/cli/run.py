@@ -33,9 +33,17 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.inputs import check_writable, real_path
-from slamfusion.jobs.outputs import AGREEMENT, FAILED, FUSED, REPORT, possible_outputs
+from slamfusion.jobs.outputs import (
+    AGREEMENT,
+    FAILED,
+    FUSED,
+    FUSED_PATH,
+    REPORT,
+    possible_outputs,
+)
 
 if TYPE_CHECKING:
+    from slamfusion.jobs.fused_path import DrivePath
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
 
@@ -229,6 +237,8 @@ def _tell(run: LogRun, *, debug: bool) -> None:
             notice(f"{name}: {sentence}")
     if run.no_verdict is not None:
         notice(f"no verdict on the paths: {run.no_verdict}")
+    if run.fused_path is not None and run.fused_path.not_weighed:
+        notice(f"all paths count alike in the fused path: {run.fused_path.not_weighed}")
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:
@@ -255,10 +265,25 @@ def _print(run: LogRun, saved: SavedRun) -> None:
     if run.usable is not None:
         print(f"fused map: {saved.folder / FUSED}.yaml")
         print(f"agreement: {saved.folder / AGREEMENT}.yaml")
+    if run.fused_path is not None:
+        print(f"fused path: {saved.folder / FUSED_PATH}{_path_words(run.fused_path)}")
     print(f"report:    {saved.folder / REPORT / 'report.html'}")
     if run.verdict is not None:
         print()
         print_verdict(run.verdict)
+
+
+def _path_words(path: DrivePath) -> str:
+    """Return the errors of the fused path, and how far each path was believed, for its line."""
+    relations, truth = path.measures.relations, path.measures.truth
+    words = []
+    if relations is not None:
+        words.append(f"relations {number(relations.translation.mean, 4)} m")
+    if truth is not None:
+        words.append(f"ATE {number(truth.ate.rmse, 4)} m")
+    believed = ", ".join(f"{name} {share:.2f}" for name, share in path.trust.items())
+    words.append(f"paths believed: {believed}")
+    return f" ({'; '.join(words)})"
 
 
 def _print_producers(run: LogRun) -> None:

@@ -2,12 +2,14 @@
 
 ``score_paths`` scores each path by how well what was seen at other times predicts what was seen
 now, with beams, chunks and stamps that no path has a say in; ``PathEvidence.compare`` tells better
-paths from those that cannot be told apart, and ``reach_verdict`` puts it into words.
+paths from those that cannot be told apart, and ``reach_verdict`` puts it into words. ``fuse_paths``
+makes one path of several, each believed as far as the scans bear it out.
 """
 
 from __future__ import annotations
 
 from slamfusion.evidence.beams import JudgedScans, judged_scans
+from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import Comparison, PathEvidence, PathScore, score_paths
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
 from slamfusion.evidence.verdict import Verdict, reach_verdict
@@ -15,12 +17,15 @@ from slamfusion.evidence.verdict import Verdict, reach_verdict
 __all__ = [
     "Comparison",
     "CoveredPath",
+    "FusedPath",
     "JudgedScans",
     "PathEvidence",
     "PathScore",
     "Verdict",
     "cover_stamps",
+    "fuse_paths",
     "judged_scans",
     "reach_verdict",
     "score_paths",
+    "trust_in_paths",
 ]

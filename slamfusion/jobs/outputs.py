@@ -16,6 +16,7 @@ __all__ = [
     "AGREEMENT_END",
     "FAILED",
     "FUSED",
+    "FUSED_PATH",
     "PROBABILITY",
     "REPORT",
     "SUFFIXES",
@@ -39,6 +40,8 @@ FUSED, REPORT = "fused", "report"
 # Added to the name of a fused map: the map of how many agreed.
 AGREEMENT_END = "_agreement"
 AGREEMENT = FUSED + AGREEMENT_END
+# The file of the fused path.
+FUSED_PATH = FUSED + ".tum"
 PAGE, PICTURES = "report.html", "[0-9][0-9]-*.png"
 
 
@@ -77,7 +80,8 @@ def possible_outputs(folder: Path) -> list[Path]:
 
     names = producer_names()
     files = [path for name in names for path in output_files(folder / name, probabilities=True)]
-    return [*files, *(path for name in (FUSED, AGREEMENT) for path in map_files(folder / name))]
+    files += [path for name in (FUSED, AGREEMENT) for path in map_files(folder / name)]
+    return [*files, folder / FUSED_PATH]
 
 
 def map_files(stem: Path) -> list[Path]:

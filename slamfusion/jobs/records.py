@@ -38,6 +38,7 @@ __all__ = [
     "FailedProducerJson",
     "FailureDocument",
     "FuseDocument",
+    "FusedPathJson",
     "FusionJson",
     "JudgeDocument",
     "JudgedPathJson",
@@ -405,6 +406,15 @@ class FailedProducerJson(TypedDict):
     """Processor time of its process, seconds; null where unknown."""
 
 
+class FusedPathJson(MeasuresJson):
+    """The fused path: one path made of those of all producers, and its errors."""
+
+    file: str
+    """Its file, a TUM trajectory in the frame of the fused map."""
+    trust: Mapping[str, float]
+    """How much each producer's path was believed by what the scans say of it, 0 to 1."""
+
+
 class RunFilesJson(TypedDict):
     """The files that ``slamfusion run`` was given."""
 
@@ -450,6 +460,8 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """What the scans say of all paths; null where they could not be asked."""
     no_verdict: str | None
     """Why the scans could not be asked; null where they were."""
+    fused_path: FusedPathJson | None
+    """The fused path; null where nothing was fused, or fewer than two producers have a path."""
     evaluations: Sequence[EvaluationJson]
     """Errors of the inputs and of the fused map, with --truth."""
     error: str | None

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
@@ -23,6 +23,7 @@ from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError, DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
+from slamfusion.jobs.fused_path import DrivePath, fuse_log_paths
 from slamfusion.jobs.inputs import (
     Progress,
     Warn,
@@ -35,7 +36,7 @@ from slamfusion.jobs.judge import judge_log
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.produced import ProducerResult, measure_run
-from slamfusion.jobs.trajectory import Measures, Yardsticks
+from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.slam.registry import BUILT_IN, producer_names
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
@@ -56,6 +57,8 @@ class LogRun:
         outcomes: what became of each producer.
         grids: the inputs of the fusion: the producers' maps, then the saved ones.
         fusion: what came of fusing them, also where it may not be used.
+        fused_path: one path made of the producers' paths; None where fewer than two have one, or
+            where no fused map may be used.
         results: the producers that made a map, by name, with their errors.
         doubled: the doubled walls of the fusion; None where nothing was fused.
         evaluations: errors of the inputs and of the fused map; empty without a true map.
@@ -75,6 +78,7 @@ class LogRun:
     outcomes: tuple[Outcome, ...]
     grids: tuple[OccupancyGrid, ...]
     fusion: DriveFusion
+    fused_path: DrivePath | None
     results: Mapping[str, ProducerResult]
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...]
@@ -189,8 +193,14 @@ def run_log(
     stages["evidence"] = time.perf_counter() - began_s
 
     began_s = time.perf_counter()
-    doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
     troubles: list[str] = []
+    fused_path = None
+    if failure is None and fusion.result is not None:
+        fused_path = _fuse_paths(outcomes, fusion.result, files, config, device, held, troubles)
+    stages["path"] = time.perf_counter() - began_s
+
+    began_s = time.perf_counter()
+    doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
     evaluations = _evaluate(grids, fusion, true_map, config, device, progress, troubles)
     results = _measure(outcomes, evaluations, held, config, troubles)
     stages["errors"] = time.perf_counter() - began_s
@@ -201,6 +211,7 @@ def run_log(
         outcomes=outcomes,
         grids=grids,
         fusion=fusion,
+        fused_path=fused_path,
         results=results,
         doubled=doubled,
         evaluations=evaluations,
@@ -277,6 +288,50 @@ def _judge(
     except SlamFusionError as error:
         return None, str(error)
     return found, None
+
+
+def _fuse_paths(
+    outcomes: Sequence[Outcome],
+    fusion: FusionResult,
+    files: LogFiles,
+    config: RunConfig,
+    device: ComputeDevice,
+    held: Yardsticks,
+    troubles: list[str],
+) -> DrivePath | None:
+    """Fuse the producers' paths and measure what comes of it; ``troubles`` is told what cannot be.
+
+    None where fewer than two producers have a path.
+    """
+    runs = [item.run for item in outcomes if item.run is not None and len(item.run.trajectory)]
+    if len(runs) < LEAST_FUSED:
+        return None
+    paths = {run.name: run.trajectory for run in runs}
+    try:
+        found = fuse_log_paths(
+            files.log,
+            paths,
+            config,
+            device,
+            scan_odometry=files.scan_odometry,
+            fusion=fusion,
+        )
+    except SlamFusionError as error:
+        troubles.append(f"the fused path: {error}")
+        return None
+    try:
+        measures = measure_trajectory(
+            found.trajectory,
+            config.trajectory,
+            relations=held.relations,
+            odometry=held.odometry,
+            scans=runs[0].odometry,
+            truth=held.truth,
+        )
+    except SlamFusionError as error:
+        troubles.append(f"the fused path: {error}")
+        return found
+    return replace(found, measures=measures)
 
 
 def _evaluate(

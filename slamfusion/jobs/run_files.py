@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamfusion.io import AtomicFiles, save_map
+from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.fuse import failure_document, fusion_document
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     FAILED,
     FUSED,
+    FUSED_PATH,
     REPORT,
     earlier_results,
     failure_folder,
@@ -48,7 +49,8 @@ class SavedRun:
     Attributes:
         folder: of the files: the one asked for, or ``failed`` in it, where a run without a fused
             map must not replace earlier results.
-        files: of each producer, of the fused map, of the agreement and of the report, by name.
+        files: of each producer, of the fused map, of the agreement, of the fused path and of the
+            report, by name.
         stages: wall time of each stage in order, the report among them, seconds.
         document: what ``slamfusion run`` prints as JSON.
     """
@@ -87,6 +89,9 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
             save_map(run.usable.fused, target / FUSED, files=files)
             save_map(run.usable.agreement, target / AGREEMENT, mode="raw", files=files)
             written |= {name: map_files(target / name) for name in (FUSED, AGREEMENT)}
+            if run.fused_path is not None:
+                write_tum(target / FUSED_PATH, run.fused_path.trajectory, files=files)
+                written[FUSED_PATH] = [target / FUSED_PATH]
         began_s = time.perf_counter()
         written[REPORT] = [_add_report(files, run, target / REPORT)]
         stages = {**run.stages, "report": time.perf_counter() - began_s}
@@ -182,6 +187,7 @@ def run_document(
         time_s: wall time of all, seconds.
     """
     usable, failure, best = run.usable, run.failure, run.fusion.fallback
+    path = run.fused_path
     fusion = (
         failure_document(run.grids, run.fusion.pairs, str(failure))
         if usable is None or run.doubled is None
@@ -199,6 +205,7 @@ def run_document(
         "path_evidence": [] if run.verdict is None else run.verdict.paths_to_json(),
         "verdict": None if run.verdict is None else run.verdict.to_json(),
         "no_verdict": run.no_verdict,
+        "fused_path": None if path is None else path.to_json(files[FUSED_PATH][0]),
         "evaluations": [item.to_json() for item in run.evaluations],
         "error": None if failure is None else str(failure),
         "not_measured": run.not_measured,

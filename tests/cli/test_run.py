@@ -36,7 +36,7 @@ TWO = ("--producers", "tinyslam,graph")
 CSAIL = DATASETS / "mit-csail"
 MAPS_OF_FUSION = {
     f"{name}{end}" for name in ("fused", "fused_agreement") for end in (".yaml", ".pgm")
-}
+} | {"fused.tum"}
 
 
 def files_of(*names: str) -> set[str]:
@@ -113,10 +113,16 @@ def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[st
     gaps = {(gap["a"], gap["b"]): gap["median_m"] for gap in document["path_gaps"]}
     assert set(gaps) == {("tinyslam", "gmapping"), ("tinyslam", "graph"), ("gmapping", "graph")}
     assert max(gaps.values()) < 0.2
+    path = document["fused_path"]
+    assert path["file"] == str(out / "fused.tum")
+    assert path["translation"]["mean"] < 0.2
+    assert path["ate"]["rmse"] < 0.2
+    assert set(path["trust"]) == set(NAMES)
+    assert len(read_trajectory(out / "fused.tum")) == path["poses"] == 64
     assert document["error"] is None
     assert document["seed"] == 3
     stages = document["stages_s"]
-    assert list(stages) == ["producers", "fusion", "errors", "report"]
+    assert list(stages) == ["producers", "fusion", "path", "errors", "report"]
     assert sum(stages.values()) <= document["time_s"]
 
 

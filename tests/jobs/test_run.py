@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
+from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
-from slamfusion.io import load_map, save_map
+from slamfusion.io import load_map, read_trajectory, save_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.run import run_log
@@ -34,7 +36,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved.document), "run")
     assert saved.folder == tmp_path / "out"
-    assert list(saved.stages) == ["producers", "fusion", "evidence", "errors", "report"]
+    assert list(saved.stages) == ["producers", "fusion", "evidence", "path", "errors", "report"]
     assert run.verdict is not None
     assert saved.document["verdict"] is not None
     assert saved.document["verdict"]["best"] == run.verdict.best_producer == run.verdict.best
@@ -45,17 +47,33 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert list((tmp_path / "out" / "report").glob("*-evidence.png"))
     assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
 
+    # The fused path lies on the fused map: near the producers' paths as these were laid into it.
+    path = read_trajectory(tmp_path / "out" / "fused.tum")
+    told = saved.document["fused_path"]
+    assert told is not None
+    assert told["file"] == str(tmp_path / "out" / "fused.tum")
+    assert (told["poses"], set(told["trust"])) == (32, {"tinyslam", "graph"})
+    assert max(told["trust"].values()) == 1.0
+    assert told["ate"]["rmse"] < 0.05
+    assert run.usable is not None
+    for record in run.usable.accepted:
+        made = run.results[record.name].run.trajectory
+        if record.alignment is not None:
+            made = moved_path(made, record.alignment.transform)
+        assert np.hypot(*(made.poses - path.poses)[:, :2].T).max() < 0.15
+
     # One without a fused map goes beside it, and says why there is none.
     before = tree(tmp_path / "out")
     alone = run_log(
         place / "flat.log", replace(config, run=replace(config.run, producers=("tinyslam",)))
     )
     assert "1 of 1 maps was made, at least 2 are needed" in str(alone.failure)
-    assert (alone.grid, alone.usable) == (None, None)
+    assert (alone.grid, alone.usable, alone.fused_path) == (None, None, None)
     failed = save_run(alone, tmp_path / "out")
     check_document(plain(failed.document), "run")
     assert failed.folder == tmp_path / "out" / "failed"
     assert failed.document["best_founded"] == "tinyslam"
+    assert failed.document["fused_path"] is None
     after = tree(tmp_path / "out")
     assert {name: after[name] for name in before} == before
 

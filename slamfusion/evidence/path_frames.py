@@ -1,0 +1,198 @@
+"""``LaidPaths``: paths of one drive at common stamps and in one frame, each with its weight.
+
+A path that broke away near its end must not turn the others, nor itself where it was still right:
+frames are fitted robustly, with the weights of poses falling with what is left at them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import TrajectoryError
+from slamfusion.geometry import Pose2, compose_poses, wrap_angles
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["TURN_M", "LaidPaths", "fit_frame", "lay_paths", "pose_distances"]
+
+F64 = npt.NDArray[np.float64]
+
+# Metres that a turn of one radian counts for: what it moves at the range of most walls.
+TURN_M = 2.0
+# A pose is fitted as two points, this far before and behind it: headings count as places do.
+LEVER_M = 3.0
+# Poses belong to one scan within this time, seconds: files round times to milliseconds.
+SAME_STAMP_S = 1e-3
+# Scale of a robust fit at least, metres: what good paths differ by.
+LEAST_SCALE_M = 0.03
+# Rounds of reweighting, and the motion below which a fit has settled, metres and radians.
+MOST_FITS, SETTLED = 30, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class LaidPaths:
+    """Paths of one drive at common stamps and in one frame.
+
+    Attributes:
+        names: of the K paths, in the order given.
+        stamps_s: (N,) float64, times of the scans, seconds, never decreasing.
+        poses: (K, N, 3) float64, metres and radians; NaN where a path has none.
+        weights: (K, N) float64, how much each pose is believed, 0 to 1; 0 where there is none.
+    """
+
+    names: tuple[str, ...]
+    stamps_s: F64
+    poses: F64
+    weights: F64
+
+    def __len__(self) -> int:
+        """Scans."""
+        return len(self.stamps_s)
+
+
+def lay_paths(
+    paths: Mapping[str, Trajectory], weights: Mapping[str, npt.ArrayLike] | None = None
+) -> LaidPaths:
+    """Lay paths of one drive into one frame: that of the path which the others are nearest to.
+
+    Args:
+        paths: by name, each in a frame of its own; the stamps are those of the path with most
+            poses, and poses of others at other times are not used.
+        weights: how much a path is believed, in [0, 1], by name: one number, or (poses,) of them;
+            default, also for paths that are not named: 1.
+
+    Raises:
+        TrajectoryError: no path, a path without a pose, one that has no pose at the time of
+            another's, or weights that do not fit.
+    """
+    if not paths:
+        message = "there is no path to fuse; give at least one"
+        raise TrajectoryError(message)
+    given = weights or {}
+    longest = max(paths.values(), key=len)
+    stamps_s = longest.stamps_s
+    poses = np.full((len(paths), len(stamps_s), 3), np.nan)
+    believed = np.zeros(poses.shape[:2])
+    for row, (name, path) in enumerate(paths.items()):
+        own = _checked_weights(name, path, given.get(name))
+        near = path.nearest(stamps_s)
+        meets = np.abs(path.stamps_s[near] - stamps_s) <= SAME_STAMP_S
+        if not meets.any():
+            message = (
+                f"{name}: no pose at the time of one of {longest.name} within {SAME_STAMP_S:g} s; "
+                "give paths of the same scans"
+            )
+            raise TrajectoryError(message)
+        poses[row, meets] = path.poses[near[meets]]
+        believed[row, meets] = own[near[meets]]
+    return LaidPaths(tuple(paths), stamps_s, _in_one_frame(poses, believed), believed)
+
+
+def pose_distances(a: F64, b: F64) -> F64:
+    """Return how far poses lie apart, (...), metres: of places, and ``TURN_M`` for a radian.
+
+    Args:
+        a, b: (..., 3), x and y in metres, yaw in radians; NaN gives NaN.
+    """
+    apart = a - b
+    turned = np.abs(wrap_angles(apart[..., 2]))
+    return np.asarray(np.hypot(apart[..., 0], apart[..., 1]) + TURN_M * turned)
+
+
+def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
+    """Return the motion that lays most of one path on another, whatever the rest does.
+
+    Iteratively reweighted least squares of places and headings; the scale is the median of what is
+    left, so that the better half of the poses decides.
+
+    Args:
+        moving, still: (N, 3) poses of the same moments, N at least 1; metres and radians.
+        weights: (N,) how much each counts at most; default: 1.
+    """
+    count = len(moving)
+    trusted = np.ones(count) if weights is None else np.maximum(weights, 1e-6)
+    a, b = _levers(moving), _levers(still)
+    trusted = np.tile(trusted, 2)
+    reweighted, motion = trusted, Pose2()
+    for _ in range(MOST_FITS):
+        before, motion = motion, _weighted_fit(a, b, reweighted)
+        left = np.hypot(*(motion.transform(a) - b).T)
+        scale = max(_weighted_median(left, trusted), LEAST_SCALE_M)
+        reweighted = trusted / (1.0 + (left / scale) ** 2) ** 2
+        step = before.inverse().compose(motion)
+        if max(abs(step.x), abs(step.y), abs(step.yaw_rad)) < SETTLED:
+            break
+    return motion
+
+
+def _in_one_frame(poses: F64, weights: F64) -> F64:
+    """Lay (K, N, 3) poses onto the path that all are nearest to, by the weights of each."""
+    shares = weights.sum(axis=1) / max(float(weights.sum()), 1e-12)
+    best, least = poses, math.inf
+    for still in poses:
+        laid, apart_m = [], 0.0
+        for moving, trusted, share in zip(poses, weights, shares, strict=True):
+            both = np.isfinite(moving[:, 0]) & np.isfinite(still[:, 0])
+            if not both.any():
+                apart_m = math.inf
+                laid.append(moving)
+                continue
+            motion = fit_frame(moving[both], still[both], trusted[both])
+            pose = (motion.x, motion.y, motion.yaw_rad)
+            laid.append(compose_poses(pose, moving))
+            left = pose_distances(laid[-1][both], still[both])
+            apart_m += float(share) * float(np.median(left))
+        if apart_m < least:
+            best, least = np.stack(laid), apart_m
+    if not math.isfinite(least):
+        message = "no path shares a time with each of the others; give paths of the same scans"
+        raise TrajectoryError(message)
+    return best
+
+
+def _levers(poses: F64) -> F64:
+    """Return (2 N, 2) points before and behind each of (N, 3) poses."""
+    lever = LEVER_M * np.stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])), axis=1)
+    return np.concatenate((poses[:, :2] + lever, poses[:, :2] - lever))
+
+
+def _weighted_fit(a: F64, b: F64, weights: F64) -> Pose2:
+    """Return the rigid motion from (M, 2) points to their partners, by weighted least squares.
+
+    Source: Umeyama, PAMI 13(4), 1991, with weights and c = 1; in the plane R is one angle.
+    """
+    share = weights / weights.sum()
+    middle, goal = share @ a, share @ b
+    p, q = a - middle, b - goal
+    along = float(share @ (p * q).sum(axis=1))
+    across = float(share @ (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
+    yaw_rad = math.atan2(across, along)
+    x, y = goal - Pose2(0.0, 0.0, yaw_rad).transform(middle)
+    return Pose2(float(x), float(y), yaw_rad)
+
+
+def _weighted_median(values: F64, weights: F64) -> float:
+    """Return the value that half of the weight lies at or below."""
+    order = np.argsort(values, kind="stable")
+    summed = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(summed, 0.5 * summed[-1])]])
+
+
+def _checked_weights(name: str, path: Trajectory, weights: npt.ArrayLike | None) -> F64:
+    """Return the weights of a path's poses, (poses,)."""
+    if not len(path):
+        message = f"{name}: the path has no pose; leave it out"
+        raise TrajectoryError(message)
+    if weights is None:
+        return np.ones(len(path))
+    own = np.asarray(weights, dtype=np.float64)
+    if own.ndim == 0:
+        own = np.full(len(path), float(own))
+    if own.shape != (len(path),) or not ((own >= 0.0) & (own <= 1.0)).all():
+        message = f"{name}: wanted weights in [0, 1], one or {len(path)}, found {own.shape}"
+        raise TrajectoryError(message)
+    return own

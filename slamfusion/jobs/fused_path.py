@@ -1,0 +1,122 @@
+"""The fused path of a drive: made of its producers' paths, as far as the scans bear each out.
+
+Shared by ``run_log`` and what measures it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.evidence import (
+    FusedPath,
+    fuse_paths,
+    judged_scans,
+    score_paths,
+    trust_in_paths,
+)
+from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.fusion.path_check import moved_path
+from slamfusion.fusion.records import FusionResult
+from slamfusion.io import open_log
+from slamfusion.jobs.records import FusedPathJson
+from slamfusion.jobs.trajectory import Measures
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["DrivePath", "fuse_log_paths"]
+
+# Poses belong to one scan within this time, seconds.
+SAME_STAMP_S = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePath:
+    """The fused path of a drive.
+
+    Attributes:
+        fused: the path, in the frame of the fused map where there is one.
+        trust: how much each producer's path was believed, by name, 0 to 1.
+        not_weighed: why the scans could not say how much; empty where they did.
+        measures: errors of the path.
+    """
+
+    fused: FusedPath
+    trust: Mapping[str, float]
+    not_weighed: str = ""
+    measures: Measures = field(default_factory=Measures)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The poses at the scans."""
+        return self.fused.trajectory
+
+    def to_json(self, file: Path) -> FusedPathJson:
+        """Return the path's record for a JSON document."""
+        return {
+            **self.measures.to_json(),
+            "file": str(file),
+            "poses": len(self.trajectory),
+            "trust": dict(self.trust),
+        }
+
+
+def fuse_log_paths(
+    log: Path,
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    *,
+    scan_odometry: Path | None = None,
+    fusion: FusionResult | None = None,
+) -> DrivePath:
+    """Make one path of those of several producers of a log.
+
+    Args:
+        log: the scans.
+        paths: by producer, each in its map's frame.
+        config: ``log`` is used.
+        device: scores the paths.
+        scan_odometry: what gives the scans their odometry instead of the log.
+        fusion: of the maps: the path is laid into its frame; None: it stays in that of a path.
+
+    Raises:
+        TrajectoryError: the paths have no times in common.
+        GraphError: the equations cannot be solved.
+        OSError: the log cannot be opened.
+    """
+    trust, why = dict.fromkeys(paths, 1.0), ""
+    try:
+        scans = judged_scans(open_log(log, config.log, scan_odometry))
+        trust = trust_in_paths(score_paths(scans, paths, device))
+    except SlamFusionError as error:
+        why = str(error)
+    fused = fuse_paths(paths, trust)
+    if fusion is not None:
+        fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
+    return DrivePath(fused, trust, why)
+
+
+def _in_fused_frame(
+    path: Trajectory, paths: Mapping[str, Trajectory], fusion: FusionResult
+) -> Trajectory:
+    """Lay a path onto those of the producers that voted, as their maps lie in the fused one."""
+    moving, still = [], []
+    for record in fusion.accepted:
+        if record.name not in paths:
+            continue
+        own = paths[record.name]
+        if record.alignment is not None:
+            own = moved_path(own, record.alignment.transform)
+        near = own.nearest(path.stamps_s)
+        meets = np.abs(own.stamps_s[near] - path.stamps_s) <= SAME_STAMP_S
+        moving.append(path.poses[meets])
+        still.append(own.poses[near[meets]])
+    if not sum(map(len, moving)):
+        return path
+    return moved_path(path, fit_frame(np.concatenate(moving), np.concatenate(still)))
