@@ -35,6 +35,7 @@ from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.inputs import check_writable, real_path
 from slamfusion.jobs.outputs import (
     AGREEMENT,
+    DRAWN,
     FAILED,
     FUSED,
     FUSED_PATH,
@@ -267,6 +268,8 @@ def _print(run: LogRun, saved: SavedRun) -> None:
         print(f"agreement: {saved.folder / AGREEMENT}.yaml")
     if run.fused_path is not None:
         print(f"fused path: {saved.folder / FUSED_PATH}{_path_words(run.fused_path)}")
+    if run.drawn is not None:
+        print(f"drawn map: {saved.folder / DRAWN}.yaml")
     print(f"report:    {saved.folder / REPORT / 'report.html'}")
     if run.verdict is not None:
         print()

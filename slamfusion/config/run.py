@@ -96,6 +96,9 @@ class SideBySideConfig(Checked):
     time_limit_s: float | None = option(
         None, "stop a producer that takes longer and leave it out", unit="s", low=0.1, high=1e7
     )
+    draw: bool = option(
+        False, "also draw a map from all scans at the fused path, beside the vote of the maps"
+    )
     path_gap_m: float = option(
         1.0,
         "leave out a producer whose path, laid into the fused map, is this far from the others'",

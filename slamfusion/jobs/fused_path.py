@@ -1,6 +1,6 @@
 """The fused path of a drive: made of its producers' paths, as far as the scans bear each out.
 
-Shared by ``run_log`` and what measures it.
+And the map that is drawn from all scans at it. Shared by ``run_log`` and what measures it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import doubled_wall_share, wall_thickness
 from slamfusion.evidence import (
     FusedPath,
     fuse_paths,
@@ -21,15 +22,18 @@ from slamfusion.evidence import (
     score_paths,
     trust_in_paths,
 )
+from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import FusionResult
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
-from slamfusion.jobs.records import FusedPathJson
+from slamfusion.jobs.outputs import DRAWN
+from slamfusion.jobs.records import DrawnMapJson, FusedPathJson
 from slamfusion.jobs.trajectory import Measures
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DrivePath", "fuse_log_paths"]
+__all__ = ["DrivePath", "draw_log_map", "drawn_document", "fuse_log_paths"]
 
 # Poses belong to one scan within this time, seconds.
 SAME_STAMP_S = 1e-3
@@ -100,6 +104,50 @@ def fuse_log_paths(
     if fusion is not None:
         fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
     return DrivePath(fused, trust, why)
+
+
+def draw_log_map(
+    log: Path,
+    path: Trajectory,
+    config: RunConfig,
+    device: ComputeDevice,
+    like: OccupancyGrid,
+    *,
+    scan_odometry: Path | None = None,
+) -> OccupancyGrid:
+    """Draw a map from all scans of a log at the poses of a path.
+
+    Args:
+        log: the scans.
+        path: in the map frame of ``like``.
+        config: ``log`` is used.
+        device: draws.
+        like: the map is drawn on the lattice of this one, over all that was seen.
+        scan_odometry: what gives the scans their odometry instead of the log.
+
+    Raises:
+        TrajectoryError: no scan has a pose.
+        OSError: the log cannot be opened.
+    """
+    scans = drawn_scans(open_log(log, config.log, scan_odometry))
+    return draw_map(scans, path, device, resolution=like.resolution, origin=like.origin, name=DRAWN)
+
+
+def drawn_document(grid: OccupancyGrid, file: Path, config: RunConfig) -> DrawnMapJson:
+    """Return the record of a drawn map for a JSON document.
+
+    Args:
+        grid: the map.
+        file: where it was written to.
+        config: its thresholds say what is a wall.
+    """
+    normalize = config.fusion.normalize
+    thickness = wall_thickness(grid, normalize=normalize)
+    return {
+        "file": str(file),
+        "doubled_wall_share": doubled_wall_share(grid, normalize=normalize),
+        "wall_thickness_m": None if thickness is None else thickness.to_json(),
+    }
 
 
 def _in_fused_frame(

@@ -14,6 +14,7 @@ from pathlib import Path
 __all__ = [
     "AGREEMENT",
     "AGREEMENT_END",
+    "DRAWN",
     "FAILED",
     "FUSED",
     "FUSED_PATH",
@@ -40,6 +41,8 @@ FUSED, REPORT = "fused", "report"
 # Added to the name of a fused map: the map of how many agreed.
 AGREEMENT_END = "_agreement"
 AGREEMENT = FUSED + AGREEMENT_END
+# What a run calls the map that is drawn at the fused path.
+DRAWN = "drawn"
 # The file of the fused path.
 FUSED_PATH = FUSED + ".tum"
 PAGE, PICTURES = "report.html", "[0-9][0-9]-*.png"
@@ -80,7 +83,7 @@ def possible_outputs(folder: Path) -> list[Path]:
 
     names = producer_names()
     files = [path for name in names for path in output_files(folder / name, probabilities=True)]
-    files += [path for name in (FUSED, AGREEMENT) for path in map_files(folder / name)]
+    files += [path for name in (FUSED, AGREEMENT, DRAWN) for path in map_files(folder / name)]
     return [*files, folder / FUSED_PATH]
 
 

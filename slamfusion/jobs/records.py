@@ -23,6 +23,7 @@ from slamfusion.evaluation.records import (
     MapErrorJson,
     RelationErrorsAtScansJson,
     TrajectoryAlignmentJson,
+    WallThicknessJson,
 )
 from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
 from slamfusion.fusion.records import AlignmentJson, PathGapJson
@@ -32,6 +33,7 @@ __all__ = [
     "AlignDocument",
     "CircumstancesJson",
     "DoubledWallsJson",
+    "DrawnMapJson",
     "EvaluateDocument",
     "EvaluationJson",
     "FailedFuseDocument",
@@ -415,6 +417,17 @@ class FusedPathJson(MeasuresJson):
     """How much each producer's path was believed by what the scans say of it, 0 to 1."""
 
 
+class DrawnMapJson(TypedDict):
+    """The map that is drawn from all scans at the fused path."""
+
+    file: str
+    """Its YAML file."""
+    doubled_wall_share: float
+    """Share of its wall cells that have a parallel wall close by, 0 to 1."""
+    wall_thickness_m: WallThicknessJson | None
+    """How thick its walls are; null when no wall is beside a free cell."""
+
+
 class RunFilesJson(TypedDict):
     """The files that ``slamfusion run`` was given."""
 
@@ -462,6 +475,8 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """Why the scans could not be asked; null where they were."""
     fused_path: FusedPathJson | None
     """The fused path; null where nothing was fused, or fewer than two producers have a path."""
+    drawn_map: DrawnMapJson | None
+    """The map drawn at the fused path; null where it was not asked for, or there is no path."""
     evaluations: Sequence[EvaluationJson]
     """Errors of the inputs and of the fused map, with --truth."""
     error: str | None

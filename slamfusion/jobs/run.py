@@ -23,7 +23,7 @@ from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError, DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
-from slamfusion.jobs.fused_path import DrivePath, fuse_log_paths
+from slamfusion.jobs.fused_path import DrivePath, draw_log_map, fuse_log_paths
 from slamfusion.jobs.inputs import (
     Progress,
     Warn,
@@ -34,7 +34,7 @@ from slamfusion.jobs.inputs import (
 )
 from slamfusion.jobs.judge import judge_log
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
-from slamfusion.jobs.outputs import FUSED
+from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.produced import ProducerResult, measure_run
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.slam.registry import BUILT_IN, producer_names
@@ -59,6 +59,8 @@ class LogRun:
         fusion: what came of fusing them, also where it may not be used.
         fused_path: one path made of the producers' paths; None where fewer than two have one, or
             where no fused map may be used.
+        drawn: the map drawn from all scans at the fused path; None where it was not asked for, or
+            there is no such path.
         results: the producers that made a map, by name, with their errors.
         doubled: the doubled walls of the fusion; None where nothing was fused.
         evaluations: errors of the inputs and of the fused map; empty without a true map.
@@ -79,6 +81,7 @@ class LogRun:
     grids: tuple[OccupancyGrid, ...]
     fusion: DriveFusion
     fused_path: DrivePath | None
+    drawn: OccupancyGrid | None
     results: Mapping[str, ProducerResult]
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...]
@@ -199,9 +202,23 @@ def run_log(
         fused_path = _fuse_paths(outcomes, fusion.result, files, config, device, held, troubles)
     stages["path"] = time.perf_counter() - began_s
 
+    drawn = None
+    if config.run.draw and fused_path is not None and fusion.result is not None:
+        began_s = time.perf_counter()
+        drawn = draw_log_map(
+            files.log,
+            fused_path.trajectory,
+            config,
+            device,
+            fusion.result.fused,
+            scan_odometry=files.scan_odometry,
+        )
+        stages["drawing"] = time.perf_counter() - began_s
+
     began_s = time.perf_counter()
     doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
-    evaluations = _evaluate(grids, fusion, true_map, config, device, progress, troubles)
+    extra = [] if drawn is None else [drawn]
+    evaluations = _evaluate(grids, fusion, extra, true_map, config, device, progress, troubles)
     results = _measure(outcomes, evaluations, held, config, troubles)
     stages["errors"] = time.perf_counter() - began_s
     return LogRun(
@@ -212,6 +229,7 @@ def run_log(
         grids=grids,
         fusion=fusion,
         fused_path=fused_path,
+        drawn=drawn,
         results=results,
         doubled=doubled,
         evaluations=evaluations,
@@ -239,7 +257,7 @@ def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | N
 
 def _saved_names(paths: Sequence[Path]) -> list[str]:
     """Return names for saved maps that no producer has."""
-    taken = {*producer_names(), FUSED}
+    taken = {*producer_names(), FUSED, DRAWN}
     return [f"{name} (saved)" if name in taken else name for name in distinct_names(paths)]
 
 
@@ -337,6 +355,7 @@ def _fuse_paths(
 def _evaluate(
     grids: Sequence[OccupancyGrid],
     fusion: DriveFusion,
+    drawn: Sequence[OccupancyGrid],
     truth: OccupancyGrid | None,
     config: RunConfig,
     device: ComputeDevice,
@@ -349,6 +368,7 @@ def _evaluate(
     measured = list(grids)
     if fusion.result is not None:
         measured.append(fusion.result.fused.with_name(FUSED))
+    measured += drawn
     try:
         return evaluate_maps(measured, truth, config, device, progress=progress)
     except SlamFusionError as error:

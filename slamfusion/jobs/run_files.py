@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.fuse import failure_document, fusion_document
+from slamfusion.jobs.fused_path import drawn_document
 from slamfusion.jobs.outputs import (
     AGREEMENT,
+    DRAWN,
     FAILED,
     FUSED,
     FUSED_PATH,
@@ -92,6 +94,9 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
             if run.fused_path is not None:
                 write_tum(target / FUSED_PATH, run.fused_path.trajectory, files=files)
                 written[FUSED_PATH] = [target / FUSED_PATH]
+            if run.drawn is not None:
+                save_map(run.drawn, target / DRAWN, files=files)
+                written[DRAWN] = map_files(target / DRAWN)
         began_s = time.perf_counter()
         written[REPORT] = [_add_report(files, run, target / REPORT)]
         stages = {**run.stages, "report": time.perf_counter() - began_s}
@@ -206,6 +211,9 @@ def run_document(
         "verdict": None if run.verdict is None else run.verdict.to_json(),
         "no_verdict": run.no_verdict,
         "fused_path": None if path is None else path.to_json(files[FUSED_PATH][0]),
+        "drawn_map": None
+        if run.drawn is None
+        else drawn_document(run.drawn, files[DRAWN][0], run.config),
         "evaluations": [item.to_json() for item in run.evaluations],
         "error": None if failure is None else str(failure),
         "not_measured": run.not_measured,

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
+from slamfusion.evaluation.cells import wall_centres
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
+from slamfusion.grid import trinary_cells
 from slamfusion.io import load_map, read_trajectory, save_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
@@ -21,7 +24,8 @@ from tests.support.documents import check_document
 
 
 def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
-    config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
+    two = replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph"), draw=True)
+    config = replace(RUN_DEFAULTS, run=two)
     prepared: list[bool] = []
     told: list[str] = []
     run = run_log(
@@ -36,7 +40,8 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved.document), "run")
     assert saved.folder == tmp_path / "out"
-    assert list(saved.stages) == ["producers", "fusion", "evidence", "path", "errors", "report"]
+    wanted = ["producers", "fusion", "evidence", "path", "drawing", "errors", "report"]
+    assert list(saved.stages) == wanted
     assert run.verdict is not None
     assert saved.document["verdict"] is not None
     assert saved.document["verdict"]["best"] == run.verdict.best_producer == run.verdict.best
@@ -62,6 +67,18 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
             made = moved_path(made, record.alignment.transform)
         assert np.hypot(*(made.poses - path.poses)[:, :2].T).max() < 0.15
 
+    # The drawn map lies on the lattice of the fused one, and shows the same place.
+    drawn = load_map(tmp_path / "out" / "drawn.yaml")
+    written = saved.document["drawn_map"]
+    assert written is not None
+    assert written["file"] == str(tmp_path / "out" / "drawn.yaml")
+    assert written["wall_thickness_m"] is not None
+    assert written["wall_thickness_m"]["median"] < 0.2
+    assert drawn.resolution == run.grid.resolution
+    walls = wall_centres(trinary_cells(drawn.cells, config.fusion.normalize), drawn)
+    voted = wall_centres(trinary_cells(run.grid.cells, config.fusion.normalize), run.grid)
+    assert np.median(KDTree(voted).query(walls)[0]) < 0.06
+
     # One without a fused map goes beside it, and says why there is none.
     before = tree(tmp_path / "out")
     alone = run_log(
@@ -74,6 +91,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert failed.folder == tmp_path / "out" / "failed"
     assert failed.document["best_founded"] == "tinyslam"
     assert failed.document["fused_path"] is None
+    assert failed.document["drawn_map"] is None
     after = tree(tmp_path / "out")
     assert {name: after[name] for name in before} == before
 

@@ -1,0 +1,285 @@
+"""``draw_map``: the map of all scans of a drive at the poses of one path, by one sensor model.
+
+A vote on maps lays walls of several SLAMs on each other and keeps what each of their sensor models
+left of people, glass and stray readings. Here every beam is counted once, at the best path known.
+A cell is a wall where enough of the beams that reached it ended in it; people, who are met there
+seldom, leave nothing. Drawn twice: what a beam told beyond a wall of the first drawing (it went
+through glass, or its pose was off by a little) does not count in the second, so nothing grows
+behind walls; and what too few beams have seen stays unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.hit_counts import BeamScan
+from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
+from slamfusion.errors import TrajectoryError
+from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.io import LogScan
+from slamfusion.slam.common.hit_cells import halve_counts
+from slamfusion.slam.common.shared_tiles import SharedTileMaps
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["DrawnScan", "SensorModel", "draw_map", "drawn_scans"]
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+# A pose belongs to a scan within this time, seconds.
+SAME_STAMP_S = 1e-3
+# Parts of a cell that points are rounded to, as the kernel sees them.
+POINT_PARTS = 1024.0
+# Rays of one launch: few, fat launches.
+RAYS = 1 << 18
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """What makes a cell a wall, free or unknown.
+
+    Attributes:
+        wall_share: a cell is a wall where more than this share of the beams that reached it ended
+            in it.
+        least_hits: and at least this many.
+        least_visits: a free cell was crossed by at least this many beams.
+        beyond_m: a beam that goes on beyond a wall for more than this is cut off there, metres.
+    """
+
+    wall_share: float = 0.25
+    least_hits: int = 2
+    least_visits: int = 3
+    beyond_m: float = 0.2
+
+
+DEFAULT_MODEL = SensorModel()
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnScan:
+    """A scan as it is drawn.
+
+    Attributes:
+        stamp_s: its time, seconds.
+        laser: (2,) float64, the laser in the robot's frame, metres.
+        ends: (B, 2) float64, hits in the robot's frame, metres.
+    """
+
+    stamp_s: float
+    laser: F64
+    ends: F64
+
+
+def drawn_scans(scans: Iterable[LogScan]) -> list[DrawnScan]:
+    """Return the scans of a log as they are drawn; those without a hit are left out.
+
+    Args:
+        scans: of a log.
+    """
+    drawn = []
+    for item in scans:
+        ends = item.scan.points()
+        if len(ends):
+            laser = np.array((item.scan.mount.x, item.scan.mount.y))
+            every = -(-len(ends) // MOST_BEAMS)
+            drawn.append(DrawnScan(item.scan.stamp_s, laser, ends[::every]))
+    return drawn
+
+
+def draw_map(
+    scans: Sequence[DrawnScan],
+    path: Trajectory,
+    device: ComputeDevice,
+    *,
+    resolution: float,
+    origin: Pose2 = IDENTITY,
+    model: SensorModel = DEFAULT_MODEL,
+    name: str = "drawn",
+) -> OccupancyGrid:
+    """Draw the map of a drive.
+
+    Args:
+        scans: of the drive; those at whose time the path has no pose are left out.
+        path: poses of the robot's base.
+        device: draws.
+        resolution: metres per cell.
+        origin: of the lattice: a corner of a cell, and the direction of the rows, in the frame of
+            the path.
+        model: what makes a wall.
+        name: of the map.
+
+    Returns:
+        Cells in {-1, 0, 100}, cropped to what is known, in the frame of the path.
+
+    Raises:
+        TrajectoryError: no scan has a pose.
+    """
+    placed, poses = _with_poses(scans, path, origin)
+    beams = _Beams.of(placed, poses, resolution)
+    everything = np.ones(len(beams.ends), dtype=np.bool_)
+    counts, corner = _count(beams, beams.ends, everything, device)
+    ends, is_hit = _cut_off(beams, _is_wall(counts, model), corner, device, model, resolution)
+    counts, corner = _count(beams, ends, is_hit, device)
+    walls = _is_wall(counts, model)
+    visits = counts & 0xFFFF
+    cells = np.where(walls, OCCUPIED, np.where(visits >= model.least_visits, FREE, UNKNOWN))
+    known = cells != UNKNOWN
+    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if len(rows):
+        cells = cells[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        corner = corner + np.array((cols[0], rows[0]))
+    at = origin.compose(Pose2(*(float(value) for value in corner * resolution)))
+    return OccupancyGrid(np.ascontiguousarray(cells, dtype=np.int8), resolution, at, name)
+
+
+@dataclass(frozen=True, eq=False)
+class _Beams:
+    """All beams of a drive on the lattice, in cells.
+
+    Attributes:
+        lasers: (N, 2) float64, of each scan.
+        ends: (B, 2) float64.
+        firsts: (N + 1,) int64, the beams of scan i are firsts[i] to firsts[i + 1] - 1.
+    """
+
+    lasers: F64
+    ends: F64
+    firsts: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, scans: Sequence[DrawnScan], poses: F64, resolution: float) -> _Beams:
+        """Place scans at (N, 3) poses on the lattice."""
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        sizes = np.array([len(scan.ends) for scan in scans])
+        of = np.repeat(np.arange(len(scans)), sizes)
+        ends = np.concatenate([scan.ends for scan in scans])
+        lasers = np.stack([scan.laser for scan in scans])
+
+        def place(points: F64, c: F64, s: F64, at: F64) -> F64:
+            x = at[:, 0] + c * points[:, 0] - s * points[:, 1]
+            y = at[:, 1] + s * points[:, 0] + c * points[:, 1]
+            cells = np.stack((x, y), axis=1) / resolution
+            return np.asarray(np.rint(cells * POINT_PARTS) / POINT_PARTS)
+
+        firsts = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
+        return cls(place(lasers, cos, sin, poses), place(ends, cos[of], sin[of], poses[of]), firsts)
+
+
+def _with_poses(
+    scans: Sequence[DrawnScan], path: Trajectory, origin: Pose2
+) -> tuple[list[DrawnScan], F64]:
+    """Return the scans that have a pose, and these poses on the lattice, (N, 3)."""
+    stamps_s = np.array([scan.stamp_s for scan in scans])
+    if not len(scans) or not len(path):
+        message = f"{path.name}: {len(scans)} scans and {len(path)} poses; a map needs both"
+        raise TrajectoryError(message)
+    near = path.nearest(stamps_s)
+    meets = np.flatnonzero(np.abs(path.stamps_s[near] - stamps_s) <= SAME_STAMP_S)
+    if not len(meets):
+        message = (
+            f"{path.name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, "
+            f"the scans of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; give a path of this log"
+        )
+        raise TrajectoryError(message)
+    back = origin.inverse()
+    poses = compose_poses((back.x, back.y, back.yaw_rad), path.poses[near[meets]])
+    return [scans[int(index)] for index in meets], poses
+
+
+def _count(
+    beams: _Beams, ends: F64, is_hit: npt.NDArray[np.bool_], device: ComputeDevice
+) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
+    """Count hits and visits of every cell.
+
+    Returns:
+        (H, W) uint32, hits above 16 bits of visits, and the (2,) column and row of its first cell.
+    """
+    maps = SharedTileMaps(device, 1, {"counts": np.uint32, "sums": np.uint32})
+    here = np.array([[0.0, 0.0, 1.0, 0.0]], dtype=np.float32)
+    low = np.minimum(ends.min(axis=0), beams.lasers.min(axis=0))
+    high = np.maximum(ends.max(axis=0), beams.lasers.max(axis=0))
+    maps.cover(low - 1.0, high + 1.0)
+    lasers, inside = beams.lasers - maps.origin, ends - maps.origin
+    maps.make_writable(_pages_crossed(lasers, inside, beams.firsts, maps.pages.shape[1:])[None])
+    laser_cells, end_cells = lasers.astype(np.float32), inside.astype(np.float32)
+    marks = is_hit.astype(np.uint8)
+    pools, pages = maps.pools, maps.page_tables
+    for laser, first, last in zip(laser_cells, beams.firsts[:-1], beams.firsts[1:], strict=True):
+        scan = BeamScan(end_cells[first:last], marks[first:last], laser, here)
+        if device.count_beams(pools["counts"], pools["sums"], pages, scan):
+            halve_counts(device, pools)
+    counts, corner = maps.cells("counts", 0)
+    return counts.astype(np.uint32), np.asarray(corner, dtype=np.int64)
+
+
+def _pages_crossed(
+    lasers: F64, ends: F64, firsts: npt.NDArray[np.int64], shape: tuple[int, ...]
+) -> npt.NDArray[np.bool_]:
+    """Return which pages beams may cross, (PH, PW) bool: those that they do, and some beside them.
+
+    Of the beams of a scan that end on one page one is followed to the middle of that page; the
+    others run less than a page beside it.
+
+    Args:
+        lasers: (N, 2) cells of the window.
+        ends: (B, 2) likewise.
+        firsts: (N + 1,) the beams of each scan.
+        shape: pages of the window.
+    """
+    crossed = np.zeros(shape, dtype=np.bool_)
+    of = np.repeat(np.arange(len(lasers)), np.diff(firsts))
+    col, row = np.floor(ends / TILE).astype(np.int64).T
+    _, one = np.unique((of * shape[0] + row) * shape[1] + col, return_index=True)
+    start = lasers[of[one]]
+    middle = np.stack((col[one], row[one]), axis=1) * TILE + 0.5 * TILE
+    steps = np.ceil(np.abs(middle - start).max(axis=1, initial=0.0) / (0.5 * TILE)).astype(np.int64)
+    for step in range(int(steps.max(initial=0)) + 1):
+        going = steps >= step
+        share = step / np.maximum(steps[going], 1)
+        at = start[going] + share[:, None] * (middle[going] - start[going])
+        at_col, at_row = np.floor(at / TILE).astype(np.int64).T
+        crossed[at_row, at_col] = True
+    return np.asarray(ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
+
+
+def _is_wall(counts: npt.NDArray[np.uint32], model: SensorModel) -> npt.NDArray[np.bool_]:
+    """Return which cells are walls, (H, W) bool."""
+    hits, visits = counts >> 16, counts & 0xFFFF
+    return np.asarray((hits >= model.least_hits) & (hits > model.wall_share * visits))
+
+
+def _cut_off(
+    beams: _Beams,
+    walls: npt.NDArray[np.bool_],
+    corner: npt.NDArray[np.int64],
+    device: ComputeDevice,
+    model: SensorModel,
+    resolution: float,
+) -> tuple[F64, npt.NDArray[np.bool_]]:
+    """Return (B, 2) ends of beams that stop at walls, and which of them still hit something."""
+    of = np.repeat(np.arange(len(beams.lasers)), np.diff(beams.firsts))
+    starts = beams.lasers[of]
+    along = beams.ends - starts
+    length = np.hypot(along[:, 0], along[:, 1])
+    direction = along / np.maximum(length, 1e-9)[:, None]
+    rays = np.concatenate((starts - corner, direction), axis=1).astype(np.float32)
+    cells = device.upload(np.where(walls, WALL, OPEN).astype(np.uint8))
+    reach = float(length.max()) + 1.0
+    met = np.concatenate(
+        [
+            device.cast_rays(cells, rays[first : first + RAYS], reach)[:, 0]
+            for first in range(0, len(rays), RAYS)
+        ]
+    ).astype(np.float64)
+    goes_on = met + model.beyond_m / resolution < length
+    # Half a cell before the wall: its own cell is not crossed by this beam.
+    stop = np.where(goes_on, np.maximum(met - 0.5, 0.0), length)
+    ends = np.where(goes_on[:, None], starts + stop[:, None] * direction, beams.ends)
+    return ends, ~goes_on & (length > 0.0) & np.isfinite(length)

@@ -1,0 +1,219 @@
+"""The drawn map on drives through drawn rooms: what beams told is counted once, and no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.errors import TrajectoryError
+from slamfusion.evidence.drawn_map import (
+    DrawnScan,
+    SensorModel,
+    _pages_crossed,
+    draw_map,
+    drawn_scans,
+)
+from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.grid import FREE, OCCUPIED, OccupancyGrid
+from slamfusion.io import LogScan
+from slamfusion.scan import LaserScan
+from slamfusion.trajectory import Trajectory
+
+BEAMS = 180
+SCANS = 40
+# A room of 6 x 4 m about the frame's zero.
+HALF_X, HALF_Y = 3.0, 2.0
+
+
+@cache
+def device() -> ComputeDevice:
+    return open_device()
+
+
+def driven() -> np.ndarray:
+    """A slow drive along the middle of the room."""
+    x = np.linspace(-1.5, 1.5, SCANS)
+    return np.stack((x, 0.3 * np.sin(x), 0.4 * x), axis=1)
+
+
+def to_walls(pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Distance to the walls of the room along directions in the room, metres."""
+    cos, sin = np.cos(angles), np.sin(angles)
+    with np.errstate(divide="ignore"):
+        across = (np.sign(cos) * HALF_X - pose[0]) / cos
+        along = (np.sign(sin) * HALF_Y - pose[1]) / sin
+    return np.minimum(across, along)
+
+
+def seen(poses: np.ndarray) -> list[DrawnScan]:
+    """What a laser in the robot's middle sees of the room."""
+    scans = []
+    bearings = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False) + 0.003
+    for index, pose in enumerate(poses):
+        ranges = to_walls(pose, bearings + pose[2])
+        ends = np.stack((ranges * np.cos(bearings), ranges * np.sin(bearings)), axis=1)
+        scans.append(DrawnScan(0.1 * index, np.zeros(2), ends))
+    return scans
+
+
+def path(poses: np.ndarray) -> Trajectory:
+    return Trajectory(0.1 * np.arange(len(poses)), poses, "path")
+
+
+def draw(scans: list[DrawnScan], poses: np.ndarray, **options: object) -> OccupancyGrid:
+    return draw_map(scans, path(poses), device(), resolution=0.05, **options)  # type: ignore[arg-type]
+
+
+def at(grid: OccupancyGrid, x: float, y: float) -> int:
+    """Return the cell at a place; -1 outside the map."""
+    row, col = (int(index[0]) for index in grid.cell_indices(np.array([[x, y]])))
+    inside = 0 <= row < grid.height and 0 <= col < grid.width
+    return int(grid.cells[row, col]) if inside else -1
+
+
+def replaced(scan: DrawnScan, beams: slice, ranges_m: float) -> DrawnScan:
+    """Return a scan some of whose beams end elsewhere."""
+    ends = scan.ends.copy()
+    ends[beams] *= (ranges_m / np.hypot(*ends[beams].T))[:, None]
+    return replace(scan, ends=ends)
+
+
+def test_the_room_is_drawn_with_thin_walls_and_nothing_beyond() -> None:
+    grid = draw(seen(driven()), driven())
+    assert at(grid, 0.0, 0.0) == FREE
+    for x in np.linspace(-2.8, 2.8, 29):
+        assert OCCUPIED in {at(grid, x, HALF_Y - 0.01), at(grid, x, HALF_Y + 0.01)}
+    rows, cols = np.nonzero(grid.cells == OCCUPIED)
+    centres = grid.cell_centres(rows, cols)
+    off = np.minimum(np.abs(np.abs(centres[:, 0]) - HALF_X), np.abs(np.abs(centres[:, 1]) - HALF_Y))
+    assert off.max() < 0.05
+    known = grid.cell_centres(*np.nonzero(grid.cells >= 0))
+    assert np.abs(known).max(axis=0).tolist() == pytest.approx((HALF_X, HALF_Y), abs=0.06)
+
+
+def test_the_map_lies_in_the_frame_of_the_path_on_the_lattice_asked_for() -> None:
+    scans = seen(driven())
+    moved = Pose2(12.0, -7.0, 0.9)
+    poses = compose_poses((moved.x, moved.y, moved.yaw_rad), driven())
+    turned = draw(scans, poses, origin=moved)
+    plain = draw(scans, driven())
+    assert (turned.cells == plain.cells).mean() > 0.999
+    assert turned.origin.yaw_rad == pytest.approx(0.9)
+    assert at(turned, *moved.transform((0.0, 0.0))) == FREE
+    # Whole cells from the corner that was given.
+    corner = moved.inverse().transform((turned.origin.x, turned.origin.y)) / 0.05
+    assert np.abs(corner - np.rint(corner)).max() < 1e-9
+
+
+def test_somebody_who_walked_by_leaves_nothing() -> None:
+    scans = seen(driven())
+    for index in range(10, 16):
+        scans[index] = replaced(scans[index], np.s_[100:104], 0.8)
+    grid = draw(scans, driven())
+    assert (grid.cells == draw(seen(driven()), driven()).cells).all()
+
+
+def test_what_stays_is_drawn() -> None:
+    # Something at (0, 1) hides what is behind it in every scan.
+    scans = seen(driven())
+    bearings = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False) + 0.003
+    for index, pose in enumerate(driven()):
+        away = np.array((0.0, 1.0)) - pose[:2]
+        bearing = np.arctan2(away[1], away[0]) - pose[2]
+        beam = int(np.argmin(np.abs(np.angle(np.exp(1j * (bearings - bearing))))))
+        hidden = np.s_[max(beam - 2, 0) : beam + 3]
+        scans[index] = replaced(scans[index], hidden, float(np.hypot(*away)))
+    grid = draw(scans, driven())
+    near = [at(grid, x, y) for x in (-0.05, 0.0, 0.05) for y in (0.95, 1.0, 1.05)]
+    assert OCCUPIED in near
+
+
+def test_stray_returns_leave_neither_walls_nor_spikes() -> None:
+    scans = seen(driven())
+    rng = np.random.default_rng(0)
+    clean = draw(scans, driven())
+    for index in range(SCANS):
+        for beam in rng.integers(0, BEAMS, 3):
+            # Short ones in the air, long ones through the wall.
+            stray = rng.choice((rng.uniform(0.3, 1.0), rng.uniform(8.0, 20.0)))
+            scans[index] = replaced(scans[index], np.s_[beam : beam + 1], float(stray))
+    grid = draw(scans, driven())
+    assert (grid.width, grid.height) == (clean.width, clean.height)
+    assert (grid.cells != clean.cells).mean() < 0.002
+
+
+def test_what_is_seen_through_a_pane_of_glass_is_not_drawn_behind_it() -> None:
+    # A third of the beams through one wall go on, always at the same places: a window.
+    scans = seen(driven())
+    rng = np.random.default_rng(1)
+    for index, pose in enumerate(driven()):
+        bearings = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False) + 0.003 + pose[2]
+        ranges = to_walls(pose, bearings)
+        y = pose[1] + ranges * np.sin(bearings)
+        through = (y > HALF_Y - 0.01) & (rng.random(BEAMS) < 0.33)
+        ends = scans[index].ends.copy()
+        ends[through] *= ((ranges[through] + 3.0) / ranges[through])[:, None]
+        scans[index] = replace(scans[index], ends=ends)
+    grid = draw(scans, driven())
+    rows, cols = np.nonzero(grid.cells >= 0)
+    assert grid.cell_centres(rows, cols)[:, 1].max() < HALF_Y + 0.1
+    # Without the second drawing the rays behind the pane would be in it.
+    everything = draw(scans, driven(), model=SensorModel(beyond_m=100.0))
+    assert everything.cell_centres(*np.nonzero(everything.cells >= 0))[:, 1].max() > HALF_Y + 2.0
+
+
+def test_what_few_beams_have_crossed_stays_unknown() -> None:
+    scan = DrawnScan(0.0, np.zeros(2), np.array([[5.0, 0.0], [5.0, 0.01]]))
+    poses = np.zeros((1, 3))
+    wide = draw([scan, replace(scan, stamp_s=0.1)], np.zeros((2, 3)))
+    assert at(wide, 2.0, 0.0) == FREE
+    thin = draw([scan], poses)
+    assert at(thin, 2.0, 0.0) == -1
+    model = SensorModel(least_visits=2)
+    assert at(draw([scan], poses, model=model), 2.0, 0.0) == FREE
+
+
+def test_scans_without_a_pose_are_left_out() -> None:
+    scans = seen(driven())
+    half = Trajectory(0.1 * np.arange(SCANS)[:20], driven()[:20], "half")
+    grid = draw_map(scans, half, device(), resolution=0.05)
+    same = draw_map(scans[:20], half, device(), resolution=0.05)
+    assert (grid.cells == same.cells).all()
+    late = Trajectory(1000.0 + np.arange(SCANS), driven(), "late")
+    with pytest.raises(TrajectoryError, match="late: its poses are of 1000"):
+        draw_map(scans, late, device(), resolution=0.05)
+    with pytest.raises(TrajectoryError, match="0 scans and 40 poses"):
+        draw_map([], path(driven()), device(), resolution=0.05)
+
+
+def test_the_kernels_draw_what_numpy_draws() -> None:
+    scans = seen(driven())[::4]
+    made = draw(scans, driven())
+    twin = draw_map(scans, path(driven()), NumpyDevice(), resolution=0.05)
+    assert (made.origin, made.cells.tobytes()) == (twin.origin, twin.cells.tobytes())
+
+
+def test_scans_of_a_log_are_drawn_by_their_hits() -> None:
+    ranges = np.array([1.0, np.inf, np.nan, 2.0], dtype=np.float32)
+    scan = LaserScan(3.0, ranges, 0.0, np.pi / 2, 0.1, 30.0, Pose2(0.2, 0.1, 0.0))
+    blind = LaserScan(4.0, np.full(4, np.inf, dtype=np.float32), 0.0, np.pi / 2, 0.1, 30.0)
+    (drawn,) = drawn_scans([LogScan(scan, None, 1), LogScan(blind, None, 2)])
+    assert drawn.stamp_s == 3.0
+    assert drawn.laser.tolist() == [0.2, 0.1]
+    assert np.abs(drawn.ends - [[1.2, 0.1], [0.2, -1.9]]).max() < 1e-6
+
+
+def test_every_page_that_a_beam_crosses_is_there() -> None:
+    rng = np.random.default_rng(0)
+    lasers = rng.uniform(100, 500, (30, 2))
+    ends = rng.uniform(40, 600, (900, 2))
+    firsts = np.arange(0, 901, 30)
+    crossed = _pages_crossed(lasers, ends, firsts, (20, 20))
+    for share in np.linspace(0.0, 1.0, 400):
+        at_cells = np.repeat(lasers, 30, axis=0) * (1 - share) + ends * share
+        col, row = (at_cells // 32).astype(int).T
+        assert crossed[row, col].all()
