@@ -29,7 +29,10 @@ from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
 from slamfusion.jobs.outputs import DRAWN
-from slamfusion.jobs.records import DrawnMapJson, FusedPathJson
+from slamfusion.jobs.run_records import (
+    DrawnMapJson,
+    FusedPathJson,
+)
 from slamfusion.jobs.trajectory import Measures
 from slamfusion.trajectory import Trajectory
 

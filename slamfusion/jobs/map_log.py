@@ -18,7 +18,9 @@ from slamfusion.jobs.evaluate import evaluate_maps
 from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
 from slamfusion.jobs.outputs import output_files
 from slamfusion.jobs.produced import ProducerResult, add_run, measure_run, run_remarks
-from slamfusion.jobs.records import SlamDocument
+from slamfusion.jobs.run_records import (
+    SlamDocument,
+)
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.common.runner import ProducerRun, Resumable, run_producer

@@ -12,7 +12,9 @@ from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import number, record_bytes
 from slamfusion.jobs.evaluate import Evaluation
 from slamfusion.jobs.outputs import PROBABILITY, output_files
-from slamfusion.jobs.records import ProducerJson
+from slamfusion.jobs.run_records import (
+    ProducerJson,
+)
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.slam.common.runner import ProducerRun, skipped_scans
 from slamfusion.trajectory import Trajectory

@@ -23,38 +23,26 @@ from slamfusion.evaluation.records import (
     MapErrorJson,
     RelationErrorsAtScansJson,
     TrajectoryAlignmentJson,
-    WallThicknessJson,
 )
 from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
-from slamfusion.fusion.records import AlignmentJson, PathGapJson
-from slamfusion.slam.records import ProducerRunJson
+from slamfusion.fusion.records import AlignmentJson
 
 __all__ = [
     "AlignDocument",
     "CircumstancesJson",
     "DoubledWallsJson",
-    "DrawnMapJson",
     "EvaluateDocument",
     "EvaluationJson",
     "FailedFuseDocument",
-    "FailedProducerJson",
     "FailureDocument",
     "FuseDocument",
-    "FusedPathJson",
     "FusionJson",
     "JudgeDocument",
     "JudgedPathJson",
     "MeasuresJson",
     "NoAlignmentJson",
     "PathErrorsJson",
-    "ProducerJson",
-    "RunDocument",
-    "RunFilesJson",
-    "RunProducerJson",
-    "RunRecordDocument",
     "SettingsJson",
-    "SlamDocument",
-    "SlamProducerJson",
     "TrajectoryDocument",
     "UnalignedInputJson",
     "load_schema",
@@ -329,166 +317,6 @@ class JudgeDocument(CircumstancesJson):
     """The file that gave the scans their odometry."""
     truth: str | None
     """The file of the true trajectory."""
-
-
-class ProducerJson(ProducerRunJson, MeasuresJson):
-    """What one producer made of a log, what it took, and the errors that could be measured."""
-
-    map_error: EvaluationJson | None
-    """Errors of its map; null without a true map."""
-    files: Sequence[str]
-    """The files that it was written to: map, picture, path, record."""
-
-
-class SlamProducerJson(ProducerJson):
-    """The producer of ``slamfusion slam``."""
-
-    resumed_from: str | None
-    """The state that it was resumed from; null: it began afresh."""
-    state_file: str | None
-    """The file that its state was saved to."""
-
-
-class SlamDocument(CircumstancesJson):
-    """``slamfusion slam``; also the record OUT.json."""
-
-    producers: Sequence[SlamProducerJson]
-    """The one producer."""
-    log: str
-    """The log that it was fed."""
-    relations: str | None
-    """The file of known relations."""
-    odometry_file: str | None
-    """The file of raw odometry."""
-    scan_odometry: str | None
-    """The file that gave the scans their odometry."""
-    truth: str | None
-    """The file of the true trajectory."""
-    truth_map: str | None
-    """The true map's file."""
-
-
-class RunProducerJson(ProducerJson):
-    """A producer of ``slamfusion run`` that made a map."""
-
-    failed: None
-    """Null: it made a map."""
-    process_time_s: float
-    """Wall time of its process, seconds."""
-    process_cpu_s: float | None
-    """Processor time of its process, seconds; null where unknown."""
-
-
-class FailedProducerJson(TypedDict):
-    """A producer of ``slamfusion run`` that made no map."""
-
-    name: str
-    """The producer."""
-    scans: None
-    """Null: unknown."""
-    scans_used: None
-    """Null: unknown."""
-    time_s: None
-    """Null: unknown."""
-    time_per_scan_ms: None
-    """Null: unknown."""
-    peak_memory_mb: None
-    """Null: unknown."""
-    health: None
-    """Null: unknown."""
-    map_error: None
-    """Null: there is no map."""
-    files: Sequence[str]
-    """Empty: nothing was written."""
-    failed: str
-    """Why it made no map."""
-    process_time_s: float
-    """Wall time of its process, seconds."""
-    process_cpu_s: float | None
-    """Processor time of its process, seconds; null where unknown."""
-
-
-class FusedPathJson(MeasuresJson):
-    """The fused path: one path made of those of all producers, and its errors."""
-
-    file: str
-    """Its file, a TUM trajectory in the frame of the fused map."""
-    trust: Mapping[str, float]
-    """How much each producer's path was believed by what the scans say of it, 0 to 1."""
-
-
-class DrawnMapJson(TypedDict):
-    """The map that is drawn from all scans at the fused path."""
-
-    file: str
-    """Its YAML file."""
-    doubled_wall_share: float
-    """Share of its wall cells that have a parallel wall close by, 0 to 1."""
-    wall_thickness_m: WallThicknessJson | None
-    """How thick its walls are; null when no wall is beside a free cell."""
-
-
-class RunFilesJson(TypedDict):
-    """The files that ``slamfusion run`` was given."""
-
-    log: str
-    """The log that the producers were fed."""
-    relations: str | None
-    """The file of known relations."""
-    odometry_file: str | None
-    """The file of raw odometry."""
-    scan_odometry: str | None
-    """The file that gave the scans their odometry."""
-    truth: str | None
-    """The file of the true trajectory."""
-    truth_map: str | None
-    """The true map's file."""
-    saved_maps: Sequence[str]
-    """Saved maps that voted too."""
-
-
-class RunRecordDocument(RunFilesJson, CircumstancesJson):
-    """The record NAME.json that ``slamfusion run`` writes beside a producer's map."""
-
-    producers: Sequence[RunProducerJson]
-    """The one producer."""
-
-
-class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
-    """``slamfusion run``; exit code 1 where there is an ``error`` or something ``not_measured``."""
-
-    producers: Sequence[RunProducerJson | FailedProducerJson]
-    """What became of each producer."""
-    fused: str | None
-    """YAML file of the fused map; null where nothing was fused."""
-    agreement: str | None
-    """YAML file of the agreement map; null where nothing was fused."""
-    best_founded: str | None
-    """Where nothing was fused, the map whose walls the others' fit best; else null."""
-    path_gaps: Sequence[PathGapJson]
-    """Between every two producers' paths in the fused frame."""
-    path_evidence: Sequence[PathEvidenceJson]
-    """What the scans say of each path, the best first; empty where they could not be asked."""
-    verdict: PathVerdictJson | None
-    """What the scans say of all paths; null where they could not be asked."""
-    no_verdict: str | None
-    """Why the scans could not be asked; null where they were."""
-    fused_path: FusedPathJson | None
-    """The fused path; null where nothing was fused, or fewer than two producers have a path."""
-    drawn_map: DrawnMapJson | None
-    """The map drawn at the fused path; null where it was not asked for, or there is no path."""
-    evaluations: Sequence[EvaluationJson]
-    """Errors of the inputs and of the fused map, with --truth."""
-    error: str | None
-    """Why nothing was fused; null where it was."""
-    not_measured: Sequence[str]
-    """What could not be measured, a sentence each."""
-    report: str
-    """The page of the report."""
-    stages_s: Mapping[str, float]
-    """Wall time of each stage, seconds."""
-    time_s: float
-    """Wall time of all, seconds."""
 
 
 # --- the schema -------------------------------------------------------------------------------

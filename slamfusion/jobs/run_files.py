@@ -28,14 +28,14 @@ from slamfusion.jobs.outputs import (
     report_files,
 )
 from slamfusion.jobs.produced import add_run
-from slamfusion.jobs.records import (
+from slamfusion.jobs.run import LogRun
+from slamfusion.jobs.run_records import (
     FailedProducerJson,
     RunDocument,
     RunFilesJson,
     RunProducerJson,
     RunRecordDocument,
 )
-from slamfusion.jobs.run import LogRun
 from slamfusion.slam.side_by_side import Outcome
 
 if TYPE_CHECKING:

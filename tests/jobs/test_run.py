@@ -17,8 +17,8 @@ from slamfusion.grid import trinary_cells
 from slamfusion.io import load_map, read_trajectory, save_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
-from slamfusion.jobs.run import run_log
-from slamfusion.jobs.run_files import save_run
+from slamfusion.jobs.run import LogRun, run_log
+from slamfusion.jobs.run_files import SavedRun, save_run
 from tests.cli.command import tree
 from tests.support.documents import check_document
 
@@ -51,33 +51,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert run.verdict.sentence in page
     assert list((tmp_path / "out" / "report").glob("*-evidence.png"))
     assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
-
-    # The fused path lies on the fused map: near the producers' paths as these were laid into it.
-    path = read_trajectory(tmp_path / "out" / "fused.tum")
-    told = saved.document["fused_path"]
-    assert told is not None
-    assert told["file"] == str(tmp_path / "out" / "fused.tum")
-    assert (told["poses"], set(told["trust"])) == (32, {"tinyslam", "graph"})
-    assert max(told["trust"].values()) == 1.0
-    assert told["ate"]["rmse"] < 0.05
-    assert run.usable is not None
-    for record in run.usable.accepted:
-        made = run.results[record.name].run.trajectory
-        if record.alignment is not None:
-            made = moved_path(made, record.alignment.transform)
-        assert np.hypot(*(made.poses - path.poses)[:, :2].T).max() < 0.15
-
-    # The drawn map lies on the lattice of the fused one, and shows the same place.
-    drawn = load_map(tmp_path / "out" / "drawn.yaml")
-    written = saved.document["drawn_map"]
-    assert written is not None
-    assert written["file"] == str(tmp_path / "out" / "drawn.yaml")
-    assert written["wall_thickness_m"] is not None
-    assert written["wall_thickness_m"]["median"] < 0.2
-    assert drawn.resolution == run.grid.resolution
-    walls = wall_centres(trinary_cells(drawn.cells, config.fusion.normalize), drawn)
-    voted = wall_centres(trinary_cells(run.grid.cells, config.fusion.normalize), run.grid)
-    assert np.median(KDTree(voted).query(walls)[0]) < 0.06
+    assert_path_and_drawing_lie_on_the_fused_map(run, saved, tmp_path / "out")
 
     # One without a fused map goes beside it, and says why there is none.
     before = tree(tmp_path / "out")
@@ -94,6 +68,36 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert failed.document["drawn_map"] is None
     after = tree(tmp_path / "out")
     assert {name: after[name] for name in before} == before
+
+
+def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, saved: SavedRun, out: Path) -> None:
+    # Near the producers' paths as these were laid into it.
+    path = read_trajectory(out / "fused.tum")
+    told = saved.document["fused_path"]
+    assert told is not None
+    assert told["file"] == str(out / "fused.tum")
+    assert (told["poses"], set(told["trust"])) == (32, {"tinyslam", "graph"})
+    assert max(told["trust"].values()) == 1.0
+    assert told["ate"]["rmse"] < 0.05
+    assert run.usable is not None
+    assert run.grid is not None
+    for record in run.usable.accepted:
+        made = run.results[record.name].run.trajectory
+        if record.alignment is not None:
+            made = moved_path(made, record.alignment.transform)
+        assert np.hypot(*(made.poses - path.poses)[:, :2].T).max() < 0.15
+
+    # The drawn map lies on the lattice of the fused one, and shows the same place.
+    drawn = load_map(out / "drawn.yaml")
+    written = saved.document["drawn_map"]
+    assert written is not None
+    assert written["file"] == str(out / "drawn.yaml")
+    assert written["wall_thickness_m"] is not None
+    assert written["wall_thickness_m"]["median"] < 0.2
+    assert drawn.resolution == run.grid.resolution
+    walls = wall_centres(trinary_cells(drawn.cells, run.config.fusion.normalize), drawn)
+    voted = wall_centres(trinary_cells(run.grid.cells, run.config.fusion.normalize), run.grid)
+    assert np.median(KDTree(voted).query(walls)[0]) < 0.06
 
 
 def test_a_main_job_that_cannot_begin_is_an_error(place: Path, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from slamfusion.evaluation.records import RelationErrorsJson, TrajectoryErrorsJson
 from slamfusion.experiments import records as experiments
 from slamfusion.jobs import records as jobs
+from slamfusion.jobs import run_records as runs
 from slamfusion.jobs import tool_records as tools
 from slamfusion.slam.records import HealthJson
 
@@ -39,7 +40,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
 DOCUMENTS: dict[str, tuple[type, ...]] = {
-    "run": (jobs.RunDocument,),
+    "run": (runs.RunDocument,),
     "fuse": (jobs.FuseDocument, jobs.FailedFuseDocument),
     "align": (jobs.AlignDocument,),
     "evaluate": (jobs.EvaluateDocument,),
@@ -50,7 +51,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "experiment ground-obstacle": (experiments.ErrorTableDocument,),
     "experiment failures": (experiments.ErrorTableDocument,),
     "experiment real-logs": (experiments.RealLogsDocument,),
-    "slam": (jobs.SlamDocument,),
+    "slam": (runs.SlamDocument,),
     "trajectory": (jobs.TrajectoryDocument,),
     "judge": (jobs.JudgeDocument,),
     "graph optimize": (tools.GraphOptimizeDocument,),
@@ -59,7 +60,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "bench": (tools.BenchDocument,),
 }
 # Written to files alone.
-WRITTEN = (jobs.RunRecordDocument,)
+WRITTEN = (runs.RunRecordDocument,)
 # A producer of another package may say more of itself.
 OPEN = (HealthJson,)
 _FORMS: tuple[Any, ...] = (
