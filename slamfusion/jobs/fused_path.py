@@ -17,6 +17,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
 from slamfusion.evidence import (
     FusedPath,
+    PathEvidence,
     fuse_paths,
     judged_scans,
     score_paths,
@@ -81,6 +82,7 @@ def fuse_log_paths(
     *,
     scan_odometry: Path | None = None,
     fusion: FusionResult | None = None,
+    evidence: PathEvidence | None = None,
 ) -> DrivePath:
     """Make one path of those of several producers of a log.
 
@@ -91,6 +93,7 @@ def fuse_log_paths(
         device: scores the paths.
         scan_odometry: what gives the scans their odometry instead of the log.
         fusion: of the maps: the path is laid into its frame; None: it stays in that of a path.
+        evidence: what the scans say of these paths, where that is known; None: they are asked.
 
     Raises:
         TrajectoryError: the paths have no times in common.
@@ -99,8 +102,10 @@ def fuse_log_paths(
     """
     trust, why = dict.fromkeys(paths, 1.0), ""
     try:
-        scans = judged_scans(open_log(log, config.log, scan_odometry))
-        trust = trust_in_paths(score_paths(scans, paths, device))
+        if evidence is None or set(evidence.scores) != set(paths):
+            scans = judged_scans(open_log(log, config.log, scan_odometry))
+            evidence = score_paths(scans, paths, device)
+        trust = trust_in_paths(evidence)
     except SlamFusionError as error:
         why = str(error)
     fused = fuse_paths(paths, trust)

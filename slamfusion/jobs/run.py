@@ -14,6 +14,7 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.evidence import PathEvidence
 from slamfusion.evidence.verdict import Verdict
 from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
@@ -199,7 +200,10 @@ def run_log(
     troubles: list[str] = []
     fused_path = None
     if failure is None and fusion.result is not None:
-        fused_path = _fuse_paths(outcomes, fusion.result, files, config, device, held, troubles)
+        evidence = None if verdict is None else verdict.evidence
+        fused_path = _fuse_paths(
+            outcomes, fusion.result, files, config, device, held, evidence, troubles
+        )
     stages["path"] = time.perf_counter() - began_s
 
     drawn = None
@@ -315,6 +319,7 @@ def _fuse_paths(
     config: RunConfig,
     device: ComputeDevice,
     held: Yardsticks,
+    evidence: PathEvidence | None,
     troubles: list[str],
 ) -> DrivePath | None:
     """Fuse the producers' paths and measure what comes of it; ``troubles`` is told what cannot be.
@@ -333,6 +338,7 @@ def _fuse_paths(
             device,
             scan_odometry=files.scan_odometry,
             fusion=fusion,
+            evidence=evidence,
         )
     except SlamFusionError as error:
         troubles.append(f"the fused path: {error}")
