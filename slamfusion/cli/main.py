@@ -7,12 +7,15 @@ Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import os
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import click
 
@@ -83,6 +86,7 @@ for _command in COMMANDS:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
+    _open_streams()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # file names need not be text
             stream.reconfigure(errors="backslashreplace")
@@ -96,6 +100,40 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with contextlib.suppress(OSError):
         sys.stderr.flush()
     sys.exit(code)
+
+
+class _Output(io.FileIO):
+    """Standard output, which says its name where it cannot be written."""
+
+    def write(self, data: Any, /) -> int | None:
+        """Write some bytes; see ``io.RawIOBase.write``."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            error.filename = "standard output"
+            raise
+
+
+def _open_streams() -> None:
+    """Put something in the place of closed streams, and give errors of the output its name.
+
+    The next file that is opened would take a closed stream's number, and with it what libraries
+    print.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
+    if sys.stdout is None:
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
+    elif sys.stdout is sys.__stdout__ and not sys.stdout.isatty():
+        raw = io.BufferedWriter(_Output(sys.stdout.fileno(), "w", closefd=False))
+        sys.stdout = io.TextIOWrapper(raw, sys.stdout.encoding, sys.stdout.errors)
 
 
 # What the program, the command line and the system fail with on purpose.
@@ -146,7 +184,7 @@ def _fail(message: str, settings: Settings) -> int:
         if settings.json and not settings.printed:
             print_json({"error": one_line(message)})
         sys.stdout.flush()
-    except OSError:
+    except (OSError, ValueError):
         _drop_stdout()
     _say(f"error: {message}")
     return EXIT_FAILURE

@@ -78,7 +78,14 @@ def print_table(
     from rich.text import Text  # noqa: PLC0415
 
     width = None if sys.stdout.isatty() else PIPE_WIDTH
-    console = Console(file=sys.stdout, width=width, markup=False, highlight=False)
+
+    class Pipe(Console):
+        """Leaves a reader that went away to the caller; rich would exit with code 1."""
+
+        def on_broken_pipe(self) -> None:
+            raise  # noqa: PLE0704 - rich calls it where it has caught the error
+
+    console = Pipe(file=sys.stdout, width=width, markup=False, highlight=False)
     table = Table(
         title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=header
     )

@@ -43,7 +43,7 @@ from slamfusion.jobs.fuse_drive import DriveMaps, fuse_drive, produce_maps
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
-from slamfusion.slam.side_by_side import threads_limited, usable_cores
+from slamfusion.slam.side_by_side import interrupts_held, threads_limited, usable_cores
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -376,7 +376,7 @@ def _run(
         return
     threads = max(1, usable_cores() // processes)
     context = multiprocessing.get_context("spawn")
-    with threads_limited(threads):
+    with threads_limited(threads), interrupts_held():
         pool = ProcessPoolExecutor(processes, context, _begin)
         jobs = {pool.submit(_work, trial, config): trial for trial in trials}
     try:

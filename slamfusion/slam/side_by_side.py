@@ -33,7 +33,7 @@ from slamfusion.slam.registry import (
     with_producers,
 )
 
-__all__ = ["Outcome", "SideBySide", "threads_limited", "usable_cores"]
+__all__ = ["Outcome", "SideBySide", "interrupts_held", "threads_limited", "usable_cores"]
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -254,10 +254,24 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
         target=_work, args=(name, *arguments, theirs), name=f"slamfusion-{name}", daemon=True
     )
     begun_s = time.perf_counter()
-    with threads_limited(threads):
+    with threads_limited(threads), interrupts_held():
         process.start()
     theirs.close()  # ours: else the end of the process would not be seen as the end of the pipe
     return _Job(name, process, answers, begun_s)
+
+
+@contextlib.contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Let processes that are started in a ``with`` block not hear an interrupt before they can.
+
+    A terminal sends it to all of them: one that is still importing would end in a traceback. They
+    begin with it blocked; ours comes when the block ends.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

@@ -232,7 +232,7 @@ def test_full_standard_output_is_a_failure(tmp_path: Path) -> None:
     done = subprocess.run(
         ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert_one_line_failure(done, "No space left")
+    assert_one_line_failure(done, "standard output: No space left")
 
 
 def test_a_closed_pipe_is_silent(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ Bags are read through ``rosbags``, which needs no ROS; it comes with the extra `
 
 from __future__ import annotations
 
+import errno
+import tempfile
 import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -147,13 +149,27 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     except MemoryError:
         message = f"{path}: memory ran out while reading it; free memory, or check that it is whole"
         raise MemoryBudgetError(message) from None
-    except Exception as error:
-        reason = textwrap.shorten(str(error), 120) or type(error).__name__
+    except OSError as error:
+        if error.errno not in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
+            raise _not_a_bag(path, error) from error
+        # Nothing is written but what is unpacked.
         message = (
-            f"{path}: cannot be read as a bag ({reason}); check that it was recorded and "
-            "copied to its end"
+            f"{path}: cannot be unpacked in {tempfile.gettempdir()}: {error.strerror}; free some "
+            "space there, or let TMPDIR name another folder"
         )
-        raise LogError(message) from error
+        raise LogError(message) from None
+    except Exception as error:
+        raise _not_a_bag(path, error) from error
+
+
+def _not_a_bag(path: Path, error: Exception) -> LogError:
+    """Say in one line what the library stumbled over."""
+    reason = textwrap.shorten(str(error), 120) or type(error).__name__
+    message = (
+        f"{path}: cannot be read as a bag ({reason}); check that it was recorded and copied to "
+        "its end"
+    )
+    return LogError(message)
 
 
 def _files(path: Path) -> list[Path]:
