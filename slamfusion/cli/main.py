@@ -132,8 +132,13 @@ def _open_streams() -> None:
     if sys.stdout is None:
         sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
     elif sys.stdout is sys.__stdout__ and not sys.stdout.isatty():
-        raw = io.BufferedWriter(_Output(sys.stdout.fileno(), "w", closefd=False))
-        sys.stdout = io.TextIOWrapper(raw, sys.stdout.encoding, sys.stdout.errors)
+        sys.stdout = _named(sys.stdout)
+
+
+def _named(stream: Any) -> io.TextIOWrapper:
+    """Return standard output as a stream whose errors say its name."""
+    raw = io.BufferedWriter(_Output(stream.fileno(), "w", closefd=False))
+    return io.TextIOWrapper(raw, stream.encoding, stream.errors)
 
 
 # What the program, the command line and the system fail with on purpose.

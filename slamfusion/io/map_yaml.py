@@ -34,6 +34,8 @@ __all__ = [
 
 OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
+# A path of more characters is none.
+NAME_MAX = 1000
 MODES = ("trinary", "scale", "raw")
 
 _LOG = logging.getLogger(__name__)
@@ -70,7 +72,7 @@ def read_map_yaml(path: Path) -> MapFile:
     values = _parse_yaml(path)
     _refuse_misspelt_keys(path, values)
     image = _required(path, values, "image")
-    if not isinstance(image, str) or not image:
+    if not isinstance(image, str) or not 0 < len(image) <= NAME_MAX:
         message = f"{path}: 'image' must name a file, found {reprlib.repr(image)}; name the picture"
         raise MapFileError(message)
     resolution = check_resolution(str(path), _number(_required(path, values, "resolution")))

@@ -1,0 +1,123 @@
+"""Files that once ended in a traceback, hung, filled the memory, or were taken silently."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+
+__all__ = ["CORPUS"]
+
+Make = Callable[[bytes], bytes]
+
+
+def line(key: bytes, value: bytes) -> Make:
+    """Return what gives a key of a YAML file another value."""
+
+    def make(good: bytes) -> bytes:
+        rest = [one for one in good.splitlines() if not one.startswith(key + b":")]
+        return b"\n".join([*rest, key + b": " + value, b""])
+
+    return make
+
+
+def text(data: bytes) -> Make:
+    """Return what gives a file of its own."""
+    return lambda _: data
+
+
+def nine_levels(_: bytes) -> bytes:
+    rows = [b"a0: &a0 [" + b",".join([b"x"] * 9) + b"]"]
+    for level in range(1, 10):
+        alias = b"*a%d" % (level - 1)
+        rows.append(b"a%d: &a%d [" % (level, level) + b",".join([alias] * 9) + b"]")
+    return b"\n".join(rows)
+
+
+LONG = b"9" * 5000
+YAML: dict[str, Make] = {
+    "a date that is none": text(b"seed: 2001-99-99\nname: 2001-99-99\ndistances: 2001-99-99\n"),
+    "an integer that is none": text(b'seed: !!int "abc"\n'),
+    "a time that is none": text(b"!!timestamp x"),
+    "5000 digits": text(b"seed: " + LONG + b"\n"),
+    "5000 hexadecimal digits": text(b"world: 0x" + b"f" * 5000 + b"\n"),
+    "20 000 brackets": text(b"a: " + b"[" * 20_000),
+    "nine levels of aliases": nine_levels,
+    "a value that holds itself": text(b"&a [*a]"),
+    "code": text(b"!!python/object/apply:os.system [true]"),
+    "100 000 letters": text(b"distances: " + b"x" * 100_000),
+    "2 MiB": text(b"a: 1\n" + b"#" * 2**21),
+    "UTF-16": text("seed: 1".encode("utf-16")),
+}
+MAP: dict[str, Make] = {
+    **{
+        f"resolution {value.decode()[:8]}": line(b"resolution", value)
+        for value in (b"1e-300", b"1e-12", b"1e300", b"nan", LONG, b"0", b"-0.05", b"true")
+    },
+    **{
+        f"origin {value.decode()}": line(b"origin", b"[" + value + b"]")
+        for value in (
+            b"1e15, 0, 0",
+            b"0, -1e15, 0",
+            b"0, 0, 1e308",
+            b"0, 0, 90",
+            b"0, 0",
+            b"a, b, c",
+        )
+    },
+    "a threshold of 5000 digits": line(b"free_thresh", LONG),
+    "an image that is a device": line(b"image", b"/dev/zero"),
+    "an image that is the file itself": line(b"image", b"map.yaml"),
+    "an image of 5000 letters": line(b"image", b"x" * 5000),
+    "an image with a zero byte": line(b"image", b'"a\\0b"'),
+}
+PICTURE: dict[str, Make] = {
+    "no cell": text(b"P5\n0 40\n255\n"),
+    "a side of 10 digits": text(b"P5\n9999999999 9999999999\n255\n"),
+    "a maximum of 0": text(b"P5\n1 1\n0\n\0"),
+    "a side of 5000 digits": text(b"P5\n" + LONG + b" 1\n255\n"),
+    "a bomb": text(gzip.compress(b"P5\n20 20\n255\n" + bytes(2**25))),
+}
+ROWS: dict[str, Make] = {
+    "empty": text(b""),
+    "a number of 5000 digits": text(LONG + b" " + b"x " * 5 + b"\n"),
+    "zero bytes": text(bytes(1000)),
+    "one line of 17 MiB": text(b"1 " * (17 << 19)),
+    "a bomb of lines": text(gzip.compress((b"1 2 3 " * 200 + b"\n") * (2**23 // 1201))),
+    "a bomb of zeros": text(gzip.compress(bytes(2**25))),
+    "half a packed file": text(gzip.compress(b"1 2 3 4\n" * 1000)[:40]),
+}
+CORPUS: dict[str, tuple[str, str, Make]] = {
+    **{
+        f"{reader}: {name}": (reader, ".yaml", make)
+        for reader in ("settings", "course", "distances", "map")
+        for name, make in YAML.items()
+    },
+    **{f"map: {name}": ("map", ".yaml", make) for name, make in MAP.items()},
+    **{f"picture: {name}": ("picture", "p5.pgm", make) for name, make in PICTURE.items()},
+    **{
+        f"{reader}: {name}": (reader, suffix, make)
+        for reader, suffix in (
+            ("trajectory", ".tum"),
+            ("relations", ".relations"),
+            ("odometry", ".txt"),
+            ("scan odometry", ".csv"),
+            ("graph", ".g2o"),
+            ("log", ".log"),
+            ("log", ".dat"),
+        )
+        for name, make in ROWS.items()
+    },
+    "settings: a list of ten million numbers": (
+        "settings",
+        ".yaml",
+        text(b"experiment: {failures: {rotations: 0..1e12}}\n"),
+    ),
+    "settings: a start of 5000 digits": (
+        "settings",
+        ".yaml",
+        line(b"start", b"{a: [" + LONG + b"]}"),
+    ),
+    "course: people without end": ("course", ".yaml", line(b"people", b"1" + b"0" * 300)),
+    "live state: zeros": ("live state", ".state", text(bytes(1000))),
+    "state: zeros": ("state", ".state", text(bytes(1000))),
+}
