@@ -129,10 +129,11 @@ def _open_streams() -> None:
             os.open(os.devnull, os.O_RDWR)
     if sys.stderr is None:
         sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
-    if sys.stdout is None:
+    own: Any = getattr(sys, "stdout", None)
+    if own is None:
         sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
-    elif sys.stdout is sys.__stdout__ and not sys.stdout.isatty():
-        sys.stdout = _named(sys.stdout)
+    elif own is vars(sys)["__stdout__"] and not own.isatty():
+        sys.stdout = _named(own)
 
 
 def _named(stream: Any) -> io.TextIOWrapper:
