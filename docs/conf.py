@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from slamfusion.version import __version__
-
-if TYPE_CHECKING:
-    from sphinx.application import Sphinx
 
 project = "SLAMfusion"
 author = "The SLAMfusion developers"
@@ -35,10 +31,3 @@ html_theme = "furo"
 html_title = f"SLAMfusion {release}"
 html_copy_source = False
 html_show_sourcelink = False
-
-
-def setup(app: Sphinx) -> None:
-    """Show pictures in Mermaid's language, which GitHub draws, as the text they are."""
-    from pygments.lexers.special import TextLexer  # noqa: PLC0415
-
-    app.add_lexer("mermaid", TextLexer)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from docs.generate.marks import ROOT, pages, with_parts
+from docs.generate.marks import PICTURE, ROOT, pages, with_parts
+from docs.generate.picture import node_picture
 from docs.generate.ros import parameter_file
 
 
 def main() -> None:
-    """Rewrite the parts of README and pages, and the nodes' parameter file."""
+    """Rewrite the parts of README and pages, the picture, and the nodes' parameter file."""
     wanted = {path: with_parts(path.read_text(encoding="utf-8")) for path in pages()}
     wanted[ROOT / "launch_scripts" / "slamfusion.yaml"] = parameter_file()
+    wanted[PICTURE] = node_picture()
     for path, text in wanted.items():
-        if path.read_text(encoding="utf-8") != text:
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
             print(f"wrote {path.relative_to(ROOT)}")
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from docs.generate import benchmarks, commands, notebooks, parameters, ros, schema
 
-__all__ = ["COMMAND", "DOCS", "PARTS", "ROOT", "pages", "with_parts"]
+__all__ = ["COMMAND", "DOCS", "PARTS", "PICTURE", "ROOT", "pages", "with_parts"]
 
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
+PICTURE = DOCS / "guides" / "nodes.svg"
 # Pages that do not stand in docs/.
 OUTSIDE = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "data/README.md")
 COMMAND = "python -m docs.generate"

@@ -1,6 +1,6 @@
 """What the ROS nodes have: topics, services and parameters, for the pages and the launch files.
 
-Tables and a picture for the pages, and the text of ``launch_scripts/slamfusion.yaml``. Nothing here
+Tables for the pages, who sends what to whom, and ``launch_scripts/slamfusion.yaml``. Nothing here
 needs ROS; a test holds the lists against the running nodes.
 """
 
@@ -38,7 +38,7 @@ __all__ = [
     "NameList",
     "Service",
     "Topic",
-    "node_graph",
+    "node_arrows",
     "node_parameters",
     "parameter_file",
     "parameter_table",
@@ -284,8 +284,8 @@ def topic_table() -> str:
 WAY = ("player", "producers", "fusion", "users")
 
 
-def node_graph() -> str:
-    """Return a Mermaid picture of the nodes, with an arrow for the topics from one to another.
+def node_arrows() -> dict[tuple[str, str], list[str]]:
+    """Return the topics from each kind of node to each other, for a picture.
 
     The way is from the player by the producers and the fusion to whoever listens, who also gets
     what no later node of ours reads. What goes the other way (``/tf`` to everybody, and maps and
@@ -298,26 +298,7 @@ def node_graph() -> str:
             later = WAY[WAY.index(writer) + 1 : -1]
             for reader in [name for name in later if name in topic.readers] or WAY[-1:]:
                 arrows.setdefault((writer, reader), []).append(topic.name)
-    services = ", ".join(item.name for item in SERVICES)
-    lines = [
-        "```mermaid",
-        "flowchart LR",
-        '    player["player<br>or the robot itself"]',
-        '    subgraph producers["producers, each with its NAME"]',
-        # A word of Mermaid's own, such as graph, is no identifier.
-        *(f'        {name}_node["{name}"]' for name in PRODUCERS),
-        "    end",
-        '    other(["any other SLAM"])',
-        '    saved(["a saved map"])',
-        f'    fusion["fusion<br>{services}"]',
-        '    users(["whoever listens:<br>navigation, RViz, Foxglove"])',
-        '    other -. "its map" .-> fusion',
-        '    saved -. "file:PATH" .-> fusion',
-    ]
-    for (writer, reader), names in arrows.items():
-        shown = "<br>".join(names)
-        lines.append(f'    {writer} -- "{shown}" --> {reader}')
-    return "\n".join([*lines, "```"])
+    return arrows
 
 
 def service_table() -> str:
@@ -348,9 +329,8 @@ def parameter_table() -> str:
     return "\n".join(lines)
 
 
-# Tables and picture by the names of their parts.
+# Tables by the names of their parts.
 TABLES = {
-    "ROS nodes": node_graph,
     "ROS topics": topic_table,
     "ROS services": service_table,
     "ROS parameters": parameter_table,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
 
-from docs.generate.ros import PRODUCERS, SERVICES, TOPICS, node_graph
+from docs.generate.marks import COMMAND, PICTURE
+from docs.generate.picture import node_picture
+from docs.generate.ros import PRODUCERS, SERVICES, TOPICS, node_arrows
 from slamfusion.config import FusionNodeConfig
 from tests.cli.command import ROOT
 
@@ -77,25 +79,27 @@ def test_foxglove_shows_our_topics_from_the_fused_frame(foxglove: dict[str, Any]
     assert TYPES["fused/pose"] == "geometry_msgs/PoseStamped"
 
 
-def test_the_picture_of_the_nodes_has_every_topic_on_its_arrows():
-    fence, kind, *lines, end = node_graph().splitlines()
-    assert (fence, kind, end) == ("```mermaid", "flowchart LR", "```")
-    declared = [re.match(r" *(?:subgraph )?(\w+)[(\[]", line) for line in lines]
-    boxes = {found[1] for found in declared if found}
-    assert {f"{name}_node" for name in PRODUCERS} < boxes
-    # A word of the language would end the picture.
-    assert not boxes & {"graph", "subgraph", "end", "class", "style", "click", "default"}
-    arrow = re.compile(r"    (\w+) (?:--|-\.) \"(.*)\" (?:-->|\.->) (\w+)")
-    drawn = {(found[1], found[3]): found[2] for line in lines if (found := arrow.fullmatch(line))}
-    assert {name for pair in drawn for name in pair} < boxes
-    labels = {pair: label.split("<br>") for pair, label in drawn.items()}
-    assert labels["player", "producers"] == ["scan", "odom", "/tf", "/tf_static"]
-    assert labels["producers", "fusion"] == ["NAME/map", "NAME/pose"]
-    assert {"fused/map", "fused/pose", "/tf"} < set(labels["fusion", "users"])
+def test_the_picture_of_the_nodes_is_up_to_date():
+    assert PICTURE.read_text(encoding="utf-8") == node_picture(), f"run: {COMMAND}"
+
+
+def test_the_picture_of_the_nodes_has_every_topic():
+    arrows = node_arrows()
+    assert arrows["player", "producers"] == ["scan", "odom", "/tf", "/tf_static"]
+    assert arrows["producers", "fusion"] == ["NAME/map", "NAME/pose"]
+    assert {"fused/map", "fused/pose", "/tf"} < set(arrows["fusion", "users"])
     for topic in TOPICS:
-        writers = {writer for (writer, _), names in labels.items() if topic.name in names}
+        writers = {writer for (writer, _), names in arrows.items() if topic.name in names}
         assert writers == (set() if topic.needs_tf2 is False else set(topic.writers)), topic.name
-    assert all(service.name in node_graph() for service in SERVICES)
+    root = ET.fromstring(node_picture())  # noqa: S314  (our own)
+    kind = "{http://www.w3.org/2000/svg}"
+    words = [item.text or "" for item in root.iter(f"{kind}text")]
+    shown = {word for line in words for word in line.split(", ")}
+    assert {name for names in arrows.values() for name in names} <= shown
+    assert {*PRODUCERS, *(service.name for service in SERVICES)} <= shown
+    # An arrow for each pair, and one each from another SLAM and from a saved map.
+    lines = [item for item in root.iter(f"{kind}path") if item.get("class") == "line"]
+    assert len(lines) == len(arrows) + 2
 
 
 def test_every_panel_of_the_foxglove_layout_is_placed(foxglove: dict[str, Any]):
