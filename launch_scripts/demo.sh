@@ -21,6 +21,6 @@ say "three SLAMs on it side by side, and the vote of their maps"
     --truth "$out/drive/truth.yaml" --truth-trajectory "$out/drive/truth.tum" \
     --extent union -o "$out" "$@"
 
-say "the column 'error' of the last table: the smaller, the nearer to the true map"
+say "the column 'error' of the table of maps: the smaller, the nearer to the true map"
 say "the report, to be opened in a browser: $out/report/report.html"
 say "the fused map: $out/fused.yaml; the true one: $out/drive/truth.yaml"
