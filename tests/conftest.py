@@ -28,6 +28,8 @@ LONGEST = (
     "slam/graph/test_slam.py",
     "launch/test_colcon.py",
     "docs/test_pages.py",
+    "test_installed.py",
+    "docs/test_build.py",
     "ros/test_fusion_together.py",
     "slam/graph/test_lost_robot.py",
     "ros/test_launch_script.py",
