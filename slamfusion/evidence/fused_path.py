@@ -12,8 +12,9 @@ How well a motion is known is not asked of the paths, but read from their differ
 span, half of them lie within the scale that its measurements get.
 
 Paths that share a fault agree with each other and are wrong together: two that close no loops
-outvote one that does. Their number says nothing there, the scans do: ``trust_in_paths`` weighs each
-path by how well its map predicts what was seen at other times.
+would outvote one that does. Where the fault shows, over long spans, between visits of one place and
+in the common frame, they count as one path. And each path is weighed by how well its map predicts
+what was seen at other times (``trust_in_paths``).
 
 Source: Geman and McClure, Statistical methods for tomographic image reconstruction, Bull. ISI 52,
 1987 (the weights); Holland and Welsch, Robust regression using iteratively reweighted
@@ -23,8 +24,8 @@ constraints for robust pose graph SLAM, IROS 2012 (what is robust is the single 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +45,8 @@ I64 = npt.NDArray[np.int64]
 
 # Scans that a motion spans; longer ones begin at every quarter of their length.
 SPANS = (1, 4, 16, 64, 256)
+# From this on a drift shows in them.
+LONG_SPAN = 64
 # Two visits of one place: this near to each other, metres, and this much travelled in between.
 VISIT_M, BETWEEN_VISITS_M = 1.5, 8.0
 # Scans among which visits are looked for, and pairs that are used, at most.
@@ -120,6 +123,7 @@ def fuse_paths(
     paths: Mapping[str, Trajectory],
     weights: Mapping[str, npt.ArrayLike] | None = None,
     *,
+    sharing_fault: Collection[str] = (),
     name: str = "fused",
 ) -> FusedPath:
     """Make one path of several paths of one drive.
@@ -128,6 +132,8 @@ def fuse_paths(
         paths: by name, each in a frame of its own, at stamps of the same scans.
         weights: how much a path is believed, in [0, 1], by name: one number, or (poses,) of them;
             default: 1. See ``trust_in_paths``.
+        sharing_fault: names of paths that drift alike, those of SLAMs that close no loops: over
+            long spans they count together as much as the best of them alone.
         name: of the new path.
 
     Returns:
@@ -138,16 +144,34 @@ def fuse_paths(
         GraphError: the equations cannot be solved in double precision.
     """
     laid = lay_paths(paths, weights)
-    poses = consensus_poses(laid)
+    over_long = _counted_once(laid, sharing_fault)
+    poses = consensus_poses(over_long)
     if len(laid.names) > 1 and len(laid) > 1:
-        poses = _optimized(laid, poses)
+        poses = _optimized(laid, over_long, poses)
     gaps_m = pose_distances(laid.poses, poses)
     return FusedPath(Trajectory(laid.stamps_s, poses, name), laid.names, gaps_m)
 
 
-def _optimized(laid: LaidPaths, poses: F64) -> F64:
-    """Return (N, 3) poses that the motions of the paths bear out best, found from a start."""
-    measured = _all_motions(laid, poses)
+def _counted_once(laid: LaidPaths, names: Collection[str]) -> LaidPaths:
+    """Return paths with the weights of some of them lowered to what the best of these has alone."""
+    rows = [row for row, name in enumerate(laid.names) if name in names]
+    if len(rows) < 2:
+        return laid
+    weights = laid.weights.copy()
+    together = weights[rows].sum(axis=0)
+    weights[rows] *= weights[rows].max(axis=0) / np.where(together > 0.0, together, 1.0)
+    return replace(laid, weights=weights)
+
+
+def _optimized(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> F64:
+    """Return (N, 3) poses that the motions of the paths bear out best, found from a start.
+
+    Args:
+        laid: the paths, as they count over short spans.
+        over_long: the same as they count between visits and in the common frame.
+        poses: (N, 3), the start.
+    """
+    measured = _all_motions(laid, over_long, poses)
     edges = np.stack((measured.starts, measured.ends), axis=1)
     deviations = measured.deviations
     never_closure = np.zeros(len(edges), dtype=np.bool_)
@@ -176,12 +200,16 @@ def _robust_weights(poses: F64, measured: _Motions) -> F64:
     return np.where(measured.is_settled, 1.0, geman_mcclure(np.sqrt(squares / HALF_WAY)))
 
 
-def _all_motions(laid: LaidPaths, poses: F64) -> _Motions:
+def _all_motions(laid: LaidPaths, over_long: LaidPaths, poses: F64) -> _Motions:
     """Return every measurement of the graph; the pose behind the last is the common frame."""
     count = len(laid)
-    groups = [_between(laid, *_span(count, span)) for span in SPANS if span < count]
-    groups.append(_between(laid, *_visits(poses)))
-    groups.append(_in_frame(laid, poses))
+    groups = [
+        _between(over_long if span >= LONG_SPAN else laid, *_span(count, span))
+        for span in SPANS
+        if span < count
+    ]
+    groups.append(_between(over_long, *_visits(poses)))
+    groups.append(_in_frame(over_long, poses))
     return _Motions(
         *(
             np.concatenate([getattr(group, field) for group in groups])

@@ -35,6 +35,7 @@ from slamfusion.jobs.run_records import (
     FusedPathJson,
 )
 from slamfusion.jobs.trajectory import Measures
+from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["DrivePath", "draw_log_map", "drawn_document", "fuse_log_paths"]
@@ -108,7 +109,9 @@ def fuse_log_paths(
         trust = trust_in_paths(evidence)
     except SlamFusionError as error:
         why = str(error)
-    fused = fuse_paths(paths, trust)
+    closers = loop_closers(paths)
+    drifting = [name for name in paths if name not in closers]
+    fused = fuse_paths(paths, trust, sharing_fault=drifting)
     if fusion is not None:
         fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
     return DrivePath(fused, trust, why)

@@ -44,6 +44,16 @@ def drifting(truth: Poses, share: float) -> Poses:
     return np.array(poses)
 
 
+def turning(truth: Poses, rad: float) -> Poses:
+    """The same drive with each step turned by a little more."""
+    steps = compose_poses(invert_poses(truth[:-1]), truth[1:])
+    steps[:, 2] += rad
+    poses = [truth[0]]
+    for step in steps:
+        poses.append(compose_poses(poses[-1], step))
+    return np.array(poses)
+
+
 def broken_away(truth: Poses, first: int, motion: tuple[float, float, float]) -> Poses:
     """The same drive, turned and shifted from one scan on about the pose there."""
     poses = truth.copy()
@@ -212,6 +222,22 @@ def test_two_that_share_a_fault_outvote_the_third_unless_the_scans_say_otherwise
     weighted = fuse(right, *drifted, weights={"slam1": 0.02, "slam2": 0.02}).trajectory
     assert fooled > 0.1
     assert ate(weighted, truth) < 0.03
+
+
+def test_two_that_share_a_fault_count_once_over_long_spans() -> None:
+    truth = two_rounds()
+    # A heading that drifts by no more than its noise in a step, and by 41 degrees in the end.
+    drifted = [noisy(turning(truth, 0.003), seed, 0.005, 0.003) for seed in (1, 2)]
+    right = noisy(truth, 3, 0.005, 0.003)
+    # Hardly less than the third by the scans: that alone is not enough.
+    told = {"slam1": 0.9, "slam2": 0.9}
+    twice = fuse(right, *drifted, weights=told).trajectory
+    once = fuse(right, *drifted, weights=told, sharing_fault=("slam1", "slam2")).trajectory
+    assert ate(twice, truth) > 0.5
+    assert ate(once, truth) < 0.05
+    # One alone shares its fault with nobody.
+    alone = fuse(right, *drifted, weights=told, sharing_fault=("slam1",)).trajectory
+    assert alone.poses.tobytes() == twice.poses.tobytes()
 
 
 def test_a_path_without_weight_adds_nothing_but_is_told() -> None:
