@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 class _Output(io.FileIO):
     """Standard output, which says its name where it cannot be written."""
 
-    def write(self, data: Any, /) -> int | None:
+    def write(self, data: Any, /) -> Any:
         """Write some bytes; see ``io.RawIOBase.write``."""
         try:
             return super().write(data)
