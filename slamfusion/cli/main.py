@@ -15,7 +15,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -29,7 +29,6 @@ from slamfusion.cli import (
     experiment,
     fuse,
     graph,
-    judge,
     node,
     run,
     simulate,
@@ -51,7 +50,6 @@ COMMANDS: tuple[click.Command, ...] = (
     experiment.command,
     slam.command,
     trajectory.command,
-    judge.command,
     graph.command,
     devices.command,
     doctor.command,
@@ -105,10 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 class _Output(io.FileIO):
     """Standard output, which says its name where it cannot be written."""
 
-    def write(self, data: Any, /) -> Any:
+    def write(self, data: Any, /) -> int:
         """Write some bytes; see ``io.RawIOBase.write``."""
         try:
-            return super().write(data)
+            return cast("int", super().write(data))
         except BrokenPipeError:
             raise
         except OSError as error:

@@ -27,12 +27,12 @@ import numpy.typing as npt
 from slamfusion.errors import MapFileError, MemoryBudgetError
 from slamfusion.io.atomic import write_atomic
 from slamfusion.io.memory import WORKING_BYTES, check_memory, format_bytes
+from slamfusion.io.png import PNG_MAGIC, checked_png
 from slamfusion.io.regular import open_regular
 
 __all__ = ["Image", "cannot_read", "encode_image", "looks_like_image", "read_image", "save_image"]
 
 GZIP_MAGIC = b"\x1f\x8b"
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 GZIP_LIMIT = 2**30
 """A gzipped picture may unpack to this many bytes; larger ones are unpacked by their owner."""
 
@@ -60,6 +60,12 @@ _PGM_HEADER = re.compile(
 )
 # By colour type: channels in the file, and channels that OpenCV may make of them.
 _PNG_CHANNELS = {0: (1, 1), 2: (3, 4), 3: (1, 4), 4: (2, 4), 6: (4, 4)}
+
+# What OpenCV logs of a picture that it cannot decode is in our message.
+if hasattr(cv2.utils, "logging"):
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+elif hasattr(cv2, "setLogLevel"):
+    cv2.setLogLevel(0)
 
 
 @dataclass(frozen=True)
@@ -371,7 +377,9 @@ def _decode_with_opencv(path: Path, header: _Header, data: bytearray) -> Image:
             "side); convert it to PGM"
         )
         raise MapFileError(message)
-    transparent = _check_png_chunks(path, data) if header.kind == "PNG" else None
+    transparent = None
+    if header.kind == "PNG":
+        data, transparent = checked_png(path, data)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -388,34 +396,6 @@ def _decode_with_opencv(path: Path, header: _Header, data: bytearray) -> Image:
         alpha = np.where(pixels == transparent, 0, header.maxval).astype(pixels.dtype)
         pixels = np.stack((pixels, pixels, pixels, alpha), axis=-1)
     return Image(pixels, header.maxval)
-
-
-def _check_png_chunks(path: Path, data: bytearray) -> int | None:
-    """Check that every chunk is there and whole; return the transparent grey, if one is named."""
-    view = memoryview(data)
-    depth, colour = data[24], data[25]
-    transparent = None
-    at, name = len(PNG_MAGIC), b""
-    while name != b"IEND":
-        if at + 12 > len(data):
-            message = f"{path}: cut short: the PNG has no end; copy or save it again"
-            raise MapFileError(message)
-        (length,) = struct.unpack_from(">I", data, at)
-        name = bytes(view[at + 4 : at + 8])
-        end = at + 8 + length
-        if end + 4 > len(data):
-            message = f"{path}: cut short: the PNG ends within its pixels; copy or save it again"
-            raise MapFileError(message)
-        (checksum,) = struct.unpack_from(">I", data, end)
-        if zlib.crc32(view[at + 4 : end]) != checksum:
-            message = f"{path}: damaged PNG: a checksum is wrong; copy or save it again"
-            raise MapFileError(message)
-        if name == b"tRNS" and colour == 0 and length >= 2:
-            (transparent,) = struct.unpack_from(">H", data, at + 8)
-            # OpenCV stretches shallow greys to 0..255.
-            transparent = transparent * 255 // (2**depth - 1) if depth < 8 else transparent
-        at = end + 4
-    return transparent
 
 
 def _first_line(error: Exception) -> str:
