@@ -50,15 +50,20 @@ make_venv() {
     "$python" -m venv --clear ${options[@]+"${options[@]}"} "$venv"
 }
 
-# install_into FOLDER EXTRAS [CONSTRAINTS]: install the project unless nothing has changed.
+# install_into FOLDER EXTRAS [CONSTRAINTS [LOCK]]: install the project unless nothing has changed.
+# What it needs is first taken from the lock, versions and hashes, where that fits this machine.
 install_into() {
-    local venv="$1" extras="$2" constraints="${3:-}" stamp wanted
+    local venv="$1" extras="$2" constraints="${3:-}" lock="${4:-}" stamp wanted
     stamp="$venv/.installed-$extras"
-    wanted="$(cat "$root/pyproject.toml" ${constraints:+"$constraints"} | sha256sum)"
+    wanted="$(cat "$root/pyproject.toml" ${constraints:+"$constraints"} ${lock:+"$lock"} | sha256sum)"
     if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then
         return
     fi
     say "installing slamfusion[$extras] into $venv"
+    if [ -n "$lock" ] && ! "$venv/bin/python" -m pip install -qq --require-hashes -r "$lock" \
+        >/dev/null 2>&1; then
+        say "$(basename "$lock") does not fit $("$venv/bin/python" --version) here: versions are chosen anew"
+    fi
     "$venv/bin/python" -m pip install -qq -e "$root[$extras]" \
         ${constraints:+-c "$constraints"} || return
     printf '%s\n' "$wanted" >"$stamp"

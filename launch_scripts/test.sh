@@ -25,7 +25,7 @@ install_all() {
     if [ -n "${ROS_DISTRO:-}" ]; then
         say "ROS_DISTRO is set: its rclpy is used, the ros extra is not installed"
         install_into "$venv" dev "$constraints"
-    elif ! install_into "$venv" dev,ros; then
+    elif ! install_into "$venv" dev,ros "" "$root/launch_scripts/lock.txt"; then
         say "the ros extra does not install on $("$venv/bin/python" --version); going without it"
         install_into "$venv" dev
     fi
@@ -34,7 +34,7 @@ install_all() {
             say "no tf2_msgs: the tests of /tf are skipped"
     fi
     make_venv "$jazzy"
-    install_into "$jazzy" test "$constraints"
+    install_into "$jazzy" test "$constraints" "$root/launch_scripts/lock-jazzy.txt"
     if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; then
         if can_install_packages && apt_install chromium; then
             return

@@ -1,0 +1,59 @@
+"""The lock files of the suite: versions, hashes, and nothing of where they were made."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+LAUNCH = Path(__file__).resolve().parents[2] / "launch_scripts"
+LOCKS = ("lock.txt", "lock-jazzy.txt")
+PINNED = re.compile(r"[a-z0-9][a-z0-9._-]*==[^ ]+( ; [^\\]+?)? \\")
+HASH = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?")
+
+
+def entries(name: str) -> dict[str, list[str]]:
+    """Return the hashes of each pinned package of a lock."""
+    found: dict[str, list[str]] = {}
+    package = ""
+    for line in (LAUNCH / name).read_text(encoding="utf-8").splitlines():
+        if HASH.fullmatch(line):
+            found[package].append(line)
+        else:
+            assert PINNED.fullmatch(line), line
+            package = line
+            assert package not in found
+            found[package] = []
+    return found
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_every_package_has_one_version_and_its_hashes(name: str) -> None:
+    found = entries(name)
+    assert len(found) > 50
+    assert all(found.values())
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_a_lock_says_nothing_of_registries_or_machines(name: str) -> None:
+    text = (LAUNCH / name).read_text(encoding="utf-8")
+    assert "/" not in text
+    assert "@" not in text
+
+
+def test_locks_agree_with_what_else_is_pinned() -> None:
+    """PoCL's library is known by its digest, and Jazzy's NumPy by the constraints."""
+    for name in LOCKS:
+        assert any(line.startswith("pocl-binary-distribution==3.0 ") for line in entries(name))
+    pinned = (LAUNCH / "constraints-jazzy.txt").read_text(encoding="utf-8").splitlines()
+    wanted = [line for line in pinned if line and not line.startswith("#")]
+    assert wanted
+    for line in wanted:
+        assert any(entry.startswith(f"{line} ") for entry in entries("lock-jazzy.txt"))
+
+
+def test_the_scripts_take_them() -> None:
+    script = (LAUNCH / "test.sh").read_text(encoding="utf-8")
+    for name in LOCKS:
+        assert f"launch_scripts/{name}" in script
