@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -28,6 +28,15 @@ from tests.fusion.drawings import features_of, fusion_config, off_by, with_origi
 from tests.support import halmstad
 from tests.support.datasets import MAPS, MapEntry, load_entry, map_entries
 from tests.support.drawn import case_error, drawn_cases
+from tests.support.overlap import (
+    Draft,
+    cross_slam_pairs,
+    disjoint_halves,
+    drawn,
+    half_pairs,
+    mirrored,
+    scaled,
+)
 
 pytestmark = pytest.mark.datasets
 
@@ -241,6 +250,67 @@ def test_halmstad_pairs_are_right_as_people_marked_them(device: ComputeDevice) -
     assert len(pairs) == 10
     assert right >= 9
     assert accepted >= 8
+
+
+# Recorded maps, what their halves share, and the axis across which they are cut.
+SHARED_PARTS = (
+    ("carpin/LongRun6.txt.gz", 0.2, "x"),
+    pytest.param("giraff/Sarmis2_map_adj.yaml", 0.3, "y", marks=pytest.mark.full),
+    pytest.param("worlds/willow-full-0.1.pgm.gz", 0.2, "x", marks=pytest.mark.full),
+)
+
+
+def believed_wrongly(device: ComputeDevice, drafts: Iterable[Draft]) -> list[str]:
+    """Return the pairs that are accepted although they are not right."""
+    out = []
+    for case in drawn(drafts):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        if found.accepted and not case.is_right(found.transform):
+            out.append(f"{case.name}: {found.reason}")
+    return out
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(("file", "overlap", "axis"), SHARED_PARTS)
+def test_halves_that_share_a_part_are_found_and_believed(
+    device: ComputeDevice, file: str, overlap: float, axis: str
+) -> None:
+    drafts = half_pairs(1, (overlap,), (file,))
+    for case in drawn(draft for draft in drafts if draft.reference.axis == axis):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        assert found.accepted, f"{case.name}: {found.reason}"
+        assert case.is_right(found.transform), case.name
+
+
+@pytest.mark.once
+@pytest.mark.full
+def test_two_slams_of_halves_of_one_building_come_together(device: ComputeDevice) -> None:
+    drafts = [d for d in cross_slam_pairs(1, (0.4, 0.2, 0.1)) if "mit-csail" in d.reference.source]
+    assert len(drafts) == 24
+    for case in drawn(drafts):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        assert found.accepted, f"{case.name}: {found.reason}"
+        assert case.is_right(found.transform), case.name
+
+
+@pytest.mark.once
+def test_a_map_is_not_taken_for_its_image_or_at_another_scale(device: ComputeDevice) -> None:
+    files = ("giraff/Sarmis2_map_adj.yaml",)
+    drafts = (*mirrored(1, files)[:2], *scaled(1, 1.1, files)[:2])
+    assert believed_wrongly(device, drafts) == []
+
+
+@pytest.mark.once
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "drafts_of",
+    [mirrored, lambda seed: scaled(seed, 1.1), disjoint_halves],
+    ids=["mirrored", "scaled", "disjoint"],
+)
+def test_no_map_is_taken_for_its_image_at_another_scale_or_for_its_other_half(
+    device: ComputeDevice, drafts_of: Callable[[int], tuple[Draft, ...]]
+) -> None:
+    assert believed_wrongly(device, drafts_of(1)) == []
 
 
 @pytest.mark.parametrize("seed", [20, 21])
