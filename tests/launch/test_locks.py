@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:  # Python 3.10 has none
+    tomllib = pytest.importorskip("tomli")
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch_scripts"
 LOCKS = ("lock.txt", "lock-jazzy.txt")
@@ -57,3 +63,23 @@ def test_the_scripts_take_them() -> None:
     script = (LAUNCH / "test.sh").read_text(encoding="utf-8")
     for name in LOCKS:
         assert f"launch_scripts/{name}" in script
+
+
+@pytest.mark.parametrize(
+    ("name", "extras"), [("lock.txt", ("dev", "ros")), ("lock-jazzy.txt", ("test",))]
+)
+def test_all_that_the_extras_need_is_locked(name: str, extras: tuple[str, ...]) -> None:
+    """A package that is added to pyproject.toml wants ``launch_scripts/lock.sh``."""
+    project = tomllib.loads((LAUNCH.parent / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    wanted, waiting = set(project["dependencies"]), list(extras)
+    while waiting:
+        for line in project["optional-dependencies"][waiting.pop()]:
+            own = re.fullmatch(r"slamfusion\[(.*)\]", line)
+            waiting += own[1].split(",") if own else []
+            wanted |= set() if own else {line}
+    locked = {line.split("==")[0] for line in entries(name)}
+    for line in wanted:
+        package = re.split(r"[^A-Za-z0-9._-]", line)[0].lower().replace("_", "-")
+        assert package in locked, f"{package}: run launch_scripts/lock.sh"
