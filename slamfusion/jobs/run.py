@@ -14,8 +14,7 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evidence import PathEvidence
-from slamfusion.evidence.verdict import Verdict
+from slamfusion.evidence import PathEvidence, Verdict, reach_verdict, score_paths
 from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts, place_starts
@@ -65,7 +64,8 @@ class LogRun:
         results: the producers that made a map, by name, with their errors.
         doubled: the doubled walls of the fusion; None where nothing was fused.
         evaluations: errors of the inputs and of the fused map; empty without a true map.
-        verdict: what the scans say of the producers' paths; None where they could not be asked.
+        verdict: what the scans say of the producers' paths and of the fused one; None where they
+            could not be asked.
         no_verdict: why they could not; None where they were.
         failure: why there is no fused map that may be used; None where there is one.
         not_measured: what could not be measured, a sentence each.
@@ -204,6 +204,7 @@ def run_log(
         fused_path = _fuse_paths(
             outcomes, fusion.result, files, config, device, held, evidence, troubles
         )
+        verdict = _with_fused(verdict, outcomes, fused_path, device)
     stages["path"] = time.perf_counter() - began_s
 
     drawn = None
@@ -310,6 +311,20 @@ def _judge(
     except SlamFusionError as error:
         return None, str(error)
     return found, None
+
+
+def _with_fused(
+    verdict: Verdict | None,
+    outcomes: Sequence[Outcome],
+    fused_path: DrivePath | None,
+    device: ComputeDevice,
+) -> Verdict | None:
+    """Return the verdict with the fused path among the paths; as it is where there is none."""
+    if verdict is None or fused_path is None:
+        return verdict
+    paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
+    both = {**paths, FUSED: fused_path.trajectory}
+    return reach_verdict(score_paths(verdict.evidence.scans, both, device), tuple(paths))
 
 
 def _fuse_paths(

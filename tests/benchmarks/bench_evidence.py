@@ -5,7 +5,8 @@
 
 Validity: the true path, made wrong in a known way, must score below the true path; and the true
 path should be the best of all, or not to be told from it. Choice: ATE of the producer whose path
-scores best over that of the best one in hindsight, beside always taking the same one. Intervals are
+scores best over that of the best one in hindsight, beside always taking the same one; then with the
+fused path as one more candidate, and one more to be best. Intervals are
 95 % of a bootstrap that draws whole courses of a world. A kidnapping is cut at the place where the
 robot was carried away, and each segment is a drive of its own.
 """
@@ -28,7 +29,13 @@ from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
-from slamfusion.evidence import PathEvidence, judged_scans, score_paths
+from slamfusion.evidence import (
+    PathEvidence,
+    fuse_paths,
+    judged_scans,
+    score_paths,
+    trust_in_paths,
+)
 from slamfusion.evidence.predictive import HitModel
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
@@ -37,7 +44,7 @@ from slamfusion.trajectory import Trajectory
 from tests.support.evidence_drives import drive_trials, key_of, make_drive, read_drive
 
 F64 = npt.NDArray[np.float64]
-TRUTH = "truth"
+TRUTH, FUSED = "truth", "fused"
 # Drives of this condition are cut where the true path jumps by this, metres.
 KIDNAPPING, JUMP_M = "kidnapping", 1.0
 DRAWS = 2000
@@ -80,7 +87,7 @@ class Found:
         scores: by path, the truth and the wrong ones among them.
         worse: verdict of each wrong path against the truth.
         tied: the best of truth and producers, and what cannot be told from it.
-        ate_m: by producer.
+        ate_m: by producer, and of the path fused of them.
         pairs: (better by evidence, of the two the nearer to the truth) of producers told apart.
         time_s: of choosing beams and scoring the producers' paths.
     """
@@ -97,14 +104,21 @@ class Found:
     pairs: list[tuple[str, str]] = field(default_factory=list)
     time_s: float = 0.0
 
-    @property
-    def chosen(self) -> str:
-        """The producer whose path scores best."""
-        return max(self.ate_m, key=self.scores.__getitem__)
+    def chosen(self, *, with_fused: bool = False) -> str:
+        """Return the path that scores best, of the producers' or with the fused one among them."""
+        return max(self.candidates(with_fused=with_fused), key=self.scores.__getitem__)
 
-    def ratio(self, name: str) -> float:
-        """ATE of a producer over that of the best in hindsight; NaN where it made no path."""
-        return self.ate_m.get(name, math.nan) / min(self.ate_m.values())
+    def candidates(self, *, with_fused: bool = False) -> list[str]:
+        """Return the producers that made a path, and the fused path where asked for."""
+        return [name for name in self.ate_m if with_fused or name != FUSED]
+
+    def ratio(self, name: str, *, with_fused: bool = False) -> float:
+        """ATE of a path over that of the best in hindsight; NaN where there is none.
+
+        The best is one of the producers, or with the fused one among them.
+        """
+        best_m = min(self.ate_m[other] for other in self.candidates(with_fused=with_fused))
+        return self.ate_m.get(name, math.nan) / best_m
 
 
 def segments(
@@ -135,11 +149,14 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         wrong = {name: change(truth) for name, change in WRONG.items()}
         began_s = time.perf_counter()
         judged = judged_scans(scans)
-        score_paths(judged, parts, device, model)
+        alone = score_paths(judged, parts, device, model)
         time_s = time.perf_counter() - began_s
-        evidence = score_paths(judged, {TRUTH: truth, **parts, **wrong}, device, model)
+        fused = {FUSED: fuse_paths(parts, trust_in_paths(alone)).trajectory}
+        evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
         contest = score_subset(evidence, (TRUTH, *parts))
-        ate_m = {name: trajectory_errors(path, truth).ate.rmse for name, path in parts.items()}
+        ate_m = {
+            name: trajectory_errors(path, truth).ate.rmse for name, path in (parts | fused).items()
+        }
         found = Found(
             drive.key,
             condition,
@@ -218,7 +235,12 @@ def print_choice(console: Console, found: Sequence[Found], title: str) -> None:
     """Print what choosing by evidence is worth."""
     clusters = [f"{item.condition} {item.world}" for item in found]
     table = Table("choice", "geometric mean", "90th percentile", "largest", title=title)
-    rows = {"by evidence": np.array([item.ratio(item.chosen) for item in found])}
+    of_four = [item.ratio(item.chosen(with_fused=True), with_fused=True) for item in found]
+    rows = {
+        "producer by evidence": np.array([item.ratio(item.chosen()) for item in found]),
+        "the same, fused path among them": np.array(of_four),
+        "always fused": np.array([item.ratio(FUSED) for item in found]),
+    }
     rows |= {f"always {name}": np.array([item.ratio(name) for item in found]) for name in BUILT_IN}
     for name, ratios in rows.items():
         has = np.isfinite(ratios)
@@ -228,7 +250,7 @@ def print_choice(console: Console, found: Sequence[Found], title: str) -> None:
     console.print(table)
     pairs = [pair for item in found for pair in item.pairs]
     right = sum(best == nearer for best, nearer in pairs)
-    total = sum(math.comb(len(item.ate_m), 2) for item in found)
+    total = sum(math.comb(len(item.candidates()), 2) for item in found)
     console.print(f"pairs of producers told apart: {len(pairs)} of {total}, rightly {right}")
 
 

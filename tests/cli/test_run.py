@@ -122,7 +122,7 @@ def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[st
     assert document["error"] is None
     assert document["seed"] == 3
     stages = document["stages_s"]
-    assert list(stages) == ["producers", "fusion", "path", "errors", "report"]
+    assert list(stages) == ["producers", "fusion", "evidence", "path", "errors", "report"]
     assert sum(stages.values()) <= document["time_s"]
 
 
