@@ -466,7 +466,7 @@ def test_the_nearest_pairs_are_decided_as_when_they_were_recorded(pair: Recorded
 def test_the_record_holds_wrong_pairs_and_right_ones_on_either_side() -> None:
     sides = [(pair.is_right, pair.accepted) for pair in PAIRS]
     for side in ((False, False), (True, True), (True, False)):
-        assert sides.count(side) >= 5, side
+        assert sides.count(side) >= 4, side
     assert {(p.reference, p.moving) for p in PAIRS if is_believed_wrongly(p)} == BELIEVED_WRONGLY
     for pair in PAIRS:
         for column in COLUMNS:
