@@ -297,6 +297,8 @@ def _create_locked(path: Path) -> int:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         try:
             if not _try_lock(descriptor) or not _is_at(descriptor, path):
+                # A reader that looked into it holds it for a moment, and leaves it there.
+                path.unlink(missing_ok=True)
                 os.close(descriptor)
                 continue
         except BaseException:

@@ -197,3 +197,32 @@ def test_a_map_that_is_replaced_all_the_time_is_never_mixed(tmp_path: Path) -> N
             assert (grid.resolution, grid.cells.tolist()) in wanted.values()
     assert (writer.returncode, other.returncode) == (0, 0)
     assert leftovers(tmp_path) == []
+
+
+def test_a_reader_that_looks_into_a_new_journal_stops_no_writer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the making of a journal and its lock a reader may hold it, and leaves it there."""
+    looks: list[Path] = []
+    held: list[int] = []
+    locks = journal._try_lock
+
+    def looked_into(descriptor: int) -> bool:
+        (path,) = tmp_path.glob(".slamfusion-*.journal")
+        if len(looks) < 2:
+            looks.append(path)
+            held.append(os.open(path, os.O_RDONLY))
+            fcntl.flock(held[-1], fcntl.LOCK_EX)
+        return locks(descriptor)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(journal, "_try_lock", looked_into)
+        made = journal.Journal(tmp_path, "0123456789abcdef")
+    for descriptor in held:
+        os.close(descriptor)
+    assert len(looks) == 2
+    assert made.path.exists()
+    with pytest.raises(BlockingIOError), made.path.open("rb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    made.close()
+    assert not list(tmp_path.iterdir())
