@@ -14,6 +14,8 @@ import slamfusion
 from slamfusion.io import write_carmen
 from tests.slam.drives import drive
 
+pytestmark = pytest.mark.once
+
 SAMPLE = Path(__file__).resolve().parents[1] / "data" / "sample"
 # What takes long to load, or is not there everywhere.
 HEAVY = {"numpy", "scipy", "cv2", "yaml", "pyopencl", "matplotlib", "rclpy", "click"}

@@ -17,6 +17,8 @@ from slamfusion.grid import OCCUPIED, UNKNOWN
 from slamfusion.io import load_map
 from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(scope="module")
 def fused(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
@@ -303,14 +305,12 @@ def test_doctor_tells_of_a_device_that_is_not_there() -> None:
     assert any("abacus" in problem for problem in document["problems"])
 
 
-@pytest.mark.once
 def test_bench_gives_ratios() -> None:
     done = run("bench", "--quick", "--json", timeout=300)
     assert done.returncode == 0, done.stderr
     assert json_of(done)
 
 
-@pytest.mark.once
 def test_version_and_help() -> None:
     assert __version__ in run("--version").stdout
     listing = run("--help").stdout

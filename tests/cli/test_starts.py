@@ -11,6 +11,8 @@ import yaml
 from slamfusion.geometry import Pose2
 from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
 
+pytestmark = pytest.mark.once
+
 POSES = {
     name: Pose2(record["dx_m"], record["dy_m"], record["yaw_rad"])
     for name, record in yaml.safe_load((SAMPLE / "transforms.yaml").read_text("utf-8")).items()

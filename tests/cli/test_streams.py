@@ -14,6 +14,8 @@ import pytest
 from slamfusion.slam.side_by_side import interrupts_held
 from tests.cli.command import INSTALLED, MAPS, ROOT, TRUTH, server
 
+pytestmark = pytest.mark.once
+
 TUM = "1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n3 2 0 0 0 0 0 1\n"
 G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 NUMPY = ["--device", "numpy"]

@@ -26,6 +26,8 @@ from slamfusion.jobs.doctor import INSTALL
 from slamfusion.jobs.records import load_schema
 from tests.cli.command import ROOT, run
 
+pytestmark = pytest.mark.once
+
 PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages()}
 # Of a simulated log, a line for each scan and one for its odometry.
 MOST_LINES = 500
@@ -116,7 +118,6 @@ def test_there_are_commands_to_run() -> None:
     assert all(commands(block) for block in RUN)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(
     "block", RUN, ids=lambda block: f"{RUN[block]}: {commands(block)[0].split()[1]}"
 )

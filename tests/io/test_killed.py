@@ -19,6 +19,8 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, journal, load_map, save_map
 from tests.io.killed import NEW, OLD, WRITERS, content, grid_of, leftovers
 
+pytestmark = pytest.mark.once
+
 # Kills that each writer has to survive at the least: the hook works.
 LEAST_STEPS = {"one": 5, "picture": 5, "pair": 14, "legacy": 14, "set": 30}
 

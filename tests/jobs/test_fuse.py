@@ -22,6 +22,8 @@ from tests.fusion.drawings import building, degraded
 from tests.jobs.maps import CONFIG, DEVICE, files, moved
 from tests.support.documents import check_document
 
+pytestmark = pytest.mark.once
+
 
 def test_maps_are_fused_measured_and_written(tmp_path: Path) -> None:
     truth, grid, _ = moved()

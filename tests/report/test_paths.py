@@ -22,6 +22,8 @@ from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, room
 
+pytestmark = pytest.mark.once
+
 CONFIG = RunConfig()
 
 

@@ -25,6 +25,8 @@ from slamfusion.report import (
 )
 from tests.report.drawn import NASTY, REASON, alignment, colours_of, fusion, room
 
+pytestmark = pytest.mark.once
+
 CONFIG = RunConfig()
 
 

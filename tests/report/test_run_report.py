@@ -19,6 +19,8 @@ from tests.report.drawn import NASTY, REASON, fusion, room
 from tests.report.test_reports import read
 from tests.support.producers import DeadReckoning, room_drive
 
+pytestmark = pytest.mark.once
+
 CONFIG = RunConfig()
 NAMES = ("room 0", "room 1", "room 2")
 

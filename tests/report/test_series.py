@@ -10,6 +10,8 @@ import pytest
 from slamfusion.report.series import LINE_COLOUR, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 
+pytestmark = pytest.mark.once
+
 
 def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Series:
     """One value a second."""

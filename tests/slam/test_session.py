@@ -18,6 +18,8 @@ from slamfusion.slam.registry import make_producer
 from slamfusion.slam.session import LATENCIES, LeftOutError, ProducerSession, QueuedScan
 from tests.slam.drives import drive
 
+pytestmark = pytest.mark.once
+
 
 class Bench:
     """A session, its clock, and a drive whose scans are queued by their index."""

@@ -11,6 +11,8 @@ import pytest
 
 from tests.cli.command import SAMPLE, run, server
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize(
     ("arguments", "code"),

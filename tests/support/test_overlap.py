@@ -37,6 +37,8 @@ from tests.support.overlap import (
     simulated,
 )
 
+pytestmark = pytest.mark.once
+
 CELL_M = 0.05
 # Middles of square blocks of 5 x 5 cells, metres in the map frame, no two distances alike.
 BLOCKS_M = np.array([(1.125, 0.625), (4.125, 0.875), (2.625, 3.625)])

@@ -33,6 +33,8 @@ from tests.fusion.live.maps import (
     touched,
 )
 
+pytestmark = pytest.mark.once
+
 # -- the first fusion ------------------------------------------------------------------------------
 
 

@@ -33,6 +33,8 @@ from tests.fusion.live.maps import (
     touched,
 )
 
+pytestmark = pytest.mark.once
+
 NUMBERS = st.floats(-1e9, 1e9)
 POSES = st.builds(Pose2, NUMBERS, NUMBERS, st.floats(-math.pi, math.pi))
 NAMES = st.text(max_size=8)

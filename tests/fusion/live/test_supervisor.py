@@ -25,6 +25,8 @@ from tests.fusion.live.maps import (
     touched,
 )
 
+pytestmark = pytest.mark.once
+
 
 def stranger(name: str = "stranger", seed: int = 99) -> OccupancyGrid:
     """Return a map of another place of the same size."""

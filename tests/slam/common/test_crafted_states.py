@@ -21,6 +21,8 @@ from slamfusion.slam.graph.slam import GraphSlam
 from tests.slam.drives import drive
 from tests.support.states import Arrays, read_parts, write_parts
 
+pytestmark = pytest.mark.once
+
 SCANS = 12
 MAPPERS: dict[str, tuple[Any, Any]] = {
     "graph": (GraphSlam, GraphConfig()),
