@@ -51,6 +51,8 @@ REFERENCE_AREA_SHARE = 0.5
 WEIGHT_CEILING = 0.99
 # [F16]: any two of three decide, so one input has nobody to agree with.
 MINIMUM_INPUTS = 2
+# Of more pairs most share nothing: what is refused is not searched once more.
+THOROUGH_PAIRS = 15
 
 
 def fuse_grids(
@@ -204,13 +206,16 @@ def _align_pairs(
 ) -> list[Alignment]:
     """Align every pair, the larger known box to the smaller."""
     couples = list(itertools.combinations(features.values(), 2))
-    pairs = []
+    is_thorough, pairs = len(couples) <= THOROUGH_PAIRS, []
     for done, (a, b) in enumerate(couples):
         reference, moving = (a, b) if math.prod(a.shape) <= math.prod(b.shape) else (b, a)
         if progress is not None:
             progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
         start = starts.between(reference.grid.name, moving.grid.name)
-        pair = align_features(reference, moving, config.align, device, start, pairs=len(couples))
+        pair = align_features(
+            reference, moving, config.align, device, start,
+            pairs=len(couples), thorough=is_thorough,
+        )  # fmt: skip
         pairs.append(pair if second_look is None else second_look(pair, reference, moving))
     if progress is not None:
         progress("vote", len(couples), len(couples))

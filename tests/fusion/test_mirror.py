@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import AlignConfig
-from slamfusion.fusion import judge
+from slamfusion.config import AlignConfig, FusionConfig
+from slamfusion.errors import AlignmentError
+from slamfusion.fusion import fuse_grids, judge, pipeline
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.mirror import mirror_gain, mirror_image
 from slamfusion.fusion.records import Alignment
@@ -105,6 +106,19 @@ def test_what_is_refused_is_named_if_its_image_would_be_believed(device: Compute
     )
     assert not unnamed.accepted
     assert unnamed.decision != "mirrored"
+
+
+@pytest.mark.parametrize(("most", "decision"), [(1, "mirrored"), (0, "other")])
+def test_jobs_of_many_pairs_search_what_is_refused_once(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, most: int, decision: str
+) -> None:
+    place = building(4, 14.0, 9.0, 0.05)
+    low, high = half(place, 0.0, 0.65).with_name("low"), half(place, 0.35, 1.0).with_name("high")
+    monkeypatch.setattr(pipeline, "THOROUGH_PAIRS", most)
+    with pytest.raises(AlignmentError) as failure:
+        fuse_grids([low, mirrored(high)], FusionConfig(align=CONFIG), device)
+    (pair,) = failure.value.pairs
+    assert (pair.decision == "mirrored") == (decision == "mirrored")
 
 
 def test_another_building_is_no_mirror_image(device: ComputeDevice) -> None:
