@@ -31,15 +31,13 @@ INLINE int hit_place(const int cell, const int facing) {
   return (tile * FACINGS + facing) * TILE_CELLS + (cell - tile * TILE_CELLS);
 }
 
-/* Set bits of a word; most are set already, and an atomic waits. */
+/* Set bits of a word. */
 INLINE void set_bits(volatile __global uint *word, const uint bits) {
-  if ((*word & bits) != bits) {
 #ifdef ONE_THREAD
-    *word |= bits;
+  *word |= bits;
 #else
-    atomic_or(word, bits);
+  atomic_or(word, bits);
 #endif
-  }
 }
 
 /* Mark beams with the bits of their chunks: every cell of the walk is seen, that of the end hit.
