@@ -9,11 +9,9 @@ from __future__ import annotations
 import argparse
 import datetime as dt
 import itertools
-import os
 import platform
 import re
 import shlex
-import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -24,9 +22,8 @@ from rich.table import Table
 from rich.text import Text
 
 from docs.generate.benchmarks import FOLDER, Measurement
+from docs.generate.provenance import commit, cores
 from slamfusion.compute import open_device
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 class RecordingConsole(Console):
@@ -89,23 +86,10 @@ def measurement(name: str, table: Table) -> Measurement:
     )
 
 
-def commit() -> str:
-    """Return the checkout's commit; with ``+`` where sources were changed after it."""
-    done = [
-        subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-        for words in (
-            ("rev-parse", "--short=7", "HEAD"),
-            ("status", "--porcelain", "--", "slamfusion", "kernels"),
-        )
-    ]
-    return done[0].strip() + ("+" if done[1].strip() else "")
-
-
 def machine() -> str:
     """Return what speed depends on, in words."""
-    load = os.getloadavg()[0]
     versions = f"Python {platform.python_version()}, NumPy {version('numpy')}"
-    return f"{os.cpu_count()} cores (load {load:.1f}), {open_device().name}, {versions}"
+    return f"{cores()}{open_device().name}, {versions}"
 
 
 def command() -> str:

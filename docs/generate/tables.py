@@ -1,0 +1,190 @@
+"""The pages' tables of ``slamfusion bench`` and ``slamfusion experiment``, from their documents.
+
+A document is what the command prints with ``--json``, or the file of the experiment's name in its
+folder. Each table is its columns and its rows, all texts.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from slamfusion.experiments.drives import ATE, RELATIONS
+from slamfusion.experiments.real_logs import REFERENCE
+from slamfusion.experiments.table import p_text
+
+__all__ = ["TableText", "failures", "ground_obstacle", "real_logs", "repeated_runs", "speed"]
+
+Document = Mapping[str, Any]
+TableText = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
+
+PRODUCERS = {"tinyslam": "tinySLAM"}
+MEASURES = {RELATIONS: "relations", ATE: "ATE"}
+# Of a recorded drive: key, name, share of 1 or not, decimals, and what is best.
+MAP_FIGURES: tuple[tuple[str, str, float, int, Callable[..., float]], ...] = (
+    ("error", "error [F16]", 1.0, 0, min),
+    ("wall_f1", "wall F1", 1.0, 3, max),
+    ("doubled_wall_share", "doubled walls %", 100.0, 1, min),
+)
+
+
+def speed(documents: Sequence[Document]) -> TableText:
+    """Return the table of ``bench``: seconds, and what they are held against."""
+    document = _only(documents)
+    rows = [
+        (entry["name"], _seconds(entry["seconds"]), _against(entry))
+        for entry in document["entries"]
+    ]
+    return ("work", "time", "against"), tuple(rows)
+
+
+def ground_obstacle(documents: Sequence[Document]) -> TableText:
+    """Return mean ± deviation of each method; below, each vote against the best input."""
+    document = _only(documents)
+    summaries = _by(document["summaries"], "condition")
+    against = _by(document["against_best_input"], "condition")
+    methods = [item["method"] for item in next(iter(summaries.values()))]
+    rows: list[tuple[str, ...]] = []
+    for condition, items in summaries.items():
+        own = {item["method"]: item for item in items}
+        least = min(item["mean"] for item in items)
+        rows.append(
+            (condition, *(_bold(_spread(own[m], 1), own[m]["mean"] == least) for m in methods))
+        )
+        votes = {item["fusion"]: item for item in against[condition]}
+        best = _shown(against[condition][0]["best_input"])
+        cells = [_interval(votes[name]) if name in votes else "" for name in methods]
+        rows.append((f"against {best}, 95 %", *cells))
+    return ("", *map(_shown, methods)), tuple(rows)
+
+
+def failures(documents: Sequence[Document]) -> TableText:
+    """Return each vote against the best input, per cent, of all documents side by side.
+
+    Raises:
+        ValueError: the documents are not of the same conditions.
+    """
+    by_world = [
+        {
+            (item["condition"], item["fusion"]): item["ratio"]
+            for item in document["against_best_input"]
+        }
+        for document in documents
+    ]
+    if any(ratios.keys() != by_world[0].keys() for ratios in by_world):
+        message = "wanted documents of the same conditions; found others in one of them"
+        raise ValueError(message)
+    conditions = list(dict.fromkeys(condition for condition, _ in by_world[0]))
+    votes = list(dict.fromkeys(vote for _, vote in by_world[0]))
+    rows = [
+        (name, *(_changes((ratios[name, vote] for ratios in by_world), 0) for vote in votes))
+        for name in conditions
+    ]
+    overall = [document["overall"] for document in documents]
+    for key, name in (("ratio", f"mean of the {len(conditions)}"), ("worst", "worst")):
+        cells = [_changes((item[vote][key] for item in overall), 1) for vote in votes]
+        rows.append(tuple(_bold(cell, key == "ratio") for cell in (name, *cells)))
+    sums = [_changes((item[vote]["of_sums"] for item in overall), 1) for vote in votes]
+    return ("course, lidar", *votes), (*rows, ("of the sums", *sums))
+
+
+def real_logs(documents: Sequence[Document]) -> TableText:
+    """Return three figures of each map of each recorded drive, the best one bold."""
+    document = _only(documents)
+    logs = _by([item for item in document["maps"] if item["map"] != REFERENCE], "log")
+    names = list(dict.fromkeys(item["map"] for items in logs.values() for item in items))
+    rows = []
+    for log, items in logs.items():
+        maps = {item["map"]: item for item in items}
+        for number, (key, title, unit, digits, best_of) in enumerate(MAP_FIGURES):
+            values = {
+                name: unit * item[key] for name, item in maps.items() if item[key] is not None
+            }
+            best = best_of(values.values()) if len(set(values.values())) > 1 else None
+            cells = [
+                _bold(f"{values[name]:.{digits}f}", values[name] == best) if name in values else "-"
+                for name in names
+            ]
+            rows.append((log if number == 0 else "", title, *cells))
+    return ("log", "", *map(_shown, names)), tuple(rows)
+
+
+def repeated_runs(documents: Sequence[Document]) -> TableText:
+    """Return mean ± deviation (worst) of each method, metres, and p of every two of them."""
+    document = _only(documents)
+    *factors, compared = document["factors"]
+    found = {
+        (*(item[name] for name in factors), item[compared]): item for item in document["conditions"]
+    }
+    methods = list(dict.fromkeys(levels[-1] for levels in found))
+    pairs = list(itertools.combinations(methods, 2))
+    tested = {
+        (tuple(item["levels"]), tuple(item["methods"]), item["measure"]): item["p_values"]
+        for item in document["comparisons"]
+    }
+    rows = []
+    for group in dict.fromkeys(levels[:-1] for levels in found):
+        for measure, name in MEASURES.items():
+            own = [found.get((*group, method), {}).get(measure) for method in methods]
+            if any(own):
+                cells = [
+                    f"{_spread(item, 3)} ({item['worst']:.3f})" if item else "-" for item in own
+                ]
+                p_values = [tested.get((group, pair, measure)) for pair in pairs]
+                shown = [p_text(item["welch"]) if item else "-" for item in p_values]
+                rows.append((*(f"{level}" for level in group), name, *cells, *shown))
+    heads = [f"p {a} / {b}" for a, b in pairs] if len(pairs) > 1 else ["p"] * len(pairs)
+    return (*factors, "measure", *map(str, methods), *heads), tuple(rows)
+
+
+def _only(documents: Sequence[Document]) -> Document:
+    if len(documents) != 1:
+        message = f"wanted one document; found {len(documents)}"
+        raise ValueError(message)
+    return documents[0]
+
+
+def _by(items: Iterable[Document], key: str) -> dict[str, list[Document]]:
+    """Return the records in groups, in order."""
+    groups: dict[str, list[Document]] = {}
+    for item in items:
+        groups.setdefault(item[key], []).append(item)
+    return groups
+
+
+def _shown(name: str) -> str:
+    return PRODUCERS.get(name, name)
+
+
+def _bold(text: str, is_bold: bool) -> str:  # noqa: FBT001 - of the one thing that it is for
+    return f"**{text}**" if is_bold else text
+
+
+def _spread(summary: Document, digits: int) -> str:
+    spread = "" if summary["std"] is None else f" ± {summary['std']:.{digits}f}"
+    return f"{summary['mean']:.{digits}f}{spread}"
+
+
+def _change(ratio: float, digits: int) -> str:
+    return f"{100.0 * (ratio - 1.0):+.{digits}f}"
+
+
+def _changes(ratios: Iterable[float], digits: int) -> str:
+    return " / ".join(_change(ratio, digits) for ratio in ratios)
+
+
+def _interval(item: Document) -> str:
+    """Return the interval of a ratio, or the ratio of a single drive, per cent."""
+    ends = item["interval"] or (item["ratio"],)
+    return " to ".join(_change(end, 1) for end in ends) + " %"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds >= 10.0 else f"{seconds:.2g} s"
+
+
+def _against(entry: Document) -> str:
+    if entry["target_of"] == "ratio":
+        return f"{entry['ratio']:.2f} times the {entry['baseline']}"
+    return f"{_seconds(entry['baseline_seconds'])}: {entry['baseline']}"

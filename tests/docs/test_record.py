@@ -1,0 +1,220 @@
+"""Tables of ``bench`` and ``experiment`` are made of their documents, and kept by one command."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from docs.generate import tables
+from docs.generate.benchmarks import measurements
+from docs.generate.record import RECIPES, Recipe, main
+from slamfusion.cli.main import cli
+from slamfusion.config import RunConfig
+from slamfusion.experiments import ErrorTable, TrialRecord
+from slamfusion.experiments.trials import FUSIONS
+from slamfusion.io import write_carmen, write_tum
+from slamfusion.jobs.documents import circumstances, versions
+from slamfusion.slam.registry import BUILT_IN
+from tests.docs.test_pages import parse
+from tests.experiments.drives import room
+from tests.support.documents import check_document
+
+HERE = circumstances(RunConfig(), "a device")
+MADE = ("--commit", "0123abc", "--date", "2026-02-28")
+
+
+def entry(name: str, seconds: float, baseline_s: float, target_of: str) -> dict[str, Any]:
+    ratio = seconds / baseline_s
+    nothing = dict.fromkeys(("must", "stretch", "meets_must", "meets_stretch"))
+    return {
+        "name": name, "seconds": seconds, "runs": 5, "baseline": "plain search",
+        "baseline_seconds": baseline_s, "ratio": ratio, "target_of": target_of, "detail": {},
+        **nothing,
+    }  # fmt: skip
+
+
+BENCH = {
+    "entries": [entry("align", 0.0754, 68.7, "seconds"), entry("vote", 0.003, 0.002, "ratio")],
+    "quick": False,
+    "device": "a device",
+    "versions": versions(),
+}
+
+
+def error_table(gains: Mapping[str, float], seeds: int, *conditions: str) -> dict[str, Any]:
+    """What an experiment prints: all errors 100 and 102, 96 and 98 for the graph, less by gains."""
+    records = []
+    for condition in conditions:
+        for seed in range(seeds):
+            errors = dict.fromkeys((*BUILT_IN, *FUSIONS), 100.0 + 2.0 * seed)
+            errors["graph"] -= 4.0
+            errors |= {name: errors["graph"] - gain for name, gain in gains.items()}
+            records.append(TrialRecord(condition, 1, seed, errors, dict.fromkeys(errors, 0.5), {}))
+    table = ErrorTable("t", tuple(records))
+    document = {**table.to_json(), **HERE, "sentences": table.sentences(), "files": []}
+    printed: dict[str, Any] = json.loads(json.dumps(document))
+    return printed
+
+
+def saved(folder: Path, document: Mapping[str, Any], name: str = "document") -> str:
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return str(path)
+
+
+def test_speed_is_held_against_seconds_or_a_ratio() -> None:
+    check_document(BENCH, "bench")
+    assert tables.speed([BENCH]) == (
+        ("work", "time", "against"),
+        (
+            ("align", "0.075 s", "69 s: plain search"),
+            ("vote", "0.003 s", "1.50 times the plain search"),
+        ),
+    )
+
+
+def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> None:
+    document = error_table({"log-odds": 9.7}, 2, "no obstacle")
+    check_document(document, "experiment ground-obstacle")
+    columns, (means, against) = tables.ground_obstacle([document])
+    assert columns == ("", "tinySLAM", "gmapping", "graph", *FUSIONS)
+    found = dict(zip(columns, means, strict=True))
+    assert found[""] == "no obstacle"
+    assert found["tinySLAM"] == "101.0 ± 1.4"
+    assert found["graph"] == "97.0 ± 1.4"
+    assert found["log-odds"] == "**87.3 ± 1.4**"
+    found = dict(zip(columns, against, strict=True))
+    assert found[""] == "against graph, 95 %"
+    assert found["tinySLAM"] == ""
+    assert found["log-odds"] == "-10.0 to -10.0 %"
+
+
+def test_worlds_stand_beside_each_other() -> None:
+    documents = [
+        error_table({"consensus": gain}, 1, "glass, kinect", "slip, kinect") for gain in (9.6, 19.2)
+    ]
+    columns, rows = tables.failures(documents)
+    column = columns.index("consensus")
+    assert [(row[0], row[column]) for row in rows] == [
+        ("glass, kinect", "-10 / -20"),
+        ("slip, kinect", "-10 / -20"),
+        ("**mean of the 2**", "**-10.0 / -20.0**"),
+        ("worst", "-10.0 / -20.0"),
+        ("of the sums", "-10.0 / -20.0"),
+    ]
+    with pytest.raises(ValueError, match="of the same conditions"):
+        tables.failures([*documents, error_table({}, 1, "glass, kinect")])
+
+
+def test_of_each_recorded_map_three_figures_are_shown() -> None:
+    figures = {"graph": (299.4, 0.934, 0.059), "log-odds": (372.0, 0.934, None)}
+    figures["reference"] = (None, None, 0.01)
+    maps = [
+        {"log": "mit", "map": name, "error": a, "wall_f1": b, "doubled_wall_share": c}
+        for name, (a, b, c) in figures.items()
+    ]
+    assert tables.real_logs([{"maps": maps}]) == (
+        ("log", "", "graph", "log-odds"),
+        (
+            ("mit", "error [F16]", "**299**", "372"),
+            ("", "wall F1", "0.934", "0.934"),
+            ("", "doubled walls %", "5.9", "-"),
+        ),
+    )
+
+
+def test_a_document_becomes_a_dated_table(tmp_path: Path) -> None:
+    main(["speed", "--document", saved(tmp_path, BENCH), *MADE, "--record", str(tmp_path / "kept")])
+    kept = measurements(tmp_path / "kept")["speed"]
+    assert (kept.commit, kept.date) == ("0123abc", "2026-02-28")
+    assert kept.machine.startswith("a device, Python 3.")
+    assert (kept.columns, kept.rows) == tables.speed([BENCH])
+
+
+def test_every_recipe_is_of_a_table_that_stands_on_a_page() -> None:
+    assert set(RECIPES) <= set(measurements())
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_the_commands_of_a_table_are_there(name: str) -> None:
+    for command in RECIPES[name].commands:
+        words = [word.format(out="out", datasets="data") for word in command.split()]
+        parse(cli, [*words, "--json"])
+
+
+def test_a_command_is_run_and_its_table_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tests(documents: Sequence[Mapping[str, Any]]) -> tables.TableText:
+        (document,) = documents
+        return ("test",), tuple((item["name"],) for item in document["self_test"])
+
+    monkeypatch.setitem(RECIPES, "doctor", Recipe(("doctor",), tests))
+    main(["doctor", "--record", str(tmp_path / "kept"), "--", "--device", "numpy"])
+    kept = measurements(tmp_path / "kept")["doctor"]
+    assert kept.date == dt.datetime.now(dt.timezone.utc).date().isoformat()
+    assert kept.command == "python -m docs.generate.record doctor -- --device numpy"
+    assert kept.note == "It runs `slamfusion doctor`."
+    assert re.match(r"\d+ cores \(load [\d.]+\), NumPy twins", kept.machine)
+    assert len(kept.rows) >= 3
+
+
+@pytest.mark.full
+def test_an_experiment_is_run_and_its_table_kept(tmp_path: Path) -> None:
+    drive, folder = room(drift=0.3), tmp_path / "mit-csail"
+    folder.mkdir()
+    assert drive.relations is not None
+    assert drive.reference is not None
+    write_carmen(folder / "mit-csail.clf.gz", drive.scans)
+    ((first, second),), ((x, y, yaw),) = drive.relations.stamps_s, drive.relations.motions
+    (folder / "mit-csail.relations").write_text(f"{first} {second} {x} {y} 0 0 0 {yaw}\n")
+    write_tum(folder / "mit-csail-reference-graph.log.gz", drive.reference)
+    small = ("--floors", "0", "--seeds", "1", "--resolutions", "0.1", "--device", "numpy")
+    main(
+        [
+            "occupancy-estimator", "--datasets", str(tmp_path), "--out", str(tmp_path / "out"),
+            "--record", str(tmp_path / "kept"), "--", *small,
+        ]
+    )  # fmt: skip
+    kept = measurements(tmp_path / "kept")["occupancy-estimator"]
+    assert kept.columns == ("drive", "cell size m", "measure", "constant", "area", "p")
+    assert [row[:3] for row in kept.rows] == [
+        ("mit-csail", "0.1", "relations"),
+        ("mit-csail", "0.1", "ATE"),
+    ]
+    assert all(0.0 < float(row[3].split()[0]) < 1.0 for row in kept.rows)
+    assert "cores" in kept.machine
+    assert kept.command.endswith("record occupancy-estimator -- " + " ".join(small))
+    assert str(tmp_path) not in kept.to_json()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["speed", "--commit", "0123abc"], "--document, --commit and --date belong together"),
+        (["real-logs"], "wanted --datasets DIR"),
+        (["speed", "--document", "absent.json", *MADE], "absent.json"),
+        (["speed", "--document", "{made}", "--document", "{made}", *MADE], "found 2"),
+        (["failures", "--document", "{made}", *MADE], "no key 'against_best_input'"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_in_a_line(
+    words: list[str], told: str, tmp_path: Path
+) -> None:
+    made = saved(tmp_path, BENCH)
+    with pytest.raises(SystemExit, match=told) as ended:
+        main([*(word.format(made=made) for word in words), "--record", str(tmp_path / "kept")])
+    assert "\n" not in str(ended.value)
+    assert not (tmp_path / "kept").exists()
+
+
+def test_a_command_that_fails_leaves_no_table(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="ended with exit code"):
+        main(["speed", "--record", str(tmp_path / "kept"), "--", "--no-such-option"])
+    assert not (tmp_path / "kept").exists()
