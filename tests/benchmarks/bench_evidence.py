@@ -24,7 +24,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
@@ -41,6 +40,7 @@ from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
+from tests.benchmarks.record import add_record_option, console_for
 from tests.support.evidence_drives import drive_trials, key_of, make_drive, read_drive
 
 F64 = npt.NDArray[np.float64]
@@ -208,19 +208,25 @@ def ninetieth(ratios: F64) -> float:
     return float(np.quantile(ratios, 0.9))
 
 
-def print_validity(console: Console, found: Sequence[Found]) -> None:
-    """Print how often the truth is known."""
-    table = Table("made wrong", "below the truth", "told for sure", title="True paths made wrong")
+def print_validity(found: Sequence[Found], record: Path | None) -> None:
+    """Print how often the truth is known, and how often which of two producers is nearer to it."""
+    table = Table("what", "so in", "told for sure", title="What the scans tell")
     for name in WRONG:
         below = sum(item.scores[name] < item.scores[TRUTH] for item in found)
         told = sum(item.worse[name] == "worse" for item in found)
-        table.add_row(name, f"{below} of {len(found)}", f"{told} of {len(found)}")
+        what = f"true path, {name}, scores below the true path"
+        table.add_row(what, f"{below} of {len(found)}", f"{told} of {len(found)}")
+    tied = sum(TRUTH in item.tied for item in found)
+    what = "the true path is the best, or cannot be told from it"
+    table.add_row(what, f"{tied} of {len(found)}", "-")
+    whole = [item for item in found if item.condition != KIDNAPPING]
+    pairs = [pair for item in whole for pair in item.pairs]
+    total = sum(math.comb(len(item.candidates()), 2) for item in whole)
+    right = sum(best == nearer for best, nearer in pairs)
+    what = "pairs of producers told apart, rightly so (ATE); no kidnappings"
+    table.add_row(what, f"{right} of {len(pairs)}", f"{len(pairs)} of {total}")
+    console = console_for("evidence-validity", record, width=110)
     console.print(table)
-    tied = [item for item in found if TRUTH in item.tied]
-    share = len(tied) / len(found)
-    console.print(
-        f"true path in the tie group of the best: {len(tied)} of {len(found)} ({share:.0%})"
-    )
     for item in found:
         if TRUTH not in item.tied:
             best = item.tied[0]
@@ -231,7 +237,7 @@ def print_validity(console: Console, found: Sequence[Found]) -> None:
             )
 
 
-def print_choice(console: Console, found: Sequence[Found], title: str) -> None:
+def print_choice(name: str, record: Path | None, found: Sequence[Found], title: str) -> None:
     """Print what choosing by evidence is worth."""
     clusters = [f"{item.condition} {item.world}" for item in found]
     table = Table("choice", "geometric mean", "90th percentile", "largest", title=title)
@@ -242,16 +248,12 @@ def print_choice(console: Console, found: Sequence[Found], title: str) -> None:
         "always fused": np.array([item.ratio(FUSED) for item in found]),
     }
     rows |= {f"always {name}": np.array([item.ratio(name) for item in found]) for name in BUILT_IN}
-    for name, ratios in rows.items():
+    for choice, ratios in rows.items():
         has = np.isfinite(ratios)
         own = [cluster for cluster, one in zip(clusters, has, strict=True) if one]
         words = [clustered(ratios[has], own, of) for of in (geometric_mean, ninetieth)]
-        table.add_row(name, *words, f"{ratios[has].max():.2f}")
-    console.print(table)
-    pairs = [pair for item in found for pair in item.pairs]
-    right = sum(best == nearer for best, nearer in pairs)
-    total = sum(math.comb(len(item.candidates()), 2) for item in found)
-    console.print(f"pairs of producers told apart: {len(pairs)} of {total}, rightly {right}")
+        table.add_row(choice, *words, f"{ratios[has].max():.2f}")
+    console_for(name, record, width=110).print(table)
 
 
 def main() -> None:
@@ -262,6 +264,7 @@ def main() -> None:
     parser.add_argument("--make", action="store_true", help="make the drives that are not there")
     parser.add_argument("--json", type=Path, help="write what was found on each drive")
     parser.add_argument("--device", default="auto")
+    add_record_option(parser)
     arguments = parser.parse_args()
     device, model = open_device(arguments.device), HitModel()
     worlds = [int(word) for word in arguments.worlds.split(",")]
@@ -272,15 +275,18 @@ def main() -> None:
             make_drive(trial, arguments.drives, device)
         if (folder / "drive.json").exists():
             found += judge_drive(folder, device, model)
-    console = Console(width=110)
-    print_validity(console, found)
+    record = arguments.record
+    print_validity(found, record)
     whole = [item for item in found if item.condition != KIDNAPPING]
     kidnapped = [item for item in found if item.condition == KIDNAPPING]
-    print_choice(console, whole, f"ATE to the best in hindsight, {len(whole)} drives")
+    print_choice(
+        "evidence-choice", record, whole, f"ATE to the best in hindsight, {len(whole)} drives"
+    )
     if kidnapped:
-        print_choice(console, kidnapped, f"The same in {len(kidnapped)} segments of kidnappings")
+        title = f"The same in {len(kidnapped)} segments of kidnappings"
+        print_choice("evidence-kidnapped", None, kidnapped, title)
     times_s = [item.time_s for item in found]
-    console.print(f"beams and scores: {np.mean(times_s):.2f} s a drive, at most {max(times_s):.2f}")
+    print(f"beams and scores: {np.mean(times_s):.2f} s a drive, at most {max(times_s):.2f}")
     if arguments.json:
         arguments.json.write_text(json.dumps([vars(item) for item in found], indent=1))
 

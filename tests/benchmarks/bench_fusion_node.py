@@ -1,10 +1,10 @@
-"""Latency of the fusion node over DDS: ``python -m tests.benchmarks.bench_fusion_node [SIDE ...]``.
+"""Latency of the fusion node over DDS: ``python -m tests.benchmarks.bench_fusion_node``.
 
 Three maps of one building are published at 1 Hz from this process, each changed within another
 window of 20 m every round; the node runs in its own. Shown, for the rounds after the first fusion:
 the time from before a round's maps are sent to the fused map of its last stamp heard here, both
 ways through DDS; and what the node says of the time from a map's arrival to its publication, the
-first fusion's full search with it. Options: sides in cells (800 4000).
+first fusion's full search with it.
 
 The way through DDS is much of it, and its tail all of it on a busy machine: see it with and without
 FASTRTPS_DEFAULT_PROFILES_FILE=launch_scripts/fastdds-large-maps.xml.
@@ -12,16 +12,18 @@ FASTRTPS_DEFAULT_PROFILES_FILE=launch_scripts/fastdds-large-maps.xml.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
+from rich.table import Table
 
 from slamfusion.ros import messages, qos
 from tests.benchmarks.bench_live import NAMES, draw_maps, windowed
+from tests.benchmarks.record import add_record_option, console_for
 from tests.ros.live import Observer, Processes, free_domain, ros_environment, values
 
 FUSION = "fusion: fusion"
@@ -29,8 +31,14 @@ FUSION = "fusion: fusion"
 MOST_S = 8.0
 
 
-def run(side: int, rounds: int) -> None:
-    """Print the line of one side."""
+COLUMNS = (
+    "side", "rounds", "lost", "fused maps", "sent to heard, ms: median", "p95",
+    "the node says, ms: median", "p95", "voters", "updates",
+)  # fmt: skip
+
+
+def run(side: int, rounds: int) -> list[str]:
+    """Return the row of one side."""
     rng = np.random.default_rng(0)
     maps = draw_maps(side)
     with (
@@ -71,14 +79,26 @@ def run(side: int, rounds: int) -> None:
         observer.listen(1.5)
         told = values(observer.statuses()[FUSION])
         median, p95 = np.percentile(latencies_ms, (50.0, 95.0))
-        print(
-            f"{side} x {side}: {rounds} rounds, {lost} lost, {len(fused) - count} fused maps; "
-            f"sent to heard median {median:.0f} ms, p95 {p95:.0f} ms; the node says "
-            f"median {told['latency median [ms]']} ms, p95 {told['latency p95 [ms]']} ms; "
-            f"{told['voters']} voters, {told['updates']} updates"
-        )
+        told_of = ("latency median [ms]", "latency p95 [ms]", "voters", "updates")
+        counts = (side, rounds, lost, len(fused) - count)
+        heard = (f"{median:.0f}", f"{p95:.0f}")
+        return [*map(str, counts), *heard, *(told[key] for key in told_of)]
+
+
+def main() -> None:
+    """Print a table of all sides."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sides", type=int, nargs="*", default=[800, 4000], help="in cells")
+    parser.add_argument("--rounds", type=int, default=20)
+    add_record_option(parser)
+    options = parser.parse_args()
+    table = Table(*COLUMNS, title="three maps at 1 Hz over DDS")
+    for side in options.sides:
+        table.add_row(*run(side, options.rounds))
+    console_for("fusion-node", options.record, width=160).print(table)
 
 
 if __name__ == "__main__":
-    for word in sys.argv[1:] or ("800", "4000"):
-        run(int(word), 20)
+    main()

@@ -4,11 +4,12 @@ Three maps of one building, each in a frame of its own, grow as a robot drives t
 all three change around it, by a window of 20 m, and are put one after the other, each followed by
 its update. Then every cell of all three is shaken in every round (2 % flipped), which is the worst
 that can come. ``idle`` is the mean time a round that was spent on what may wait (an update without
-a new map). Options: sides in cells (800 4000).
+a new map).
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 import time
@@ -16,6 +17,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
+from rich.progress import track
+from rich.table import Table
 
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
@@ -23,6 +26,7 @@ from slamfusion.fusion.live import LiveFusion, LiveUpdate
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.sim import Degradation, degrade_map, draw_building
+from tests.benchmarks.record import add_record_option, console_for
 
 RESOLUTION = 0.05
 WINDOW_M = 20.0
@@ -111,8 +115,8 @@ class Row:
             pass
         self.idle.append(time.perf_counter() - began)
 
-    def show(self) -> None:
-        """Print one line."""
+    def cells(self) -> list[str]:
+        """Return what the table says of it."""
         ms = 1e3 * np.array(self.spent)
         steps = Counter[str]()
         for update in self.updates:
@@ -121,12 +125,9 @@ class Row:
         searches = sum(update.is_full_search for update in self.updates)
         voters = min(sum(r.accepted for r in update.inputs) for update in self.updates)
         idle = 1e3 * np.mean(self.idle) if self.idle else 0.0
-        print(
-            f"{self.name:34} {np.median(ms):7.0f} {np.percentile(ms, 95):7.0f} {ms.max():7.0f} "
-            f"{1e3 * np.mean(self.cpu):7.0f}   {parts}; idle {idle:.0f}; {searches} searches; "
-            f"{voters} voters or more",
-            flush=True,
-        )
+        times = (np.median(ms), np.percentile(ms, 95), ms.max(), 1e3 * np.mean(self.cpu), idle)
+        shown = [f"{number:.0f}" for number in times]
+        return [self.name, *shown, parts, str(searches), str(voters)]
 
 
 KINDS = (
@@ -146,16 +147,22 @@ def new_maps(kind: str, maps: Maps, rng: np.random.Generator, done: float) -> li
     return [change(grid, rng) for grid in maps.values()]
 
 
-def run(side: int, rounds: int) -> None:
-    """Print the table of one side."""
+COLUMNS = (
+    "side", "changed", "median ms", "p95", "worst", "CPU", "idle", "of it", "searches",
+    "fewest voters",
+)  # fmt: skip
+
+
+def run(side: int, rounds: int, table: Table) -> None:
+    """Put the rows of one side into the table."""
     rng = np.random.default_rng(0)
     maps = draw_maps(side)
     live = LiveFusion(RunConfig(), open_device())
     clock = 0.0
     first = Row("first fusion")
     first.put(live, [revealed(grid, 0.6) for grid in maps.values()], clock)
-    first.show()
-    for kind in KINDS:
+    table.add_row(str(side), *first.cells())
+    for kind in track(KINDS, f"{side} x {side}", disable=not sys.stderr.isatty()):
         row = Row(kind)
         for number in range(rounds):
             clock += 1.0
@@ -164,16 +171,21 @@ def run(side: int, rounds: int) -> None:
             for index in range(0, len(batch), step):
                 row.put(live, batch[index : index + step], clock)
             row.rest(live, clock)
-        row.show()
+        table.add_row(str(side), *row.cells())
 
 
-def main(sides: list[int]) -> None:
-    """Print a table for each side."""
-    for side in sides:
-        print(f"three maps of {side} x {side} on {open_device().name}")
-        print(f"{'ms':34} {'median':>7} {'p95':>7} {'worst':>7} {'cpu':>7}")
-        run(side, 20 if side < 2000 else 6)
+def main() -> None:
+    """Print a table of all sides."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sides", type=int, nargs="*", default=[800, 4000], help="in cells")
+    parser.add_argument("--rounds", type=int, help="default: 20, of 2000 cells and more 6")
+    add_record_option(parser)
+    options = parser.parse_args()
+    table = Table(*COLUMNS, title=f"three maps on {open_device().name}")
+    for side in options.sides:
+        run(side, options.rounds or (20 if side < 2000 else 6), table)
+    console_for("live", options.record, width=200).print(table)
 
 
 if __name__ == "__main__":
-    main([int(word) for word in sys.argv[1:]] or [800, 4000])
+    main()

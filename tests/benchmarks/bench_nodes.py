@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rich.console import Console
 from rich.table import Table
 
 from slamfusion.compute import open_device
@@ -37,6 +36,7 @@ from slamfusion.sim.courses import named_course, with_overrides
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import make_producer
 from slamfusion.trajectory import Trajectory
+from tests.benchmarks.record import add_record_option, console_for
 from tests.ros.drives import as_sent
 from tests.ros.live import Observer, Process, Processes, free_domain, ros_environment, values
 
@@ -135,8 +135,8 @@ def play(log: Path, folder: Path, seconds: float) -> tuple[dict[str, Watch], dic
         return watches, {kind: heard(kind, items) for kind, items in poses.items()}
 
 
-def show(watches: dict[str, Watch], online: dict[str, str], alone: dict[str, str]) -> None:
-    """Print a row for each node."""
+def table_of(watches: dict[str, Watch], online: dict[str, str], alone: dict[str, str]) -> Table:
+    """Return the table, a row for each node."""
     table = Table(title=f"{os.cpu_count()} cores, load {os.getloadavg()[1]:.1f} over five minutes")
     columns = (
         "node", "error cm: live", "offline", "fed", "dropped", "longest queue",
@@ -161,14 +161,16 @@ def show(watches: dict[str, Watch], online: dict[str, str], alone: dict[str, str
             f"{mb[-1]:.0f}",
             f"{watch.cpu_s / (SAMPLE_S * len(mb)):.2f}",
         )
-    Console(width=160).print(table)
+    return table
 
 
 def main() -> None:
     """Record, play, feed the same offline, and print."""
     parser = argparse.ArgumentParser(description="The nodes at rate 1 beside the offline run.")
     parser.add_argument("--minutes", type=float, default=10.0)
-    minutes = parser.parse_args().minutes
+    add_record_option(parser)
+    options = parser.parse_args()
+    minutes = options.minutes
     recording = record(minutes)
     scans = recording.scans[: int(60.0 * minutes * RATE_HZ)]
     with tempfile.TemporaryDirectory() as folder:
@@ -179,7 +181,7 @@ def main() -> None:
     truth = recording.truth
     online = {kind: error_cm(path, truth) for kind, path in told.items()}
     alone = {kind: error_cm(offline(kind, sent), truth) for kind in PRODUCERS}
-    show(watches, online, alone)
+    console_for("nodes", options.record, width=160).print(table_of(watches, online, alone))
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
     python -m tests.benchmarks.bench_places --pictures out/places
 
-Three tables: every pair of maps of different places by places.csv (none may be accepted), the
-pairs of one place, and the Halmstad pairs against their annotation. With --pictures each pair of
+Tables: every pair of maps of different places by places.csv (none may be accepted), the pairs of
+one place, the Halmstad pairs against their annotation, and last the counts of all, which --record
+keeps. With --pictures each pair of
 one place is drawn, the reference's walls in one colour and the moving map's in another, to be
 looked at.
 """
@@ -32,6 +33,7 @@ from slamfusion.fusion.pipeline import warp_onto
 from slamfusion.fusion.records import Alignment
 from slamfusion.grid import CellBox
 from slamfusion.io import save_image
+from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import MapEntry, load_entry, map_entries
 from tests.support.halmstad import (
     RIGHT_DEGREES,
@@ -42,6 +44,8 @@ from tests.support.halmstad import (
 from tests.support.overlap import are_different_places
 
 Pair = tuple[MapEntry, MapEntry]
+# Of the table of counts: pairs, right, accepted, accepted wrong.
+Counts = tuple[str, str, str, str]
 
 
 def different_places() -> Iterator[Pair]:
@@ -106,16 +110,13 @@ def draw_pair(
     save_image(path, np.ascontiguousarray(np.flipud(picture)))
 
 
-def bench_different(aligner: Aligner, console: Console) -> None:
-    """Print how many pairs of different places are accepted, and the nearest misses."""
+def bench_different(aligner: Aligner, console: Console) -> list[Counts]:
+    """Print which pairs of different places are accepted, and the nearest misses."""
     records = [
         aligner.align(a, b)[0]
         for a, b in track(list(different_places()), "different places", console=console)
     ]
     accepted = [record for record in records if record.accepted]
-    table = Table("pairs", "accepted", title="different places")
-    table.add_row(str(len(records)), str(len(accepted)))
-    console.print(table)
     for record in accepted:
         console.print(f"WRONG: {record.moving} to {record.reference}: {record.reason}")
     columns = ("share", "better", "expected_wrong", "rival_ratio", "wall_match", "wall_clash")
@@ -125,15 +126,19 @@ def bench_different(aligner: Aligner, console: Console) -> None:
         numbers = {**match.to_json(), **record.statistics}
         misses.add_row(record.moving, record.reference, *(f"{numbers[c]:.2g}" for c in columns))
     console.print(misses)
+    wrong = str(len(accepted))
+    return [(f"{len(records)} pairs of different places", "none can be", wrong, wrong)]
 
 
-def bench_same(aligner: Aligner, console: Console, pictures: Path | None) -> None:
+def bench_same(aligner: Aligner, console: Console, pictures: Path | None) -> list[Counts]:
     """Print the pairs of one place."""
     columns = ("accepted", "dx m", "dy m", "yaw deg", "score", "match", "next", "s")
     table = Table("moving", "reference", *columns, "reason", title="one place")
+    accepted = 0
     for a, b in same_place():
         record, reference, moving = aligner.align(a, b)
         pose = record.transform
+        accepted += record.accepted
         table.add_row(
             record.moving,
             record.reference,
@@ -151,11 +156,12 @@ def bench_same(aligner: Aligner, console: Console, pictures: Path | None) -> Non
             name = f"{record.reference}--{record.moving}.png".replace("/", "_")
             draw_pair(pictures / name, record, reference, moving, aligner.device)
     console.print(table)
+    return [(f"{table.row_count} pairs of one place", "no truth", str(accepted), "-")]
 
 
-def bench_halmstad(aligner: Aligner, console: Console) -> None:
-    """Print the Halmstad places against their annotation."""
-    table = Table("place", "pairs", "right", "accepted", "accepted wrong", title="Halmstad")
+def bench_halmstad(aligner: Aligner, console: Console) -> list[Counts]:
+    """Print which Halmstad pairs are wrong by their annotation."""
+    rows: list[Counts] = []
     for place in ("F5", "HIH", "E5", "KPT4A"):
         counts: Counter[str] = Counter()
         grids = load_place(place)
@@ -177,9 +183,10 @@ def bench_halmstad(aligner: Aligner, console: Console) -> None:
             if record.accepted and not is_right:
                 console.print(f"WRONG: {b} to {a}: {pixels:.1f} px, {degrees:.2f} deg")
         if counts["pairs"]:
-            columns = ("pairs", "right", "accepted", "accepted wrong")
-            table.add_row(place, *(str(counts[column]) for column in columns))
-    console.print(table)
+            right = f"{counts['right']} of {counts['pairs']}"
+            believed = (str(counts[name]) for name in ("accepted", "accepted wrong"))
+            rows.append((f"Halmstad {place}", right, *believed))
+    return rows
 
 
 def main() -> None:
@@ -188,14 +195,18 @@ def main() -> None:
     parser.add_argument("--prove", action="store_true")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--skip-different", action="store_true")
+    add_record_option(parser)
     arguments = parser.parse_args()
     device = open_device(arguments.device)
     console = Console(width=180)
     aligner = Aligner(device, prove=arguments.prove)
-    bench_halmstad(aligner, console)
-    bench_same(aligner, console, arguments.pictures)
+    rows = bench_halmstad(aligner, console) + bench_same(aligner, console, arguments.pictures)
     if not arguments.skip_different:
-        bench_different(aligner, console)
+        rows += bench_different(aligner, console)
+    table = Table("pairs", "right", "accepted", "accepted wrong", title="all pairs")
+    for row in rows:
+        table.add_row(*row)
+    console_for("places", arguments.record, width=180).print(table)
 
 
 if __name__ == "__main__":

@@ -68,6 +68,7 @@ from slamfusion.pose_graph.initialize import rotations_first
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
 from slamfusion.pose_graph.optimize import Robust
+from tests.benchmarks.record import add_record_option, console_for
 from tests.pose_graph.graphs import POSE_GRAPHS, apart, with_false_closures
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
 
@@ -363,6 +364,7 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=("consensus",))
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--repetitions", type=int, default=5)
+    add_record_option(parser)
     options = parser.parse_args()
     methods = tuple(options.methods)
     is_slow = options.part == "online" or (options.part == "false" and methods != ("consensus",))
@@ -377,7 +379,7 @@ def main() -> None:
         table = again(names, methods, options.repetitions)
     else:
         table = solvers(names, options.repetitions)
-    Console(width=200).print(table)
+    console_for(f"pose-graphs-{options.part}", options.record, width=200).print(table)
 
 
 if __name__ == "__main__":

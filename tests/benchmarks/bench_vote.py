@@ -1,29 +1,32 @@
 """Table of vote times over modes and numbers of inputs: ``python -m tests.benchmarks.bench_vote``.
 
-Each row: median seconds, and the ratio to copying the same grids. Options: side in cells (2000).
+Each row: medians of the copy of the grids and of the vote, and their ratio.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
+from pathlib import Path
 from statistics import median
 
 import numpy as np
+from rich.table import Table
 
 from slamfusion.compute import open_device
 from slamfusion.config import VoteConfig
 from slamfusion.fusion.vote import vote_grids
+from tests.benchmarks.record import add_record_option, console_for
 
 RUNS = 7
 
 
-def main(side: int) -> None:
+def run(side: int, record: Path | None) -> None:
     """Print the table."""
     device = open_device()
     rng = np.random.default_rng(0)
-    print(f"{side} x {side} on {device.name}")
-    print(f"{'mode':10} {'inputs':>6} {'copy ms':>9} {'vote ms':>9} {'ratio':>7}")
+    columns = ("mode", "inputs", "copy ms", "vote ms", "ratio")
+    table = Table(*columns, title=f"{side} x {side} on {device.name}")
     for mode in ("majority", "weighted", "log-odds"):
         for count in (1, 2, 3, 4, 8, 12):
             percents = [rng.integers(-1, 101, (side, side)).astype(np.int8) for _ in range(count)]
@@ -40,9 +43,19 @@ def main(side: int) -> None:
                 copies.append(copied - began)
                 votes.append(time.perf_counter() - copied)
             copy_s, vote_s = median(copies[1:]), median(votes[1:])
-            row = f"{1e3 * copy_s:9.2f} {1e3 * vote_s:9.2f} {vote_s / copy_s:7.2f}"
-            print(f"{mode:10} {count:6} {row}")
+            times = (1e3 * copy_s, 1e3 * vote_s, vote_s / copy_s)
+            table.add_row(mode, str(count), *(f"{number:.2f}" for number in times))
+    console_for("vote", record, width=100).print(table)
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("side", type=int, nargs="?", default=2000, help="of the grids, cells")
+    add_record_option(parser)
+    options = parser.parse_args()
+    run(options.side, options.record)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 2000)
+    main()

@@ -49,6 +49,7 @@ class RecordingConsole(Console):
                 number = len(self.kept) + 1
                 name = self.name if number == 1 else f"{self.name}-{number}"
                 measured = measurement(name, item)
+                self.folder.mkdir(parents=True, exist_ok=True)
                 path = self.folder / measured.file_name
                 path.write_text(measured.to_json(), encoding="utf-8")
                 self.kept.append(path)
