@@ -30,14 +30,13 @@ from docs.generate.provenance import commit, cores
 __all__ = ["RECIPES", "Recipe", "main"]
 
 Documents = Sequence[Mapping[str, Any]]
-LOG = "{datasets}/mit-csail/mit-csail.clf.gz"
-RELATIONS = "{datasets}/mit-csail/mit-csail.relations"
-REFERENCE = "{datasets}/mit-csail/mit-csail-reference-graph.log.gz"
-MEASURED_BY = f"--relations {RELATIONS} --reference {REFERENCE}"
-INTEL = ":".join(
-    f"{{datasets}}/intel/{name}"
-    for name in ("intel-2726-raw.log.gz", "intel.relations", "intel-odometry-13631.txt.gz")
-)
+CSAIL, INTEL = "{datasets}/mit-csail/mit-csail", "{datasets}/intel/intel"
+LOG, RELATIONS = f"{CSAIL}.clf.gz", f"{CSAIL}.relations"
+REFERENCE = f"{CSAIL}-reference-graph.log.gz"
+INTEL_RELATIONS, INTEL_ODOMETRY = f"{INTEL}.relations", f"{INTEL}-odometry-13631.txt.gz"
+INTEL_LOGS = (f"{INTEL}-910-raw.log.gz", f"{INTEL}-2726-raw.log.gz")
+MODEL_LOGS = f"--log {LOG}:{RELATIONS} --log {INTEL_LOGS[1]}:{INTEL_RELATIONS}:{INTEL_ODOMETRY}"
+ESTIMATOR_LOG = f"--log {LOG} --relations {RELATIONS} --reference {REFERENCE}"
 
 
 @dataclass(frozen=True)
@@ -66,12 +65,22 @@ RECIPES = {
     ),
     "real-logs": Recipe(("experiment real-logs --datasets {datasets} -o {out}",), tables.real_logs),
     "cell-models": Recipe(
-        (f"experiment cell-models-trajectories --log {LOG}:{RELATIONS} --log {INTEL} -o {{out}}",),
+        (f"experiment cell-models-trajectories {MODEL_LOGS} -o {{out}}",),
         tables.repeated_runs,
     ),
     "occupancy-estimator": Recipe(
-        (f"experiment occupancy-estimator --log {LOG} {MEASURED_BY} -o {{out}}",),
+        (f"experiment occupancy-estimator {ESTIMATOR_LOG} -o {{out}}",),
         tables.repeated_runs,
+    ),
+    "fused-path-recordings": Recipe(
+        (
+            f"run {LOG} --relations {RELATIONS} -o {{out}}",
+            *(
+                f"run {log} --relations {INTEL_RELATIONS} --odometry {INTEL_ODOMETRY} -o {{out}}"
+                for log in INTEL_LOGS
+            ),
+        ),
+        tables.fused_path,
     ),
 }
 

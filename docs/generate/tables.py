@@ -1,4 +1,4 @@
-"""The pages' tables of ``slamfusion bench`` and ``slamfusion experiment``, from their documents.
+"""The pages' tables of ``slamfusion`` ``bench``, ``experiment`` and ``run``, from their documents.
 
 A document is what the command prints with ``--json``, or the file of the experiment's name in its
 folder. Each table is its columns and its rows, all texts.
@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from slamfusion.experiments.drives import ATE, RELATIONS
 from slamfusion.experiments.real_logs import REFERENCE
 from slamfusion.experiments.table import p_text
 
-__all__ = ["TableText", "failures", "ground_obstacle", "real_logs", "repeated_runs", "speed"]
+__all__ = [
+    "TableText",
+    "failures",
+    "fused_path",
+    "ground_obstacle",
+    "real_logs",
+    "repeated_runs",
+    "speed",
+]
 
 Document = Mapping[str, Any]
 TableText = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
@@ -136,6 +145,22 @@ def repeated_runs(documents: Sequence[Document]) -> TableText:
                 rows.append((*(f"{level}" for level in group), name, *cells, *shown))
     heads = [f"p {a} / {b}" for a, b in pairs] if len(pairs) > 1 else ["p"] * len(pairs)
     return (*factors, "measure", *map(str, methods), *heads), tuple(rows)
+
+
+def fused_path(documents: Sequence[Document]) -> TableText:
+    """Return the mean translation left on the relations of each path of each run, metres."""
+    rows = []
+    for document in documents:
+        paths = {item["name"]: item for item in document["producers"] if item["failed"] is None}
+        paths["fused path"] = document["fused_path"]
+        means = {name: item["translation"]["mean"] for name, item in paths.items()}
+        best = min(means.values())
+        cells = {name: _bold(f"{mean:.4f}", mean == best) for name, mean in means.items()}
+        rows.append((Path(document["log"]).name.split(".")[0], cells))
+    names = list(dict.fromkeys(name for _, cells in rows for name in cells if name != "fused path"))
+    names.append("fused path")
+    shown = tuple((log, *(cells.get(name, "-") for name in names)) for log, cells in rows)
+    return ("log", *map(_shown, names)), shown
 
 
 def _only(documents: Sequence[Document]) -> Document:

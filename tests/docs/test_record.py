@@ -129,6 +129,22 @@ def test_of_each_recorded_map_three_figures_are_shown() -> None:
     )
 
 
+def test_each_run_s_paths_stand_beside_the_fused_one() -> None:
+    def run(log: str, fused: float, **means: float) -> dict[str, Any]:
+        producers = [
+            {"name": name, "failed": None, "translation": {"mean": mean}}
+            for name, mean in means.items()
+        ]
+        producers.append({"name": "gmapping", "failed": "it ended with exit code 1"})
+        return {"log": log, "producers": producers, "fused_path": {"translation": {"mean": fused}}}
+
+    runs = [run("data/a.clf.gz", 0.0282, tinyslam=0.0293), run("b.log", 0.0445, graph=0.0441)]
+    assert tables.fused_path(runs) == (
+        ("log", "tinySLAM", "graph", "fused path"),
+        (("a", "0.0293", "-", "**0.0282**"), ("b", "-", "**0.0441**", "0.0445")),
+    )
+
+
 def test_a_document_becomes_a_dated_table(tmp_path: Path) -> None:
     main(["speed", "--document", saved(tmp_path, BENCH), *MADE, "--record", str(tmp_path / "kept")])
     kept = measurements(tmp_path / "kept")["speed"]
