@@ -44,8 +44,8 @@ __all__ = [
 NS = 10**9
 # A quaternion whose axis leaves the vertical by more (sine of half the tilt) is no yaw rotation.
 TILT_MAX = 0.02
-# A quaternion shorter than this says nothing.
-LENGTH_MIN = 1e-3
+# A quaternion shorter or longer than these says nothing.
+LENGTH_MIN, LENGTH_MAX = 1e-3, 1e3
 
 
 def stamp_s(message: Any) -> float:
@@ -104,8 +104,8 @@ def pose2_from_message(pose: Any) -> Pose2:
     if not all(math.isfinite(value) for value in values):
         message = f"pose ({place.x}, {place.y}) with quaternion {_words(turn)} is not finite"
         raise TrajectoryError(message)
-    length = math.sqrt(turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2)
-    if length < LENGTH_MIN:
+    length = math.hypot(turn.x, turn.y, turn.z, turn.w)
+    if not LENGTH_MIN <= length <= LENGTH_MAX:
         message = f"quaternion {_words(turn)} is no rotation; for none send w = 1"
         raise TrajectoryError(message)
     if math.hypot(turn.x, turn.y) > TILT_MAX * length:

@@ -102,6 +102,8 @@ def test_a_cell_that_is_none_is_refused(value: int):
         ((1.0, 0.0, 0.0, 0.0), "tilts or turns over"),
         ((0.0, 0.1, 0.0, 1.0), "tilts or turns over"),
         ((0.0, 0.0, 0.0, 0.0), "no rotation"),
+        ((0.0, 0.0, 1e308, 1e308), "no rotation"),
+        ((0.0, 0.0, 0.0, -1e200), "no rotation"),
         ((0.0, 0.0, math.nan, 1.0), "not finite"),
     ],
 )
