@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +19,7 @@ from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any
 
 from slamfusion.config import RunConfig
@@ -132,7 +133,11 @@ class SideBySide:
 
     def __enter__(self) -> SideBySide:  # noqa: PYI034  typing.Self needs Python 3.11
         """Start as many as may run at once."""
-        self._start()
+        try:
+            self._start()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
         return self
 
     def __exit__(
@@ -170,7 +175,8 @@ class SideBySide:
     def _start(self) -> None:
         """Start processes until as many run as may."""
         while self._waiting and len(self._jobs) < self._processes:
-            self._jobs.append(_start(self._waiting.pop(0), self._arguments, self._threads))
+            with interrupts_held():  # none comes before the process can be stopped
+                self._jobs.append(_start(self._waiting.pop(0), self._arguments, self._threads))
 
     def _listen(self, job: _Job, progress: Progress | None) -> None:
         """Take one thing that a process sent; nothing more to come means that it died."""
@@ -254,7 +260,7 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
         target=_work, args=(name, *arguments, theirs), name=f"slamfusion-{name}", daemon=True
     )
     begun_s = time.perf_counter()
-    with threads_limited(threads), interrupts_held():
+    with threads_limited(threads):
         process.start()
     theirs.close()  # ours: else the end of the process would not be seen as the end of the pipe
     return _Job(name, process, answers, begun_s)
@@ -265,13 +271,23 @@ def interrupts_held() -> Iterator[None]:
     """Let processes that are started in a ``with`` block not hear an interrupt before they can.
 
     A terminal sends it to all of them: one that is still importing would end in a traceback. They
-    begin with it blocked; ours comes when the block ends.
+    begin with it blocked; ours comes when the block ends. Blocking alone does not hold ours: a
+    thread of a library takes the signal, and Python's handler runs in the main thread all the same.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    heard: list[tuple[int, FrameType | None]] = []
+    handler = signal.getsignal(signal.SIGINT)
+    is_ours = callable(handler) and threading.current_thread() is threading.main_thread()
+    if is_ours:
+        signal.signal(signal.SIGINT, lambda *told: heard.append(told))
     try:
         yield
     finally:
+        if is_ours:
+            signal.signal(signal.SIGINT, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if heard and callable(handler):
+            handler(*heard[0])
 
 
 @contextlib.contextmanager

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from tests.cli.command import (
     run,
     tree,
 )
+from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs
 from tests.slam.drives import drive
 from tests.support.datasets import ABSENT, DATASETS
 from tests.support.documents import check_document
@@ -31,21 +31,8 @@ from tests.support.documents import check_document
 pytestmark = pytest.mark.once
 
 NAMES = ("tinyslam", "gmapping", "graph")
-SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 TWO = ("--producers", "tinyslam,graph")
 CSAIL = DATASETS / "mit-csail"
-MAPS_OF_FUSION = {
-    f"{name}{end}" for name in ("fused", "fused_agreement") for end in (".yaml", ".pgm")
-} | {"fused.tum"}
-
-
-def files_of(*names: str) -> set[str]:
-    return {f"{name}{suffix}" for name in names for suffix in SUFFIXES}
-
-
-def outputs(folder: Path) -> set[str]:
-    """The files in a run's folder, without those of the report."""
-    return {path.name for path in folder.iterdir() if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -229,19 +216,6 @@ def test_a_killed_producer_is_named_and_the_others_are_fused(place: Path, tmp_pa
     assert f"{record['name']} made no map:" in html
 
 
-def a_producer_of(parent: int) -> int:
-    """Return a process of one of its producers."""
-    children = Path(f"/proc/{parent}/task/{parent}/children")
-    end_s = time.monotonic() + 60.0
-    while time.monotonic() < end_s:
-        for child in children.read_text(encoding="ascii").split():
-            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                return int(child)
-        time.sleep(0.02)
-    message = "no producer was started"
-    raise AssertionError(message)
-
-
 def test_a_run_that_fuses_nothing_leaves_the_earlier_results(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("run", place / "flat.log", "-o", out, *TWO)
@@ -295,20 +269,6 @@ def test_a_time_limit_leaves_out_who_takes_longer(place: Path, tmp_path: Path) -
     assert document["fused"] is None
     assert "none of 2 maps was made" in document["error"]
     assert outputs(tmp_path / "out") == set()
-
-
-@pytest.mark.parametrize("order", ["log first", "log last"])
-def test_saved_maps_vote_too(place: Path, tmp_path: Path, order: str) -> None:
-    save_map(load_map(place / "saved.yaml"), tmp_path / "other" / "graph")
-    maps = ("--inputs", place / "saved.yaml", tmp_path / "other" / "graph.yaml")
-    log = (place / "flat.log",)
-    given = (*log, *maps) if order == "log first" else (*maps, *log)
-    done = run("run", *given, "-o", tmp_path / "out", "--producers", "graph", "--json")
-    assert done.returncode == 0, done.stderr
-    document = json_of(done)
-    assert [item["name"] for item in document["inputs"]] == ["graph", "saved", "graph (saved)"]
-    assert document["fused_count"] == 3
-    assert len(document["producers"]) == 1
 
 
 def test_require_all_fuses_nothing_without_everyone(place: Path, tmp_path: Path) -> None:
@@ -384,23 +344,6 @@ def test_what_cannot_end_well_is_refused_before_any_work(
     assert word in " ".join(done.stderr.split())
     assert done.stdout == ""
     assert tree(tmp_path) == before
-
-
-def test_an_interrupted_run_leaves_neither_files_nor_processes(place: Path, tmp_path: Path) -> None:
-    started = subprocess.Popen(
-        [INSTALLED, "run", place / "flat.log", "-o", tmp_path / "out"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    producer = a_producer_of(started.pid)
-    time.sleep(1.0)
-    started.send_signal(signal.SIGINT)
-    _, stderr = started.communicate(timeout=60)
-    assert started.returncode == 130
-    assert "interrupted" in stderr
-    assert not Path(f"/proc/{producer}").exists()
-    assert tree(tmp_path) == {}
 
 
 @pytest.mark.full

@@ -1,0 +1,173 @@
+"""``run`` among other processes: two into one folder, an interrupt, a reader that goes away."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import load_map, read_trajectory, save_map, write_carmen
+from tests.cli.command import INSTALLED, json_of, server, tree
+from tests.cli.run_folder import MAPS_OF_FUSION, a_producer_of, files_of, outputs, producers_of
+from tests.slam.drives import CELL_M, draw_flat, drive
+
+pytestmark = pytest.mark.once
+
+# Of one producer and saved maps; one producer alone has no path to fuse.
+MADE = files_of("graph") | MAPS_OF_FUSION - {"fused.tum"}
+# A test run in the background ignores Ctrl-C, and what it starts would too.
+HEARING = ("env", "--default-signal=INT")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive through a flat, the first part of it, and the flat's map."""
+    folder = tmp_path_factory.mktemp("place")
+    write_carmen(folder / "flat.log", drive(64)[0])
+    write_carmen(folder / "short.log", drive(48)[0])
+    walls = np.where(draw_flat() == 1, 100, 0).astype(np.int8)
+    save_map(OccupancyGrid(walls, CELL_M), folder / "saved")
+    return folder
+
+
+ORDERS = ("log first", "log last")
+
+
+@pytest.fixture(scope="module")
+def at_once(
+    place: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, dict[str, Any]]]:
+    """Two runs with saved maps into one folder at once: the folder, and what each of them says.
+
+    The log of the second is shorter.
+    """
+    folder = tmp_path_factory.mktemp("at-once")
+    save_map(load_map(place / "saved.yaml"), folder / "other" / "graph")
+    logs = {"log first": place / "flat.log", "log last": place / "short.log"}
+    maps = ("--inputs", place / "saved.yaml", folder / "other" / "graph.yaml")
+    options = ("-o", folder / "out", "--producers", "graph", "--json")
+    with contextlib.ExitStack() as files:
+        started = {}
+        for order, log in logs.items():
+            given = (log, *maps) if order == "log first" else (*maps, log)
+            words = [str(word) for word in ("run", *given, *options)]
+            ends = [
+                files.enter_context((folder / f"{order}.{name}").open("w+"))
+                for name in ("in", "out", "err")
+            ]
+            numbers = [file.fileno() for file in ends]
+            started[order] = server().start(words, os.environ, folder, numbers), words
+        said = {}
+        for order, (process, words) in started.items():
+            code = process.wait(180.0)
+            out, err = ((folder / f"{order}.{name}").read_text("utf-8") for name in ("out", "err"))
+            assert (code, err) == (0, "")
+            said[order] = json_of(subprocess.CompletedProcess([INSTALLED, *words], code, out))
+    return folder / "out", said
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_saved_maps_vote_too(at_once: tuple[Path, dict[str, dict[str, Any]]], order: str) -> None:
+    document = at_once[1][order]
+    assert [item["name"] for item in document["inputs"]] == ["graph", "saved", "graph (saved)"]
+    assert document["fused_count"] == 3
+    assert len(document["producers"]) == 1
+
+
+def test_two_runs_at_once_leave_the_files_of_one(
+    at_once: tuple[Path, dict[str, dict[str, Any]]],
+) -> None:
+    out, said = at_once
+    assert outputs(out) == MADE
+    assert {path.name for path in out.iterdir() if path.is_dir()} == {"report"}
+    assert not list(out.rglob(".slamfusion-*"))
+    record = json.loads((out / "graph.json").read_text(encoding="utf-8"))
+    (document,) = (item for item in said.values() if item["log"] == record["log"])
+    (made,) = record["producers"]
+    assert made["scans"] == document["producers"][0]["scans"]
+    assert len(read_trajectory(out / "graph.tum")) == made["scans"]
+    assert Path(record["log"]).name in (out / "report" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def a_vote(place: Path) -> tuple[str | Path, ...]:
+    """The cheapest run that fuses: one producer and a saved map."""
+    return ("run", place / "flat.log", "--inputs", place / "saved.yaml", "--producers", "graph")
+
+
+def is_at(stage: str, process: int, folder: Path) -> bool:
+    """Whether a run, whose producers were seen, is in a later stage."""
+    if stage == "report":
+        return any(folder.glob(".slamfusion-*.tmp"))
+    return not producers_of(process)
+
+
+@pytest.mark.parametrize("stage", ["fusion", "report"])
+def test_an_interrupt_is_one_line_and_leaves_the_earlier_results(
+    at_once: tuple[Path, dict[str, dict[str, Any]]],
+    a_vote: tuple[str | Path, ...],
+    tmp_path: Path,
+    stage: str,
+) -> None:
+    """As a terminal sends it: to the command and to all that it has started."""
+    out = tmp_path / "out"
+    shutil.copytree(at_once[0], out)
+    before = tree(tmp_path)
+    started = subprocess.Popen(
+        [*HEARING, INSTALLED, *a_vote, "-o", out],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    producer = a_producer_of(started.pid)
+    end_s = time.monotonic() + 60.0
+    while not is_at(stage, started.pid, out) and time.monotonic() < end_s:
+        time.sleep(0.01)
+    os.killpg(started.pid, signal.SIGINT)
+    stdout, stderr = started.communicate(timeout=60)
+    assert (started.returncode, stdout, stderr) == (130, "", "slamfusion: interrupted\n")
+    assert not Path(f"/proc/{producer}").exists()
+    assert tree(tmp_path) == before
+
+
+def test_a_run_interrupted_in_its_producers_leaves_no_folder(place: Path, tmp_path: Path) -> None:
+    started = subprocess.Popen(
+        [*HEARING, INSTALLED, "run", place / "flat.log", "-o", tmp_path / "out"],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    producer = a_producer_of(started.pid)
+    os.killpg(started.pid, signal.SIGINT)
+    _, stderr = started.communicate(timeout=60)
+    assert (started.returncode, stderr) == (130, "slamfusion: interrupted\n")
+    assert not Path(f"/proc/{producer}").exists()
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.full
+def test_a_reader_that_went_away_is_told_by_the_code(
+    a_vote: tuple[str | Path, ...], tmp_path: Path
+) -> None:
+    """The files are whole: only the words had no reader."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        files = [os.open(os.devnull, os.O_RDWR), writing, os.open(os.devnull, os.O_RDWR)]
+        words = [*map(str, a_vote), "-o", str(tmp_path / "out")]
+        assert server().start(words, os.environ, tmp_path, files).wait(180.0) == 141
+    finally:
+        for file in files:
+            os.close(file)
+    assert outputs(tmp_path / "out") == MADE
