@@ -9,7 +9,6 @@ from typing import Any
 from nav_msgs.msg import OccupancyGrid
 
 from slamfusion import grid as grids
-from slamfusion.compute import open_device
 from slamfusion.config import (
     DeviceConfig,
     FusionConfig,
@@ -23,6 +22,7 @@ from slamfusion.fusion.live.outbox import Fused, Outbox
 from slamfusion.fusion.live.session import FusionSession, warm_up
 from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase, Status
+from slamfusion.ros.device import open_node_device
 from slamfusion.ros.fused_frames import FusedFrames
 from slamfusion.ros.fused_output import MAP_TOPIC, FusedOutput
 from slamfusion.ros.fusion_ports import FusionPorts
@@ -113,7 +113,7 @@ class FusionNode(NodeBase):
             for name, entry in entries.items()
             if (grid := load_saved(name, entry, config.map_files, self.log.warning)) is not None
         }
-        self._device = open_device(config.device.device)
+        self._device = open_node_device(config.device.device, self.diagnostics)
         fusion = LiveFusion(config, self._device, tuple(entries))
         warm_up(config, self._device)
 

@@ -22,6 +22,7 @@ from slamfusion.config import DeviceConfig, ProducerNodeConfig, RunConfig
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.child_frames import in_namespace
+from slamfusion.ros.device import open_node_device
 from slamfusion.ros.map_transform import MapTransform
 from slamfusion.ros.parameters import declare
 from slamfusion.ros.producer_status import producer_figures
@@ -114,7 +115,7 @@ class ProducerNode(NodeBase):
         self._own_interval_s = producer(kind).map_interval_s(section)
         own_frame = in_namespace(node.get_namespace(), f"{self.name}_map")
         self._map_frame = self.settings.map_frame or own_frame
-        self._device = open_device(device.device)
+        self._device = open_node_device(device.device, self.diagnostics)
         self._session = ProducerSession(
             kind,
             self._config,
