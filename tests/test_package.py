@@ -19,7 +19,7 @@ CORE = (
     "slamfusion.fusion",
     "slamfusion.io",
     "slamfusion.sim",
-    "slamfusion.cli.main",
+    "slamfusion.cli.program",
 )
 LINT = "from importlinter.cli import lint_imports_command; lint_imports_command()"
 
@@ -49,7 +49,7 @@ def test_the_core_needs_no_opencl_plots_or_ros(module: str):
 
 
 def test_who_reads_maps_does_not_wait_for_scipy():
-    script = "import sys, slamfusion.cli.main, slamfusion.io; assert 'scipy' not in sys.modules"
+    script = "import sys, slamfusion.cli.program, slamfusion.io; assert 'scipy' not in sys.modules"
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import click
 
 from docs.generate.markdown import table
-from slamfusion.cli.main import cli
+from slamfusion.cli.program import cli
 
 __all__ = ["TABLES", "command_pages", "walk"]
 

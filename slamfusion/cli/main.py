@@ -1,4 +1,4 @@
-"""Entry point of the ``slamfusion`` command: the table of subcommands and the one error handler.
+"""Entry point of the ``slamfusion`` command.
 
 Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 130 interrupted;
 141 the reader of our output went away.
@@ -7,219 +7,30 @@ Exit codes: 0 done; 1 expected failure, with one line on stderr; 2 wrong usage; 
 from __future__ import annotations
 
 import contextlib
-import io
-import logging
-import os
+import json
 import sys
-import traceback
-import warnings
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, cast
 
-import click
+from slamfusion.cli.address_space import shortage
 
-from slamfusion import __version__
-from slamfusion.cli import (
-    align,
-    bench,
-    devices,
-    doctor,
-    evaluate,
-    experiment,
-    fuse,
-    graph,
-    judge,
-    node,
-    run,
-    simulate,
-    slam,
-    trajectory,
-)
-from slamfusion.cli.output import Settings, one_line, print_json
-from slamfusion.errors import SlamFusionError
-
-__all__ = ["COMMANDS", "main"]
-
-# Every subcommand; a new one is a module with a ``command`` and a line here.
-COMMANDS: tuple[click.Command, ...] = (
-    run.command,
-    fuse.command,
-    align.command,
-    evaluate.command,
-    simulate.command,
-    experiment.command,
-    slam.command,
-    trajectory.command,
-    judge.command,
-    graph.command,
-    devices.command,
-    doctor.command,
-    bench.command,
-    node.command,
-)
-
-EXIT_FAILURE = 1
-EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130
-EXIT_PIPE_CLOSED = 141
-# What they warn of is told: a changed library, a full cache, a producer that is not used, ...
-TOLD_LOGGERS = ("slamfusion.compute", "slamfusion.slam.registry")
-
-
-class _InOrder(click.Group):
-    """A group that lists its commands in the order of the table."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return list(self.commands)
-
-
-@click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="slamfusion")
-def cli() -> None:
-    """Align the occupancy grids of several 2D SLAMs and let them vote."""
-
-
-for _command in COMMANDS:
-    cli.add_command(_command)
+__all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
-    _open_streams()
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # file names need not be text
-            stream.reconfigure(errors="backslashreplace")
-    logging.getLogger("slamfusion").addHandler(logging.NullHandler())
-    for name in TOLD_LOGGERS:
-        told = logging.getLogger(name)
-        if not told.handlers:
-            told.addHandler(logging.StreamHandler())
-    settings = Settings()
-    code = _run(list(sys.argv[1:] if arguments is None else arguments), settings)
-    with contextlib.suppress(OSError):
-        sys.stderr.flush()
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if message := shortage():
+        with contextlib.suppress(OSError, AttributeError):  # a stream that is full or closed
+            print(f"slamfusion: error: {message}", file=sys.stderr)
+            if "--json" in words:
+                print(json.dumps({"error": message}, indent=2), flush=True)
+        sys.exit(1)
+    try:
+        from slamfusion.cli.program import run_program  # noqa: PLC0415 - loads NumPy
+
+        code = run_program(words)
+    except KeyboardInterrupt:  # while that was loading
+        with contextlib.suppress(OSError, AttributeError):
+            print("slamfusion: interrupted", file=sys.stderr)
+        code = 130
     sys.exit(code)
-
-
-class _Output(io.FileIO):
-    """Standard output, which says its name where it cannot be written."""
-
-    def write(self, data: Any, /) -> int:
-        """Write some bytes; see ``io.RawIOBase.write``."""
-        try:
-            return cast("int", super().write(data))
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            error.filename = "standard output"
-            raise
-
-
-def _open_streams() -> None:
-    """Put something in the place of closed streams, and give errors of the output its name.
-
-    The next file that is opened would take a closed stream's number, and with it what libraries
-    print.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)
-    if sys.stderr is None:
-        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
-    own: Any = getattr(sys, "stdout", None)
-    if own is None:
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
-    elif own is vars(sys)["__stdout__"] and not own.isatty():
-        sys.stdout = _named(own)
-
-
-def _named(stream: Any) -> io.TextIOWrapper:
-    """Return standard output as a stream whose errors say its name."""
-    raw = io.BufferedWriter(_Output(stream.fileno(), "w", closefd=False))
-    return io.TextIOWrapper(raw, stream.encoding, stream.errors)
-
-
-# What the program, the command line and the system fail with on purpose.
-_EXPECTED = (click.ClickException, SlamFusionError, OSError, MemoryError)
-
-
-def _run(arguments: list[str], settings: Settings) -> int:
-    """Run one command; every expected failure of the program ends here."""
-    try:
-        with warnings.catch_warnings():
-            if "--debug" not in arguments:
-                warnings.simplefilter("ignore")
-            with cli.make_context("slamfusion", arguments, obj=settings) as context:
-                code = cli.invoke(context)
-        sys.stdout.flush()
-    except click.exceptions.Exit as request:  # --help, --version
-        code = request.exit_code
-    except click.UsageError as error:
-        if type(error) is click.BadParameter:  # the value is wrong, not the way to ask
-            _say(f"error: {error.format_message()}")
-        else:
-            error.show()
-        code = EXIT_USAGE
-    except (KeyboardInterrupt, click.Abort):
-        _say("interrupted")
-        code = EXIT_INTERRUPTED
-    except BrokenPipeError:
-        _drop_stdout()
-        code = EXIT_PIPE_CLOSED
-    except _EXPECTED as error:
-        code = _fail(_message(error), settings)
-    return code if isinstance(code, int) else 0
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, click.ClickException):
-        return error.format_message()
-    if isinstance(error, MemoryError):
-        return "out of memory; free some, crop the maps or use a coarser cell"
-    return _describe(error) if isinstance(error, OSError) else str(error)
-
-
-def _fail(message: str, settings: Settings) -> int:
-    """Print one line (with ``--debug`` the traceback before it, with ``--json`` a document)."""
-    if settings.debug:
-        traceback.print_exc()
-    try:
-        if settings.json and not settings.printed:
-            print_json({"error": one_line(message)})
-        sys.stdout.flush()
-    except (OSError, ValueError):
-        _drop_stdout()
-    _say(f"error: {message}")
-    return EXIT_FAILURE
-
-
-def _say(message: str) -> None:
-    with contextlib.suppress(OSError):
-        print(f"slamfusion: {one_line(message)}", file=sys.stderr)
-
-
-def _describe(error: OSError) -> str:
-    """Say what the operating system said, file first."""
-    reason = error.strerror or str(error)
-    where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, (str, bytes)) else ""
-    mend = {
-        FileNotFoundError: "; check the path",
-        PermissionError: "; check who may use it",
-        IsADirectoryError: "; name a file in it",
-    }.get(type(error), "")
-    return f"{where}{reason}{mend}"
-
-
-def _drop_stdout() -> None:
-    """Send what is still buffered nowhere, so that the interpreter's last flush stays silent."""
-    with contextlib.suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
-
-
-if __name__ == "__main__":
-    main()

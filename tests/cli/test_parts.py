@@ -12,9 +12,9 @@ import pytest
 
 from slamfusion.cli import slam
 from slamfusion.cli.fuse import command as fuse_command
-from slamfusion.cli.main import COMMANDS
 from slamfusion.cli.options import config_fields, option_name
 from slamfusion.cli.output import one_line, progress_bar
+from slamfusion.cli.program import COMMANDS
 from slamfusion.config import GMAPPING_PROFILES
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.documents import plain

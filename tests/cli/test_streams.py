@@ -7,26 +7,44 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from slamfusion.cli.program import COMMANDS as ALL
+from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.side_by_side import interrupts_held
+from slamfusion.trajectory import Trajectory
 from tests.cli.command import INSTALLED, MAPS, ROOT, TRUTH, server
+from tests.slam.drives import drive
+
+pytestmark = pytest.mark.once
 
 pytestmark = pytest.mark.once
 
 TUM = "1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n3 2 0 0 0 0 0 1\n"
 G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 NUMPY = ["--device", "numpy"]
+# Of each command one that prints; the help where the work would take long. ``run`` itself stands
+# in test_run.py.
 COMMANDS: dict[str, list[str]] = {
     "help": ["--help"],
+    "align": ["align", *MAPS[:2], *NUMPY],
+    "bench": ["bench", "--help"],
     "devices": ["devices"],
     "doctor": ["doctor", "--json"],
+    "experiment": ["experiment", "failures", "--help"],
+    "fuse": ["fuse", *MAPS[:2], "-o", "out/fused", *NUMPY],
+    "judge": ["judge", "d.log", "d.tum", "d.tum"],
+    "node": ["node", "--help"],
+    "run": ["run", "--help"],
+    "simulate": ["simulate", "f16", "-o", "out", *NUMPY],
     "evaluate": ["evaluate", MAPS[0], "--truth", TRUTH, "--no-align", *NUMPY],
     "trajectory": ["trajectory", "t.tum", "--truth", "t.tum"],
     "graph": ["graph", "optimize", "g.g2o"],
-    "slam": ["slam", "graph", "--help"],
+    "slam": ["slam", "tinyslam", "d.log", "-o", "out/map", *NUMPY],
 }
 
 
@@ -34,11 +52,19 @@ def run_with(arguments: list[str], folder: Path, out: int) -> tuple[int, str]:
     """Return code and words of a command whose standard output is a descriptor."""
     (folder / "t.tum").write_text(TUM, encoding="utf-8")
     (folder / "g.g2o").write_text(G2O, encoding="utf-8")
+    scans, truth = drive(24)
+    write_carmen(folder / "d.log", scans)
+    poses = np.array([(pose.x, pose.y, pose.yaw_rad) for pose in truth])
+    write_tum(folder / "d.tum", Trajectory(np.arange(24) * 0.1, poses, "truth"))
     with Path(os.devnull).open("rb") as nothing, tempfile.TemporaryFile("w+") as errors:
         files = [nothing.fileno(), out, errors.fileno()]
         code = server().start(arguments, os.environ, folder, files).wait(120)
         errors.seek(0)
         return code, errors.read()
+
+
+def test_every_command_is_here() -> None:
+    assert COMMANDS.keys() - {"help"} == {command.name for command in ALL}
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -77,3 +103,20 @@ def test_a_process_begins_without_hearing_an_interrupt() -> None:
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
     assert process.communicate(timeout=60)[0] == "True\n"
     assert process.returncode == 0
+
+
+def test_an_interrupt_that_another_thread_takes_is_held_too() -> None:
+    """Threads of libraries do not block it, and Python's handler runs in the main thread."""
+    seen = []
+    thread = threading.Thread(target=signal.raise_signal, args=[signal.SIGINT])
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), interrupts_held():  # noqa: PT012
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            thread.start()
+            thread.join()
+            seen.append("the end of the block")
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert seen == ["the end of the block"]

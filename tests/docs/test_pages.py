@@ -18,7 +18,7 @@ import yaml
 from docs.generate.commands import walk
 from docs.generate.marks import COMMAND, DOCS, PARTS, pages, with_parts
 from docs.generate.parameters import gmapping_table, parameter_table
-from slamfusion.cli.main import COMMANDS, cli
+from slamfusion.cli.program import COMMANDS, cli
 from slamfusion.config import GMAPPING_PROFILES, FusionNodeConfig, GmappingConfig, field_infos
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import load_map

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
-from slamfusion.cli.main import cli, main
+from slamfusion.cli.main import main
+from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.fusion.records import Alignment, RunnerUp
 from slamfusion.geometry import Pose2
