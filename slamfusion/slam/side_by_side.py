@@ -15,7 +15,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -274,6 +274,7 @@ def interrupts_held() -> Iterator[None]:
     begin with it blocked; ours comes when the block ends. Blocking alone does not hold ours: a
     thread of a library takes the signal, and Python's handler runs in the main thread all the same.
     """
+    resource_tracker.ensure_running()  # where the first process starts it, it ends the blocking
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     heard: list[tuple[int, FrameType | None]] = []
     handler = signal.getsignal(signal.SIGINT)

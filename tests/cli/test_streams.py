@@ -105,6 +105,20 @@ def test_a_process_begins_without_hearing_an_interrupt() -> None:
     assert process.returncode == 0
 
 
+def test_the_first_process_begins_without_hearing_one_too() -> None:
+    """With the first one multiprocessing starts its tracker, and then ends the blocking."""
+    code = """if True:
+        import signal
+        from multiprocessing import resource_tracker
+        from slamfusion.slam.side_by_side import interrupts_held
+        with interrupts_held():
+            resource_tracker.ensure_running()
+            print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("True\n", "")
+
+
 def test_an_interrupt_that_another_thread_takes_is_held_too() -> None:
     """Threads of libraries do not block it, and Python's handler runs in the main thread."""
     seen = []
