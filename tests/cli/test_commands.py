@@ -175,7 +175,7 @@ def test_two_strangers_fuse_nothing_and_report_why(tmp_path: Path, stranger: Pat
 def test_a_fusion_that_fails_leaves_the_earlier_map_and_report(
     tmp_path: Path, stranger: Path
 ) -> None:
-    options = ("-o", tmp_path / "out", "--report", tmp_path / "report", "--device", "numpy")
+    options = ("-o", tmp_path / "out", "--report", tmp_path / "report")
     assert run("fuse", *MAPS[:2], *options).returncode == 0
     before = tree(tmp_path)
     assert run("fuse", MAPS[0], stranger, *options).returncode == 1
