@@ -14,7 +14,7 @@ import pytest
 from docs.generate import tables
 from docs.generate.benchmarks import measurements
 from docs.generate.record import RECIPES, Recipe, main
-from slamfusion.cli.main import cli
+from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord
 from slamfusion.experiments.trials import FUSIONS
