@@ -65,5 +65,6 @@ def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, .
 
 def _shown(parts: Sequence[Any]) -> str:
     return ",".join(
-        (part.strip() if isinstance(part, str) else shown(part))[:40] for part in parts[:10]
+        (" ".join(part.split()) if isinstance(part, str) else shown(part))[:40]
+        for part in parts[:10]
     )

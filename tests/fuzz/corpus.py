@@ -47,6 +47,7 @@ YAML: dict[str, Make] = {
     "100 000 letters": text(b"distances: " + b"x" * 100_000),
     "2 MiB": text(b"a: 1\n" + b"#" * 2**21),
     "UTF-16": text("seed: 1".encode("utf-16")),
+    "a start of two lines": text(b'start: {map_a: "1\\n.0,2,0.1"}\n'),
 }
 MAP: dict[str, Make] = {
     **{
