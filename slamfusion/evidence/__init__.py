@@ -10,7 +10,13 @@ from __future__ import annotations
 
 from slamfusion.evidence.beams import JudgedScans, judged_scans
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
-from slamfusion.evidence.predictive import Comparison, PathEvidence, PathScore, score_paths
+from slamfusion.evidence.predictive import (
+    Comparison,
+    PathEvidence,
+    PathScore,
+    score_paths,
+    with_path,
+)
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
 from slamfusion.evidence.verdict import Verdict, reach_verdict
 
@@ -28,4 +34,5 @@ __all__ = [
     "reach_verdict",
     "score_paths",
     "trust_in_paths",
+    "with_path",
 ]

@@ -38,6 +38,7 @@ __all__ = [
     "PathScore",
     "log_likelihoods",
     "score_paths",
+    "with_path",
 ]
 
 F64 = npt.NDArray[np.float64]
@@ -216,10 +217,54 @@ def score_paths(
     if not paths:
         message = "there is no path to score; give at least one"
         raise TrajectoryError(message)
-    covered = {name: cover_stamps(path, scans) for name, path in paths.items()}
-    for name, path in covered.items():
-        if not path.is_covered.any():
-            raise TrajectoryError(_no_scan(name, paths[name], scans))
+    covered = {name: _covered(name, path, scans) for name, path in paths.items()}
+    return _score_covered(covered, scans, device, model)
+
+
+def with_path(
+    evidence: PathEvidence,
+    name: str,
+    path: Trajectory,
+    device: ComputeDevice,
+    model: HitModel = DEFAULT_MODEL,
+) -> PathEvidence:
+    """Score one more path of a drive; the same as if all were scored together.
+
+    Args:
+        evidence: of the other paths, by the same model.
+        name: of the path; no other one has it.
+        path: in a frame of its own, on the clock of the scans; may be sparse.
+        device: draws and looks up.
+        model: how likely a hit is.
+
+    Returns:
+        Scores of all paths, this one last. The others are scored again only where it has no pose
+        for a scan that was judged.
+
+    Raises:
+        TrajectoryError: see ``score_paths``.
+    """
+    scans, is_judged = evidence.scans, evidence.is_judged
+    own = _covered(name, path, scans)
+    if own.is_covered[is_judged].all():
+        score = _score(name, own, scans, is_judged, device, model)
+        return PathEvidence(scans, is_judged, {**evidence.scores, name: score})
+    covered = {known: score.path for known, score in evidence.scores.items()}
+    return _score_covered({**covered, name: own}, scans, device, model)
+
+
+def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
+    """Return a path's pose at each scan; refuse one that has none."""
+    covered = cover_stamps(path, scans)
+    if not covered.is_covered.any():
+        raise TrajectoryError(_no_scan(name, path, scans))
+    return covered
+
+
+def _score_covered(
+    covered: Mapping[str, CoveredPath], scans: JudgedScans, device: ComputeDevice, model: HitModel
+) -> PathEvidence:
+    """Score paths on the hits of the scans that each has a pose for."""
     is_judged = np.logical_and.reduce([path.is_covered for path in covered.values()])
     if not is_judged[scans.hit_scans].any():
         shares = ", ".join(f"{name} {path.covered_share:.0%}" for name, path in covered.items())

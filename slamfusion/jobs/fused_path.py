@@ -15,20 +15,14 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
-from slamfusion.evidence import (
-    FusedPath,
-    PathEvidence,
-    fuse_paths,
-    judged_scans,
-    score_paths,
-    trust_in_paths,
-)
+from slamfusion.evidence import FusedPath, PathEvidence, fuse_paths, trust_in_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import open_log
+from slamfusion.jobs.judge import score_log_paths
 from slamfusion.jobs.outputs import DRAWN
 from slamfusion.jobs.run_records import (
     DrawnMapJson,
@@ -104,8 +98,7 @@ def fuse_log_paths(
     trust, why = dict.fromkeys(paths, 1.0), ""
     try:
         if evidence is None or set(evidence.scores) != set(paths):
-            scans = judged_scans(open_log(log, config.log, scan_odometry))
-            evidence = score_paths(scans, paths, device)
+            evidence = score_log_paths(log, paths, config, device, scan_odometry)
         trust = trust_in_paths(evidence)
     except SlamFusionError as error:
         why = str(error)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
-from slamfusion.evidence import judged_scans, score_paths
-from slamfusion.evidence.verdict import Verdict, reach_verdict
+from slamfusion.evidence import (
+    PathEvidence,
+    Verdict,
+    judged_scans,
+    reach_verdict,
+    score_paths,
+)
 from slamfusion.io import open_log, read_trajectory
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
@@ -19,7 +24,7 @@ from slamfusion.jobs.records import JudgeDocument, JudgedPathJson
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["JudgeFiles", "JudgedPaths", "judge_log", "judge_paths"]
+__all__ = ["JudgeFiles", "JudgedPaths", "judge_paths", "score_log_paths"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -162,8 +167,9 @@ def judge_paths(
         config, relations=files.relations, odometry=files.odometry, truth=files.truth
     )
     device = device_for(config) if device is None else device
-    verdict = judge_log(files.log, read, config, device, (), files.scan_odometry, warn=warn)
-    scans = verdict.evidence.scans.odometry_path()
+    evidence = score_log_paths(files.log, read, config, device, files.scan_odometry, warn=warn)
+    verdict = reach_verdict(evidence)
+    scans = evidence.scans.odometry_path()
     measures, not_measured = {}, []
     for name, path in read.items():
         try:
@@ -180,24 +186,22 @@ def judge_paths(
     return JudgedPaths(files, config, read, verdict, measures, tuple(not_measured), device.name)
 
 
-def judge_log(
+def score_log_paths(
     log: Path,
     paths: Mapping[str, Trajectory],
     config: RunConfig,
     device: ComputeDevice,
-    producers: Collection[str] = (),
     scan_odometry: Path | None = None,
     *,
     warn: Warn | None = None,
-) -> Verdict:
-    """Read the scans of a log and say which of its paths they bear out best.
+) -> PathEvidence:
+    """Read the scans of a log and score paths of it on them.
 
     Args:
         log: the scans.
         paths: by name; see ``score_paths``.
         config: ``log`` is used.
         device: scores.
-        producers: names of paths that are a SLAM's own.
         scan_odometry: what gives the scans their odometry instead of the log.
         warn: told in a sentence what is odd about the log; None: nobody.
 
@@ -205,8 +209,8 @@ def judge_log(
         LogError, TrajectoryError, DeviceError, OSError: see ``judge_paths``.
     """
     source = open_log(log, config.log, scan_odometry)
-    judged = judged_scans(source)
+    scans = judged_scans(source)
     if warn is not None:
         for sentence in (*source.skips.sentences(), *source.warnings.sentences(), *source.notes):
             warn(f"{log}: {sentence}")
-    return reach_verdict(score_paths(judged, paths, device), producers)
+    return score_paths(scans, paths, device)

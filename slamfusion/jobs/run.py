@@ -8,22 +8,20 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evidence import PathEvidence, Verdict, reach_verdict, score_paths
-from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.errors import SlamFusionError
+from slamfusion.evidence import Verdict
 from slamfusion.fusion.records import FusionResult
-from slamfusion.fusion.start import Starts, place_starts
+from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
-from slamfusion.jobs.fuse import AllRequiredError, DoubledWalls
-from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
-from slamfusion.jobs.fused_path import DrivePath, draw_log_map, fuse_log_paths
+from slamfusion.jobs.evaluate import Evaluation
+from slamfusion.jobs.fuse import DoubledWalls
+from slamfusion.jobs.fuse_drive import DriveFusion
+from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import (
     Progress,
     Warn,
@@ -32,11 +30,21 @@ from slamfusion.jobs.inputs import (
     distinct_names,
     load_maps,
 )
-from slamfusion.jobs.judge import judge_log
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.produced import ProducerResult, measure_run
-from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.jobs.produced import ProducerResult
+from slamfusion.jobs.run_stages import (
+    Drive,
+    draw_drive_map,
+    evaluate_drive_maps,
+    fuse_maps,
+    fuse_producer_paths,
+    judge_drive_paths,
+    measure_producers,
+    score_producer_paths,
+    stage_timer,
+)
+from slamfusion.jobs.trajectory import Yardsticks
 from slamfusion.slam.registry import BUILT_IN, producer_names
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
@@ -186,46 +194,27 @@ def run_log(
     made = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
     renamed = [grid.with_name(name) for grid, name in zip(maps, saved_names, strict=True)]
     grids = (*made, *renamed)
+
     stages = {"producers": time.perf_counter() - begun_s}
-
-    began_s = time.perf_counter()
-    fusion, failure = _fuse(outcomes, grids, len(maps), config, device, progress, starts)
-    stages["fusion"] = time.perf_counter() - began_s
-
-    began_s = time.perf_counter()
-    verdict, no_verdict = _judge(outcomes, files, config, device)
-    stages["evidence"] = time.perf_counter() - began_s
-
-    began_s = time.perf_counter()
-    troubles: list[str] = []
-    fused_path = None
-    if failure is None and fusion.result is not None:
-        evidence = None if verdict is None else verdict.evidence
-        fused_path = _fuse_paths(
-            outcomes, fusion.result, files, config, device, held, evidence, troubles
-        )
-        verdict = _with_fused(verdict, outcomes, fused_path, device)
-    stages["path"] = time.perf_counter() - began_s
-
+    timed = stage_timer(stages)
+    drive = Drive(files, config, outcomes, held, device, progress)
+    with timed("fusion"):
+        fusion, failure = fuse_maps(drive, grids, len(maps), starts)
+    usable = fusion.result if failure is None else None
+    with timed("evidence"):
+        evidence, no_verdict = score_producer_paths(drive)
+    with timed("path"):
+        fused_path = None if usable is None else fuse_producer_paths(drive, usable, evidence)
+    with timed("evidence"):
+        verdict = None if evidence is None else judge_drive_paths(drive, evidence, fused_path)
     drawn = None
-    if config.run.draw and fused_path is not None and fusion.result is not None:
-        began_s = time.perf_counter()
-        drawn = draw_log_map(
-            files.log,
-            fused_path.trajectory,
-            config,
-            device,
-            fusion.result.fused,
-            scan_odometry=files.scan_odometry,
-        )
-        stages["drawing"] = time.perf_counter() - began_s
-
-    began_s = time.perf_counter()
-    doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
-    extra = [] if drawn is None else [drawn]
-    evaluations = _evaluate(grids, fusion, extra, true_map, config, device, progress, troubles)
-    results = _measure(outcomes, evaluations, held, config, troubles)
-    stages["errors"] = time.perf_counter() - began_s
+    if config.run.draw and fused_path is not None and usable is not None:
+        with timed("drawing"):
+            drawn = draw_drive_map(drive, fused_path, usable.fused)
+    with timed("errors"):
+        doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
+        evaluations = evaluate_drive_maps(drive, grids, fusion, drawn, true_map)
+        results = measure_producers(drive, evaluations)
     return LogRun(
         files=files,
         saved_maps=paths,
@@ -241,7 +230,7 @@ def run_log(
         verdict=verdict,
         no_verdict=no_verdict,
         failure=failure,
-        not_measured=tuple(troubles),
+        not_measured=tuple(drive.troubles),
         stages=stages,
         begun_s=begun_s,
         device=device.name,
@@ -264,158 +253,3 @@ def _saved_names(paths: Sequence[Path]) -> list[str]:
     """Return names for saved maps that no producer has."""
     taken = {*producer_names(), FUSED, DRAWN}
     return [f"{name} (saved)" if name in taken else name for name in distinct_names(paths)]
-
-
-def _fuse(
-    outcomes: Sequence[Outcome],
-    grids: Sequence[OccupancyGrid],
-    saved: int,
-    config: RunConfig,
-    device: ComputeDevice,
-    progress: Progress | None,
-    starts: Starts,
-) -> tuple[DriveFusion, SlamFusionError | None]:
-    """Fuse the maps; return with the fusion why it may not be used, if so."""
-    paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
-    failed = [item for item in outcomes if item.run is None]
-    fusion = fuse_drive(
-        grids, paths, config, device, shared_frame=not saved, progress=progress, starts=starts
-    )
-    if len(grids) < LEAST_FUSED:
-        reasons = "; ".join(f"{outcome.name}: {outcome.reason}" for outcome in failed)
-        message = f"{len(grids) or 'none'} of {len(outcomes) + saved} maps was made"
-        return fusion, SlamFusionError(
-            f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
-        )
-    if fusion.failure is not None and fusion.fallback is not None:
-        words = f"the fallback map is that of {fusion.fallback.name}"
-        return fusion, AlignmentError(f"{fusion.failure}; {words}", fusion.pairs)
-    if config.fusion.require_all and fusion.result is not None:
-        if fusion.result.rejected:
-            return fusion, AllRequiredError(fusion.result)
-        if failed:
-            names = ", ".join(item.name for item in failed)
-            return fusion, SlamFusionError(f"--require-all, but no map of {names}")
-    return fusion, None
-
-
-def _judge(
-    outcomes: Sequence[Outcome], files: LogFiles, config: RunConfig, device: ComputeDevice
-) -> tuple[Verdict | None, str | None]:
-    """Ask the scans which path they bear out; a log that cannot be judged is a run all the same."""
-    paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
-    if not paths:
-        return None, "no producer has a path"
-    try:
-        found = judge_log(files.log, paths, config, device, tuple(paths), files.scan_odometry)
-    except SlamFusionError as error:
-        return None, str(error)
-    return found, None
-
-
-def _with_fused(
-    verdict: Verdict | None,
-    outcomes: Sequence[Outcome],
-    fused_path: DrivePath | None,
-    device: ComputeDevice,
-) -> Verdict | None:
-    """Return the verdict with the fused path among the paths; as it is where there is none."""
-    if verdict is None or fused_path is None:
-        return verdict
-    paths = {item.name: item.run.trajectory for item in outcomes if item.run is not None}
-    both = {**paths, FUSED: fused_path.trajectory}
-    return reach_verdict(score_paths(verdict.evidence.scans, both, device), tuple(paths))
-
-
-def _fuse_paths(
-    outcomes: Sequence[Outcome],
-    fusion: FusionResult,
-    files: LogFiles,
-    config: RunConfig,
-    device: ComputeDevice,
-    held: Yardsticks,
-    evidence: PathEvidence | None,
-    troubles: list[str],
-) -> DrivePath | None:
-    """Fuse the producers' paths and measure what comes of it; ``troubles`` is told what cannot be.
-
-    None where fewer than two producers have a path.
-    """
-    runs = [item.run for item in outcomes if item.run is not None and len(item.run.trajectory)]
-    if len(runs) < LEAST_FUSED:
-        return None
-    paths = {run.name: run.trajectory for run in runs}
-    try:
-        found = fuse_log_paths(
-            files.log,
-            paths,
-            config,
-            device,
-            scan_odometry=files.scan_odometry,
-            fusion=fusion,
-            evidence=evidence,
-        )
-    except SlamFusionError as error:
-        troubles.append(f"the fused path: {error}")
-        return None
-    try:
-        measures = measure_trajectory(
-            found.trajectory,
-            config.trajectory,
-            relations=held.relations,
-            odometry=held.odometry,
-            scans=runs[0].odometry,
-            truth=held.truth,
-        )
-    except SlamFusionError as error:
-        troubles.append(f"the fused path: {error}")
-        return found
-    return replace(found, measures=measures)
-
-
-def _evaluate(
-    grids: Sequence[OccupancyGrid],
-    fusion: DriveFusion,
-    drawn: Sequence[OccupancyGrid],
-    truth: OccupancyGrid | None,
-    config: RunConfig,
-    device: ComputeDevice,
-    progress: Progress | None,
-    troubles: list[str],
-) -> tuple[Evaluation, ...]:
-    """Hold every map against the true one; ``troubles`` is told where that cannot be."""
-    if truth is None or not grids:
-        return ()
-    measured = list(grids)
-    if fusion.result is not None:
-        measured.append(fusion.result.fused.with_name(FUSED))
-    measured += drawn
-    try:
-        return evaluate_maps(measured, truth, config, device, progress=progress)
-    except SlamFusionError as error:
-        troubles.append(str(error))
-        return ()
-
-
-def _measure(
-    outcomes: Sequence[Outcome],
-    evaluations: Sequence[Evaluation],
-    held: Yardsticks,
-    config: RunConfig,
-    troubles: list[str],
-) -> dict[str, ProducerResult]:
-    """Measure every path; what cannot be measured does not take the rest with it."""
-    by_name = {item.error.name: item for item in evaluations}
-    results = {}
-    for outcome in outcomes:
-        if outcome.run is None:
-            continue
-        measures = Measures()
-        try:
-            measures = measure_run(outcome.run, config, held)
-        except SlamFusionError as error:
-            troubles.append(f"{outcome.name}: {error}")
-        results[outcome.name] = ProducerResult(
-            outcome.run, measures, by_name.get(outcome.name), outcome.device
-        )
-    return results

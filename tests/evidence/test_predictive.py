@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.errors import LogError, TrajectoryError
-from slamfusion.evidence import JudgedScans, judged_scans, score_paths
+from slamfusion.evidence import JudgedScans, judged_scans, score_paths, with_path
 from slamfusion.evidence.beams import CHUNKS, SPACING_M, surface_facings
 from slamfusion.evidence.predictive import HitModel, log_likelihoods
 from slamfusion.trajectory import Trajectory
@@ -79,6 +79,31 @@ def test_device_and_twins_score_alike(device: ComputeDevice):
     for name in paths:
         assert np.array_equal(ours.scores[name].sums, twins.scores[name].sums)
         assert np.array_equal(ours.scores[name].seen, twins.scores[name].seen)
+
+
+@pytest.mark.parametrize("kept", [slice(None), slice(30, 100)], ids=["everywhere", "in part"])
+def test_path_added_later_is_scored_as_with_the_others(
+    device: ComputeDevice, scans: JudgedScans, kept: slice
+):
+    others = {"truth": TRUTH, "drifted": WRONG["drifted"]}
+    added = Trajectory(TRUTH.stamps_s[kept], WRONG["torn in two"].poses[kept])
+    found = with_path(score_paths(scans, others, device), "added", added, device)
+    wanted = score_paths(scans, {**others, "added": added}, device)
+    assert list(found.scores) == list(wanted.scores)
+    assert np.array_equal(found.is_judged, wanted.is_judged)
+    assert found.is_judged.all() == (kept == slice(None))
+    for name, score in wanted.scores.items():
+        for array in ("sums", "beams", "seen"):
+            assert np.array_equal(getattr(found.scores[name], array), getattr(score, array))
+        poses = (found.scores[name].path.poses, score.path.poses)
+        assert np.array_equal(*poses, equal_nan=True)
+
+
+def test_path_added_later_must_meet_a_scan(device: ComputeDevice, scans: JudgedScans):
+    evidence = score_paths(scans, {"truth": TRUTH}, device)
+    late = Trajectory(TRUTH.stamps_s + 1e6, TRUTH.poses)
+    with pytest.raises(TrajectoryError, match=r"late: its poses are of .*give a path of this log"):
+        with_path(evidence, "late", late, device)
 
 
 def test_score_over_time_shows_where_a_path_is_wrong(device: ComputeDevice, scans: JudgedScans):

@@ -1,0 +1,257 @@
+"""The stages of the main job behind its producers: fusion, evidence, path, and errors.
+
+Each takes the drive and what came of the stages before. What a stage cannot do ends none of the
+others: it is told in what the stage returns, or in the drive's ``troubles``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.evidence import PathEvidence, Verdict, reach_verdict, with_path
+from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.records import FusionResult
+from slamfusion.fusion.start import Starts
+from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
+from slamfusion.jobs.fuse import AllRequiredError
+from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
+from slamfusion.jobs.fused_path import DrivePath, draw_log_map, fuse_log_paths
+from slamfusion.jobs.inputs import Progress
+from slamfusion.jobs.judge import score_log_paths
+from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.outputs import FUSED
+from slamfusion.jobs.produced import ProducerResult, measure_run
+from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.slam.common.runner import ProducerRun
+from slamfusion.slam.side_by_side import Outcome
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "Drive",
+    "draw_drive_map",
+    "evaluate_drive_maps",
+    "fuse_maps",
+    "fuse_producer_paths",
+    "judge_drive_paths",
+    "measure_producers",
+    "score_producer_paths",
+    "stage_timer",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What the producers made of one drive, and what the stages behind them work with.
+
+    Attributes:
+        files: where the log and what it is held against were read.
+        config: the settings in effect.
+        outcomes: what became of each producer.
+        held: what paths are measured by.
+        device: computes.
+        progress: told the stage and how much of it is done; None: nobody.
+        troubles: what could not be measured, a sentence each; the stages add to it.
+    """
+
+    files: LogFiles
+    config: RunConfig
+    outcomes: tuple[Outcome, ...]
+    held: Yardsticks
+    device: ComputeDevice
+    progress: Progress | None
+    troubles: list[str] = field(default_factory=list)
+
+    @cached_property
+    def runs(self) -> Mapping[str, ProducerRun]:
+        """What was made, by the names of those producers that made something."""
+        return {item.name: item.run for item in self.outcomes if item.run is not None}
+
+    @cached_property
+    def paths(self) -> Mapping[str, Trajectory]:
+        """The paths of these, by name; one may have no pose."""
+        return {name: run.trajectory for name, run in self.runs.items()}
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        """The producers that made nothing."""
+        return tuple(item for item in self.outcomes if item.run is None)
+
+
+def stage_timer(stages: dict[str, float]) -> Callable[[str], AbstractContextManager[None]]:
+    """Return what adds the wall time of a block to that of the stage which it names, seconds."""
+
+    @contextmanager
+    def timed(name: str) -> Iterator[None]:
+        began_s = time.perf_counter()
+        yield
+        stages[name] = stages.get(name, 0.0) + time.perf_counter() - began_s
+
+    return timed
+
+
+def fuse_maps(
+    drive: Drive, grids: Sequence[OccupancyGrid], saved: int, starts: Starts
+) -> tuple[DriveFusion, SlamFusionError | None]:
+    """Fuse the maps; return with the fusion why it may not be used, if so.
+
+    Args:
+        drive: what the producers made.
+        grids: their maps, then the saved ones.
+        saved: how many of these are saved ones.
+        starts: where maps are searched for.
+    """
+    config = drive.config
+    fusion = fuse_drive(
+        grids,
+        drive.paths,
+        config,
+        drive.device,
+        shared_frame=not saved,
+        progress=drive.progress,
+        starts=starts,
+    )
+    if len(grids) < LEAST_FUSED:
+        reasons = "; ".join(f"{outcome.name}: {outcome.reason}" for outcome in drive.failed)
+        message = f"{len(grids) or 'none'} of {len(drive.outcomes) + saved} maps was made"
+        return fusion, SlamFusionError(
+            f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
+        )
+    if fusion.failure is not None and fusion.fallback is not None:
+        words = f"the fallback map is that of {fusion.fallback.name}"
+        return fusion, AlignmentError(f"{fusion.failure}; {words}", fusion.pairs)
+    if config.fusion.require_all and fusion.result is not None:
+        if fusion.result.rejected:
+            return fusion, AllRequiredError(fusion.result)
+        if drive.failed:
+            names = ", ".join(item.name for item in drive.failed)
+            return fusion, SlamFusionError(f"--require-all, but no map of {names}")
+    return fusion, None
+
+
+def score_producer_paths(drive: Drive) -> tuple[PathEvidence | None, str | None]:
+    """Ask the scans what they say of the producers' paths; else return why they cannot tell."""
+    if not drive.paths:
+        return None, "no producer has a path"
+    files = drive.files
+    try:
+        evidence = score_log_paths(
+            files.log, drive.paths, drive.config, drive.device, files.scan_odometry
+        )
+    except SlamFusionError as error:
+        return None, str(error)
+    return evidence, None
+
+
+def fuse_producer_paths(
+    drive: Drive, fusion: FusionResult, evidence: PathEvidence | None
+) -> DrivePath | None:
+    """Fuse the producers' paths and measure what comes of it.
+
+    Args:
+        drive: what the producers made; its troubles are told what cannot be done.
+        fusion: of the maps: the path is laid into its frame.
+        evidence: what the scans say of the paths; None: they could not be asked.
+
+    Returns:
+        The path; None where fewer than two producers have one, or they cannot be fused.
+    """
+    paths = {name: path for name, path in drive.paths.items() if len(path)}
+    if len(paths) < LEAST_FUSED:
+        return None
+    files, held = drive.files, drive.held
+    try:
+        found = fuse_log_paths(
+            files.log,
+            paths,
+            drive.config,
+            drive.device,
+            scan_odometry=files.scan_odometry,
+            fusion=fusion,
+            evidence=evidence,
+        )
+    except SlamFusionError as error:
+        drive.troubles.append(f"the fused path: {error}")
+        return None
+    try:
+        measures = measure_trajectory(
+            found.trajectory,
+            drive.config.trajectory,
+            relations=held.relations,
+            odometry=held.odometry,
+            scans=drive.runs[next(iter(paths))].odometry,
+            truth=held.truth,
+        )
+    except SlamFusionError as error:
+        drive.troubles.append(f"the fused path: {error}")
+        return found
+    return replace(found, measures=measures)
+
+
+def judge_drive_paths(
+    drive: Drive, evidence: PathEvidence, fused_path: DrivePath | None
+) -> Verdict:
+    """Say which path the scans bear out: of the producers' paths and the fused one, if any."""
+    if fused_path is not None:
+        evidence = with_path(evidence, FUSED, fused_path.trajectory, drive.device)
+    return reach_verdict(evidence, tuple(drive.paths))
+
+
+def draw_drive_map(drive: Drive, path: DrivePath, like: OccupancyGrid) -> OccupancyGrid:
+    """Draw a map from all scans at the fused path, on the lattice of the fused map."""
+    files = drive.files
+    return draw_log_map(
+        files.log,
+        path.trajectory,
+        drive.config,
+        drive.device,
+        like,
+        scan_odometry=files.scan_odometry,
+    )
+
+
+def evaluate_drive_maps(
+    drive: Drive,
+    grids: Sequence[OccupancyGrid],
+    fusion: DriveFusion,
+    drawn: OccupancyGrid | None,
+    truth: OccupancyGrid | None,
+) -> tuple[Evaluation, ...]:
+    """Hold every map against the true one; the drive's troubles are told where that cannot be."""
+    if truth is None or not grids:
+        return ()
+    measured = list(grids)
+    if fusion.result is not None:
+        measured.append(fusion.result.fused.with_name(FUSED))
+    if drawn is not None:
+        measured.append(drawn)
+    try:
+        return evaluate_maps(measured, truth, drive.config, drive.device, progress=drive.progress)
+    except SlamFusionError as error:
+        drive.troubles.append(str(error))
+        return ()
+
+
+def measure_producers(drive: Drive, evaluations: Sequence[Evaluation]) -> dict[str, ProducerResult]:
+    """Measure every path; what cannot be measured does not take the rest with it."""
+    by_name = {item.error.name: item for item in evaluations}
+    results = {}
+    for outcome in drive.outcomes:
+        if outcome.run is None:
+            continue
+        measures = Measures()
+        try:
+            measures = measure_run(outcome.run, drive.config, drive.held)
+        except SlamFusionError as error:
+            drive.troubles.append(f"{outcome.name}: {error}")
+        results[outcome.name] = ProducerResult(
+            outcome.run, measures, by_name.get(outcome.name), outcome.device
+        )
+    return results
