@@ -10,7 +10,10 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
 
-__all__ = ["Trajectory"]
+__all__ = ["SAME_STAMP_S", "Trajectory"]
+
+# Times that differ by no more are one, seconds: files round them to milliseconds.
+SAME_STAMP_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,25 @@ class Trajectory:
         after = np.minimum(after, len(self) - 1)
         later_is_nearer = self.stamps_s[after] - wanted < wanted - self.stamps_s[before]
         return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
+
+    def matches(
+        self, stamps_s: npt.ArrayLike, within_s: float = SAME_STAMP_S
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Return for each time the pose nearest in time, and whether it is near enough.
+
+        Args:
+            stamps_s: times, any shape, seconds.
+            within_s: seconds that a pose may be off.
+
+        Returns:
+            Indices as ``nearest`` gives them, and bool, both of the shape of the times.
+
+        Raises:
+            TrajectoryError: there is no pose at all.
+        """
+        wanted = np.asarray(stamps_s, dtype=np.float64)
+        near = self.nearest(wanted)
+        return near, np.abs(self.stamps_s[near] - wanted) <= within_s
 
     def path_length_m(self) -> float:
         """Return the sum of the straight distances between neighbouring poses."""

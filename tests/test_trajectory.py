@@ -34,6 +34,14 @@ def test_nearest_is_nearest(stamps: list[float], wanted: list[float]):
         assert abs(stamps[index] - time) == min(abs(stamp - time) for stamp in stamps)
 
 
+def test_poses_match_times_within_a_limit():
+    path = line(0.0, 1.0, 2.0)
+    near, is_matched = path.matches([[-1.0, 0.0009], [1.0011, 1.75]])
+    assert near.tolist() == [[0, 0], [1, 2]]
+    assert is_matched.tolist() == [[False, True], [False, False]]
+    assert path.matches([1.75, 2.5], 0.25)[1].tolist() == [True, False]
+
+
 def test_length_and_poses():
     path = Trajectory(np.arange(3.0), np.array([(0, 0, 0), (3, 4, 1), (3, 5, 2)]))
     assert path.path_length_m() == pytest.approx(6.0)
@@ -68,3 +76,5 @@ def test_what_is_no_trajectory(stamps: list[float], poses: np.ndarray, words: st
 def test_nothing_is_nearest_to_no_pose():
     with pytest.raises(TrajectoryError, match="has no pose"):
         line().nearest([0.0])
+    with pytest.raises(TrajectoryError, match="has no pose"):
+        line().matches([0.0])

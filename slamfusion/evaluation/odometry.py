@@ -294,8 +294,8 @@ def subsample_to_scans(
     """
     match = match_odometry(scan_odometry, odometry, tolerance_m)
     stamps_s = odometry.stamps_s[match.rows]
-    nearest = best.nearest(stamps_s)
-    known = (match.rows >= 0) & (np.abs(best.stamps_s[nearest] - stamps_s) <= tolerance_s)
+    nearest, is_matched = best.matches(stamps_s, tolerance_s)
+    known = (match.rows >= 0) & is_matched
     if not known.any():
         message = f"{best.name}: has no pose at a scan of {scan_odometry.name}; is it of that run?"
         raise TrajectoryError(message)

@@ -216,9 +216,8 @@ def relation_errors(
     Raises:
         TrajectoryError: no relation could be used; both ranges of time are named.
     """
-    nearest = trajectory.nearest(relations.stamps_s)
-    distance_s = np.abs(trajectory.stamps_s[nearest] - relations.stamps_s)
-    used = (distance_s <= tolerance_s).all(axis=1)
+    nearest, is_matched = trajectory.matches(relations.stamps_s, tolerance_s)
+    used = is_matched.all(axis=1)
     if not used.any():
         raise TrajectoryError(_no_relation(trajectory, relations, tolerance_s))
     first, second = trajectory.poses[nearest[used, 0]], trajectory.poses[nearest[used, 1]]

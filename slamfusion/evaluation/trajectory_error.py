@@ -180,12 +180,11 @@ def associate(
     Returns:
         (M,) indices into ``first``, rising, and (M,) into ``second``; both may be empty.
     """
-    there = second.nearest(first.stamps_s)
+    there, is_near = second.matches(first.stamps_s, tolerance_s)
     back = first.nearest(second.stamps_s)
     own = np.arange(len(first), dtype=np.int64)
-    apart_s = np.abs(second.stamps_s[there] - first.stamps_s)
     # Of poses with one stamp only the first is anybody's nearest; that is a pair as well.
-    paired = (back[there] == own) & (apart_s <= tolerance_s)
+    paired = (back[there] == own) & is_near
     return own[paired], there[paired]
 
 

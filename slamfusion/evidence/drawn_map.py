@@ -33,8 +33,6 @@ __all__ = ["DrawnScan", "SensorModel", "draw_map", "drawn_scans"]
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
-# A pose belongs to a scan within this time, seconds.
-SAME_STAMP_S = 1e-3
 # Parts of a cell that points are rounded to, as the kernel sees them.
 POINT_PARTS = 1024.0
 # Rays of one launch: few, fat launches.
@@ -180,9 +178,8 @@ def _with_poses(
     if not len(scans) or not len(path):
         message = f"{path.name}: {len(scans)} scans and {len(path)} poses; a map needs both"
         raise TrajectoryError(message)
-    near = path.nearest(stamps_s)
-    meets = np.flatnonzero(np.abs(path.stamps_s[near] - stamps_s) <= SAME_STAMP_S)
-    if not len(meets):
+    near, meets = path.matches(stamps_s)
+    if not meets.any():
         message = (
             f"{path.name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, "
             f"the scans of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; give a path of this log"
@@ -190,7 +187,7 @@ def _with_poses(
         raise TrajectoryError(message)
     back = origin.inverse()
     poses = compose_poses((back.x, back.y, back.yaw_rad), path.poses[near[meets]])
-    return [scans[int(index)] for index in meets], poses
+    return [scans[index] for index in np.flatnonzero(meets).tolist()], poses
 
 
 def _count(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2, compose_poses, wrap_angles
-from slamfusion.trajectory import Trajectory
+from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 __all__ = ["TURN_M", "LaidPaths", "fit_frame", "lay_paths", "pose_distances"]
 
@@ -25,8 +25,6 @@ F64 = npt.NDArray[np.float64]
 TURN_M = 2.0
 # A pose is fitted as two points, this far before and behind it: headings count as places do.
 LEVER_M = 3.0
-# Poses belong to one scan within this time, seconds: files round times to milliseconds.
-SAME_STAMP_S = 1e-3
 # Scale of a robust fit at least, metres: what good paths differ by.
 LEAST_SCALE_M = 0.03
 # Rounds of reweighting, and the motion below which a fit has settled, metres and radians.
@@ -79,8 +77,7 @@ def lay_paths(
     believed = np.zeros(poses.shape[:2])
     for row, (name, path) in enumerate(paths.items()):
         own = _checked_weights(name, path, given.get(name))
-        near = path.nearest(stamps_s)
-        meets = np.abs(path.stamps_s[near] - stamps_s) <= SAME_STAMP_S
+        near, meets = path.matches(stamps_s)
         if not meets.any():
             message = (
                 f"{name}: no pose at the time of one of {longest.name} within {SAME_STAMP_S:g} s; "

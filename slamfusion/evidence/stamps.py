@@ -21,8 +21,6 @@ __all__ = ["CoveredPath", "cover_stamps"]
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 
-# A pose belongs to a scan within this time of it, seconds: files round times to milliseconds.
-SAME_STAMP_S = 1e-3
 # Odometry carries a path beyond its ends by at most this, metres and radians.
 BEYOND_M, BEYOND_RAD = 1.0, 1.0
 # Without odometry a path is interpolated between two poses this far apart in time, seconds.
@@ -67,8 +65,7 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
         nowhere = np.zeros(count, dtype=np.bool_)
         return CoveredPath(poses, nowhere, nowhere.copy())
     stamps_s = scans.stamps_s
-    near = path.nearest(stamps_s)
-    is_own = np.abs(path.stamps_s[near] - stamps_s) <= SAME_STAMP_S
+    near, is_own = path.matches(stamps_s)
     poses[is_own] = path.poses[near[is_own]]
     after = np.searchsorted(path.stamps_s, stamps_s, side="right")
     before = np.maximum(after - 1, 0)

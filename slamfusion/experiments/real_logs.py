@@ -336,8 +336,7 @@ def reference_map(
     """
     settings = settings_of(config, "graph")
     stamps = np.array([item.scan.stamp_s for item in scans])
-    nearest = trajectory.nearest(stamps)
-    is_known = np.abs(trajectory.stamps_s[nearest] - stamps) <= SAME_TIME_S
+    nearest, is_known = trajectory.matches(stamps, SAME_TIME_S)
     if not is_known.any():
         message = f"no scan of the log has a pose at its time in {trajectory.name}"
         raise SlamFusionError(message)

@@ -34,9 +34,6 @@ from slamfusion.trajectory import Trajectory
 
 __all__ = ["DrivePath", "draw_log_map", "drawn_document", "fuse_log_paths"]
 
-# Poses belong to one scan within this time, seconds.
-SAME_STAMP_S = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class DrivePath:
@@ -165,8 +162,7 @@ def _in_fused_frame(
         own = paths[record.name]
         if record.alignment is not None:
             own = moved_path(own, record.alignment.transform)
-        near = own.nearest(path.stamps_s)
-        meets = np.abs(own.stamps_s[near] - path.stamps_s) <= SAME_STAMP_S
+        near, meets = own.matches(path.stamps_s)
         moving.append(path.poses[meets])
         still.append(own.poses[near[meets]])
     if not sum(map(len, moving)):

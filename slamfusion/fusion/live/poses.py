@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 from slamfusion.config import LiveConfig
 from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.trajectory import SAME_STAMP_S
 
 __all__ = ["PoseWatch"]
 
@@ -30,8 +31,6 @@ __all__ = ["PoseWatch"]
 LINK_M = 2.0
 # Shares of the limits: together, and together again.
 LINK_SHARE, RETURN_SHARE = 0.3, 0.7
-# Stamps that differ by less are one, seconds.
-SAME_STAMP_S = 1e-3
 # Poses kept of each input, for those of slower ones: 25 s at 20 Hz.
 KEPT = 512
 # Stamps that go back by more, seconds, begin a new time.
