@@ -13,12 +13,16 @@ __all__ = [
     "compose_poses",
     "fit_motion",
     "invert_poses",
+    "with_levers",
     "wrap_angle",
     "wrap_angles",
 ]
 
 # Places closer together than this have no direction to turn by.
 _NO_SPREAD_M = 1e-9
+# A pose is fitted as two points, this far before and behind it, metres: headings count as much as
+# places, also where a robot has hardly moved.
+_LEVER_M = 3.0
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -125,6 +129,22 @@ class Pose2:
     def scaled(self, factor: float) -> Pose2:
         """Return the same motion with lengths in another unit (metres to cells: 1 / resolution)."""
         return Pose2(self.x * factor, self.y * factor, self.yaw_rad)
+
+
+def with_levers(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return poses a lever before and behind each of some, so that fits of places heed headings.
+
+    Args:
+        poses: (N, 3) float64, x and y in metres, yaw in radians.
+
+    Returns:
+        (2 N, 3) float64: those before all poses, then those behind them; 3 m away, of like heading.
+    """
+    ahead, behind = poses.copy(), poses.copy()
+    lever_m = _LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
+    ahead[:, :2] += lever_m
+    behind[:, :2] -= lever_m
+    return np.concatenate((ahead, behind))
 
 
 def fit_motion(moving: npt.NDArray[np.float64], still: npt.NDArray[np.float64]) -> Pose2:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.geometry import Pose2, wrap_angle
+from slamfusion.geometry import Pose2, fit_motion, with_levers, wrap_angle
 
 LENGTHS = st.floats(-1e3, 1e3)
 ANGLES = st.floats(-20.0, 20.0)
@@ -62,6 +62,21 @@ def test_a_quarter_turn_is_counter_clockwise() -> None:
 
 def test_scaling_changes_lengths_only() -> None:
     assert Pose2(1.0, -2.0, 0.5).scaled(20.0) == Pose2(20.0, -40.0, 0.5)
+
+
+def test_levers_stand_before_and_behind_each_pose() -> None:
+    found = with_levers(np.array([(1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2)]))
+    wanted = [(4, 2, 0), (0, 3, math.pi / 2), (-2, 2, 0), (0, -3, math.pi / 2)]
+    assert found == pytest.approx(np.array(wanted, dtype=np.float64))
+
+
+def test_headings_count_in_a_fit_with_levers() -> None:
+    """Of poses that hardly move the places say that nothing turned, the headings a radian."""
+    moving = np.array([(0.0, 0.0, 0.2), (0.01, 0.0, 0.3)])
+    still = moving + np.array((0.0, 0.0, 1.0))
+    assert fit_motion(moving, still).yaw_rad == pytest.approx(0.0, abs=1e-9)
+    motion = fit_motion(with_levers(moving), with_levers(still))
+    assert motion.yaw_rad == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slamfusion.evidence.comparison import compare_sums
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import compose_poses, fit_motion
+from slamfusion.geometry import compose_poses, fit_motion, with_levers
 
 __all__ = ["Span", "path_gap_m", "path_spans"]
 
@@ -26,8 +26,6 @@ B8 = npt.NDArray[np.bool_]
 PART_M = 0.3
 # Shorter spans are none, seconds.
 LEAST_S = 1.0
-# A pose is fitted as two points, this far before and behind it, metres: headings count too.
-LEVER_M = 3.0
 # Rounds of fitting the better half of the poses.
 FITS = 20
 
@@ -106,7 +104,7 @@ def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
     kept = np.zeros(len(moving), dtype=np.bool_)
     kept[begin] = True
     for _ in range(FITS):
-        motion = fit_motion(_with_levers(moving[kept]), _with_levers(still[kept]))
+        motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
         laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
         left = np.hypot(*(laid[:, :2] - still[:, :2]).T)
         half = left <= np.median(left)
@@ -114,15 +112,6 @@ def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
             break
         kept = half
     return np.asarray(left, dtype=np.float64)
-
-
-def _with_levers(poses: F64) -> F64:
-    """Return (2 N, 3) points before and behind each of (N, 3) poses."""
-    lever_m = LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-    ahead, behind = poses.copy(), poses.copy()
-    ahead[:, :2] += lever_m
-    behind[:, :2] -= lever_m
-    return np.concatenate((ahead, behind))
 
 
 def _parted(gap_m: F64, since_s: F64) -> B8:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import Pose2, compose_poses, wrap_angles
+from slamfusion.geometry import Pose2, compose_poses, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 __all__ = ["TURN_M", "LaidPaths", "fit_frame", "lay_paths", "pose_distances"]
@@ -23,8 +23,6 @@ F64 = npt.NDArray[np.float64]
 
 # Metres that a turn of one radian counts for: what it moves at the range of most walls.
 TURN_M = 2.0
-# A pose is fitted as two points, this far before and behind it: headings count as places do.
-LEVER_M = 3.0
 # Scale of a robust fit at least, metres: what good paths differ by.
 LEAST_SCALE_M = 0.03
 # Rounds of reweighting, and the motion below which a fit has settled, metres and radians.
@@ -112,7 +110,7 @@ def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
     """
     count = len(moving)
     trusted = np.ones(count) if weights is None else np.maximum(weights, 1e-6)
-    a, b = _levers(moving), _levers(still)
+    a, b = (np.ascontiguousarray(with_levers(poses)[:, :2]) for poses in (moving, still))
     trusted = np.tile(trusted, 2)
     reweighted, motion = trusted, Pose2()
     for _ in range(MOST_FITS):
@@ -149,12 +147,6 @@ def _in_one_frame(poses: F64, weights: F64) -> F64:
         message = "no path shares a time with each of the others; give paths of the same scans"
         raise TrajectoryError(message)
     return best
-
-
-def _levers(poses: F64) -> F64:
-    """Return (2 N, 2) points before and behind each of (N, 3) poses."""
-    lever = LEVER_M * np.stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])), axis=1)
-    return np.concatenate((poses[:, :2] + lever, poses[:, :2] - lever))
 
 
 def _weighted_fit(a: F64, b: F64, weights: F64) -> Pose2:

@@ -37,7 +37,7 @@ from slamfusion.fusion.records import (
     RunnerUp,
 )
 from slamfusion.fusion.start import Starts
-from slamfusion.geometry import Pose2, compose_poses, fit_motion, wrap_angles
+from slamfusion.geometry import Pose2, compose_poses, fit_motion, with_levers, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
@@ -55,9 +55,6 @@ __all__ = [
 ]
 
 LEAST_FUSED = 2
-# A pose is fitted as two points, this far before and behind it: headings count as much as places,
-# also where a robot has hardly moved.
-LEVER_M = 3.0
 # The wall score of a map that is placed by its path. Bent maps of one drive have 0.42 or more;
 # where the paths of a lost one pass all the same, the walls score 0.36 at most.
 PLACED_SCORE_MIN = 0.40
@@ -164,16 +161,7 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
         headings.
     """
     near = still.poses[still.nearest(moving.stamps_s)]
-    return fit_motion(_with_levers(moving.poses), _with_levers(near))
-
-
-def _with_levers(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return (2 N, 3) points before and behind each of (N, 3) poses."""
-    ahead, behind = poses.copy(), poses.copy()
-    lever_m = LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-    ahead[:, :2] += lever_m
-    behind[:, :2] -= lever_m
-    return np.concatenate((ahead, behind))
+    return fit_motion(with_levers(moving.poses), with_levers(near))
 
 
 def place_by_path(
