@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -147,12 +148,17 @@ def with_levers(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.concatenate((ahead, behind))
 
 
-def fit_motion(moving: npt.NDArray[np.float64], still: npt.NDArray[np.float64]) -> Pose2:
+def fit_motion(
+    moving: npt.NDArray[np.float64],
+    still: npt.NDArray[np.float64],
+    weights: npt.NDArray[np.float64] | None = None,
+) -> Pose2:
     """Return the rigid motion that brings paired poses together: least squares of their places.
 
     Args:
         moving: (N, 3) float64, N at least 1; x and y in metres, yaw in radians.
         still: (N, 3) float64, where the same poses should be.
+        weights: (N,) float64, how much each pair counts, at least 0 and not all 0; None: all alike.
 
     Returns:
         The motion from the frame of ``moving`` to that of ``still``. Where the places are all one
@@ -160,14 +166,26 @@ def fit_motion(moving: npt.NDArray[np.float64], still: npt.NDArray[np.float64]) 
 
     Source: Umeyama, PAMI 13(4), 1991, equations 40 to 42 with c = 1; in the plane R is one angle.
     """
-    middle, goal = moving[:, :2].mean(axis=0), still[:, :2].mean(axis=0)
+    share = None if weights is None else weights / weights.sum()
+    middle, goal = _mean(moving[:, :2], share), _mean(still[:, :2], share)
     a, b = moving[:, :2] - middle, still[:, :2] - goal
-    along = float((a * b).sum())
-    across = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
-    if math.hypot(along, across) <= len(a) * _NO_SPREAD_M**2:
+    dots, crosses = a * b, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    if share is None:
+        along, across, counted = float(dots.sum()), float(crosses.sum()), len(a)
+    else:
+        along, across, counted = float(share @ dots.sum(axis=1)), float(share @ crosses), 1
+    if math.hypot(along, across) <= counted * _NO_SPREAD_M**2:
         turns = np.exp(1j * (still[:, 2] - moving[:, 2]))
-        yaw_rad = float(np.angle(turns.mean()))
+        yaw_rad = float(np.angle(_mean(turns, share)))
     else:
         yaw_rad = math.atan2(across, along)
     x, y = goal - Pose2(0.0, 0.0, yaw_rad).transform(middle)
     return Pose2(float(x), float(y), yaw_rad)
+
+
+def _mean(values: npt.NDArray[Any], share: npt.NDArray[np.float64] | None) -> npt.NDArray[Any]:
+    """Return the mean along the first axis, weighted by shares that sum to 1 if given."""
+    if share is None:
+        return np.asarray(values.mean(axis=0))
+    # The product is rounded by how the values lie in memory: always in one way.
+    return np.asarray(share @ np.ascontiguousarray(values))

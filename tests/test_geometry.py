@@ -79,6 +79,23 @@ def test_headings_count_in_a_fit_with_levers() -> None:
     assert motion.yaw_rad == pytest.approx(1.0, abs=1e-4)
 
 
+def test_weights_of_a_fit_count_as_often_as_poses_do() -> None:
+    rng = np.random.default_rng(3)
+    moving, still = rng.normal(size=(2, 20, 3))
+    times = np.arange(20) % 4
+    found = fit_motion(moving, still, times / 7.0)
+    wanted = fit_motion(*(np.repeat(poses, times, axis=0) for poses in (moving, still)))
+    assert_same(found, wanted)
+    assert_same(fit_motion(moving, still, np.full(20, 0.3)), fit_motion(moving, still))
+
+
+def test_weights_count_where_only_headings_tell_of_a_turn() -> None:
+    moving = np.zeros((3, 3))
+    still = np.array([(1.0, 2.0, 0.3), (1.0, 2.0, 0.5), (9.0, 9.0, 3.0)])
+    found = fit_motion(moving, still, np.array([1.0, 1.0, 0.0]))
+    assert_same(found, Pose2(1.0, 2.0, 0.4))
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_pose_is_finite(bad: float) -> None:
     for values in ((bad, 0.0, 0.0), (0.0, bad, 0.0), (0.0, 0.0, bad)):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import Pose2, compose_poses, with_levers, wrap_angles
+from slamfusion.geometry import Pose2, compose_poses, fit_motion, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 __all__ = ["TURN_M", "LaidPaths", "fit_frame", "lay_paths", "pose_distances"]
@@ -110,12 +110,12 @@ def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
     """
     count = len(moving)
     trusted = np.ones(count) if weights is None else np.maximum(weights, 1e-6)
-    a, b = (np.ascontiguousarray(with_levers(poses)[:, :2]) for poses in (moving, still))
+    a, b = with_levers(moving), with_levers(still)
     trusted = np.tile(trusted, 2)
     reweighted, motion = trusted, Pose2()
     for _ in range(MOST_FITS):
-        before, motion = motion, _weighted_fit(a, b, reweighted)
-        left = np.hypot(*(motion.transform(a) - b).T)
+        before, motion = motion, fit_motion(a, b, reweighted)
+        left = np.hypot(*(motion.transform(a[:, :2]) - b[:, :2]).T)
         scale = max(_weighted_median(left, trusted), LEAST_SCALE_M)
         reweighted = trusted / (1.0 + (left / scale) ** 2) ** 2
         step = before.inverse().compose(motion)
@@ -147,21 +147,6 @@ def _in_one_frame(poses: F64, weights: F64) -> F64:
         message = "no path shares a time with each of the others; give paths of the same scans"
         raise TrajectoryError(message)
     return best
-
-
-def _weighted_fit(a: F64, b: F64, weights: F64) -> Pose2:
-    """Return the rigid motion from (M, 2) points to their partners, by weighted least squares.
-
-    Source: Umeyama, PAMI 13(4), 1991, with weights and c = 1; in the plane R is one angle.
-    """
-    share = weights / weights.sum()
-    middle, goal = share @ a, share @ b
-    p, q = a - middle, b - goal
-    along = float(share @ (p * q).sum(axis=1))
-    across = float(share @ (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
-    yaw_rad = math.atan2(across, along)
-    x, y = goal - Pose2(0.0, 0.0, yaw_rad).transform(middle)
-    return Pose2(float(x), float(y), yaw_rad)
 
 
 def _weighted_median(values: F64, weights: F64) -> float:
