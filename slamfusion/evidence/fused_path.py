@@ -31,8 +31,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from slamfusion.evidence.path_consensus import consensus_poses, find_modes, geman_mcclure
-from slamfusion.evidence.path_frames import LaidPaths, lay_paths, pose_distances
+from slamfusion.evidence.path_consensus import consensus_poses, find_modes
+from slamfusion.evidence.path_frames import LaidPaths, geman_mcclure, lay_paths, pose_distances
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.pose_graph import PoseGraph, optimize

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.evidence.path_frames import LaidPaths, pose_distances
+from slamfusion.evidence.path_frames import LaidPaths, geman_mcclure, pose_distances
 from slamfusion.geometry import wrap_angles
 
-__all__ = ["consensus_poses", "find_modes", "geman_mcclure"]
+__all__ = ["consensus_poses", "find_modes"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -80,8 +80,3 @@ def find_modes(poses: F64, weights: F64, least_m: float, most_m: float) -> F64:
         mode = mode + (pull[..., None] * away).sum(axis=0) / pull.sum(axis=0)[:, None]
     mode[:, 2] = wrap_angles(mode[:, 2])
     return np.asarray(mode)
-
-
-def geman_mcclure(distance: F64) -> F64:
-    """Return the weight of Geman and McClure at a distance in its scale; 0 at infinity."""
-    return np.asarray(1.0 / (1.0 + distance**2) ** 2)

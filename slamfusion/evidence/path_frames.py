@@ -17,7 +17,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
-__all__ = ["TURN_M", "LaidPaths", "fit_frame", "lay_paths", "pose_distances"]
+__all__ = ["TURN_M", "LaidPaths", "fit_frame", "geman_mcclure", "lay_paths", "pose_distances"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -98,6 +98,15 @@ def pose_distances(a: F64, b: F64) -> F64:
     return np.asarray(np.hypot(apart[..., 0], apart[..., 1]) + TURN_M * turned)
 
 
+def geman_mcclure(distance: F64) -> F64:
+    """Return the weight of Geman and McClure at a distance in its scale; 0 at infinity.
+
+    Source: Geman and McClure, Statistical methods for tomographic image reconstruction, Bull. ISI
+        52, 1987.
+    """
+    return np.asarray(1.0 / (1.0 + distance**2) ** 2)
+
+
 def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
     """Return the motion that lays most of one path on another, whatever the rest does.
 
@@ -117,7 +126,7 @@ def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
         before, motion = motion, fit_motion(a, b, reweighted)
         left = np.hypot(*(motion.transform(a[:, :2]) - b[:, :2]).T)
         scale = max(_weighted_median(left, trusted), LEAST_SCALE_M)
-        reweighted = trusted / (1.0 + (left / scale) ** 2) ** 2
+        reweighted = trusted * geman_mcclure(left / scale)
         step = before.inverse().compose(motion)
         if max(abs(step.x), abs(step.y), abs(step.yaw_rad)) < SETTLED:
             break
