@@ -6,8 +6,9 @@ trying again for ever. So they are not loaded there. Nothing here may load them.
 
 from __future__ import annotations
 
-import os
 import resource
+
+from slamfusion.cores import told_threads, usable_cores
 
 __all__ = ["needed_bytes", "shortage"]
 
@@ -38,6 +39,5 @@ def shortage() -> str:
 
 def _threads() -> int:
     """Return how many threads OpenBLAS starts: as many as there are cores, or fewer if told so."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    told = os.environ.get(THREADS, "")
-    return max(1, min(cores or 1, int(told) if told.isdecimal() and int(told) else cores or 1))
+    cores = usable_cores()
+    return min(cores, told_threads(THREADS) or cores)

@@ -6,9 +6,10 @@ begun there.
 
 from __future__ import annotations
 
-import os
 import resource
 from pathlib import Path
+
+from slamfusion.cores import told_threads, usable_cores
 
 __all__ = ["opencl_shortage"]
 
@@ -45,9 +46,4 @@ def _used() -> int:
 
 def _threads() -> int:
     """Return how many threads PoCL starts: as many as there are cores, unless told."""
-    told = os.environ.get(THREADS, "")
-    if told.isdecimal() and int(told):
-        return int(told)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return told_threads(THREADS) or usable_cores()

@@ -29,6 +29,7 @@ import slamfusion
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.program import kernel_folder
 from slamfusion.config import FusionConfig, RunConfig, VoteMode, to_mapping
+from slamfusion.cores import usable_cores
 from slamfusion.errors import GridError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.experiments.faults import FAULTS
@@ -43,7 +44,7 @@ from slamfusion.jobs.fuse_drive import DriveMaps, fuse_drive, produce_maps
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
-from slamfusion.slam.side_by_side import interrupts_held, threads_limited, usable_cores
+from slamfusion.slam.side_by_side import interrupts_held, threads_limited
 from slamfusion.trajectory import Trajectory
 
 __all__ = [

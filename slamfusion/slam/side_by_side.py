@@ -23,6 +23,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 from slamfusion.config import RunConfig
+from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -34,7 +35,7 @@ from slamfusion.slam.registry import (
     with_producers,
 )
 
-__all__ = ["Outcome", "SideBySide", "interrupts_held", "threads_limited", "usable_cores"]
+__all__ = ["Outcome", "SideBySide", "interrupts_held", "threads_limited"]
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -228,13 +229,6 @@ def _sealed(run: ProducerRun) -> ProducerRun:
         odometry=None if run.odometry is None else replace(run.odometry),
         other_paths=tuple(replace(path) for path in run.other_paths),
     )
-
-
-def usable_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _check_names(names: Sequence[str]) -> None:

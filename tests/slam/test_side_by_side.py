@@ -15,13 +15,14 @@ import pytest
 
 from slamfusion.compute import open_device
 from slamfusion.config import RunConfig, SideBySideConfig
+from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, LogError
 from slamfusion.io import open_log, write_carmen
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 from slamfusion.slam.common.runner import run_producer
 from slamfusion.slam.registry import make_producer
-from slamfusion.slam.side_by_side import Outcome, SideBySide, usable_cores
+from slamfusion.slam.side_by_side import Outcome, SideBySide
 from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once
