@@ -14,6 +14,8 @@ __all__ = [
     "compose_poses",
     "fit_motion",
     "invert_poses",
+    "transform_points",
+    "travelled",
     "with_levers",
     "wrap_angle",
     "wrap_angles",
@@ -65,6 +67,41 @@ def invert_poses(poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
     cos, sin = np.cos(given[..., 2]), np.sin(given[..., 2])
     x, y = given[..., 0], given[..., 1]
     return np.stack((-cos * x - sin * y, sin * x - cos * y, wrap_angles(-given[..., 2])), axis=-1)
+
+
+def transform_points(
+    poses: npt.NDArray[np.float64],
+    points: npt.NDArray[np.float64],
+    of: npt.NDArray[np.int64] | None = None,
+) -> npt.NDArray[np.float64]:
+    """Map points by many poses at once, as ``Pose2.transform`` does by one.
+
+    Args:
+        poses: (N, 3) x, y, yaw; one length unit throughout, radians.
+        points: (B, 2) x and y, same unit, each in the frame of a pose.
+        of: (B,) index of the pose of each point; None: B is N, and each has a pose of its own.
+
+    Returns:
+        (B, 2) float64, in the frame that the poses are in.
+    """
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    if of is not None:
+        poses, cos, sin = poses[of], cos[of], sin[of]
+    x, y = points[:, 0], points[:, 1]
+    return np.stack((poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y), axis=1)
+
+
+def travelled(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the length of a way up to each of its places.
+
+    Args:
+        places: (N, 2 or more) float64, x and y first; N at least 1.
+
+    Returns:
+        (N,) float64, 0 first and never falling, in the unit of the places.
+    """
+    steps = np.diff(places[:, :2], axis=0)
+    return np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
 
 
 @dataclass(frozen=True)

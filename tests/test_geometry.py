@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.geometry import Pose2, fit_motion, with_levers, wrap_angle
+from slamfusion.geometry import (
+    Pose2,
+    fit_motion,
+    transform_points,
+    travelled,
+    with_levers,
+    wrap_angle,
+)
 
 LENGTHS = st.floats(-1e3, 1e3)
 ANGLES = st.floats(-20.0, 20.0)
@@ -62,6 +69,22 @@ def test_a_quarter_turn_is_counter_clockwise() -> None:
 
 def test_scaling_changes_lengths_only() -> None:
     assert Pose2(1.0, -2.0, 0.5).scaled(20.0) == Pose2(20.0, -40.0, 0.5)
+
+
+def test_points_are_mapped_by_many_poses_as_by_one() -> None:
+    rng = np.random.default_rng(5)
+    poses, points = rng.normal(size=(4, 3)), rng.normal(size=(4, 2))
+    for found, pose, point in zip(transform_points(poses, points), poses, points, strict=True):
+        assert found == pytest.approx(Pose2(*pose).transform(point))
+    of = np.array([2, 0, 2, 3, 3, 1])
+    more = rng.normal(size=(6, 2))
+    assert np.array_equal(transform_points(poses, more, of), transform_points(poses[of], more))
+
+
+def test_way_is_as_long_as_its_steps() -> None:
+    places = np.array([(1.0, 1.0, 9.0), (4.0, 5.0, -9.0), (4.0, 5.0, 0.0), (4.0, 4.0, 0.0)])
+    assert travelled(places).tolist() == [0.0, 5.0, 5.0, 6.0]
+    assert travelled(places[:1]).tolist() == [0.0]
 
 
 def test_levers_stand_before_and_behind_each_pose() -> None:

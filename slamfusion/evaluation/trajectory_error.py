@@ -15,7 +15,14 @@ from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import TrajectoryError
 from slamfusion.evaluation.records import TrajectoryErrorsJson
 from slamfusion.evaluation.statistics import ErrorStatistics
-from slamfusion.geometry import Pose2, compose_poses, fit_motion, invert_poses, wrap_angles
+from slamfusion.geometry import (
+    Pose2,
+    compose_poses,
+    fit_motion,
+    invert_poses,
+    travelled,
+    wrap_angles,
+)
 from slamfusion.grid import IDENTITY
 from slamfusion.trajectory import Trajectory
 
@@ -133,8 +140,7 @@ def trajectory_errors(
     poses, true_poses = estimate.poses[own], truth.poses[true]
     motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
     aligned = compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
-    steps = np.diff(true_poses[:, :2], axis=0)
-    travelled_m = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
+    travelled_m = travelled(true_poses)
     stamps_s = estimate.stamps_s[own]
 
     # Absolute: of each pose alone.

@@ -21,7 +21,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan
 from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.geometry import Pose2, compose_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.slam.common.hit_cells import halve_counts
@@ -154,20 +154,19 @@ class _Beams:
     @classmethod
     def of(cls, scans: Sequence[DrawnScan], poses: F64, resolution: float) -> _Beams:
         """Place scans at (N, 3) poses on the lattice."""
-        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         sizes = np.array([len(scan.ends) for scan in scans])
         of = np.repeat(np.arange(len(scans)), sizes)
         ends = np.concatenate([scan.ends for scan in scans])
         lasers = np.stack([scan.laser for scan in scans])
 
-        def place(points: F64, c: F64, s: F64, at: F64) -> F64:
-            x = at[:, 0] + c * points[:, 0] - s * points[:, 1]
-            y = at[:, 1] + s * points[:, 0] + c * points[:, 1]
-            cells = np.stack((x, y), axis=1) / resolution
-            return np.asarray(np.rint(cells * POINT_PARTS) / POINT_PARTS)
+        def in_cells(points: F64) -> F64:
+            return np.asarray(np.rint(points / resolution * POINT_PARTS) / POINT_PARTS)
 
-        firsts = np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
-        return cls(place(lasers, cos, sin, poses), place(ends, cos[of], sin[of], poses[of]), firsts)
+        return cls(
+            in_cells(transform_points(poses, lasers)),
+            in_cells(transform_points(poses, ends, of)),
+            np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
+        )
 
 
 def _with_poses(

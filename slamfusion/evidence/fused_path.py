@@ -34,7 +34,7 @@ from scipy.spatial import KDTree
 from slamfusion.evidence.path_consensus import consensus_poses, find_modes
 from slamfusion.evidence.path_frames import LaidPaths, geman_mcclure, lay_paths, pose_distances
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import compose_poses, invert_poses, travelled
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.trajectory import Trajectory
 
@@ -227,8 +227,7 @@ def _span(count: int, span: int) -> tuple[I64, I64]:
 def _visits(poses: F64) -> tuple[I64, I64]:
     """Return pairs of scans at one place with a long way between them, evenly spread."""
     scans = np.arange(0, len(poses), max(1, -(-len(poses) // VISITING_SCANS)), dtype=np.int64)
-    steps = np.diff(poses[:, :2], axis=0)
-    travelled_m = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))[scans]
+    travelled_m = travelled(poses)[scans]
     near = KDTree(poses[scans, :2]).query_pairs(VISIT_M, output_type="ndarray")
     near = near[np.abs(travelled_m[near[:, 1]] - travelled_m[near[:, 0]]) > BETWEEN_VISITS_M]
     near = np.sort(near, axis=1)

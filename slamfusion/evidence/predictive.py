@@ -28,7 +28,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, JudgedScans
 from slamfusion.evidence.comparison import Comparison, compare_sums
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
-from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.geometry import compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -361,9 +361,8 @@ def _placed_beams(
     lattice = np.array([0.0, 0.0, LATTICE_YAW_RAD])
     laid = compose_poses(lattice, compose_poses(invert_poses(first), poses))
     hit_scans = scans.hit_scans[kept]
-    cos, sin = np.cos(laid[:, 2]), np.sin(laid[:, 2])
-    ends = _placed(laid[hit_scans], cos[hit_scans], sin[hit_scans], scans.hits[kept])
-    lasers = _placed(laid, cos, sin, scans.lasers)[hit_scans]
+    ends = transform_points(laid, scans.hits[kept], hit_scans)
+    lasers = transform_points(laid, scans.lasers)[hit_scans]
     cells = np.concatenate((ends, lasers), axis=1) / model.cell_m
     page = np.floor(cells / TILE)
     low = page.reshape(-1, 2).min(axis=0) - 1
@@ -386,9 +385,3 @@ def _placed_beams(
     turned = (laid[hit_scans, 2] + scans.facings_rad[kept]) * FACINGS / (2.0 * np.pi)
     facings = np.rint(turned).astype(np.int64) % FACINGS
     return beams, facings.astype(np.int32), pages.astype(np.int32)
-
-
-def _placed(poses: F64, cos: F64, sin: F64, points: F64) -> F64:
-    """Return points of the robot's frame at poses, (M, 2), a point each."""
-    x, y = points[:, 0], points[:, 1]
-    return np.stack((poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y), axis=1)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.evidence.beams import JudgedScans
-from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
+from slamfusion.geometry import compose_poses, invert_poses, travelled, wrap_angles
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["CoveredPath", "cover_stamps"]
@@ -125,9 +125,8 @@ def _is_far(scans: JudgedScans, path: Trajectory, at: npt.NDArray[np.int64]) -> 
     """Whether scans lie farther beyond the ends of a path than odometry may carry it."""
     known = scans.odometry
     assert known is not None  # noqa: S101 - asked for with odometry only
-    steps = np.diff(known, axis=0)
-    travelled_m = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
-    turned_rad = np.concatenate(([0.0], np.cumsum(np.abs(wrap_angles(steps[:, 2])))))
+    travelled_m = travelled(known)
+    turned_rad = np.concatenate(([0.0], np.cumsum(np.abs(wrap_angles(np.diff(known[:, 2]))))))
     far = np.zeros(len(at), dtype=np.bool_)
     for end_s, is_beyond in (
         (path.stamps_s[0], scans.stamps_s[at] < path.stamps_s[0]),

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.config import PersonConfig
+from slamfusion.geometry import travelled
 from slamfusion.sim.route import FreeSpace
 from slamfusion.sim.world import Person
 
@@ -119,7 +120,7 @@ def _paced(way: F64, settings: PersonConfig, robot: F64, step_s: float) -> F64:
     walked = np.zeros(len(robot))
     if len(way) < 2:
         return walked
-    lengths = _lengths(way)
+    lengths = travelled(way)
     along, pace_m = 0.0, settings.speed_mps * step_s
     for n in range(1, len(robot)):
         at = (along + pace_m) % float(lengths[-1])
@@ -134,15 +135,9 @@ def _on(way: F64, along: F64) -> tuple[F64, F64]:
     """Return place (N, 2) and heading (N,) at walked lengths on a way that is gone round."""
     if len(way) < 2:
         return np.repeat(way, len(along), axis=0), np.zeros(len(along))
-    lengths = _lengths(way)
+    lengths = travelled(way)
     at = along % lengths[-1]
     centre = np.stack([np.interp(at, lengths, way[:, axis]) for axis in (0, 1)], axis=1)
     piece = np.clip(np.searchsorted(lengths, at, side="right") - 1, 0, len(way) - 2)
     step = way[piece + 1] - way[piece]
     return centre, np.asarray(np.arctan2(step[:, 1], step[:, 0]))
-
-
-def _lengths(way: F64) -> F64:
-    """Return the way's length up to each of its points, (N,) metres."""
-    steps = np.hypot(*np.diff(way, axis=0).T)
-    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -10,6 +10,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from slamfusion.errors import SimulationError
+from slamfusion.geometry import travelled
 from slamfusion.grid import FREE, OccupancyGrid
 
 __all__ = ["MARGIN_M", "FreeSpace"]
@@ -224,8 +225,7 @@ class FreeSpace:
 
 def _respaced(points: F64, step_m: float) -> F64:
     """Return points along a line of points at even distances, its ends kept."""
-    lengths = np.hypot(*np.diff(points, axis=0).T)
-    along = np.concatenate(([0.0], np.cumsum(lengths)))
+    along = travelled(points)
     count = max(1, round(float(along[-1]) / step_m))
     at = np.linspace(0.0, float(along[-1]), count + 1)
     return np.stack([np.interp(at, along, points[:, axis]) for axis in (0, 1)], axis=1)
