@@ -22,7 +22,7 @@ from slamfusion.compute.hit_counts import BeamScan
 from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2, compose_poses, transform_points
-from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid, known_box
 from slamfusion.io import LogScan
 from slamfusion.slam.common.hit_cells import halve_counts
 from slamfusion.slam.common.shared_tiles import SharedTileMaps
@@ -128,13 +128,14 @@ def draw_map(
     walls = _is_wall(counts, model)
     visits = counts & 0xFFFF
     cells = np.where(walls, OCCUPIED, np.where(visits >= model.least_visits, FREE, UNKNOWN))
-    known = cells != UNKNOWN
-    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    if len(rows):
-        cells = cells[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-        corner = corner + np.array((cols[0], rows[0]))
+    cells = cells.astype(np.int8)
+    box = known_box(cells)
+    if box is not None:
+        # Not by ``OccupancyGrid.crop``: the origin is rounded once, from whole cells.
+        cells = cells[box.row0 : box.row1, box.col0 : box.col1]
+        corner = corner + np.array((box.col0, box.row0))
     at = origin.compose(Pose2(*(float(value) for value in corner * resolution)))
-    return OccupancyGrid(np.ascontiguousarray(cells, dtype=np.int8), resolution, at, name)
+    return OccupancyGrid(cells, resolution, at, name)
 
 
 @dataclass(frozen=True, eq=False)
