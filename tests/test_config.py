@@ -140,7 +140,7 @@ def test_values_are_checked_at_construction_and_then_frozen() -> None:
     with pytest.raises(ConfigError, match=r"VoteConfig\.unknown must be one of"):
         VoteConfig(unknown="maybe")
     with pytest.raises(dataclasses.FrozenInstanceError):
-        RunConfig().seed = 3  # type: ignore[misc]
+        RunConfig().seed = 3
 
 
 def test_a_part_of_a_section_leaves_the_rest_as_the_whole_has_it():

@@ -35,7 +35,7 @@ def test_cells_are_frozen_and_the_callers_array_left_alone() -> None:
     with pytest.raises(ValueError, match="read-only"):
         grid.cells[0, 0] = 1
     with pytest.raises(dataclasses.FrozenInstanceError):
-        grid.name = "other"  # type: ignore[misc]
+        grid.name = "other"
 
 
 def test_a_view_is_made_contiguous() -> None:

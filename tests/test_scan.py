@@ -20,7 +20,7 @@ def scan(ranges: list[float], **changes: object) -> LaserScan:
         "range_min_m": 0.1,
         "range_max_m": 10.0,
     }
-    return LaserScan(ranges=np.array(ranges), **(settings | changes))  # type: ignore[arg-type]
+    return LaserScan(ranges=np.array(ranges), **(settings | changes))
 
 
 def test_readings_by_rep_117():
@@ -88,4 +88,4 @@ def test_what_is_no_scan(changes: dict[str, object], words: str):
         "range_max_m": 10.0,
     }
     with pytest.raises(ScanError, match=words):
-        LaserScan(**(settings | changes))  # type: ignore[arg-type]
+        LaserScan(**(settings | changes))

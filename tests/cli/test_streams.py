@@ -125,7 +125,7 @@ def test_an_interrupt_that_another_thread_takes_is_held_too() -> None:
     thread = threading.Thread(target=signal.raise_signal, args=[signal.SIGINT])
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), interrupts_held():  # noqa: PT012
+        with pytest.raises(KeyboardInterrupt), interrupts_held():  # noqa: PT012 - raised as it ends
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             thread.start()
             thread.join()

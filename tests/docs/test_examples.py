@@ -46,7 +46,7 @@ def test_a_notebook_was_run_in_order_and_fits_on_a_page(path: Path):
 def test_a_notebook_holds_nothing_of_the_machine(path: Path):
     text = path.read_text(encoding="utf-8")
     assert str(Path.home()) not in text
-    assert "/tmp" not in text  # noqa: S108
+    assert "/tmp" not in text  # noqa: S108 - nothing is written there
 
 
 def test_a_page_shows_what_a_notebook_printed_and_drew(path: Path):

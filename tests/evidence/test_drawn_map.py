@@ -65,7 +65,7 @@ def path(poses: np.ndarray) -> Trajectory:
 
 
 def draw(scans: list[DrawnScan], poses: np.ndarray, **options: object) -> OccupancyGrid:
-    return draw_map(scans, path(poses), device(), resolution=0.05, **options)  # type: ignore[arg-type]
+    return draw_map(scans, path(poses), device(), resolution=0.05, **options)
 
 
 def at(grid: OccupancyGrid, x: float, y: float) -> int:

@@ -71,7 +71,7 @@ def ate(estimate: Trajectory, truth: Poses) -> float:
 
 def fuse(*poses: Poses, **options: object) -> FusedPath:
     paths = {f"slam{index}": path(own) for index, own in enumerate(poses)}
-    return fuse_paths(paths, **options)  # type: ignore[arg-type]
+    return fuse_paths(paths, **options)
 
 
 # --- the common frame -------------------------------------------------------------------------

@@ -58,7 +58,7 @@ def part_pair(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
 
 def record_of(found: Alignment) -> dict[str, float | None]:
     assert found.evidence is not None
-    return dict(found.evidence.to_json())  # type: ignore[arg-type]
+    return dict(found.evidence.to_json())
 
 
 def test_a_room_that_stands_twice_is_ambiguous_and_both_places_are_said(

@@ -191,7 +191,7 @@ def states(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], object]]]:
         mapper.save_state(folder / name)
 
         def read(path: Path, kind: type = kind, config: object = config) -> object:
-            return kind.load_state(path, config, NumpyDevice(), 0)  # type: ignore[attr-defined]
+            return kind.load_state(path, config, NumpyDevice(), 0)
 
         made[name] = ((folder / name).read_bytes(), read)
     return made

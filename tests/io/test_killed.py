@@ -28,7 +28,7 @@ LEAST_STEPS = {"one": 5, "picture": 5, "pair": 14, "legacy": 14, "set": 30}
 @pytest.mark.parametrize("writer", list(WRITERS))
 def test_a_kill_at_any_step_leaves_the_old_set_or_the_new(writer: str) -> None:
     # In memory where the system has such a place: each kill is followed by several syncs.
-    memory = Path("/dev/shm")  # noqa: S108
+    memory = Path("/dev/shm")  # noqa: S108 - a folder of its own is made in it
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as place:
         done = subprocess.run(
             [sys.executable, "-m", "tests.io.killed", writer, place],

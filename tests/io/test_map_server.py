@@ -545,7 +545,7 @@ def test_the_given_resolution_is_checked(tmp_path: Path, resolution: float) -> N
 
 def grid_of(cells: npt.ArrayLike, **arguments: object) -> OccupancyGrid:
     values = {"resolution": 0.05, **arguments}
-    return OccupancyGrid(np.array(cells, dtype=np.int8), **values)  # type: ignore[arg-type]
+    return OccupancyGrid(np.array(cells, dtype=np.int8), **values)
 
 
 def test_saving_writes_254_0_and_205(tmp_path: Path) -> None:
@@ -697,7 +697,7 @@ def test_what_would_not_load_back_is_not_saved(
     tmp_path: Path, arguments: dict[str, object], words: str
 ) -> None:
     with pytest.raises(MapFileError, match=words):
-        save_map(**{"grid": grid_of(CELLS), "stem": tmp_path / "out", **arguments})  # type: ignore[arg-type]
+        save_map(**{"grid": grid_of(CELLS), "stem": tmp_path / "out", **arguments})
     assert list(tmp_path.iterdir()) == []
 
 

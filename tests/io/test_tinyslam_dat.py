@@ -24,7 +24,7 @@ TICKS_PER_METRE = 1.0 / METRES_PER_TICK
 
 def row(time_us: float, left: float = 0, right: float = 0, ranges: object = 1000) -> str:
     """One line: the ranges in millimetres, all the same or one each."""
-    beams = [ranges] * 682 if isinstance(ranges, int) else list(ranges)  # type: ignore[call-overload]
+    beams = [ranges] * 682 if isinstance(ranges, int) else list(ranges)
     fields = [time_us, 0, left, right, *[0] * 20, *beams, 255]
     return " ".join(map(str, fields))
 

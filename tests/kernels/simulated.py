@@ -38,9 +38,9 @@ def run_checks() -> int:
 def run_toy(name: str) -> int:
     """Run one toy kernel on 16 cells."""
     device = open_device("oclgrind")
-    program = cl.Program(device.context, TOYS).build()  # type: ignore[attr-defined]
+    program = cl.Program(device.context, TOYS).build()
     cells = device.upload(np.zeros(16, dtype=np.int32))
-    getattr(program, name)(device.queue, (16,), (4,), cells.buffer)  # type: ignore[attr-defined]
+    getattr(program, name)(device.queue, (16,), (4,), cells.buffer)
     device.download(cells)
     return 0
 

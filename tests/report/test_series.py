@@ -17,7 +17,7 @@ def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Ser
     """One value a second."""
     numbers = np.asarray(values, dtype=np.float64)
     stamps = np.arange(len(numbers), dtype=np.float64)
-    return Series("particles", "", stamps, numbers, **more)  # type: ignore[arg-type]
+    return Series("particles", "", stamps, numbers, **more)
 
 
 def pixels(png: bytes) -> npt.NDArray[np.uint8]:

@@ -53,7 +53,7 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[types.ModuleType]:
 
 
 def a_producer(name: str, **others: Any) -> Producer:
-    return Producer(name, "draws nothing", GraphConfig(), lambda *_: NumpyDevice(), **others)  # type: ignore[arg-type, return-value]
+    return Producer(name, "draws nothing", GraphConfig(), lambda *_: NumpyDevice(), **others)
 
 
 def test_what_is_built_in_makes_mappers_of_its_name_and_resumes_where_it_says_so() -> None:

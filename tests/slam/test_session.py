@@ -186,7 +186,7 @@ def test_figures_are_frozen_and_of_the_last_scans() -> None:
     bench.feed(0)
     before = session.snapshot
     with pytest.raises(dataclasses.FrozenInstanceError):
-        before.fed = 7  # type: ignore[misc]
+        before.fed = 7
     assert before.latencies_ms() == pytest.approx((500.0, 500.0))
     session.snapshot = dataclasses.replace(before, latencies_s=(1.0,) * LATENCIES)
     bench.feed(1)

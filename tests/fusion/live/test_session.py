@@ -124,7 +124,7 @@ def test_a_snapshot_is_frozen_and_stays_as_it_was(device: ComputeDevice) -> None
     session, desk = started(device)
     before = session.snapshot
     with pytest.raises(dataclasses.FrozenInstanceError):
-        before.updates = 7  # type: ignore[misc]
+        before.updates = 7
     updates, inputs = before.updates, before.believed.inputs
     desk.put(touched(three()["b"], 1))
     session.turn(desk)

@@ -61,7 +61,7 @@ class Pair:
 
     def __init__(self, device: ComputeDevice, count: int = MAPS) -> None:
         self.device = CountingDevice(device)
-        self.shared = SharedTileMaps(self.device, count, POOLS)  # type: ignore[arg-type]
+        self.shared = SharedTileMaps(self.device, count, POOLS)
         self.full = Full(count)
 
     def cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:

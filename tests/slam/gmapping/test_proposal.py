@@ -242,7 +242,7 @@ def mapped(device: ComputeDevice, count: int, **samples: float) -> Gmapping:
         srt=SIGMAS[2],
         str=0.0,
         stt=0.0,
-        **{"minimumScore": 0.0, **samples},  # type: ignore[arg-type]
+        **{"minimumScore": 0.0, **samples},
     )
     slam = Gmapping(config, device)
     slam.feed(scan_at(POSE, 0.0), POSE)

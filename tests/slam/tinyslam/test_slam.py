@@ -36,7 +36,7 @@ def device() -> ComputeDevice:
 
 
 def run(device: ComputeDevice, scans: list[LogScan], seed: int = 0, **settings: object) -> TinySlam:
-    slam = TinySlam(TinySlamConfig(**settings), device, seed)  # type: ignore[arg-type]
+    slam = TinySlam(TinySlamConfig(**settings), device, seed)
     for item in scans:
         slam.feed(item.scan, item.odometry)
     return slam
