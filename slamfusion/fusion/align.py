@@ -24,7 +24,7 @@ from slamfusion.fusion.refine import settle
 from slamfusion.fusion.search import (
     FINER_CHANCE_MAX,
     SearchWindow,
-    coarse_step,
+    finer_step,
     inside,
     score_motions,
     search,
@@ -124,12 +124,30 @@ def align_features(
     if start is None and config.shared_frame:
         start = Pose2()
     expected = pose_of(start)
+    is_thorough = thorough and found.search == "full"
+    has_finer = is_thorough and _has_finer(reference, moving, config, found, cancel)
+    # Where a finer level may yet bear the pair out, the image waits for it.
+    found = replace(found, looks_at_image=is_thorough and not has_finer)
     pair = judge(reference, moving, config, device, found, expected, pairs, began, cancel)
-    if pair.accepted or not thorough or found.search != "full":
+    if pair.accepted or not has_finer:
         return pair
     found = _searched_finer(reference, moving, config, window, device, found, cancel)
     found = replace(found, looks_at_image=True)
     return judge(reference, moving, config, device, found, expected, pairs, began, cancel)
+
+
+def _has_finer(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    config: AlignConfig,
+    found: Found,
+    cancel: CancelToken | None,
+) -> bool:
+    """Whether walls filled the coarsest level, and there is a finer one to search."""
+    if found.coarse is None:
+        return False
+    step, cells = found.coarse.step, config.coarse_cells
+    return finer_step(reference, moving, cells, step, FINER_CHANCE_MAX, cancel) < step
 
 
 def _searched_finer(
@@ -141,12 +159,8 @@ def _searched_finer(
     found: Found,
     cancel: CancelToken | None,
 ) -> Found:
-    """Search once more where walls filled the coarsest level; what was found stays a rival."""
-    cells, chance = config.coarse_cells, FINER_CHANCE_MAX
-    step = coarse_step(reference, moving, cells, cancel, chance)
-    if found.coarse is None or step >= found.coarse.step:
-        return found
-    coarse, more, _ = search(reference, moving, config, window, device, cancel, chance)
+    """Search once more from a finer level on; what was found stays a rival."""
+    coarse, more, _ = search(reference, moving, config, window, device, cancel, FINER_CHANCE_MAX)
     motions = np.concatenate((more, found.motions))
     sigma = wall_widths(reference)[0]
     values = score_motions(reference, moving, motions, 1, device, sigma=sigma, cancel=cancel)

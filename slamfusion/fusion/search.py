@@ -31,6 +31,7 @@ __all__ = [
     "SearchWindow",
     "coarse_search",
     "coarse_step",
+    "finer_step",
     "inside",
     "score_motions",
     "search",
@@ -93,14 +94,37 @@ def coarse_step(
     Finer where walls would be so near each other that any wall finds one; but never more than four
     times finer, which would take too long.
     """
-    longest = max(*reference.shape, *moving.shape)
-    step = max(1, math.ceil(longest / cells))
-    finest = max(1, math.ceil(longest / (FINEST_FACTOR * cells)))
-    while step > finest and (
-        max(grid.chance(step, COARSE_SIGMA, cancel) for grid in (reference, moving)) > chance
-    ):
-        step = max(finest, (2 * step) // 3)
+    step = _step(reference, moving, cells)
+    while (finer := finer_step(reference, moving, cells, step, chance, cancel)) < step:
+        step = finer
     return step
+
+
+def finer_step(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    cells: int,
+    step: int,
+    chance: float,
+    cancel: CancelToken | None = None,
+) -> int:
+    """Return the next finer step where walls are too near each other at one; else that step.
+
+    Args:
+        reference, moving, cells, cancel: see ``coarse_step``.
+        step: fine cells per coarse cell.
+        chance: walls are too near where a wall of another place finds more than this, 0..1.
+    """
+    finest = _step(reference, moving, FINEST_FACTOR * cells)
+    grids = (reference, moving)
+    if step <= finest or max(grid.chance(step, COARSE_SIGMA, cancel) for grid in grids) <= chance:
+        return step
+    return max(finest, (2 * step) // 3)
+
+
+def _step(reference: GridFeatures, moving: GridFeatures, cells: int) -> int:
+    """Return the fine cells per coarse cell that leave ``cells`` on the longest side."""
+    return max(1, math.ceil(max(*reference.shape, *moving.shape) / cells))
 
 
 def coarse_search(

@@ -10,7 +10,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.fusion import fuse_grids, judge, pipeline
+from slamfusion.fusion import align, fuse_grids, judge, pipeline
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.mirror import mirror_gain, mirror_image
 from slamfusion.fusion.records import Alignment
@@ -127,6 +127,24 @@ def test_another_building_is_no_mirror_image(device: ComputeDevice) -> None:
     assert refused.decision != "mirrored"
     assert refused.evidence is not None
     assert refused.evidence.mirrored is None
+
+
+@pytest.mark.parametrize(
+    ("coarse_cells", "looks"), [(64, [True]), (24, [False, True])], ids=["finest", "coarse"]
+)
+def test_what_is_refused_is_judged_again_only_after_a_finer_search(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, coarse_cells: int, looks: list[bool]
+) -> None:
+    looked: list[bool] = []
+
+    def judged(*arguments: object) -> Alignment:
+        looked.extend(item.looks_at_image for item in arguments if isinstance(item, judge.Found))
+        return judge.judge(*arguments)
+
+    monkeypatch.setattr(align, "judge", judged)
+    pair = [features_of(building(seed, 11.0, 9.0, 0.05), device) for seed in (3, 5)]
+    assert not align_features(*pair, replace(CONFIG, coarse_cells=coarse_cells), device).accepted
+    assert looked == looks
 
 
 def test_what_is_sure_is_not_searched_again(
