@@ -189,10 +189,21 @@ class AtomicFiles:
         self._made_folders.clear()
 
 
-def write_atomic(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write one file whole or not at all; see ``AtomicFiles`` for the rules and errors."""
-    with AtomicFiles() as files:
+def write_atomic(
+    path: str | Path, data: bytes | bytearray | memoryview, *, files: AtomicFiles | None = None
+) -> None:
+    """Write one file whole or not at all; see ``AtomicFiles`` for the rules and errors.
+
+    Args:
+        path: the file.
+        data: all of it.
+        files: stage the file here, to appear together with others; default: write it now.
+    """
+    if files is not None:
         files.add(path, data)
+        return
+    with AtomicFiles() as own:
+        own.add(path, data)
 
 
 def write_text_atomic(path: str | Path, text: str) -> None:

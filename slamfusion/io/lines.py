@@ -15,7 +15,14 @@ from slamfusion.io.budget import UnpackBudget
 from slamfusion.io.memory import check_memory
 from slamfusion.io.regular import open_regular
 
-__all__ = ["GZIP_MAGIC", "ROW_BYTES", "TextLines", "gzip_bytes", "read_head", "strip_gz"]
+__all__ = [
+    "GZIP_MAGIC",
+    "ROW_BYTES",
+    "TextLines",
+    "packed_by_name",
+    "read_head",
+    "strip_gz",
+]
 
 # Of a row of some ten numbers while it is a list of Python floats, with the table made of it.
 ROW_BYTES = 600
@@ -109,8 +116,13 @@ def strip_gz(name: str) -> str:
     return name.lower().removesuffix(".gz")
 
 
-def gzip_bytes(data: bytes) -> bytes:
-    """Pack bytes so that the same bytes always give the same file: no name, no time."""
+def packed_by_name(path: Path, data: bytes) -> bytes:
+    """Return what a file of this name is to hold: packed where the name ends in ``.gz``.
+
+    The same bytes always give the same file: no name, no time.
+    """
+    if not path.name.lower().endswith(".gz"):
+        return data
     packed = io.BytesIO()
     with gzip.GzipFile(filename="", mode="wb", fileobj=packed, mtime=0) as file:
         file.write(data)

@@ -9,8 +9,8 @@ import math
 from pathlib import Path
 
 from slamfusion.geometry import wrap_angle
-from slamfusion.io.atomic import AtomicFiles
-from slamfusion.io.lines import gzip_bytes
+from slamfusion.io.atomic import AtomicFiles, write_atomic
+from slamfusion.io.lines import packed_by_name
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["quaternion_yaw_rad", "write_tum"]
@@ -44,14 +44,7 @@ def write_tum(
             f"{stamp_s:.9f} {x:.9f} {y:.9f} 0 0 0 "
             f"{math.sin(half_rad):.12f} {math.cos(half_rad):.12f}\n"
         )
-    data = "".join(lines).encode()
-    if target.name.lower().endswith(".gz"):
-        data = gzip_bytes(data)
-    if files is not None:
-        files.add(target, data)
-    else:
-        with AtomicFiles() as own:
-            own.add(target, data)
+    write_atomic(target, packed_by_name(target, "".join(lines).encode()), files=files)
 
 
 def quaternion_yaw_rad(x: float, y: float, z: float, w: float) -> float:

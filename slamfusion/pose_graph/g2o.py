@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import GraphError
-from slamfusion.io.atomic import AtomicFiles
-from slamfusion.io.lines import TextLines, gzip_bytes
+from slamfusion.io.atomic import AtomicFiles, write_atomic
+from slamfusion.io.lines import TextLines, packed_by_name
 from slamfusion.pose_graph.graph import (
     PoseGraph,
     chained_poses,
@@ -124,13 +124,7 @@ def write_g2o(
     names = np.arange(len(graph)) if ids is None else ids
     data = "".join(_text(graph, names.tolist(), fixed)).encode()
     target = Path(path)
-    if target.name.lower().endswith(".gz"):
-        data = gzip_bytes(data)
-    if files is not None:
-        files.add(target, data)
-    else:
-        with AtomicFiles() as own:
-            own.add(target, data)
+    write_atomic(target, packed_by_name(target, data), files=files)
 
 
 def _text(graph: PoseGraph, names: list[int], fixed: Sequence[int]) -> Iterator[str]:

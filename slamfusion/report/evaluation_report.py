@@ -79,10 +79,7 @@ def write_difference_image(
     picture = plots.difference_picture(
         evaluation.difference, evaluation.resolution, evaluation.origin
     )
-    if files is None:
-        write_atomic(path, picture)
-    else:
-        files.add(path, picture)
+    write_atomic(path, picture, files=files)
 
 
 def _banner(evaluations: Sequence[MapError], searched: Sequence[Alignment]) -> Banner:

@@ -11,9 +11,9 @@ import numpy as np
 from slamfusion.errors import LogError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
-from slamfusion.io.atomic import AtomicFiles
+from slamfusion.io.atomic import AtomicFiles, write_atomic
 from slamfusion.io.carmen.messages import FORWARD_STEPS_RAD, NO_RETURN_PARAM, forward_angles
-from slamfusion.io.lines import gzip_bytes
+from slamfusion.io.lines import packed_by_name
 from slamfusion.io.log import LogScan
 from slamfusion.scan import LaserScan
 
@@ -73,12 +73,7 @@ def write_carmen(
     if first is None:
         message = f"{target}: there is no scan to write; give at least one"
         raise LogError(message)
-    data = gzip_bytes(bytes(body)) if target.name.lower().endswith(".gz") else bytes(body)
-    if files is not None:
-        files.add(target, data)
-    else:
-        with AtomicFiles() as own:
-            own.add(target, data)
+    write_atomic(target, packed_by_name(target, bytes(body)), files=files)
     return count
 
 
