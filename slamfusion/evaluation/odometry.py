@@ -121,16 +121,12 @@ def read_odometry(path: str | Path, config: LogConfig = _DEFAULT_CONFIG) -> Traj
     where = Path(path)
     if where.is_dir() or not _is_table(where):
         return read_trajectory(where, config)
-    lines = TextLines(where, kept_bytes=ROW_BYTES)
     rows = []
-    number = 0
+    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
     for number, line in lines:
         fields = line.split()
         if fields and not fields[0].startswith(b"#"):
             rows.append(_row(fields, f"{where}: line {number}"))
-    if lines.is_cut_off:
-        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
-        raise TrajectoryError(message)
     table = np.array(rows)
     back = int(np.count_nonzero(np.diff(table[:, 0]) < 0.0))
     if back:

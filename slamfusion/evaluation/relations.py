@@ -163,16 +163,12 @@ def read_relations(path: str | Path) -> Relations:
         OSError: the file cannot be opened.
     """
     where = Path(path)
-    lines = TextLines(where, kept_bytes=ROW_BYTES)
     rows = []
-    number = 0
+    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
     for number, line in lines:
         fields = line.split()
         if fields and not fields[0].startswith(b"#"):
             rows.append(_row(fields, f"{where}: line {number}"))
-    if lines.is_cut_off:
-        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
-        raise TrajectoryError(message)
     if not rows:
         message = f"{where}: wanted lines '{' '.join(_COLUMNS)}', found none; check the file"
         raise TrajectoryError(message)

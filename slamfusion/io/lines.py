@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from slamfusion.errors import LogError
+from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.io.budget import UnpackBudget
 from slamfusion.io.memory import check_memory
 from slamfusion.io.regular import open_regular
@@ -42,6 +42,8 @@ class TextLines:
         path: the file.
         kept_bytes: what the caller keeps of each line: where that would not fit into memory, the
             file is refused while it is read.
+        if_cut_off: the error that ends an iteration over packed data that end early or are
+            damaged; None: ``is_cut_off`` says so.
 
     Attributes:
         path: the file; whether it is packed is told from its first bytes, not from its name.
@@ -49,9 +51,16 @@ class TextLines:
         is_cut_off: the last iteration met packed data that end early or are damaged.
     """
 
-    def __init__(self, path: Path, *, kept_bytes: int = 0) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        kept_bytes: int = 0,
+        if_cut_off: type[SlamFusionError] | None = None,
+    ) -> None:
         self.path = path
         self._kept_bytes = kept_bytes
+        self._if_cut_off = if_cut_off
         self.fraction_read = 0.0
         self.is_cut_off = False
 
@@ -62,8 +71,10 @@ class TextLines:
             LogError: no regular file, a line that is too long to be text, or packed data that
                 unpack to more than any log.
             MemoryBudgetError: what the caller keeps would not fit into memory.
+            SlamFusionError: of the kind asked for, where packed data are cut off.
         """
         self.fraction_read, self.is_cut_off = 0.0, False
+        number = 0
         with open_regular(self.path, LogError) as file:
             raw = file.raw
             size = max(raw.seek(0, io.SEEK_END), 1)
@@ -91,6 +102,9 @@ class TextLines:
             except _DAMAGE:
                 self.is_cut_off = True
         self.fraction_read = 1.0
+        if self.is_cut_off and self._if_cut_off is not None:
+            message = f"{self.path}: line {number + 1}: the packed file ends early; copy it again"
+            raise self._if_cut_off(message)
 
 
 def read_head(path: Path, count: int = _BUFFER_BYTES) -> bytes:

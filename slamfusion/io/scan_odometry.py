@@ -103,10 +103,9 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
         OSError: the file cannot be opened.
     """
     where = Path(path)
-    lines = TextLines(where, kept_bytes=ROW_BYTES)
     columns: list[str] = []
     rows: list[list[float]] = []
-    number = 0
+    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=LogError)
     for number, line in lines:
         fields = line.decode("ascii", "replace").strip().split(",")
         if not columns:
@@ -120,9 +119,6 @@ def read_scan_odometry(path: str | Path) -> ScanOdometry:
                 raise LogError(message)
         elif fields != [""]:
             rows.append(_row(fields, columns, len(rows), f"{where}: line {number}"))
-    if lines.is_cut_off:
-        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
-        raise LogError(message)
     if not rows:
         message = f"{where}: wanted a row for each scan, found none; check the file"
         raise LogError(message)

@@ -117,9 +117,8 @@ def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
         shown = " ".join(header)[:60]
         message = f"{where}: wanted {_WANTED}, found {_printable(shown)!r}; check the file"
         raise TrajectoryError(message)
-    lines = TextLines(where, kept_bytes=ROW_BYTES)
     last_s = -math.inf
-    number = 0
+    lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
     for number, line in lines:
         fields = _fields(line)
         if not fields or (has_header and number == 1):
@@ -139,9 +138,6 @@ def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
             _check_tum(where, number, values, last_s)
         last_s = row[0]
         yield row
-    if lines.is_cut_off:
-        message = f"{where}: line {number + 1}: the packed file ends early; copy it again"
-        raise TrajectoryError(message)
 
 
 def _check_tum(where: Path, number: int, values: list[float], last_s: float) -> None:
