@@ -21,6 +21,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan
 from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.errors import TrajectoryError
+from slamfusion.evidence.stamps import no_common_time
 from slamfusion.geometry import Pose2, compose_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid, known_box
 from slamfusion.io import LogScan
@@ -180,11 +181,7 @@ def _with_poses(
         raise TrajectoryError(message)
     near, meets = path.matches(stamps_s)
     if not meets.any():
-        message = (
-            f"{path.name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, "
-            f"the scans of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; give a path of this log"
-        )
-        raise TrajectoryError(message)
+        raise no_common_time(path.name, path, stamps_s)
     back = origin.inverse()
     poses = compose_poses((back.x, back.y, back.yaw_rad), path.poses[near[meets]])
     return [scans[index] for index in np.flatnonzero(meets).tolist()], poses

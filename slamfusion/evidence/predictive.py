@@ -27,7 +27,7 @@ from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, JudgedScans
 from slamfusion.evidence.comparison import Comparison, compare_sums
-from slamfusion.evidence.stamps import CoveredPath, cover_stamps
+from slamfusion.evidence.stamps import CoveredPath, cover_stamps, no_common_time
 from slamfusion.geometry import compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 
@@ -255,9 +255,12 @@ def with_path(
 
 def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:
     """Return a path's pose at each scan; refuse one that has none."""
+    if not len(path):
+        message = f"{name}: the path has no pose; give one with poses"
+        raise TrajectoryError(message)
     covered = cover_stamps(path, scans)
     if not covered.is_covered.any():
-        raise TrajectoryError(_no_scan(name, path, scans))
+        raise no_common_time(name, path, scans.stamps_s)
     return covered
 
 
@@ -274,16 +277,6 @@ def _score_covered(
         name: _score(name, path, scans, is_judged, device, model) for name, path in covered.items()
     }
     return PathEvidence(scans, is_judged, scores)
-
-
-def _no_scan(name: str, path: Trajectory, scans: JudgedScans) -> str:
-    """Say that a path meets no scan in time."""
-    if not len(path):
-        return f"{name}: the path has no pose; give one with poses"
-    return (
-        f"{name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, the scans "
-        f"of {scans.stamps_s[0]:.3f} to {scans.stamps_s[-1]:.3f} s; give a path of this log"
-    )
 
 
 def _score(

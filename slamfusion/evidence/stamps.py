@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.geometry import compose_poses, invert_poses, travelled, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["CoveredPath", "cover_stamps"]
+__all__ = ["CoveredPath", "cover_stamps", "no_common_time"]
 
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
@@ -89,6 +90,20 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
         beyond = gap[~is_between[gap] & _is_far(scans, path, gap)]
         poses[beyond] = np.nan
     return CoveredPath(poses, is_own, np.isfinite(poses[:, 0]))
+
+
+def no_common_time(name: str, path: Trajectory, stamps_s: F64) -> TrajectoryError:
+    """Return the error that a path has no pose at the time of any scan.
+
+    Args:
+        name: of the path.
+        path: at least one pose.
+        stamps_s: (N,) times of the scans, seconds, N at least 1.
+    """
+    return TrajectoryError(
+        f"{name}: its poses are of {path.stamps_s[0]:.3f} to {path.stamps_s[-1]:.3f} s, the scans "
+        f"of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; give a path of this log"
+    )
 
 
 def _shares(
