@@ -19,6 +19,7 @@ from slamfusion.jobs.inputs import Progress, Warn, as_path, load_maps
 from slamfusion.jobs.outputs import output_files
 from slamfusion.jobs.produced import ProducerResult, add_run, measure_run, run_remarks
 from slamfusion.jobs.run_records import (
+    LogFilesJson,
     SlamDocument,
 )
 from slamfusion.jobs.trajectory import Measures, Yardsticks
@@ -54,6 +55,17 @@ class LogFiles:
     truth: Path | None = None
     truth_map: Path | None = None
     scan_odometry: Path | None = None
+
+    def to_json(self) -> LogFilesJson:
+        """Return the files for a JSON document."""
+        return {
+            "log": str(self.log),
+            "relations": path_text(self.relations),
+            "odometry_file": path_text(self.odometry),
+            "scan_odometry": path_text(self.scan_odometry),
+            "truth": path_text(self.truth),
+            "truth_map": path_text(self.truth_map),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,12 +229,7 @@ def slam_document(mapped: MappedLog, outputs: Sequence[Path], state: Path | None
                 "state_file": path_text(state),
             }
         ],
-        "log": str(files.log),
-        "relations": path_text(files.relations),
-        "odometry_file": path_text(files.odometry),
-        "scan_odometry": path_text(files.scan_odometry),
-        "truth": path_text(files.truth),
-        "truth_map": path_text(files.truth_map),
+        **files.to_json(),
         **circumstances(mapped.config, result.device),
     }
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamfusion.io import AtomicFiles, save_map, write_tum
-from slamfusion.jobs.documents import circumstances, path_text
+from slamfusion.jobs.documents import circumstances
 from slamfusion.jobs.fuse import failure_document, fusion_document
 from slamfusion.jobs.fused_path import drawn_document
 from slamfusion.jobs.outputs import (
@@ -227,16 +227,7 @@ def run_document(
 
 def _files_read(run: LogRun) -> RunFilesJson:
     """Return the files that the run was given, for a JSON document."""
-    files = run.files
-    return {
-        "log": str(files.log),
-        "relations": path_text(files.relations),
-        "odometry_file": path_text(files.odometry),
-        "scan_odometry": path_text(files.scan_odometry),
-        "truth": path_text(files.truth),
-        "truth_map": path_text(files.truth_map),
-        "saved_maps": [str(path) for path in run.saved_maps],
-    }
+    return {**run.files.to_json(), "saved_maps": [str(path) for path in run.saved_maps]}
 
 
 def _record(

@@ -29,6 +29,7 @@ __all__ = [
     "DrawnMapJson",
     "FailedProducerJson",
     "FusedPathJson",
+    "LogFilesJson",
     "ProducerJson",
     "RunDocument",
     "RunFilesJson",
@@ -57,13 +58,11 @@ class SlamProducerJson(ProducerJson):
     """The file that its state was saved to."""
 
 
-class SlamDocument(CircumstancesJson):
-    """``slamfusion slam``; also the record OUT.json."""
+class LogFilesJson(TypedDict):
+    """A log, and the files that what was made of it is held against."""
 
-    producers: Sequence[SlamProducerJson]
-    """The one producer."""
     log: str
-    """The log that it was fed."""
+    """The log that was mapped."""
     relations: str | None
     """The file of known relations."""
     odometry_file: str | None
@@ -74,6 +73,13 @@ class SlamDocument(CircumstancesJson):
     """The file of the true trajectory."""
     truth_map: str | None
     """The true map's file."""
+
+
+class SlamDocument(LogFilesJson, CircumstancesJson):
+    """``slamfusion slam``; also the record OUT.json."""
+
+    producers: Sequence[SlamProducerJson]
+    """The one producer."""
 
 
 class RunProducerJson(ProducerJson):
@@ -136,21 +142,9 @@ class DrawnMapJson(TypedDict):
     """How thick its walls are; null when no wall is beside a free cell."""
 
 
-class RunFilesJson(TypedDict):
+class RunFilesJson(LogFilesJson):
     """The files that ``slamfusion run`` was given."""
 
-    log: str
-    """The log that the producers were fed."""
-    relations: str | None
-    """The file of known relations."""
-    odometry_file: str | None
-    """The file of raw odometry."""
-    scan_odometry: str | None
-    """The file that gave the scans their odometry."""
-    truth: str | None
-    """The file of the true trajectory."""
-    truth_map: str | None
-    """The true map's file."""
     saved_maps: Sequence[str]
     """Saved maps that voted too."""
 
