@@ -176,7 +176,7 @@ def with_levers(poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         poses: (N, 3) float64, x and y in metres, yaw in radians.
 
     Returns:
-        (2 N, 3) float64: those before all poses, then those behind them; 3 m away, of like heading.
+        (2 N, 3) float64: those before all poses, then those behind them; 3 m away, headed alike.
     """
     ahead, behind = poses.copy(), poses.copy()
     lever_m = _LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))

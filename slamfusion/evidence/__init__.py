@@ -1,9 +1,10 @@
 """What the scans say of paths without a truth: predictive consistency, comparisons, the verdict.
 
 ``score_paths`` scores each path by how well what was seen at other times predicts what was seen
-now, with beams, chunks and stamps that no path has a say in; ``PathEvidence.compare`` tells better
-paths from those that cannot be told apart, and ``reach_verdict`` puts it into words. ``fuse_paths``
-makes one path of several, each believed as far as the scans bear it out.
+now, with beams, chunks and stamps that no path has a say in; ``with_path`` scores one more path
+beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart, and
+``reach_verdict`` puts it into words. ``fuse_paths`` makes one path of several, each believed as far
+as the scans bear it out.
 """
 
 from __future__ import annotations
