@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from slamfusion.errors import DeviceError
 __all__ = ["KernelProgram", "kernel_folder"]
 
 LOG = logging.getLogger(__name__)
+INCLUDE = re.compile(r'^#include "([\w.]+)"$', flags=re.MULTILINE)
 
 
 def kernel_folder() -> Path:
@@ -32,6 +34,20 @@ def kernel_folder() -> Path:
     raise DeviceError(message)
 
 
+def family_source(folder: Path, family: str) -> str:
+    """Return the source of a kernel family with the headers that it includes written out.
+
+    The compiler then needs no path, which PoCL's cache goes by: what one installation built, every
+    other one of equal sources has.
+
+    Args:
+        folder: of the .cl files.
+        family: name of one, without its suffix.
+    """
+    source = (folder / f"{family}.cl").read_text(encoding="utf-8")
+    return INCLUDE.sub(lambda found: (folder / found[1]).read_text(encoding="utf-8"), source)
+
+
 class KernelProgram:
     """All kernel families, built for one device; a kernel object is fetched once and kept."""
 
@@ -43,11 +59,11 @@ class KernelProgram:
             options: of the compiler, beside the constants of ``layout``.
         """
         folder = kernel_folder()
-        self.options = ("-w", "-I", str(folder), *kernel_options(), *options)
+        self.options = ("-w", *kernel_options(), *options)
         LOG.debug("kernels are built with %s", " ".join(self.options))
         self._kernels: dict[str, Any] = {}
         for family in FAMILIES:
-            source = (folder / f"{family}.cl").read_text(encoding="utf-8")
+            source = family_source(folder, family)
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)

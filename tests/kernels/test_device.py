@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -208,6 +209,17 @@ def test_missing_kernels_are_named(package: Path):
     with pytest.raises(DeviceError, match="reinstall slamfusion") as caught:
         program.kernel_folder()
     assert str(package / "kernels") in str(caught.value)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_what_is_built_is_the_same_wherever_the_package_lies(tmp_path: Path, family: str):
+    """So that PoCL's cache has it after the package was installed anew."""
+    folder = program.kernel_folder()
+    shutil.copytree(folder, tmp_path / "kernels")
+    source = program.family_source(tmp_path / "kernels", family)
+    assert source == program.family_source(folder, family)
+    assert "#include" not in source
+    assert str(folder) not in source
 
 
 @needs_wheels
