@@ -67,7 +67,8 @@ check "ruff format" "$venv/bin/ruff" format --check .
 check "mypy" "$venv/bin/mypy"
 # Recorded maps are looked at once, in the last leg; the Jazzy leg is about NumPy and OpenCV.
 check "tests under the Jazzy constraints" \
-    suite "$jazzy" -m "jazzy or not (ros or datasets or once)" -p no:cacheprovider "$@"
+    suite "$jazzy" -m "jazzy or not (ros or datasets or once)" -p no:cacheprovider \
+    --hypothesis-profile=brief "$@"
 if [ ${#failed[@]} -gt 0 ]; then
     say "failed so far: ${failed[*]}"
 fi

@@ -8,11 +8,20 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.support import datasets
+from tests.support.examples import FULL
 
 TESTS = Path(__file__).parent
 
-# A busy machine is no fault of the code.
-settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
+# alone. A busy machine is no fault of the code.
+PROFILES = {"suite": 30, "full": FULL, "brief": 10}
+for profile, count in PROFILES.items():
+    settings.register_profile(
+        profile,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+        max_examples=count,
+    )
 settings.load_profile("suite")
 
 # The longest files in the order in which test processes take them, so that none of them is alone at
@@ -50,6 +59,11 @@ LONGEST = (
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full", action="store_true", help="also run the tests marked full")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--full"):
+        settings.load_profile("full")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

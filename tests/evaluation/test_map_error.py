@@ -27,6 +27,7 @@ from slamfusion.evaluation import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
+from tests.support.examples import examples
 
 NORMALIZE = NormalizeConfig()
 CHARACTERS = {"?": -1, ".": 0, "#": 100, "~": 50}
@@ -274,7 +275,7 @@ CLASSES = hnp.arrays(
 
 
 @given(CLASSES)
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 def test_any_map_agrees_with_itself(cells: npt.NDArray[np.int8]) -> None:
     cells[0, 0] = 0
     grid = OccupancyGrid(cells, 0.05, Pose2(1.0, 2.0, 0.3))
@@ -285,7 +286,7 @@ def test_any_map_agrees_with_itself(cells: npt.NDArray[np.int8]) -> None:
 
 
 @given(st.data())
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 def test_swapping_map_and_truth_transposes_the_confusion(data: st.DataObject) -> None:
     cells = data.draw(CLASSES)
     other = data.draw(hnp.arrays(np.int8, cells.shape, elements=st.sampled_from([-1, 0, 100])))
@@ -300,7 +301,7 @@ def test_swapping_map_and_truth_transposes_the_confusion(data: st.DataObject) ->
 
 
 @given(CLASSES, st.floats(-600, 600), st.floats(-600, 600), st.floats(-3.1, 3.1))
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 def test_a_rigid_motion_of_the_map_and_its_inverse_change_nothing(
     cells: npt.NDArray[np.int8], x: float, y: float, yaw_rad: float
 ) -> None:

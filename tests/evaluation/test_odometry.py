@@ -28,6 +28,7 @@ from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.trajectory import Trajectory
 from tests.support.datasets import ABSENT, DATASETS
+from tests.support.examples import examples
 
 INTEL = DATASETS / "intel"
 TOLERANCE_S = 0.01
@@ -105,7 +106,7 @@ def test_between_scans_the_wheels_carry_the_pose_on() -> None:
     assert carried.translation.mean < 0.1 * drifted.translation.mean
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3), st.integers(0, 1000))
 def test_rows_are_found_in_another_frame_and_with_wrong_stamps(
     x: float, y: float, yaw_rad: float, seed: int

@@ -22,6 +22,7 @@ from slamfusion.evaluation import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid, trinary_cells
+from tests.support.examples import examples
 
 NORMALIZE = NormalizeConfig()
 CHARACTERS = {"?": -1, ".": 0, "#": 100}
@@ -220,7 +221,7 @@ def test_the_document_holds_the_measures_as_plain_values() -> None:
     assert document["outside_m2"] == pytest.approx(5 * 0.05**2)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     hnp.arrays(
         np.int8,

@@ -17,6 +17,7 @@ from slamfusion.evidence.beams import CHUNKS, SPACING_M, surface_facings
 from slamfusion.evidence.predictive import HitModel, log_likelihoods
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import BEAMS, bent, circuit, moved, recorded
+from tests.support.examples import examples
 
 TRUTH = circuit()
 WRONG = {
@@ -50,7 +51,7 @@ def test_all_paths_are_scored_on_the_same_hits(device: ComputeDevice, scans: Jud
         assert score.consistency <= 0.0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(x=st.floats(-1e5, 1e5), y=st.floats(-1e5, 1e5), yaw_rad=st.floats(-math.pi, math.pi))
 def test_frame_of_a_path_does_not_count(
     device: ComputeDevice, scans: JudgedScans, x: float, y: float, yaw_rad: float
@@ -62,7 +63,7 @@ def test_frame_of_a_path_does_not_count(
     )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(shift_m=st.floats(0.3, 3.0), first=st.integers(40, 130), towards=st.floats(0.0, 6.28))
 def test_shifted_end_is_never_better(
     device: ComputeDevice, scans: JudgedScans, shift_m: float, first: int, towards: float

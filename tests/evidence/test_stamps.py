@@ -12,6 +12,7 @@ from slamfusion.evidence import JudgedScans, cover_stamps, judged_scans, score_p
 from slamfusion.geometry import wrap_angles
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, moved, recorded
+from tests.support.examples import examples
 
 TRUTH = circuit()
 
@@ -26,7 +27,7 @@ def test_a_full_path_is_taken_as_it_is(scans: JudgedScans):
     assert np.array_equal(found.poses, TRUTH.poses)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(step=st.integers(2, 30), x=st.floats(-50, 50), yaw_rad=st.floats(-3.0, 3.0))
 def test_keyframes_are_filled_by_odometry(scans: JudgedScans, step: int, x: float, yaw_rad: float):
     path = moved(TRUTH, (x, 1.0, yaw_rad))

@@ -14,6 +14,7 @@ from slamfusion.evidence import JudgedScans, judged_scans, reach_verdict, score_
 from slamfusion.evidence.parting import PART_M, path_gap_m, path_spans
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
+from tests.support.examples import examples
 
 TRUTH = circuit()
 NEAR = Trajectory(TRUTH.stamps_s, TRUTH.poses + np.array([0.0, 0.0, 1e-6]))
@@ -91,7 +92,7 @@ def test_scans_that_a_path_has_no_pose_for_are_said(device: ComputeDevice, scans
     assert "of the scans were judged: where every path has a pose." in verdict.sentence
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(
     x=st.floats(-1e3, 1e3),
     yaw_rad=st.floats(-math.pi, math.pi),

@@ -23,6 +23,7 @@ from slamfusion.fusion.accept import (
     decide_mirrored,
     expected_wrong,
 )
+from tests.support.examples import examples
 from tests.support.recorded_pairs import COLUMNS, OPTIONAL, RecordedPair, changed, load_pairs
 from tests.support.recorded_pairs import value_of as number_of
 
@@ -370,7 +371,7 @@ def any_evidence(drawn: st.DrawFn) -> Evidence:
 
 @pytest.mark.parametrize("column", FOR + AGAINST)
 def test_better_evidence_never_turns_an_acceptance_into_a_rejection(column: str) -> None:
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=examples(80), deadline=None)
     @given(found=any_evidence(), pair=st.tuples(values(column), values(column)))
     def check(found: Evidence, pair: tuple[float, float]) -> None:
         # Where the rival is the better one, a larger share speaks against the answer.
@@ -385,7 +386,7 @@ def test_better_evidence_never_turns_an_acceptance_into_a_rejection(column: str)
     check()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(found=any_evidence(), gaps=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)))
 def test_a_wider_gap_never_helps(found: Evidence, gaps: tuple[float, float]) -> None:
     small, large = sorted(gaps)
@@ -393,7 +394,7 @@ def test_a_wider_gap_never_helps(found: Evidence, gaps: tuple[float, float]) -> 
     assert decide(replace(found, gap=small)).accepted or not wide.accepted
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(found=any_evidence(), offs=st.tuples(st.floats(0.0, 0.15), st.floats(0.0, 0.15)))
 def test_a_scale_farther_from_one_never_helps(found: Evidence, offs: tuple[float, float]) -> None:
     near, far = sorted(offs)
@@ -402,14 +403,14 @@ def test_a_scale_farther_from_one_never_helps(found: Evidence, offs: tuple[float
         assert decide(replace(found, scale=1.0 + sign * near)).accepted or not off.accepted
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(found=any_evidence(), metres=values("common_m"), where=st.text(max_size=5))
 def test_what_is_only_said_decides_nothing(found: Evidence, metres: float, where: str) -> None:
     other = replace(found, common_m=metres, rival=where)
     assert decide(other).accepted == decide(found).accepted
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(found=any_evidence())
 def test_whatever_is_decided_has_a_reason_in_one_line(found: Evidence) -> None:
     decision = decide(found)

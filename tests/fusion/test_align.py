@@ -33,6 +33,7 @@ from tests.fusion.drawings import (
     padded,
     with_origin,
 )
+from tests.support.examples import examples
 
 QUICK = fusion_config()
 ROOM = "\n".join(["#" * 40, *["#" + "." * 38 + "#"] * 38, "#" * 40])
@@ -66,7 +67,7 @@ def test_a_known_transform_comes_back(device: ComputeDevice, fault: str, seed: i
     assert_right(align_grids(truth, moving, QUICK, device), moving, pose)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=examples(25), deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 1000),
     yaw=st.floats(-math.pi, math.pi),

@@ -21,6 +21,7 @@ from slamfusion.fusion.normalize import (
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 from tests.fusion.drawings import building, draw, padded, picture_of, random_grid
+from tests.support.examples import examples
 
 DEFAULTS = NormalizeConfig()
 TURNED = Pose2(-3.1234, 7.0321, 0.7)
@@ -153,7 +154,7 @@ def test_finer_cells_keep_the_world(device: ComputeDevice, ratio: float) -> None
     assert gap.max() <= 0.05 + 1e-9
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=examples(30), deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10_000),
     ratio=st.floats(0.3, 4.0),

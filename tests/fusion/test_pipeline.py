@@ -32,6 +32,7 @@ from tests.fusion.drawings import (
     padded,
     with_origin,
 )
+from tests.support.examples import examples
 
 QUICK = fusion_config()
 ANGLES = st.floats(-math.pi, math.pi)
@@ -251,7 +252,7 @@ def test_same_input_same_fused_map(device: ComputeDevice) -> None:
     assert first.fused.origin == second.fused.origin
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=examples(10), deadline=None, derandomize=True)
 @given(margins=st.tuples(*[st.integers(0, 60)] * 4), which=st.integers(0, 2))
 def test_growing_an_input_moves_no_fused_cell(
     device: ComputeDevice, margins: tuple[int, int, int, int], which: int
@@ -277,7 +278,7 @@ def test_cropping_unknown_margins_moves_no_fused_cell(device: ComputeDevice, whi
     assert_same_world(result.fused, wanted.fused)
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=examples(12), deadline=None, derandomize=True)
 @given(x=st.floats(-600, 600), y=st.floats(-600, 600), yaw=ANGLES, which=st.integers(1, 2))
 def test_shifting_an_input_moves_no_fused_cell(
     device: ComputeDevice, x: float, y: float, yaw: float, which: int

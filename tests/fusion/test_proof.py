@@ -26,6 +26,7 @@ from slamfusion.fusion.search import SearchWindow, search
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.definitions import Side, landings, look_up, side_of, surface_of
 from tests.fusion.drawings import building, degraded, features_of, random_grid
+from tests.support.examples import examples
 
 CONFIG = AlignConfig()
 OPEN = SearchWindow()
@@ -72,7 +73,7 @@ def assert_bounds_hold(lattice: LatticeScore, scores: np.ndarray, steps: tuple[i
         assert np.array_equal(own, bounds[at]), "both ways to a bound agree"
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(first=st.integers(0, 10_000), second=st.integers(0, 10_000))
 def test_no_member_of_a_block_exceeds_its_bound(
     device: ComputeDevice, first: int, second: int
@@ -263,7 +264,7 @@ def test_every_better_member_is_a_rival_or_beside_one(device: ComputeDevice, see
     assert proof.finished
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=examples(25), deadline=None, derandomize=True)
 @given(
     first=st.integers(0, 10_000),
     second=st.integers(0, 10_000),

@@ -17,6 +17,7 @@ from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion.records import VoteResult
 from slamfusion.fusion.vote import log_odds_table, quantise_weights, vote_grids
+from tests.support.examples import examples
 
 U, F, O = -1, 0, 1
 
@@ -141,7 +142,7 @@ def draw(spec: tuple[int, tuple[int, int], int]) -> list[np.ndarray]:
     return [rng.integers(-1, 2, shape).astype(np.int8) for _ in range(count)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(spec=GRIDS, unknown=st.sampled_from(("auto", "value", "abstain")), seed=st.integers(0, 99))
 def test_order_of_inputs_does_not_matter(
     spec: tuple[int, tuple[int, int], int], unknown: str, seed: int
@@ -155,7 +156,7 @@ def test_order_of_inputs_does_not_matter(
         assert np.array_equal((one.dissent >> n) & 1, (other.dissent >> place) & 1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(
     cells=hnp.arrays(
         np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(-1, 1)
@@ -175,7 +176,7 @@ def test_fusing_a_grid_with_itself_changes_nothing(
     assert set(np.unique(result.agreement)) <= {-1, 100}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     spec=GRIDS,
     mode=st.sampled_from(("majority", "weighted")),

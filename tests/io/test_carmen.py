@@ -21,6 +21,7 @@ from slamfusion.io.log import Skips
 from slamfusion.scan import LaserScan
 from tests.io.logs import ORIGIN, flaser, robotlaser, scans_of, write_lines
 from tests.support.datasets import DATASETS
+from tests.support.examples import examples
 
 
 def log_of(folder: Path, *lines: str, **config: float) -> CarmenLog:
@@ -427,7 +428,7 @@ def assert_same_pose(found: Pose2 | None, wanted: Pose2 | None) -> None:
     assert wrap_angle(found.yaw_rad - wanted.yaw_rad) == pytest.approx(0.0, abs=1e-6)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(scans=logged_scans(), packed=st.booleans())
 def test_what_is_written_reads_back(
     scans: list[LogScan], packed: bool, tmp_path_factory: pytest.TempPathFactory

@@ -24,6 +24,7 @@ from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import load_map, memory, save_map
 from tests.io.pictures import bmp24, chunk, pgm, png, write_map
 from tests.support.datasets import load_entry, map_entries
+from tests.support.examples import examples
 
 ROWS = [[254, 0, 205], [0, 254, 254]]  # top row first
 CELLS = [[100, 0, 0], [0, 100, -1]]  # bottom row first
@@ -608,7 +609,7 @@ YAWS = st.floats(-4.0 * math.pi, 4.0 * math.pi)
 RESOLUTIONS = st.one_of(st.sampled_from([0.05, 0.1, 1e-4]), st.floats(1e-4, 100.0))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(st.data())
 def test_save_then_load_is_identity(data: st.DataObject) -> None:
     mode = data.draw(st.sampled_from(["trinary", "scale", "raw"]))
@@ -631,7 +632,7 @@ def test_save_then_load_is_identity(data: st.DataObject) -> None:
     assert (again.resolution, again.origin, again.name) == (grid.resolution, origin, "out")
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(
     rows=arrays.arrays(np.uint8, SHAPES),
     negate=st.booleans(),

@@ -17,6 +17,7 @@ from slamfusion.compute.hit_counts import BeamScan, FieldRule
 from slamfusion.compute.hit_counts.numpy import full_field
 from slamfusion.compute.layout import FULL_HITS, FULL_VISITS, MOST_BEAMS, MOST_REACH, TILE
 from slamfusion.errors import DeviceError
+from tests.support.examples import examples
 
 I32 = npt.NDArray[np.int32]
 Pools = list[Any]
@@ -256,7 +257,7 @@ def test_touched_pages_by_hand(device: ComputeDevice):
 
 
 @given(seed=SEEDS, reach=st.integers(0, 16))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_touched_pages_are_those_of_the_counted_cells_and_their_surroundings(
     pocl: ComputeDevice, seed: int, reach: int
 ):
@@ -352,7 +353,7 @@ def test_field_of_a_cell_that_was_seen_through_is_gone(device: ComputeDevice):
     occupied=st.sampled_from((0, 16384, 40000)),
     least_hits=st.integers(1, 2),
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_field_is_that_of_the_counts_everywhere(
     pocl: ComputeDevice, seed: int, reach: int, occupied: int, least_hits: int
 ):

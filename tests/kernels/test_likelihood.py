@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.cell_means import LikelihoodRule
 from slamfusion.compute.layout import BEAM_ONE, MOST_OBSERVATIONS, TILE
+from tests.support.examples import examples
 
 I32 = npt.NDArray[np.int32]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -277,7 +278,7 @@ def follow_both(
     most=st.sampled_from((1, 2, 3, 64, MOST_OBSERVATIONS)),
     count=st.integers(1, 80),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_kernels_equal_their_twins(
     pocl: ComputeDevice, seed: int, shift: int, reach: int, most: int, count: int
 ):

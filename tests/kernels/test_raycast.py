@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.rays.numpy import cast_rays
+from tests.support.examples import examples
 
 F32 = npt.NDArray[np.float32]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -52,7 +53,7 @@ def slab_distance(ray: npt.NDArray[np.float64], row: int, col: int) -> float:
 
 
 @given(seed=SEEDS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_distance_is_that_of_the_nearest_cell_in_the_way(seed: int):
     cells, rays = random_case(seed)
     hits = cast_rays(cells, rays, 1000.0)
@@ -69,7 +70,7 @@ def test_distance_is_that_of_the_nearest_cell_in_the_way(seed: int):
 
 
 @given(seed=SEEDS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_no_wall_lies_before_the_hit(seed: int):
     cells, rays = random_case(seed)
     hits = cast_rays(cells, rays, 1000.0)
@@ -83,7 +84,7 @@ def test_no_wall_lies_before_the_hit(seed: int):
 
 
 @given(seed=SEEDS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_a_quarter_turn_of_everything_changes_no_distance(seed: int):
     cells, rays = random_case(seed)
     turned = np.rot90(cells, k=-1)  # row r, col c goes to row c, col H - 1 - r: 90 deg, y up
@@ -94,7 +95,7 @@ def test_a_quarter_turn_of_everything_changes_no_distance(seed: int):
 
 
 @given(seed=SEEDS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_a_device_gives_the_twins_bits(pocl: ComputeDevice, seed: int):
     cells, rays = random_case(seed, 97)
     found = pocl.cast_rays(pocl.upload(cells), rays, 30.0)

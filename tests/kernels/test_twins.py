@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.compute.self_test import CHECKS, Sample, differences, self_test
 from slamfusion.errors import DeviceError
+from tests.support.examples import examples
 
 SMALL = {
     "odd": Sample((13, 29), seed=2),
@@ -31,7 +32,9 @@ def test_operation_equals_its_twin(device: ComputeDevice, is_simulated: bool, na
 
 @pytest.mark.parametrize("name", CHECKS)
 @settings(
-    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(15),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(
     shape=st.tuples(st.integers(1, 80), st.integers(1, 80)),

@@ -15,6 +15,7 @@ from slamfusion.errors import GraphError
 from slamfusion.io import AtomicFiles
 from slamfusion.pose_graph import PoseGraph, read_g2o, write_g2o
 from tests.pose_graph.graphs import INFORMATION, drawn, laps, ring
+from tests.support.examples import examples
 
 POSES = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.5\n"
 EDGE = "EDGE_SE2 0 1 1 0 0.5 100 10 2 60 -3 400\n"
@@ -93,7 +94,9 @@ def test_without_fix_the_first_pose_is_held(tmp_path: Path) -> None:
 
 @given(st.integers(0, 10_000))
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(25),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_what_is_written_reads_back_bit_by_bit(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -162,7 +165,9 @@ def test_packed_data_that_end_early_are_refused(tmp_path: Path) -> None:
 
 @given(st.binary(max_size=200))
 @settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(100),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_no_bytes_do_worse_than_one_line(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "graph.g2o"

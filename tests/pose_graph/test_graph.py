@@ -13,6 +13,7 @@ from slamfusion.errors import GraphError
 from slamfusion.pose_graph import PoseGraph, chi2_of, loop_closing
 from slamfusion.pose_graph.graph import chained_poses, is_positive_definite, joining, part_labels
 from tests.pose_graph.graphs import drawn, laps, ring
+from tests.support.examples import examples
 
 
 def test_arrays_cannot_be_changed() -> None:
@@ -41,7 +42,7 @@ def test_what_is_no_graph_is_refused(change: dict[str, np.ndarray], words: str) 
 
 
 @given(st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6))
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 def test_positive_definite_is_what_the_eigenvalues_say(values: list[float]) -> None:
     a, b, c, d, e, f = values
     matrix = np.array([[a, b, c], [b, d, e], [c, e, f]])
@@ -62,7 +63,7 @@ def test_closures_are_the_edges_that_close_a_loop() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_what_joins_parts_is_as_little_as_joins_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 30))

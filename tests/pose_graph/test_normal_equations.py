@@ -12,6 +12,7 @@ from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations, elimination_order, factorise
 from tests.pose_graph.graphs import drawn, laps
+from tests.support.examples import examples
 
 Array = npt.NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def test_matrix_and_gradient_are_those_of_finite_differences(
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_step_solves_the_equations_and_promises_what_they_say(seed: int) -> None:
     measured, poses = random_graph(seed)
     equations = NormalEquations(measured, len(poses), (0,))

@@ -19,6 +19,7 @@ from slamfusion.pose_graph.measurements import Measurements
 from slamfusion.pose_graph.normal_equations import NormalEquations
 from tests.pose_graph.graphs import ABSENT, POSE_GRAPHS, drawn, laps, ring
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
+from tests.support.examples import examples
 
 STARTS: tuple[Start, ...] = ("best", "given", "odometry", "chordal")
 # Least chi-square of the public graphs in g2o's error, which GTSAM's Levenberg and Marquardt finds
@@ -53,7 +54,7 @@ def test_rotations_first_needs_no_guess_and_is_exact_without_noise() -> None:
 
 
 @given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.1, 3.1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_a_rigid_motion_of_all_poses_goes_through(x: float, y: float, yaw: float) -> None:
     graph = drawn(*laps(), noise=1.0)
     moved = graph.with_poses(compose_poses((x, y, yaw), graph.poses))
@@ -65,7 +66,7 @@ def test_a_rigid_motion_of_all_poses_goes_through(x: float, y: float, yaw: float
 
 
 @given(st.integers(0, 1000), st.floats(0.0, 3.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_chi2_never_rises_over_the_kept_steps(seed: int, astray: float) -> None:
     graph = drawn(*laps(count=15, rounds=3), noise=2.0, seed=seed)
     rng = np.random.default_rng(seed)

@@ -19,6 +19,7 @@ from slamfusion.pose_graph.normal_equations import NormalEquations
 from slamfusion.pose_graph.uncertainty import Uncertainty, gates
 from tests.pose_graph.graphs import INFORMATION, between, drawn, laps, ring
 from tests.pose_graph.gtsam_oracle import GtsamGraph, has_gtsam
+from tests.support.examples import examples
 
 Array = npt.NDArray[np.float64]
 
@@ -171,7 +172,7 @@ def test_gtsam_knows_as_much(pair: tuple[int, int]) -> None:
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.integers(0, 1000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_turning_and_moving_there_and_back_changes_nothing(
     yaw: float, x: float, y: float, seed: int
 ) -> None:

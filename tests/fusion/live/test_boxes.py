@@ -10,6 +10,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.live import boxes as cell_boxes
 from slamfusion.fusion.live.boxes import joined, overlap
 from slamfusion.grid import CellBox
+from tests.support.examples import examples
 
 RULES = NormalizeConfig()
 BOX = st.tuples(
@@ -17,7 +18,7 @@ BOX = st.tuples(
 ).map(lambda box: CellBox(box[0], box[1], box[0] + box[2], box[1] + box[3]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(boxes=st.lists(BOX, min_size=1, max_size=6), spare=st.sampled_from((0, 30)))
 def test_boxes_are_joined_where_hardly_a_cell_lies_between(
     boxes: list[CellBox], spare: int

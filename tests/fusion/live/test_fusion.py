@@ -32,6 +32,7 @@ from tests.fusion.live.maps import (
     three,
     touched,
 )
+from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
@@ -112,7 +113,7 @@ def test_reset_starts_again_with_the_newest_maps(device: ComputeDevice) -> None:
 MARGINS = st.tuples(*[st.integers(-25, 40)] * 4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(steps=st.lists(st.tuples(st.sampled_from("bc"), MARGINS), min_size=1, max_size=4))
 def test_growing_cropping_and_shifting_an_input_never_moves_a_fused_cell(
     device: ComputeDevice, steps: list[tuple[str, tuple[int, int, int, int]]]
@@ -140,7 +141,7 @@ def test_growing_cropping_and_shifting_an_input_never_moves_a_fused_cell(
             assert np.array_equal(np.where(fused == 100, 1, fused)[known], own[known])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(name=st.sampled_from("abc"), margins=st.tuples(*[st.integers(0, 60)] * 4))
 def test_unknown_margins_of_an_input_change_nothing(
     device: ComputeDevice, name: str, margins: tuple[int, int, int, int]

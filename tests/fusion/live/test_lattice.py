@@ -17,6 +17,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from tests.fusion.drawings import padded, random_cells, random_grid
 from tests.fusion.live.maps import layer_of
+from tests.support.examples import examples
 
 RULES = NormalizeConfig()
 POSES = st.builds(
@@ -24,7 +25,7 @@ POSES = st.builds(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     seed=st.integers(0, 999),
     transform=POSES,

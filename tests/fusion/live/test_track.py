@@ -18,6 +18,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
 from tests.fusion.drawings import draw, padded, random_grid
 from tests.fusion.live.maps import layer_of
+from tests.support.examples import examples
 
 RULES = NormalizeConfig()
 PLACE = """
@@ -63,7 +64,7 @@ def test_what_is_cut_off_changed_and_contradicts_nothing(device: ComputeDevice) 
     assert compare(old, margin, walls, RULES, device).box is None
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 999), boxes=st.lists(BOX, min_size=1, max_size=5))
 def test_what_is_kept_of_a_map_is_as_if_all_of_it_had_been_looked_at(
     device: ComputeDevice, seed: int, boxes: list[CellBox]

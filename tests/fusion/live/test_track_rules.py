@@ -20,6 +20,7 @@ from slamfusion.fusion.live.lattice import Lattice, Layer
 from slamfusion.fusion.live.track import Change, Track, compare
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid
+from tests.support.examples import examples
 
 RULES = NormalizeConfig()
 LIVE = LiveConfig(steady_share=0.75, track_share=0.25)
@@ -157,7 +158,7 @@ def by_hand(old: Layer, new: Layer) -> Change:
     )
 
 
-@settings(max_examples=120)
+@settings(max_examples=examples(120))
 @given(old=PATCH, new=PATCH, row=st.integers(-6, 6), col=st.integers(-6, 6), band=st.booleans())
 def test_a_change_is_what_differs_cell_by_cell(
     old: list[list[int]], new: list[list[int]], row: int, col: int, band: bool

@@ -28,6 +28,7 @@ from slamfusion.slam.graph.constraints import turned
 from slamfusion.slam.graph.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, scan_at, true_poses
 from tests.slam.places import NO_LASER, Place, draw_corridor, place_of
+from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
@@ -106,7 +107,7 @@ def test_no_match_tells_more_or_less_than_the_limits(flat: Place):
     angle_rad=st.floats(-4.0, 4.0),
     count=st.integers(1, 181),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_information_is_symmetric_and_positive_definite(
     flat: Place, x: float, y: float, yaw_rad: float, angle_rad: float, count: int
 ):
@@ -266,7 +267,7 @@ def test_one_wall_across_closes_a_corridor(device: ComputeDevice):
     yaw_rad=st.floats(-4.0, 4.0),
     ahead=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_a_match_is_moved_along_one_line_and_never_beyond_the_expected_pose(
     flat: Place, x: float, y: float, yaw_rad: float, ahead: tuple[float, float]
 ):

@@ -15,6 +15,7 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.layout import TILE
 from slamfusion.slam.common.shared_tiles import GROWTH, SharedTileMaps
 from slamfusion.slam.common.tile_map import FIRST_TILES, MARGIN
+from tests.support.examples import examples
 
 POOLS = {"counts": np.uint32, "field": np.uint8}
 MAPS = 4
@@ -133,7 +134,9 @@ steps = st.one_of(
 
 
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(25),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(program=st.lists(steps, max_size=10), seed=st.integers(0, 2**32 - 1))
 def test_any_program_leaves_what_full_copies_hold(

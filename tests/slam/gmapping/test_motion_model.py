@@ -19,6 +19,7 @@ from slamfusion.slam.gmapping.motion_model import (
     DifferentialModel,
     make_motion_model,
 )
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def test_way_and_steering_err_as_asked(way: float, turn: float):
         assert values.std() == pytest.approx(sigma, rel=FAR / math.sqrt(2 * DRAWS))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     speed=st.floats(0.02, 3.0),
     backwards=st.booleans(),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.slam.gmapping.particle_path import LEAST_SIGMAS, ParticlePaths
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def test_a_path_without_a_scan_is_empty():
     assert len(ParticlePaths(3).path(2, "empty")) == 0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6), nodes=st.integers(1, 8))
 def test_every_path_is_what_a_full_copy_at_each_resampling_would_hold(
     seed: int, count: int, nodes: int
@@ -167,7 +168,7 @@ def test_entropy_is_that_of_a_gaussian():
     assert entropy_of(poses) == pytest.approx(wanted, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     axis=st.integers(0, 2),
     factor=st.floats(1.1, 5.0),

@@ -25,6 +25,7 @@ from slamfusion.slam.gmapping.proposal import (
 )
 from slamfusion.slam.gmapping.slam import Gmapping
 from tests.slam.drives import scan_at, true_poses
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 
@@ -196,7 +197,7 @@ def test_the_published_samples_tell_particles_apart():
     np.testing.assert_allclose(top - top[0], exact - exact[0], rtol=0.0, atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(seed=seeds, constant=st.floats(-1e5, 1e5))
 def test_a_factor_of_the_likelihood_moves_the_evidence_alone(seed: int, constant: float):
     rng = np.random.default_rng(seed)
@@ -376,7 +377,7 @@ def test_a_particle_whose_match_is_not_believed_is_weighed_where_it_was_drawn(
 # -- weights and resampling ------------------------------------------------------------------------
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(seed=seeds, count=st.integers(1, 200), spread=st.floats(0.0, 50.0))
 def test_effective_particles_lie_between_one_and_all(seed: int, count: int, spread: float):
     weights = np.exp(spread * np.random.default_rng(seed).standard_normal(count))
@@ -410,7 +411,7 @@ def random_weights(seed: int, count: int) -> F64:
     return np.asarray(weights / weights.sum())
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(seed=seeds, count=st.integers(1, 60), start=st.floats(0.0, 1.0, exclude_max=True))
 def test_every_particle_has_its_share_of_offspring_to_the_nearest_whole(
     seed: int, count: int, start: float

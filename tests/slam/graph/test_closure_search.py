@@ -21,6 +21,7 @@ from slamfusion.slam.graph.closure_search import (
 from slamfusion.slam.graph.submap import Submap
 from tests.slam.drives import CELL_M, draw_flat, true_poses
 from tests.slam.places import NO_LASER, U8, draw_corridor, draw_regular_ring, draw_two_rooms, read
+from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
@@ -117,7 +118,7 @@ def test_a_robot_that_may_be_anywhere_is_found(search: ClosureSearch, flat: Subm
     wrong=st.tuples(*[st.floats(-1.0, 1.0)] * 3),
     drift_m=st.sampled_from((0.5, 1.5, 3.0)),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_no_other_place_than_the_true_one_is_found(
     search: ClosureSearch,
     flat: Submap,

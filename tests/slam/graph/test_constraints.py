@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.slam.graph.constraints import Constraint, solve_constraints, turned
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 STEP_SIGMAS = (0.05, 0.05, 0.02)
@@ -71,7 +72,7 @@ def off(poses: F64, truth: F64) -> float:
     yaw_rad=st.floats(-math.pi, math.pi),
     turn_bias=st.floats(-0.03, 0.03),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_a_ring_without_noise_is_exact_in_any_frame(
     x: float, y: float, yaw_rad: float, turn_bias: float
 ):
@@ -155,7 +156,7 @@ def test_a_closure_that_is_open_one_way_leaves_that_to_the_steps(frame_rad: floa
     angle_rad=st.floats(-math.pi, math.pi),
     away_m=st.floats(0.7, 5.0),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_a_false_closure_gets_no_weight(seed: int, angle_rad: float, away_m: float):
     """Among three true ones and steps with noise."""
     rng = np.random.default_rng(seed)
@@ -256,7 +257,7 @@ def test_new_closures_that_contradict_are_left_out_until_they_are_too_many(count
     step=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
     sigmas=st.tuples(*[st.floats(0.01, 1.0)] * 3),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_turned_information_is_worth_the_same(
     angle_rad: float, step: tuple[float, ...], sigmas: tuple[float, ...]
 ):

@@ -18,6 +18,7 @@ from slamfusion.slam.graph.pending_closures import (
     PendingClosure,
     PendingClosures,
 )
+from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
 
@@ -236,7 +237,7 @@ def test_contradictions_expire_as_everything_does(how: How):
         max_size=25,
     ),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_what_is_believed_does_not_depend_on_the_map_frame(
     frame: tuple[float, float, float],
     ones: list[tuple[int, tuple[float, float, float], How]],

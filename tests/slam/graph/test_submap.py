@@ -26,6 +26,7 @@ from slamfusion.slam.graph.submap import (
     likelihood_rule,
 )
 from tests.slam.drives import CELL_M, scan_at, true_poses
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -216,7 +217,7 @@ def test_twins_write_the_same_field(device: ComputeDevice):
 
 
 @given(deviation=st.floats(0.1, 40.0))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_rule_is_the_gaussian_of_the_deviation(deviation: float):
     rule = likelihood_rule(deviation)
     assert rule.reach == min(MOST_REACH, max(1, math.ceil(REACH_SIGMAS * deviation)))
@@ -279,7 +280,7 @@ def test_pyramid_is_made_once_of_what_has_been_seen(device: ComputeDevice):
 
 
 @given(seed=st.integers(0, 2**32 - 1), height=st.integers(1, 70), width=st.integers(1, 70))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_pyramid_fields_are_the_greatest_of_their_squares(
     device: ComputeDevice, seed: int, height: int, width: int
 ):

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.slam.graph.surfaces import MOST_GAP_M, fill_walls
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 NO_LASER = np.zeros(2)
@@ -248,7 +249,7 @@ def made_scan(seed: int, count: int, *, clockwise: bool, wild: float) -> tuple[F
 
 
 @given(scan=SCANS, step_m=st.sampled_from((0.02, 0.05, 0.3)))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_every_new_hit_lies_between_two_neighbours(scan: tuple[F64, F64], step_m: float):
     points, laser = scan
     new = added(points, laser, step_m)
@@ -267,7 +268,7 @@ def test_every_new_hit_lies_between_two_neighbours(scan: tuple[F64, F64], step_m
 
 
 @given(scan=SCANS, angle_rad=st.floats(-4.0, 4.0))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_a_turned_and_moved_scan_is_filled_alike(scan: tuple[F64, F64], angle_rad: float):
     points, laser = scan
     cos, sin = math.cos(angle_rad), math.sin(angle_rad)

@@ -23,6 +23,7 @@ from slamfusion.slam.graph.window_search import (
     search_window,
 )
 from tests.slam.drives import CELL_M, scan_at, true_poses
+from tests.support.examples import examples
 
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]
@@ -132,7 +133,7 @@ CASES = st.builds(
 
 
 @given(case=CASES)
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 def test_finds_the_best_of_every_pose(device: ComputeDevice, case: Case):
     everything = case.scores(case.poses())
     found = case.search(device)
@@ -147,7 +148,7 @@ def test_finds_the_best_of_every_pose(device: ComputeDevice, case: Case):
 
 
 @given(case=CASES, share=st.floats(0.5, 1.5))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_nothing_at_or_below_the_least_is_found(device: ComputeDevice, case: Case, share: float):
     best = float(case.scores(case.poses()).max())
     found = case.search(device, least=share * best)
@@ -159,7 +160,7 @@ def test_nothing_at_or_below_the_least_is_found(device: ComputeDevice, case: Cas
 
 
 @given(case=CASES)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_the_best_score_itself_as_least_is_not_found_again(device: ComputeDevice, case: Case):
     found = case.search(device)
     if found is not None:
@@ -167,7 +168,7 @@ def test_the_best_score_itself_as_least_is_not_found_again(device: ComputeDevice
 
 
 @given(seed=st.integers(0, 2**32 - 1), half_cells=st.sampled_from((0.0, 2.6, 17.0)))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_twins_find_the_same_pose_of_equals(device: ComputeDevice, seed: int, half_cells: float):
     case = random_case(seed, half_cells, 0.05, 7)
     on_device, plain = case.search(device), case.search(NumpyDevice())
@@ -190,7 +191,7 @@ BESIDE_CASES = st.builds(
 
 
 @given(case=BESIDE_CASES, seed=st.integers(0, 2**32 - 1), turns=st.sampled_from((0, 1, -2)))
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 def test_finds_the_best_of_every_other_place(
     device: ComputeDevice, case: Case, seed: int, turns: int
 ):
@@ -217,7 +218,7 @@ def test_finds_the_best_of_every_other_place(
     place=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
     share=st.floats(0.5, 1.0),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_another_place_must_still_be_better_than_the_least(
     device: ComputeDevice, case: Case, place: tuple[float, ...], share: float
 ):
