@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import DISTANCE_MAX, FIELD_ONE, FREE, OCCUPIED, SPECK_FREE_CELLS
@@ -33,7 +33,7 @@ I64 = npt.NDArray[np.int64]
 def _free_neighbours(cells: I8) -> U8:
     """Return (H, W) uint8, how many of a cell's 8 neighbours are free; outside is unknown."""
     kernel = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
-    count: U8 = ndimage.convolve((cells == FREE).astype(np.uint8), kernel, mode="constant")
+    count: U8 = scipy.ndimage.convolve((cells == FREE).astype(np.uint8), kernel, mode="constant")
     return count
 
 
@@ -88,7 +88,7 @@ def distance_squared(walls: U8, reach: int = DISTANCE_MAX) -> U16:
     """
     if not walls.any():
         return np.full(walls.shape, reach**2, dtype=np.uint16)
-    _, (rows, cols) = ndimage.distance_transform_edt(walls == 0, return_indices=True)
+    _, (rows, cols) = scipy.ndimage.distance_transform_edt(walls == 0, return_indices=True)
     own_rows, own_cols = np.indices(walls.shape)
     squared = (rows - own_rows) ** 2 + (cols - own_cols) ** 2
     return np.asarray(np.minimum(squared, reach**2), dtype=np.uint16)
