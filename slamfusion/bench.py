@@ -74,7 +74,7 @@ class Sizes:
 
 
 FULL = Sizes()
-QUICK = Sizes(align_cells=400, vote_cells=1000, trios=2, trio_cells=200, runs=3)
+QUICK = Sizes(align_cells=400, vote_cells=1000, trios=1, trio_cells=160, runs=1)
 TWINS = Sizes(align_cells=120, vote_cells=1000, trios=1, trio_cells=120, runs=1)
 
 

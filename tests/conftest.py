@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, settings
 
 from tests.support import datasets
 from tests.support.examples import FULL
+from tests.support.searches import CALLERS, RememberedSearches
 
 TESTS = Path(__file__).parent
 
@@ -77,3 +78,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         message = f"LONGEST in tests/conftest.py names files that are not there: {', '.join(gone)}"
         raise pytest.UsageError(message)
     items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
+@pytest.fixture(scope="session")
+def searches() -> RememberedSearches:
+    return RememberedSearches()
+
+
+@pytest.fixture
+def remembered_searches(
+    searches: RememberedSearches, monkeypatch: pytest.MonkeyPatch
+) -> RememberedSearches:
+    """A search that was made in this process is not made again."""
+    for module in CALLERS:
+        monkeypatch.setattr(module, "search", searches)
+    return searches

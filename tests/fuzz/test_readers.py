@@ -16,7 +16,7 @@ from tests.fuzz.run import Counts, OverTimeError, limits, run_mutants, run_one, 
 from tests.support.examples import examples
 
 pytestmark = pytest.mark.once
-EVERY_RUN = 2500
+EVERY_RUN = 1000
 FULL_RUN = 100_000
 
 

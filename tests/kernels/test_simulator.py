@@ -37,8 +37,9 @@ def simulate(what: str, log: Path) -> str:
     return log.read_text(encoding="utf-8", errors="replace")
 
 
-def test_kernels_are_clean(tmp_path: Path):
-    assert not simulate("checks", tmp_path / "log")
+@pytest.mark.parametrize("what", ["checks", pytest.param("sizes", marks=pytest.mark.full)])
+def test_kernels_are_clean(tmp_path: Path, what: str):
+    assert not simulate(what, tmp_path / "log")
 
 
 def test_access_out_of_bounds_is_reported(tmp_path: Path):

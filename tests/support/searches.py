@@ -1,0 +1,62 @@
+"""Searches that a test process has made are not made again: hundreds of tests lay the same maps."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import AlignConfig
+from slamfusion.fusion import align, judge, mirror
+from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.search import COARSE_CHANCE_MAX, SearchWindow, search
+
+__all__ = ["CALLERS", "RememberedSearches"]
+
+# Modules that ask for a search by its name.
+CALLERS = (align, judge, mirror)
+
+
+class RememberedSearches:
+    """``search``, with the answers to what was asked before.
+
+    A search goes by the cells of two maps on their lattices, and not by where the lattices lie.
+    """
+
+    def __init__(self) -> None:
+        self._answers: dict[tuple[bytes, bytes, str], tuple[Any, ...]] = {}
+        self.made = 0
+
+    def __call__(
+        self,
+        reference: GridFeatures,
+        moving: GridFeatures,
+        config: AlignConfig,
+        window: SearchWindow,
+        device: ComputeDevice,
+        cancel: CancelToken | None = None,
+        chance: float = COARSE_CHANCE_MAX,
+    ) -> tuple[Any, ...]:
+        """Return what ``search`` returns."""
+        check_cancelled(cancel)
+        asked = f"{config!r} {window!r} {device.name} {chance!r}"
+        key = (_cells(reference), _cells(moving), asked)
+        if key not in self._answers:
+            self.made += 1
+            self._answers[key] = search(reference, moving, config, window, device, cancel, chance)
+        coarse, motions, scores = self._answers[key]
+        return coarse, motions.copy(), scores.copy()
+
+    def forget(self) -> None:
+        """Make every search anew."""
+        self._answers.clear()
+
+
+def _cells(features: GridFeatures) -> bytes:
+    """Return what tells the cells of a prepared map from those of another."""
+    grid = features.grid
+    digest = hashlib.sha256(f"{grid.grid.resolution!r} {grid.shape}".encode())
+    for cells in (grid.grid.cells, grid.cells, grid.solid):
+        digest.update(cells.tobytes())
+    return digest.digest()

@@ -1,0 +1,23 @@
+"""A remembered search is the search."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamfusion.compute import NumpyDevice
+from slamfusion.fusion.search import SearchWindow, search
+from tests.fusion.drawings import building, features_of, fusion_config
+from tests.support.searches import RememberedSearches
+
+
+def test_the_same_question_is_asked_once_and_another_one_anew():
+    device, config = NumpyDevice(), fusion_config().align
+    a, b, other = (features_of(building(seed, 7.0, 6.0), device) for seed in (3, 3, 4))
+    remembered = RememberedSearches()
+    for made, question in ((1, (a, b)), (1, (b, a)), (2, (a, other)), (3, (other, a))):
+        _, motions, scores = remembered(*question, config, SearchWindow(), device)
+        _, wanted, of = search(*question, config, SearchWindow(), device)
+        assert np.array_equal(motions, wanted)
+        assert np.array_equal(scores, of)
+        motions += 1.0  # nobody changes what is remembered
+        assert remembered.made == made
