@@ -30,7 +30,7 @@ pytestmark = pytest.mark.once
 
 PAGES = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in pages()}
 # Of a simulated log, a line for each scan and one for its odometry.
-MOST_LINES = 500
+MOST_LINES = 300
 README_LINES = 150
 
 
@@ -63,7 +63,7 @@ SHOWN = [
 
 
 def shorten(folder: Path) -> None:
-    """Cut long logs below a folder to their first minute or so."""
+    """Cut long logs below a folder to their first minute or less."""
     for path in folder.rglob("*.log.gz"):
         lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
         path.write_bytes(gzip.compress(b"".join(lines[:MOST_LINES])))

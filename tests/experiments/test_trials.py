@@ -245,7 +245,7 @@ def test_an_unknown_course_or_laser_is_refused() -> None:
 @pytest.mark.parametrize("name", ["loop", "glass", "crowd", "slip"])
 def test_failing_courses_are_driven(name: str) -> None:
     trials = [item for item in failure_trials(small()) if item.course.name == name]
-    for trial in trials[:2]:
+    for trial in trials[:1]:
         recording = simulate(trial.course, module.open_device("auto"))
         assert recording.truth.path_length_m() > 30.0
         assert 200 < len(recording.scans) < 1500
