@@ -65,10 +65,11 @@ install_all
 check "ruff check" "$venv/bin/ruff" check .
 check "ruff format" "$venv/bin/ruff" format --check .
 check "mypy" "$venv/bin/mypy"
-# Recorded maps are looked at once, in the last leg; the Jazzy leg is about NumPy and OpenCV.
+# The Jazzy leg is about NumPy and OpenCV: few sets of parameters of each test, and few examples.
+# Recorded maps are looked at once, in the last leg.
 check "tests under the Jazzy constraints" \
     suite "$jazzy" -m "jazzy or not (ros or datasets or once)" -p no:cacheprovider \
-    --hypothesis-profile=brief "$@"
+    --few-each --hypothesis-profile=brief "$@"
 if [ ${#failed[@]} -gt 0 ]; then
     say "failed so far: ${failed[*]}"
 fi

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from tests.support.examples import FULL
 from tests.support.searches import CALLERS, RememberedSearches
 
 TESTS = Path(__file__).parent
+# Sets of parameters of one test under --few-each.
+FEW = 3
 
 # Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
 # alone. A busy machine is no fault of the code.
@@ -60,6 +63,11 @@ LONGEST = (
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full", action="store_true", help="also run the tests marked full")
+    parser.addoption(
+        "--few-each",
+        action="store_true",
+        help=f"of tests that differ in their parameters alone run {FEW}, and all marked jazzy",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -67,7 +75,21 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("full")
 
 
+def few_of_each(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return the items without those that only have other parameters than some before them."""
+    seen: Counter[tuple[Path, str]] = Counter()
+    kept = []
+    for item in items:
+        function = item.path, item.nodeid.partition("[")[0]
+        if seen[function] < FEW or "jazzy" in item.keywords:
+            kept.append(item)
+        seen[function] += "full" not in item.keywords
+    return kept
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--few-each"):
+        items[:] = few_of_each(items)
     for item in items:
         if "full" in item.keywords and not config.getoption("--full"):
             item.add_marker(pytest.mark.skip(reason="long; run with --full"))

@@ -329,9 +329,7 @@ def test_no_map_is_taken_for_its_image_at_another_scale_or_for_its_other_half(
     ("seed", "per_base"),
     [(20, 1), *(pytest.param(seed, 3, marks=pytest.mark.full) for seed in (20, 21))],
 )
-def test_drawn_cases_are_right_or_rejected(
-    device: ComputeDevice, seed: int, per_base: int
-) -> None:
+def test_drawn_cases_are_right_or_rejected(device: ComputeDevice, seed: int, per_base: int) -> None:
     """Recorded maps against degraded copies of themselves; none wrong and believed."""
     right = total = 0
     for case in drawn_cases(per_base, seed):

@@ -1,7 +1,8 @@
 """Run kernels on the Oclgrind simulator: ``python -m tests.kernels.simulated WHAT``.
 
-``checks`` runs every operation on one small size, ``sizes`` on several; ``beyond`` (its bounds), ``race`` and ``sound`` run
-a toy kernel each. Oclgrind writes what it finds to the file that ``OCLGRIND_LOG`` names.
+``checks`` runs every operation on one small size, ``sizes`` on several; ``beyond`` (its bounds),
+``race`` and ``sound`` run a toy kernel each. Oclgrind writes what it finds to the file that
+``OCLGRIND_LOG`` names.
 """
 
 from __future__ import annotations

@@ -30,6 +30,7 @@ def test_operation_equals_its_twin(device: ComputeDevice, is_simulated: bool, na
         assert not differences(name, device, sample), words
 
 
+@pytest.mark.jazzy  # every operation
 @pytest.mark.parametrize("name", CHECKS)
 @settings(
     max_examples=examples(15),
