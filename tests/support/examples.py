@@ -20,4 +20,4 @@ def examples(wanted: int) -> int:
     Args:
         wanted: under ``--full``.
     """
-    return max(min(3, wanted), wanted * settings.default.max_examples // FULL)
+    return max(min(3, wanted), wanted * settings().max_examples // FULL)

@@ -10,7 +10,7 @@ from tests.fusion.drawings import building, features_of, fusion_config
 from tests.support.searches import RememberedSearches
 
 
-def test_the_same_question_is_asked_once_and_another_one_anew():
+def test_the_same_question_is_asked_once_and_another_one_anew() -> None:
     device, config = NumpyDevice(), fusion_config().align
     a, b, other = (features_of(building(seed, 7.0, 6.0), device) for seed in (3, 3, 4))
     remembered = RememberedSearches()
