@@ -82,7 +82,7 @@ def test_a_seed_on_the_command_line_beats_the_files(f16: Path, tmp_path: Path) -
 
 
 def test_the_truth_of_one_drive_is_the_world_of_another(f16: Path, tmp_path: Path) -> None:
-    options = ("--world", f16 / "truth.yaml", "--device", "numpy")
+    options = ("--world", f16 / "truth.yaml")
     made = json_of(run("simulate", "atrium", *options, "-o", tmp_path, "--json"))
     assert (made["name"], made["world"]["name"]) == ("truth", "map")
     assert (tmp_path / "truth.pgm").read_bytes() == (f16 / "truth.pgm").read_bytes()
