@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyDevice
+from slamfusion.compute import open_device
 from slamfusion.config import (
     CellModelsConfig,
     ExperimentConfig,
@@ -74,7 +74,7 @@ def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:
     results = sweep_estimators(
         [room(drift=0.3), room("hall", drift=0.3, relations=False)],
         CONFIG,
-        NumpyDevice(),
+        open_device(),
         keep=lambda so_far: kept.append(len(so_far.runs)),
     )
     assert kept == list(range(2, 17, 2))
@@ -93,7 +93,7 @@ def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:
 
 
 def test_one_seed_gives_one_result() -> None:
-    first, again = (sweep_estimators([room(drift=0.3)], CONFIG, NumpyDevice()) for _ in range(2))
+    first, again = (sweep_estimators([room(drift=0.3)], CONFIG, open_device()) for _ in range(2))
     assert [run.values[ATE] for run in first.runs] == [run.values[ATE] for run in again.runs]
 
 
@@ -168,7 +168,7 @@ def test_without_coarse_cells_there_is_no_verdict() -> None:
 
 def test_cell_models_are_compared_on_every_drive() -> None:
     results = compare_models(
-        [room(drift=0.3), room("hall", drift=0.3, relations=False)], CONFIG, NumpyDevice()
+        [room(drift=0.3), room("hall", drift=0.3, relations=False)], CONFIG, open_device()
     )
     assert results.is_complete
     assert results.levels(1) == ["tinyslam base", "tinyslam mean", "gmapping"]

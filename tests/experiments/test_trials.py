@@ -184,7 +184,7 @@ def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
 
 
 def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
-    device = module.open_device("numpy")
+    device = module.open_device("auto")
     grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(BUILT_IN)]
     paths = {
         name: Trajectory(np.arange(2.0), np.array([[0, 0, 0], [9.0 * index, 0, 0]]))
