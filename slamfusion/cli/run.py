@@ -238,6 +238,8 @@ def _tell(run: LogRun, *, debug: bool) -> None:
             notice(f"{name}: {sentence}")
     if run.no_verdict is not None:
         notice(f"no verdict on the paths: {run.no_verdict}")
+    if run.why_voted is not None:
+        notice(f"the fused map is not drawn, the maps vote ({run.fused_mode}): {run.why_voted}")
     if run.fused_path is not None and run.fused_path.not_weighed:
         notice(f"all paths count alike in the fused path: {run.fused_path.not_weighed}")
 
@@ -264,7 +266,7 @@ def _print(run: LogRun, saved: SavedRun) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
     print(f"time:      {saved.document['time_s']:.1f} s ({stages})")
     if run.usable is not None:
-        print(f"fused map: {saved.folder / FUSED}.yaml")
+        print(f"fused map: {saved.folder / FUSED}.yaml ({run.fused_mode})")
         print(f"agreement: {saved.folder / AGREEMENT}.yaml")
     if run.fused_path is not None:
         print(f"fused path: {saved.folder / FUSED_PATH}{_path_words(run.fused_path)}")

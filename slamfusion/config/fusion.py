@@ -13,6 +13,7 @@ __all__ = [
     "AlignConfig",
     "EvaluateConfig",
     "FusionConfig",
+    "FusionMode",
     "LiveConfig",
     "NormalizeConfig",
     "VoteConfig",
@@ -20,7 +21,9 @@ __all__ = [
 ]
 
 
+# How maps vote; and how a fused map comes to be, by such a vote or drawn from scans.
 VoteMode: TypeAlias = Literal["majority", "consensus", "weighted", "log-odds"]
+FusionMode: TypeAlias = Literal[VoteMode, "drawn"]
 
 
 @dataclass(frozen=True)
@@ -97,10 +100,10 @@ class AlignConfig(Checked):
 class VoteConfig(Checked):
     """How aligned grids decide a cell."""
 
-    mode: VoteMode = option(
+    mode: FusionMode = option(
         "majority",
-        "majority; consensus of those that know, without doubled walls; weighted by agreement; or "
-        "log-odds of the kept probabilities",
+        "majority; consensus of those that know, without doubled walls; weighted by agreement; "
+        "log-odds of the kept probabilities; or drawn (run alone) from all scans at the fused path",
     )
     unknown: Literal["auto", "value", "abstain"] = option(
         "auto",
@@ -108,7 +111,7 @@ class VoteConfig(Checked):
     )
     extent: Literal["reference", "union"] = option(
         "reference",
-        "fused cells: those of the reference grid, or of the union of all accepted grids",
+        "fused cells: those of the reference grid, or, as in drawn, the union of all that fit",
     )
     double_reach_m: float = option(
         0.4,
@@ -120,7 +123,7 @@ class VoteConfig(Checked):
     )
     solid_walls: bool = option(
         True,
-        "consensus and log-odds: walls have a back of one unknown cell, and no disputed front",
+        "consensus, log-odds and drawn: walls have a back of one unknown cell; no disputed front",
         level="expert",
     )
 

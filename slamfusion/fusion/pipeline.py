@@ -29,7 +29,7 @@ from slamfusion.fusion.normalize import (
 )
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.start import Starts
-from slamfusion.fusion.vote import double_reach_cells, margin_cells, vote_grids
+from slamfusion.fusion.vote import check_votes, double_reach_cells, margin_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 
@@ -79,10 +79,11 @@ def fuse_grids(
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
-        ConfigError: the reference named in the config is none of the inputs.
+        ConfigError: the reference named in the config is none of the inputs, or the mode no vote.
         MemoryBudgetError: the grids are too large for the memory that is free.
     """
     began = time.perf_counter()
+    check_votes(config.vote)
     _check_inputs(grids, config)
     resolution = common_resolution(list(grids), config.normalize)
     reasons: dict[str, str] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -12,12 +12,13 @@ import numpy.typing as npt
 
 from slamfusion.compute.layout import MOST_INPUTS
 from slamfusion.compute.votes import VoteDevice, Votes
-from slamfusion.config import NormalizeConfig, VoteConfig
+from slamfusion.config import NormalizeConfig, VoteConfig, VoteMode
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion.records import VoteResult
 from slamfusion.fusion.surfaces import REACH_CELLS, sharpen_fronts, wall_backs
 
 __all__ = [
+    "check_votes",
     "double_reach_cells",
     "log_odds_table",
     "margin_cells",
@@ -82,10 +83,11 @@ def vote_grids(
 
     Raises:
         GridError: no grid, more than 32, or grids that do not share one shape.
-        ConfigError: the mode lacks its weights or percents.
+        ConfigError: the mode lacks its weights or percents, or is no vote.
 
     Source: [F16], the vote; any number of inputs, abstention, weights and log-odds are ours.
     """
+    check_votes(config)
     grids = _dense(stack, "grids")
     if config.mode == "log-odds":
         votes = _vote_log_odds(grids, percents, thresholds, device)
@@ -100,6 +102,21 @@ def vote_grids(
         votes.fused, votes.agreement, _join_planes(votes.dissent), votes.phantom_cells
     )
     return _solid(voted, grids, percents, config) if config.mode == "log-odds" else voted
+
+
+def check_votes(config: VoteConfig) -> None:
+    """Refuse a mode in which maps do not vote.
+
+    Raises:
+        ConfigError: it is ``drawn``.
+    """
+    votes = get_args(VoteMode)
+    if config.mode not in votes:
+        message = (
+            f"mode {config.mode!r} draws the map from the scans of a log, and here are maps alone; "
+            f"take {', '.join(votes[:-1])} or {votes[-1]}, or `slamfusion run LOG --mode drawn`"
+        )
+        raise ConfigError(message)
 
 
 def unknown_votes(rule: str, weights: Sequence[int]) -> bool:

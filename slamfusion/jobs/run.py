@@ -11,13 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamfusion.config import RunConfig
+from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evidence import Verdict
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.defaults import RUN_DEFAULTS
+from slamfusion.jobs.drawn import DrawnRun, draw_run, is_drawn, voting_config
 from slamfusion.jobs.evaluate import Evaluation
 from slamfusion.jobs.fuse import DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion
@@ -35,7 +36,6 @@ from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.produced import ProducerResult
 from slamfusion.jobs.run_stages import (
     Drive,
-    draw_drive_map,
     evaluate_drive_maps,
     fuse_maps,
     fuse_producer_paths,
@@ -67,8 +67,10 @@ class LogRun:
         fusion: what came of fusing them, also where it may not be used.
         fused_path: one path made of the producers' paths; None where fewer than two have one, or
             where no fused map may be used.
-        drawn: the map drawn from all scans at the fused path; None where it was not asked for, or
-            there is no such path.
+        drawn: the map drawn from all scans at the fused path, beside the fused map; None where it
+            was not asked for, or there is no such path.
+        why_voted: why the maps voted although ``drawn`` was the mode asked for; None where they did
+            not, or it was not asked for.
         results: the producers that made a map, by name, with their errors.
         doubled: the doubled walls of the fusion; None where nothing was fused.
         evaluations: errors of the inputs and of the fused map; empty without a true map.
@@ -91,6 +93,7 @@ class LogRun:
     fusion: DriveFusion
     fused_path: DrivePath | None
     drawn: OccupancyGrid | None
+    why_voted: str | None
     results: Mapping[str, ProducerResult]
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...]
@@ -112,6 +115,15 @@ class LogRun:
     def usable(self) -> FusionResult | None:
         """The fusion where it may be used."""
         return None if self.failure is not None else self.fusion.result
+
+    @property
+    def fused_mode(self) -> FusionMode | None:
+        """How the fused map came to be; None where there is none that may be used."""
+        if self.usable is None:
+            return None
+        if self.why_voted is not None:
+            return voting_config(self.config).fusion.vote.mode
+        return self.config.fusion.vote.mode
 
     @property
     def grid(self) -> OccupancyGrid | None:
@@ -207,13 +219,14 @@ def run_log(
         fused_path = None if usable is None else fuse_producer_paths(drive, usable, evidence)
     with timed("evidence"):
         verdict = None if evidence is None else judge_drive_paths(drive, evidence, fused_path)
-    drawn = None
-    if config.run.draw and fused_path is not None and usable is not None:
+    drawn = DrawnRun(fusion)
+    if usable is not None and is_drawn(config):
         with timed("drawing"):
-            drawn = draw_drive_map(drive, fused_path, usable.fused)
+            drawn = draw_run(files, fused_path, fusion, saved_names, config, device)
+        fusion = drawn.fusion
     with timed("errors"):
         doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
-        evaluations = evaluate_drive_maps(drive, grids, fusion, drawn, true_map)
+        evaluations = evaluate_drive_maps(drive, grids, fusion, drawn.beside, true_map)
         results = measure_producers(drive, evaluations)
     return LogRun(
         files=files,
@@ -223,7 +236,8 @@ def run_log(
         grids=grids,
         fusion=fusion,
         fused_path=fused_path,
-        drawn=drawn,
+        drawn=drawn.beside,
+        why_voted=drawn.why_voted,
         results=results,
         doubled=doubled,
         evaluations=evaluations,

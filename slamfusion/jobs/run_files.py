@@ -204,6 +204,8 @@ def run_document(
         ],
         **fusion,
         "fused": None if usable is None else str(files[FUSED][0]),
+        "fused_mode": run.fused_mode,
+        "why_voted": run.why_voted,
         "agreement": None if usable is None else str(files[AGREEMENT][0]),
         "best_founded": None if best is None else best.name,
         "path_gaps": [gap.to_json() for gap in run.fusion.gaps],

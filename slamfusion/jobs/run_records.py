@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
+from slamfusion.config import FusionMode
 from slamfusion.evaluation.records import (
     WallThicknessJson,
 )
@@ -163,6 +164,10 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """What became of each producer."""
     fused: str | None
     """YAML file of the fused map; null where nothing was fused."""
+    fused_mode: FusionMode | None
+    """How the fused map came to be: by which vote, or drawn; null where nothing was fused."""
+    why_voted: str | None
+    """Why the maps voted although --mode drawn was asked for; null: it was drawn, or not asked."""
     agreement: str | None
     """YAML file of the agreement map; null where nothing was fused."""
     best_founded: str | None

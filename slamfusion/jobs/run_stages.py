@@ -20,10 +20,11 @@ from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.drawn import voting_config
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
-from slamfusion.jobs.fused_path import DrivePath, draw_log_map, fuse_log_paths
+from slamfusion.jobs.fused_path import DrivePath, fuse_log_paths
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.judge import score_log_paths
 from slamfusion.jobs.map_log import LogFiles
@@ -36,7 +37,6 @@ from slamfusion.trajectory import Trajectory
 
 __all__ = [
     "Drive",
-    "draw_drive_map",
     "evaluate_drive_maps",
     "fuse_maps",
     "fuse_producer_paths",
@@ -108,7 +108,7 @@ def fuse_maps(
         saved: how many of these are saved ones.
         starts: where maps are searched for.
     """
-    config = drive.config
+    config = voting_config(drive.config)
     fusion = fuse_drive(
         grids,
         drive.paths,
@@ -202,19 +202,6 @@ def judge_drive_paths(
     if fused_path is not None:
         evidence = with_path(evidence, FUSED, fused_path.trajectory, drive.device)
     return reach_verdict(evidence, tuple(drive.paths))
-
-
-def draw_drive_map(drive: Drive, path: DrivePath, like: OccupancyGrid) -> OccupancyGrid:
-    """Draw a map from all scans at the fused path, on the lattice of the fused map."""
-    files = drive.files
-    return draw_log_map(
-        files.log,
-        path.trajectory,
-        drive.config,
-        drive.device,
-        like,
-        scan_odometry=files.scan_odometry,
-    )
 
 
 def evaluate_drive_maps(

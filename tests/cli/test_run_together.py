@@ -41,6 +41,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 ORDERS = ("log first", "log last")
+NO_PATH = "fewer than two producers have a path, so there is no fused path to draw at"
+NOT_DRAWN = f"slamfusion: the fused map is not drawn, the maps vote (consensus): {NO_PATH}"
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,8 @@ def at_once(
     save_map(load_map(place / "saved.yaml"), folder / "other" / "graph")
     logs = {"log first": place / "flat.log", "log last": place / "short.log"}
     maps = ("--inputs", place / "saved.yaml", folder / "other" / "graph.yaml")
-    options = ("-o", folder / "out", "--producers", "graph", "--json")
+    # One producer alone has a path, so that the maps vote all the same.
+    options = ("-o", folder / "out", "--producers", "graph", "--mode", "drawn", "--json")
     with contextlib.ExitStack() as files:
         started = {}
         for order, log in logs.items():
@@ -71,7 +74,7 @@ def at_once(
         for order, (process, words) in started.items():
             code = process.wait(180.0)
             out, err = ((folder / f"{order}.{name}").read_text("utf-8") for name in ("out", "err"))
-            assert (code, err) == (0, "")
+            assert (code, err) == (0, f"{NOT_DRAWN}\n")
             said[order] = json_of(subprocess.CompletedProcess([INSTALLED, *words], code, out))
     return folder / "out", said
 
@@ -81,6 +84,7 @@ def test_saved_maps_vote_too(at_once: tuple[Path, dict[str, dict[str, Any]]], or
     document = at_once[1][order]
     assert [item["name"] for item in document["inputs"]] == ["graph", "saved", "graph (saved)"]
     assert document["fused_count"] == 3
+    assert (document["fused_mode"], document["why_voted"]) == ("consensus", NO_PATH)
     assert len(document["producers"]) == 1
 
 

@@ -7,7 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.errors import AlignmentError, MapFileError, SlamFusionError, StartError
+from slamfusion.config import VoteConfig
+from slamfusion.errors import (
+    AlignmentError,
+    ConfigError,
+    MapFileError,
+    SlamFusionError,
+    StartError,
+)
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, load_map, save_map
 from slamfusion.jobs.documents import plain
@@ -95,6 +102,12 @@ def test_all_of_them_may_be_required() -> None:
 def test_one_map_alone_is_no_fusion(maps: list[OccupancyGrid]) -> None:
     with pytest.raises(SlamFusionError, match="fuse needs at least two"):
         fuse_maps(maps, CONFIG, DEVICE)
+
+
+def test_maps_alone_are_not_drawn() -> None:
+    drawn = replace(CONFIG.fusion, vote=VoteConfig(mode="drawn"))
+    with pytest.raises(ConfigError, match=r"here are maps alone; take majority, .* or log-odds"):
+        fuse_maps([building(3), building(4)], replace(CONFIG, fusion=drawn), DEVICE)
 
 
 def test_maps_with_starts_are_searched_there_and_the_truth_everywhere() -> None:

@@ -9,18 +9,27 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from slamfusion.compute import NumpyDevice
+from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.cells import wall_centres
+from slamfusion.evidence import FusedPath
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.grid import trinary_cells
 from slamfusion.io import load_map, read_trajectory, save_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
+from slamfusion.jobs.drawn import draw_run
+from slamfusion.jobs.fuse_drive import DriveFusion
+from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.run import LogRun, run_log
 from slamfusion.jobs.run_files import SavedRun, save_run
+from slamfusion.trajectory import Trajectory
 from tests.cli.command import tree
 from tests.support.documents import check_document
+from tests.support.written_maps import fits, written_map
 
 
 def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
@@ -120,8 +129,19 @@ def test_a_start_that_names_no_input_ends_the_run_before_any_work(place: Path) -
             run_log(place / "flat.log", replace(RUN_DEFAULTS, start=start), saved_maps=saved)
 
 
-def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(place: Path) -> None:
-    """The producers, which begin in one frame, are searched everywhere all the same."""
+def drawn(config: RunConfig) -> RunConfig:
+    """The same settings with the drawn map as the fused one."""
+    vote = replace(config.fusion.vote, mode="drawn")
+    return replace(config, fusion=replace(config.fusion, vote=vote))
+
+
+def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
+    place: Path, tmp_path: Path
+) -> None:
+    """The producers, which begin in one frame, are searched everywhere all the same.
+
+    Where it fits it votes beside the drawn map, which keeps all that it knows.
+    """
     two = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph")))
     made = run_log(place / "flat.log", two)
     assert made.grid is not None
@@ -131,11 +151,47 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(plac
     right = moved.inverse()
     for off_m, is_found in ((0.5, True), (9.0, False)):
         start = {"saved": (right.x + off_m, right.y, right.yaw_rad)}
-        config = replace(two, start=start)
+        config = drawn(replace(two, start=start))
         run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
         assert run.usable is not None
         became = {record.name: record.accepted for record in run.usable.inputs}
         assert became == {"tinyslam": True, "graph": True, "saved": is_found}
+        assert (run.fused_mode, run.why_voted, run.drawn) == ("drawn", None, None)
+        assert set(run.usable.weights) == ({"drawn", "saved"} if is_found else {"drawn"})
+        if is_found:
+            assert_all_of_the_saved_map_is_there(run)
+    document = save_run(run, tmp_path / "out").document
+    check_document(plain(document), "run")
+    assert document["fused_mode"] == "drawn"
+    assert (
+        load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.usable.fused.cells.tolist()
+    )
+
+
+def assert_all_of_the_saved_map_is_there(run: LogRun) -> None:
+    assert run.usable is not None
+    (saved,) = (record for record in run.usable.inputs if record.name == "saved")
+    assert saved.aligned is not None
+    known = int((saved.grid.cells >= 0).sum())
+    # Turned onto another lattice some cells are read twice, and some not at all.
+    assert (saved.aligned >= 0).sum() == pytest.approx(known, rel=0.02)
+    assert (run.usable.fused.cells[saved.aligned == 0] >= 0).all()
+
+
+def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
+    files = LogFiles(place / "flat.log")
+    a_map = written_map("a", "|#..#|")
+    vote = DriveFusion(fits(a_map, a_map.with_name("b")))
+    late = Trajectory(np.array([1e6, 1e6 + 1.0]), np.zeros((2, 3)), "fused")
+    no_scan = DrivePath(FusedPath(late, ("a", "b"), np.zeros((2, 2))), {})
+    for path, why in (
+        (None, "fewer than two producers have a path"),
+        (no_scan, "give a path of this"),
+    ):
+        made = draw_run(files, path, vote, (), drawn(RUN_DEFAULTS), NumpyDevice())
+        assert (made.fusion, made.beside) == (vote, None)
+        assert why in str(made.why_voted)
+    assert draw_run(files, None, vote, (), RUN_DEFAULTS, NumpyDevice()).why_voted is None
 
 
 def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:

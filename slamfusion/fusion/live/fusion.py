@@ -51,6 +51,7 @@ from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import Voting
 from slamfusion.fusion.start import place_starts
+from slamfusion.fusion.vote import check_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
@@ -77,7 +78,9 @@ class LiveFusion:
 
         Raises:
             StartError: a start names no input, or there is one alone that says nothing.
+            ConfigError: the mode is no vote.
         """
+        check_votes(config.fusion.vote)
         self._live = config.live
         self._config = config.fusion
         self._starts = place_starts(config.start, inputs, config.fusion.reference)

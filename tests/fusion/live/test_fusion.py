@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig, VoteConfig
+from slamfusion.errors import ConfigError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.live import boxes
 from slamfusion.fusion.live.layers import FusedLayers
@@ -47,6 +48,11 @@ def test_a_map_goes_by_the_name_of_its_input(device: ComputeDevice) -> None:
     assert update is not None
     assert update.fused is not None
     assert [item.name for item in update.inputs if item.accepted] == ["a", "b", "c"]
+
+
+def test_live_maps_are_not_drawn(device: ComputeDevice) -> None:
+    with pytest.raises(ConfigError, match="'drawn' draws the map from the scans of a log"):
+        live_fusion(device, "drawn")
 
 
 @pytest.mark.parametrize("mode", ["majority", "consensus", "weighted", "log-odds"])

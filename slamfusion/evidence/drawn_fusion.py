@@ -1,0 +1,145 @@
+"""``fuse_with_drawn``: the fused map is the one that the scans draw; saved maps vote beside it.
+
+The producers of a drive have put all that they know of it into their paths, and the scans, drawn at
+the path that these become, say the rest: their own maps say nothing more, and do not vote. They are
+held against the drawn map all the same, so that what one of them shows otherwise can be seen. A
+map that another SLAM saved has seen what no scan of this log has: it votes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.fusion.normalize import NormalizedGrid, lattice_box, normalize_grid
+from slamfusion.fusion.pipeline import warp_onto
+from slamfusion.fusion.records import FusionResult
+from slamfusion.fusion.surfaces import wall_backs
+from slamfusion.fusion.vote import double_reach_cells, vote_grids
+from slamfusion.geometry import Pose2
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+
+__all__ = ["fuse_with_drawn"]
+
+I8 = npt.NDArray[np.int8]
+B8 = npt.NDArray[np.bool_]
+
+
+def fuse_with_drawn(
+    result: FusionResult,
+    drawn: OccupancyGrid,
+    saved: Collection[str],
+    config: FusionConfig,
+    device: ComputeDevice,
+) -> FusionResult:
+    """Return the fusion with the drawn map in place of the producers' votes.
+
+    The drawn map and the saved maps that fit vote as in ``consensus``: a majority of those that
+    know a cell, ties occupied, no wall doubled. Without saved maps the drawn map is the fused one.
+
+    Args:
+        result: of fusing the maps of a drive: says which fit and how they lie.
+        drawn: in the map frame of its fused map, cells in {-1, 0, 100}.
+        saved: names of inputs that no producer of the drive made.
+        config: thresholds; ``vote`` says whether walls are solid.
+        device: computes.
+
+    Returns:
+        On the lattice of ``drawn``, over all that it and the voting saved maps know. The agreement
+        of a cell is the share of the maps that know it, the drawn one among them, which say what
+        the fused one says; an input dissents where it knows a cell and says otherwise. ``weights``
+        has those that voted. A cell that is occupied but nobody knows is the back of a wall.
+
+    Raises:
+        GridError: no cell of ``drawn`` is known.
+    """
+    layer = normalize_grid(drawn, drawn.resolution, config.normalize, device)
+    inputs = {
+        record.name: (
+            normalize_grid(record.grid, drawn.resolution, config.normalize, device),
+            record.alignment.transform,
+        )
+        for record in result.accepted
+        if record.alignment is not None
+    }
+    voters = [name for name in inputs if name in saved]
+    box = _box_of([(layer, Pose2()), *(inputs[name] for name in voters)], layer)
+    margin = 1 if config.vote.solid_walls else 0
+    box = CellBox(box.row0 - margin, box.col0 - margin, box.row1 + margin, box.col1 + margin)
+
+    def placed(grid: NormalizedGrid, transform: Pose2) -> I8:
+        return warp_onto(grid, grid.cells, transform, layer.grid, box, device)
+
+    own = placed(layer, Pose2())
+    aligned = {name: placed(*item) for name, item in inputs.items()}
+    vote = replace(config.vote, mode="consensus", solid_walls=False)
+    voted = vote_grids(
+        [own, *(aligned[name] for name in voters)],
+        vote,
+        device,
+        reach_cells=double_reach_cells(vote, drawn.resolution),
+    )
+    fused = voted.fused.copy()
+    if config.vote.solid_walls:
+        fused[wall_backs(fused)] = 1
+    frame = layer.grid.crop(box)
+    cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.int8)[fused + 1]
+    agreement = _agreement(voted.fused, [own, *aligned.values()])
+    records = tuple(
+        replace(
+            record,
+            aligned=aligned[record.name],
+            dissent=_dissent(voted.fused, aligned[record.name]),
+        )
+        if record.name in aligned
+        else record
+        for record in result.inputs
+    )
+    return replace(
+        result,
+        inputs=records,
+        fused=OccupancyGrid(cells, frame.resolution, frame.origin, result.fused.name),
+        agreement=OccupancyGrid(agreement, frame.resolution, frame.origin, result.agreement.name),
+        phantom_cells=voted.phantom_cells,
+        weights=dict.fromkeys((drawn.name, *voters), 1.0),
+    )
+
+
+def _box_of(grids: list[tuple[NormalizedGrid, Pose2]], outer: NormalizedGrid) -> CellBox:
+    """Return the box of cells of a lattice that holds all of some grids."""
+    boxes = [lattice_box(grid, transform, outer) for grid, transform in grids]
+    return CellBox(
+        min(box.row0 for box in boxes),
+        min(box.col0 for box in boxes),
+        max(box.row1 for box in boxes),
+        max(box.col1 for box in boxes),
+    )
+
+
+def _agreement(fused: I8, maps: list[I8]) -> I8:
+    """Return the share of the maps that know a cell which say what the fused one says.
+
+    Args:
+        fused: (H, W) int8 in {-1, 0, 1}.
+        maps: likewise, one or more.
+
+    Returns:
+        (H, W) int8, percent, rounded half up; -1 where the fused map knows nothing.
+    """
+    known = np.zeros(fused.shape, dtype=np.int16)
+    same = np.zeros(fused.shape, dtype=np.int16)
+    for cells in maps:
+        known += cells >= 0
+        same += (cells >= 0) & (cells == fused)
+    percent = np.floor(100.0 * same / np.maximum(known, 1) + 0.5).astype(np.int8)
+    return np.where(fused >= 0, percent, np.int8(-1))
+
+
+def _dissent(fused: I8, cells: I8) -> B8:
+    """Return where a map knows a cell that the fused one knows otherwise, (H, W) bool."""
+    return np.asarray((cells >= 0) & (fused >= 0) & (cells != fused))
