@@ -4,7 +4,7 @@
 now, with beams, chunks and stamps that no path has a say in; ``with_path`` scores one more path
 beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart, and
 ``reach_verdict`` puts it into words. ``fuse_paths`` makes one path of several, each believed as far
-as the scans bear it out.
+as the scans bear it out, and ``refine_path`` lays all scans of the drive on each other along it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from slamfusion.evidence.predictive import (
     score_paths,
     with_path,
 )
+from slamfusion.evidence.refined_path import refine_path
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
 from slamfusion.evidence.verdict import Verdict, reach_verdict
 
@@ -33,6 +34,7 @@ __all__ = [
     "fuse_paths",
     "judged_scans",
     "reach_verdict",
+    "refine_path",
     "score_paths",
     "trust_in_paths",
     "with_path",

@@ -15,7 +15,13 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
-from slamfusion.evidence import FusedPath, PathEvidence, fuse_paths, trust_in_paths
+from slamfusion.evidence import (
+    FusedPath,
+    PathEvidence,
+    fuse_paths,
+    refine_path,
+    trust_in_paths,
+)
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.fusion.path_check import moved_path
@@ -76,7 +82,7 @@ def fuse_log_paths(
     fusion: FusionResult | None = None,
     evidence: PathEvidence | None = None,
 ) -> DrivePath:
-    """Make one path of those of several producers of a log.
+    """Make one path of those of several producers of a log, and lay all scans on each other by it.
 
     Args:
         log: the scans.
@@ -102,6 +108,8 @@ def fuse_log_paths(
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
     fused = fuse_paths(paths, trust, sharing_fault=drifting)
+    if evidence is not None:
+        fused = replace(fused, trajectory=refine_path(evidence.scans, fused.trajectory))
     if fusion is not None:
         fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
     return DrivePath(fused, trust, why)

@@ -46,13 +46,18 @@ def circuit(count: int = 144, rounds: float = 2.0) -> Trajectory:
 
 
 def recorded(
-    path: Trajectory, *, noise_m: float = 0.01, seed: int = 0, odometry: bool = True
+    path: Trajectory,
+    *,
+    noise_m: float = 0.01,
+    seed: int = 0,
+    odometry: bool = True,
+    walls: F64 = ROOM,
 ) -> list[LogScan]:
     """Return the scans of a drive, with odometry that drifts by a little."""
     rng = np.random.default_rng(seed)
     scans = []
     for number, (stamp_s, pose) in enumerate(zip(path.stamps_s, path.poses, strict=True), 1):
-        ranges = ranges_at(pose) + noise_m * rng.standard_normal(BEAMS)
+        ranges = ranges_at(pose, walls) + noise_m * rng.standard_normal(BEAMS)
         scan = LaserScan(
             *(float(stamp_s), ranges.astype(np.float32), -np.pi, 2.0 * np.pi / BEAMS, 0.05, FAR_M)
         )
