@@ -60,6 +60,7 @@ class GroundObstacleConfig(Checked):
     worlds: int = option(3, "atriums that are driven in", low=1, high=1000)
     first_world: int = option(1, "seed of the first atrium; the others follow", low=0)
     particles: int = option(80, "particles of gmapping, as in [F16]", low=1, high=10_000)
+    draw: bool = option(False, "also draw maps from the scans: at each path, and at the fused one")
     processes: int | None = option(
         None, "drives that run at the same time; default: one for each core", low=1, high=64
     )
@@ -78,6 +79,7 @@ class FailuresConfig(Checked):
     lidars: tuple[Literal["kinect", "hokuyo", "rplidar"], ...] = option(
         ("kinect", "hokuyo", "rplidar"), "lasers that drive each course, with commas"
     )
+    draw: bool = option(False, "also draw maps from the scans: at each path, and at the fused one")
     processes: int | None = option(
         None, "drives that run at the same time; default: one for each core", low=1, high=64
     )

@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from slamfusion.evaluation import Summary, compare_pairs, t_interval
+from slamfusion.experiments import path_sheets
 from slamfusion.experiments.method_pairs import p_value_text
 from slamfusion.experiments.sheets import Sheet
-from slamfusion.experiments.trials import FUSIONS, alone
+from slamfusion.experiments.trials import alone
+from slamfusion.experiments.voting import FUSIONS
 
 if TYPE_CHECKING:
     from slamfusion.experiments.error_table import ErrorTable
@@ -195,7 +197,7 @@ def sentences(table: ErrorTable) -> list[str]:
 def sheets(table: ErrorTable, *, details: bool) -> list[Sheet]:
     """Return the tables; ``details`` adds spread and p-values of every condition."""
     shown = (means_sheet(table), intervals_sheet(table), harmed_sheet(table))
-    found = [sheet for sheet in shown if sheet.rows]
+    found = [sheet for sheet in shown if sheet.rows] + path_sheets.sheets(table)
     for condition in table.conditions() if details else []:
         found += [spread_sheet(table, condition), *p_sheets(table, condition)]
     notes = notes_sheet(table)

@@ -18,11 +18,12 @@ from slamfusion.evaluation import (
     pooled_p_value,
     t_interval,
 )
-from slamfusion.experiments import error_sheets
+from slamfusion.experiments import error_sheets, path_sheets
 from slamfusion.experiments.method_pairs import Against, MethodPair
 from slamfusion.experiments.records import ErrorTableJson, MethodSummaryJson, OverallRatioJson
 from slamfusion.experiments.sheets import Sheet
-from slamfusion.experiments.trials import FUSIONS, TrialRecord, alone
+from slamfusion.experiments.trials import TrialRecord, alone
+from slamfusion.experiments.voting import FUSIONS
 from slamfusion.slam.registry import BUILT_IN
 
 __all__ = ["ErrorTable"]
@@ -155,14 +156,16 @@ class ErrorTable:
         return error_sheets.sentences(self)
 
     def to_csv(self) -> str:
-        """Return every error, a line each."""
+        """Return every figure of a map or a path, a line each; empty: it has none."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(["condition", "world", "seed", "method", "error", "wall_f1"])
+        figures = ("error", "wall_f1", "faces_f1", "ate_m")
+        writer.writerow(["condition", "world", "seed", "method", *figures])
         for item in self.records:
-            for method, error in item.errors.items():
-                row = [item.condition, item.world, item.seed, method, error, item.wall_f1[method]]
-                writer.writerow(row)
+            measured = (item.errors, item.wall_f1, item.faces_f1, item.ate_m)
+            for method in dict.fromkeys((*item.errors, *item.ate_m)):
+                values = [part.get(method, "") for part in measured]
+                writer.writerow([item.condition, item.world, item.seed, method, *values])
         return buffer.getvalue()
 
     def to_json(self) -> ErrorTableJson:
@@ -192,6 +195,7 @@ class ErrorTable:
             "against_others_alone": {
                 name: ratios for name in names if (ratios := self.against_others(name))
             },
+            "paths_and_faces": path_sheets.measure_pairs(self),
             "trials": [record.to_json() for record in self.records],
         }
 

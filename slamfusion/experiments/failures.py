@@ -86,6 +86,7 @@ def failure_trials(config: RunConfig) -> list[Trial]:
                         failure.fault,
                         failure.harmed,
                         is_example=world == settings.first_world and seed == config.seed,
+                        draws=settings.draw,
                     )
                 )
     return trials

@@ -43,7 +43,11 @@ def obstacle_trials(config: RunConfig) -> list[Trial]:
                     course, world=replace(course.world, seed=world), obstacles=obstacles
                 )
                 is_example = world == settings.first_world and seed == config.seed
-                trials.append(Trial(condition, course, world, seed, is_example=is_example))
+                trials.append(
+                    Trial(
+                        condition, course, world, seed, is_example=is_example, draws=settings.draw
+                    )
+                )
     return trials
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,16 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, doubled_wall_share
+from slamfusion.experiments.drive_paths import (
+    DRAWN,
+    FUSED_PATH,
+    draw_paths,
+    path_errors,
+    weigh_paths,
+)
 from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealLogTableJson
 from slamfusion.experiments.sheets import Sheet
-from slamfusion.experiments.trials import FUSIONS, against_truth, vote_every_way
+from slamfusion.experiments.voting import BARE, FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.fuse_drive import produce_maps
@@ -48,6 +55,8 @@ REFERENCE = "reference"
 # A scan belongs to a pose of the reference at its very time; stamps are rounded here and there.
 SAME_TIME_S = 0.02
 NO_NUMBER = "-"
+# Faces this near to the reference's are right, metres.
+FACES_M = 0.1
 
 Progress = Callable[[str, int, int], None]
 
@@ -87,16 +96,19 @@ class RealLogRow:
 
     Attributes:
         log: name of the drive.
-        method: a producer, a way to vote, or the reference map itself.
+        method: a producer, a way to vote, what the scans draw at a path, or the reference map.
         doubled_share: of its wall cells, with a parallel wall close by.
         error: against the reference map, where the map lies best on it; None for that map itself,
             and for a map that is missing.
+        path_error_m: absolute error of the path of a producer, and of the fused one in the row of
+            the map drawn at it, against the reference trajectory; None for other maps.
     """
 
     log: str
     method: str
     doubled_share: float
     error: MapError | None
+    path_error_m: float | None = None
 
     def numbers(self) -> RealLogNumbersJson:
         """Return what is measured, by name; lengths in metres."""
@@ -109,7 +121,9 @@ class RealLogRow:
             "wall_distance_p95_m": None if there is None else there.p95_m,
             "reference_to_map_mean_m": None if back is None else back.mean_m,
             "wall_f1": None if error is None else error.wall_f1,
+            "faces_f1": None if error is None else error.faces.f1(FACES_M),
             "doubled_wall_share": self.doubled_share,
+            "path_error_m": self.path_error_m,
         }
 
 
@@ -119,7 +133,9 @@ COLUMNS = {
     "wall_distance_p95_m": ("95 %, m", "{:.3f}"),
     "reference_to_map_mean_m": ("from them, mean m", "{:.3f}"),
     "wall_f1": ("wall F1", "{:.3f}"),
+    "faces_f1": ("faces F1 at 0.1 m", "{:.3f}"),
     "doubled_wall_share": ("doubled walls", "{:.1%}"),
+    "path_error_m": ("path, ATE m", "{:.3f}"),
 }
 
 
@@ -132,12 +148,14 @@ class RealLogTable:
         rows: of each drive the producers, the ways to vote, and the reference map.
         notes: what went wrong, by drive and method.
         references: what the reference map of each drive was drawn from.
+        choices: the producer of each drive whose path the scans bear out best, where they can tell.
     """
 
     title: str
     rows: tuple[RealLogRow, ...]
     notes: Mapping[tuple[str, str], str]
     references: Mapping[str, str]
+    choices: Mapping[str, str] = field(default_factory=dict)
 
     def logs(self) -> list[str]:
         """Return the drives, in order."""
@@ -193,6 +211,8 @@ class RealLogTable:
                 f"{log}: {mode} {100.0 * (ratio - 1.0):+.1f} % against {best}, the best input."
                 for mode, ratio in self.ratios(log).items()
             ]
+            if log in self.choices:
+                lines.append(f"{log}: the scans bear out the path of {self.choices[log]} best.")
         for mode, values in self.overall().items():
             change, worst = (100.0 * (values[key] - 1.0) for key in ("ratio", "worst"))
             lines.append(
@@ -220,6 +240,7 @@ class RealLogTable:
                 {"log": log, "what": what, "reason": why} for (log, what), why in self.notes.items()
             ],
             "references": dict(self.references),
+            "choices": dict(self.choices),
         }
 
 
@@ -270,12 +291,14 @@ def compare_on_logs(
     rows: list[RealLogRow] = []
     notes: dict[tuple[str, str], str] = {}
     references: dict[str, str] = {}
+    choices: dict[str, str] = {}
     for name in names:
         part = _compare_on_log(folder, name, config, device, progress)
         rows += part.rows
         notes |= part.notes
         references |= part.references
-    return RealLogTable(TITLE, tuple(rows), notes, references)
+        choices |= part.choices
+    return RealLogTable(TITLE, tuple(rows), notes, references, choices)
 
 
 def _compare_on_log(
@@ -302,15 +325,24 @@ def _compare_on_log(
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
     fused = vote_every_way(made.grids, made.paths, config, device, notes)
 
+    del fused[BARE]  # here all votes are
+    weighed = weigh_paths(scans, made.paths, device, notes)
+    errors = path_errors(weighed, trajectory, SAME_TIME_S)
+    if FUSED_PATH in errors:
+        errors[DRAWN] = errors[FUSED_PATH]
+    drawn = draw_paths(scans, weighed, reference.resolution, config, device)
+
     rows = []
-    for method, grid in {**made.maps, **fused}.items():
+    for method, grid in {**made.maps, **fused, **drawn}.items():
         if grid is not None:
             found = against_truth(grid, reference, config, device)
-            rows.append(RealLogRow(name, method, _doubled(grid, config), found))
+            doubled = _doubled(grid, config)
+            rows.append(RealLogRow(name, method, doubled, found, errors.get(method)))
     rows.append(RealLogRow(name, REFERENCE, _doubled(reference, config), None))
     why = {(name, what): text for what, text in notes.items()}
     drawn_from = f"{count} of {len(scans)} scans at {files.source}"
-    return RealLogTable(TITLE, tuple(rows), why, {name: drawn_from})
+    choices = {name: weighed.choice} if weighed.choice else {}
+    return RealLogTable(TITLE, tuple(rows), why, {name: drawn_from}, choices)
 
 
 def _doubled(grid: OccupancyGrid, config: RunConfig) -> float:

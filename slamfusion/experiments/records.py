@@ -20,6 +20,7 @@ __all__ = [
     "ErrorTableDocument",
     "ErrorTableJson",
     "EstimatorSweepDocument",
+    "MeasurePairJson",
     "MethodPairJson",
     "MethodSummaryJson",
     "NoteJson",
@@ -224,6 +225,35 @@ class TrialJson(TypedDict):
     """Harmonic mean of the walls' precision and recall, by method; 0 without a map."""
     notes: Mapping[str, str]
     """What went wrong, by method."""
+    faces_f1: Mapping[str, float]
+    """F1 of the walls' faces within 0.1 m of the true ones, by method; 0 without a map."""
+    ate_m: Mapping[str, float]
+    """Absolute error of each producer's path and of the fused path, by name; metres."""
+    choice: str
+    """The producer whose path the scans bear out best; empty where they cannot tell."""
+
+
+class MeasurePairJson(TypedDict):
+    """What ``run`` makes of all producers against another path or map, on the same drives."""
+
+    condition: str
+    """The condition."""
+    measure: Literal["ate_m", "faces_f1"]
+    """What is compared: the absolute error of paths, metres, or F1 of walls' faces at 0.1 m."""
+    method: str
+    """The fused path, or the fused map."""
+    against: str
+    """A producer, its map drawn from its own path, or the producer that the scans bear out best."""
+    drives: int
+    """Drives that have both."""
+    mean: float
+    """Mean of the method."""
+    against_mean: float
+    """Mean of the other."""
+    p_paired_t_holm: float | None
+    """Of the paired t-test, corrected for the pairs of this table; null for a single drive."""
+    p_wilcoxon: float | None
+    """Of Wilcoxon's signed-rank test; null for a single drive."""
 
 
 class ErrorTableJson(TypedDict):
@@ -242,6 +272,8 @@ class ErrorTableJson(TypedDict):
     against_others_alone: Mapping[str, Mapping[str, float]]
     """Where one producer is harmed: by condition and way to vote, the mean error over that of
     fusing the others alone."""
+    paths_and_faces: Sequence[MeasurePairJson]
+    """The fused path against every path, and the fused map's faces against every map's."""
     trials: Sequence[TrialJson]
     """Every drive."""
 
@@ -271,8 +303,13 @@ class RealLogNumbersJson(TypedDict):
     """From each wall of the reference to the nearest of the map, mean; metres."""
     wall_f1: float | None
     """Harmonic mean of the walls' precision and recall."""
+    faces_f1: float | None
+    """F1 of the walls' faces within 0.1 m of the reference's."""
     doubled_wall_share: float | None
     """Share of the map's wall cells with a parallel wall close by, 0 to 1."""
+    path_error_m: float | None
+    """Absolute error of the path (ATE) of a producer, and of the fused path in the row of the map
+    that is drawn at it, against the reference trajectory, metres; null for other maps."""
 
 
 class RealLogMapJson(RealLogNumbersJson):
@@ -281,7 +318,7 @@ class RealLogMapJson(RealLogNumbersJson):
     log: str
     """The drive."""
     map: str
-    """A producer, a way to vote, or the reference map."""
+    """A producer, a way to vote, what the scans draw at a path, or the reference map."""
 
 
 class NoteJson(TypedDict):
@@ -308,6 +345,8 @@ class RealLogTableJson(TypedDict):
     """What went wrong."""
     references: Mapping[str, str]
     """What the reference map of each drive was drawn from."""
+    choices: Mapping[str, str]
+    """The producer of each drive whose path the scans bear out best, where they can tell."""
 
 
 class RealLogsDocument(RealLogTableJson, CircumstancesJson):

@@ -16,11 +16,10 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,19 +27,18 @@ import numpy.typing as npt
 import slamfusion
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.compute.program import kernel_folder
-from slamfusion.config import FusionConfig, RunConfig, VoteMode, to_mapping
+from slamfusion.config import RunConfig, to_mapping
 from slamfusion.cores import usable_cores
-from slamfusion.errors import GridError, SlamFusionError
-from slamfusion.evaluation import MapError, compare_to_truth
+from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import MapError
+from slamfusion.experiments.drive_paths import draw_paths, path_errors, thickened, weigh_paths
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.records import TrialJson
-from slamfusion.fusion.align import align_grids
-from slamfusion.fusion.path_check import LEAST_FUSED
-from slamfusion.fusion.pipeline import vote_again
-from slamfusion.fusion.records import FusionResult
-from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan
 from slamfusion.io.atomic import AtomicFiles
-from slamfusion.jobs.fuse_drive import DriveMaps, fuse_drive, produce_maps
+from slamfusion.jobs.fuse_drive import DriveMaps, produce_maps
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
@@ -48,28 +46,22 @@ from slamfusion.slam.side_by_side import interrupts_held, threads_limited
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
-    "FUSIONS",
     "Example",
     "Trial",
     "TrialRecord",
-    "against_truth",
     "alone",
     "measure_trial",
     "read_example",
     "run_trials",
-    "vote_every_way",
 ]
 
-# Every way to vote, the plain one first.
-FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
-PLAIN: VoteMode = "majority"
 FOLDER = "trials"
 # Of the files: others are not believed.
-FORMAT = 3
+FORMAT = 4
+# Faces this near to true ones are right, metres.
+FACES_M = 0.1
 # What of the package has no say in a trial: its faces.
 FACES = {"cli", "report", "ros"}
-# Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
-PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +76,7 @@ class Trial:
         fault: of ``FAULTS``, done to the scans; empty: none.
         harmed: the producer that the fault befalls; empty: all of them.
         is_example: keep its maps' differences to the truth, to be drawn.
+        draws: also draw maps from the scans: at each producer's path, and at the fused one.
     """
 
     condition: str
@@ -93,6 +86,7 @@ class Trial:
     fault: str = ""
     harmed: str = ""
     is_example: bool = False
+    draws: bool = False
 
     @property
     def key(self) -> str:
@@ -109,6 +103,11 @@ class TrialRecord:
         errors: [F16] error of each producer's map and each fused map, by method.
         wall_f1: harmonic mean of the walls' precision and recall, by method; 0 without a map.
         notes: what went wrong, by method: no map, a producer left out.
+        faces_f1: F1 of the walls' faces within ``FACES_M`` of the true ones, by method; 0 without
+            a map.
+        ate_m: absolute error of the path of each producer that has one, and of the fused path, by
+            name; metres.
+        choice: the producer whose path the scans bear out best; empty where they cannot tell.
     """
 
     condition: str
@@ -117,6 +116,9 @@ class TrialRecord:
     errors: Mapping[str, float]
     wall_f1: Mapping[str, float]
     notes: Mapping[str, str]
+    faces_f1: Mapping[str, float] = field(default_factory=dict)
+    ate_m: Mapping[str, float] = field(default_factory=dict)
+    choice: str = ""
 
     def to_json(self) -> TrialJson:
         """Return the record for a JSON document."""
@@ -127,6 +129,9 @@ class TrialRecord:
             "errors": dict(self.errors),
             "wall_f1": dict(self.wall_f1),
             "notes": dict(self.notes),
+            "faces_f1": dict(self.faces_f1),
+            "ate_m": dict(self.ate_m),
+            "choice": self.choice,
         }
 
 
@@ -174,13 +179,20 @@ def measure_trial(
     """
     config = replace(config, seed=trial.seed)
     recording = simulate(trial.course, device)
-    made = _produce(trial, recording, config, device)
+    faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
+    made = _produce(trial, recording, faulty, config, device)
     notes = dict(made.reasons)
     fused = _fuse(trial, made, config, device, notes)
+    seen = recording.scans if trial.harmed else faulty
+    weighed = weigh_paths(seen, made.paths, device, notes)
+    if trial.draws:
+        fused |= draw_paths(seen, weighed, recording.world.grid.resolution, config, device)
+    truth = recording.world.grid
     found = {
-        name: against_truth(grid, recording.world.grid, config, device)
+        name: against_truth(grid, truth, config, device)
         for name, grid in {**made.maps, **fused}.items()
     }
+    found |= thickened(made.maps, found, truth, config)
     record = TrialRecord(
         trial.condition,
         trial.world,
@@ -188,15 +200,29 @@ def measure_trial(
         {name: item.error for name, item in found.items()},
         {name: item.wall_f1 or 0.0 for name, item in found.items()},
         notes,
+        {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()},
+        path_errors(weighed, _true_path(recording, seen)),
+        weighed.choice,
     )
     return record, found
 
 
+def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
+    """Return the true poses of the scans that a fault has left, which may have other stamps."""
+    rows = {item.line: row for row, item in enumerate(recording.scans)}
+    stamps_s = np.array([item.scan.stamp_s for item in scans])
+    kept = [rows[item.line] for item in scans]
+    return Trajectory(stamps_s, recording.truth.poses[kept], "truth")
+
+
 def _produce(
-    trial: Trial, recording: Recording, config: RunConfig, device: ComputeDevice
+    trial: Trial,
+    recording: Recording,
+    faulty: Sequence[LogScan],
+    config: RunConfig,
+    device: ComputeDevice,
 ) -> DriveMaps:
     """Run each producer on the scans, which for the harmed ones have the fault."""
-    faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
     scans = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
     return produce_maps(scans, config, device)
 
@@ -217,102 +243,9 @@ def _fuse(
         rest = [grid for grid in grids if grid.name != trial.harmed]
         own_notes: dict[str, str] = {}
         others = vote_every_way(rest, paths, config, device, own_notes)
-        fused |= {alone(mode): grid for mode, grid in others.items()}
+        fused |= {alone(mode): others[mode] for mode in FUSIONS}
         notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}
     return fused
-
-
-def vote_every_way(
-    grids: Sequence[OccupancyGrid],
-    paths: Mapping[str, Trajectory],
-    config: RunConfig,
-    device: ComputeDevice,
-    notes: dict[str, str],
-) -> dict[str, OccupancyGrid | None]:
-    """Return the fused map of every way to vote; all have the same voters, or the same one map.
-
-    Args:
-        grids: the producers' maps.
-        paths: found with them, by name.
-        config: settings of the fusion.
-        device: computes.
-        notes: told, by method, what went wrong.
-
-    Returns:
-        By way to vote; None where there is no map at all.
-    """
-    if not grids:
-        notes[PLAIN] = "no map was made"
-        return dict.fromkeys(FUSIONS)
-    plain = _vote_plainly(grids, paths, config, device, notes)
-    if isinstance(plain, OccupancyGrid):
-        return dict.fromkeys(FUSIONS, plain)
-    return {mode: vote_again(plain, _voting(config.fusion, mode), device).fused for mode in FUSIONS}
-
-
-def _vote_plainly(
-    grids: Sequence[OccupancyGrid],
-    paths: Mapping[str, Trajectory],
-    config: RunConfig,
-    device: ComputeDevice,
-    notes: dict[str, str],
-) -> FusionResult | OccupancyGrid:
-    """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
-    if len(grids) < LEAST_FUSED:
-        notes[PLAIN] = f"{grids[0].name} alone: it made the only map"
-        return grids[0]
-    kept = {grid.name: paths[grid.name] for grid in grids}
-    config = replace(config, fusion=_voting(config.fusion, PLAIN))
-    fusion = fuse_drive(grids, kept, config, device, shared_frame=True)
-    if fusion.result is None:
-        best = fusion.fallback or grids[0]
-        notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
-        return best
-    for record in fusion.result.rejected:
-        notes[f"{PLAIN} without {record.name}"] = record.reason
-    return fusion.result
-
-
-def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:
-    return replace(config, vote=replace(config.vote, mode=mode))
-
-
-def against_truth(
-    grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, device: ComputeDevice
-) -> MapError:
-    """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
-
-    Aligned is where its walls fit best, or next best.
-
-    Args:
-        grid: None is a map that knows nothing.
-        truth: decides lattice and box.
-        config: thresholds, search (never the fixed-step one) and tolerance.
-        device: computes.
-    """
-    nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
-    known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
-    transforms = [IDENTITY]
-    align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
-    settings = replace(config.fusion, align=align)
-    if grid is not None:
-        with suppress(GridError):  # not one known cell: it lies as well anywhere
-            found = align_grids(truth, grid, settings, device)
-            transforms.append(found.transform)
-            # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
-            if found.runner_up is not None:
-                transforms.append(found.runner_up.transform)
-    errors = [
-        compare_to_truth(
-            known,
-            truth,
-            transform,
-            normalize=config.fusion.normalize,
-            tolerance_m=config.evaluate.tolerance_m,
-        )
-        for transform in transforms
-    ]
-    return min(errors, key=lambda item: item.error)
 
 
 # --- many trials ---------------------------------------------------------------------------------
@@ -455,7 +388,8 @@ def _fingerprint(trial: Trial, config: RunConfig) -> str:
         del settings[unrelated]
     course = course_to_mapping(trial.course)
     versions = [FORMAT, slamfusion.__version__, _program(), FUSIONS]
-    facts = [course, trial.fault, trial.harmed, trial.is_example, settings, versions]
+    kind = [trial.fault, trial.harmed, trial.is_example, trial.draws]
+    facts = [course, *kind, settings, versions]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -11,7 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["REACH_CELLS", "sharpen_fronts", "wall_backs"]
+from slamfusion.config import NormalizeConfig
+from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid, trinary_cells
+
+__all__ = ["REACH_CELLS", "sharpen_fronts", "wall_backs", "with_backs"]
 
 I8 = npt.NDArray[np.int8]
 Mask = npt.NDArray[np.bool_]
@@ -35,6 +38,22 @@ def wall_backs(cells: I8) -> Mask:
     """
     beside = _neighbours(cells == 1) >= LEAST_BESIDE
     return np.asarray((cells == -1) & beside & (_neighbours(cells == 0) == 0))
+
+
+def with_backs(grid: OccupancyGrid, thresholds: NormalizeConfig) -> OccupancyGrid:
+    """Return a map whose walls have backs, as a vote on several maps gives them.
+
+    Args:
+        grid: any map; one that has backs already gets another layer.
+        thresholds: what is a wall, and what free.
+
+    Returns:
+        A cell larger on each side.
+    """
+    wide = grid.crop(CellBox(-1, -1, grid.height + 1, grid.width + 1))
+    cells = wide.cells.copy()
+    cells[wall_backs(trinary_cells(cells, thresholds))] = OCCUPIED
+    return OccupancyGrid(cells, wide.resolution, wide.origin, wide.name)
 
 
 def sharpen_fronts(cells: I8, is_disputed: Mask) -> Mask:

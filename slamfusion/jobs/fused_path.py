@@ -38,7 +38,7 @@ from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DrivePath", "draw_log_map", "drawn_document", "fuse_log_paths"]
+__all__ = ["DrivePath", "draw_log_map", "drawn_document", "fuse_log_paths", "fuse_weighed_paths"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,21 +98,43 @@ def fuse_log_paths(
         GraphError: the equations cannot be solved.
         OSError: the log cannot be opened.
     """
-    trust, why = dict.fromkeys(paths, 1.0), ""
+    why = ""
     try:
         if evidence is None or set(evidence.scores) != set(paths):
             evidence = score_log_paths(log, paths, config, device, scan_odometry)
-        trust = trust_in_paths(evidence)
     except SlamFusionError as error:
-        why = str(error)
+        evidence, why = None, str(error)
+    fused, trust = fuse_weighed_paths(paths, evidence)
+    if fusion is not None:
+        fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
+    return DrivePath(fused, trust, why)
+
+
+def fuse_weighed_paths(
+    paths: Mapping[str, Trajectory], evidence: PathEvidence | None
+) -> tuple[FusedPath, dict[str, float]]:
+    """Make one path of several, each believed as far as the scans bear it out.
+
+    Then all scans are laid on each other along it.
+
+    Args:
+        paths: by producer; those that close no loops count as one over long spans.
+        evidence: what the scans say of these paths; None: all count alike, and no scan is moved.
+
+    Returns:
+        The path, in the frame of one of them, and how much each was believed, by name.
+
+    Raises:
+        TrajectoryError: the paths have no times in common.
+        GraphError: the equations cannot be solved.
+    """
+    trust = dict.fromkeys(paths, 1.0) if evidence is None else trust_in_paths(evidence)
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
     fused = fuse_paths(paths, trust, sharing_fault=drifting)
     if evidence is not None:
         fused = replace(fused, trajectory=refine_path(evidence.scans, fused.trajectory))
-    if fusion is not None:
-        fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
-    return DrivePath(fused, trust, why)
+    return fused, trust
 
 
 def draw_log_map(

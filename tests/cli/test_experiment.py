@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.experiments.trials import FUSIONS
+from slamfusion.experiments.voting import FUSIONS
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import assert_one_line_failure, json_of, run, tree

@@ -17,7 +17,7 @@ from docs.generate.record import RECIPES, Recipe, main
 from slamfusion.cli.program import cli
 from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord
-from slamfusion.experiments.trials import FUSIONS
+from slamfusion.experiments.voting import FUSIONS
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.jobs.documents import circumstances, versions
 from slamfusion.slam.registry import BUILT_IN

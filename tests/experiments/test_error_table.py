@@ -13,13 +13,17 @@ from scipy import stats
 
 from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord, write_error_table
+from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at, thick
 from slamfusion.experiments.error_sheets import (
     harmed_sheet,
     intervals_sheet,
     notes_sheet,
     p_sheets,
 )
-from slamfusion.experiments.trials import FUSIONS, alone
+from slamfusion.experiments.path_sheets import measure_pairs
+from slamfusion.experiments.trials import alone
+from slamfusion.experiments.voting import BARE, FUSIONS
+from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.documents import circumstances, plain
 from tests.support.documents import check_document
 
@@ -140,6 +144,64 @@ def test_what_was_left_out_is_counted_with_its_reason() -> None:
     )
     assert notes_sheet(table).rows == (("a", "majority", "1 of 3", "no two agree"),)
     assert table.sheets(details=False)[-1].title == "What was left out"
+
+
+def weighed(gain: float, count: int = 10) -> ErrorTable:
+    """Paths of 0.06 m that the graph's beats in half of the drives; the fused one by ``gain``."""
+    rng = np.random.default_rng(3)
+    records = []
+    for seed in range(count):
+        hard = 0.06 + 0.02 * float(rng.random())
+        ate = {"tinyslam": hard, "gmapping": hard + 0.01, "graph": hard + 0.01 * (-1) ** seed}
+        ate[FUSED_PATH] = hard - gain + 0.001 * float(rng.normal())
+        faces = {name: 1.0 - 2.0 * value for name, value in ate.items() if name in PRODUCERS}
+        faces |= {drawn_at(name): value + 0.01 for name, value in faces.items()}
+        faces |= {RUN_VOTE: 0.8, BARE: 0.8, DRAWN: 1.0 - 2.0 * ate[FUSED_PATH]}
+        kept = record("hall", seed, {BARE: 120.0, thick("tinyslam"): 95.0, DRAWN: 90.0})
+        choice = "graph" if seed % 3 else ""
+        records.append(replace(kept, faces_f1=faces, ate_m=ate, choice=choice))
+    return ErrorTable("t", tuple(records))
+
+
+def test_the_fused_path_and_the_drawn_map_are_held_against_each_and_the_best() -> None:
+    table = weighed(0.03)
+    pairs = {(pair["measure"], pair["against"]): pair for pair in measure_pairs(table)}
+    paths = {name for measure, name in pairs if measure == "ate_m"}
+    assert paths == {*PRODUCERS, "evidence choice", "best in hindsight"}
+    best = pairs["ate_m", "best in hindsight"]
+    ate = [item.ate_m for item in table.records]
+    least = [min(item[name] for name in PRODUCERS) for item in ate]
+    assert best["against_mean"] == pytest.approx(np.mean(least))
+    assert best["mean"] == pytest.approx(np.mean([a[FUSED_PATH] for a in ate]))
+    assert best["p_paired_t_holm"] is not None
+    own = [value - item[FUSED_PATH] for value, item in zip(least, ate, strict=True)]
+    # Five tests at once: Holm gives the surest at most five times its own.
+    alone_p = stats.ttest_1samp(own, 0.0).pvalue
+    assert alone_p <= best["p_paired_t_holm"] <= 5.0 * alone_p + 1e-15
+    # Where the scans cannot tell there is no choice.
+    assert pairs["ate_m", "evidence choice"]["drives"] == 6
+    faces = {name: pair for (measure, name), pair in pairs.items() if measure == "faces_f1"}
+    assert {pair["method"] for pair in faces.values()} == {DRAWN}
+    assert "best in hindsight, drawn" in faces
+    assert {BARE, RUN_VOTE, *map(drawn_at, PRODUCERS)} < set(faces)
+
+
+def test_paths_faces_and_thickness_have_tables_of_their_own() -> None:
+    sheets = {sheet.title: sheet for sheet in weighed(0.03).sheets(details=False)}
+    paths = sheets["Paths"]
+    means, tests = paths.rows
+    assert paths.heading[-1] == FUSED_PATH
+    assert means[:2] == ("hall", "10")
+    assert tests[0] == "fused path against it"
+    assert tests[paths.heading.index("gmapping")].startswith("p ")
+    assert tests[-1] == ""
+    thickness = sheets["What thickness is worth"].rows
+    assert thickness == (("hall", "tinyslam", "100.00", "95.00", "120.00", "100.00", "90.00"),)
+    # Records of another kind have none of these; a single drive has means alone.
+    assert "Paths" not in {sheet.title for sheet in drawn(3.0).sheets(details=False)}
+    assert measure_pairs(drawn(3.0)) == []
+    (row,) = next(s for s in weighed(0.0, 1).sheets(details=False) if s.title == "Paths").rows
+    assert row[0] == "hall"
 
 
 def test_files_hold_every_error_and_the_tables(tmp_path: Path) -> None:

@@ -19,16 +19,11 @@ from slamfusion.config import (
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.experiments import failure_trials, obstacle_trials, read_example
 from slamfusion.experiments import trials as module
+from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at, thick
 from slamfusion.experiments.failures import FAILURES
 from slamfusion.experiments.faults import FAULTS
-from slamfusion.experiments.trials import (
-    FUSIONS,
-    Trial,
-    TrialRecord,
-    alone,
-    run_trials,
-    vote_every_way,
-)
+from slamfusion.experiments.trials import Trial, TrialRecord, alone, run_trials
+from slamfusion.experiments.voting import BARE, FUSIONS, vote_every_way
 from slamfusion.sim import COURSES, simulate
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
@@ -62,6 +57,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Trial], l
     """Both conditions, run once; in the second one gmapping is lost."""
     folder = tmp_path_factory.mktemp("trials")
     trials = [short(trial) for trial in obstacle_trials(small())]
+    trials[0] = replace(trials[0], draws=True)
     trials[1] = replace(trials[1], fault="lose", harmed="gmapping")
     return folder, trials, run_trials(trials, small(), folder, processes=1)
 
@@ -74,11 +70,23 @@ def test_every_method_has_an_error(
     done: tuple[Path, list[Trial], list[TrialRecord]],
 ) -> None:
     _, _, (plain, harmed) = done
-    assert list(plain.errors) == [*BUILT_IN, *FUSIONS]
-    assert list(harmed.errors) == [*BUILT_IN, *FUSIONS, *map(alone, FUSIONS)]
+    backs, drawn = [*map(thick, BUILT_IN)], [*map(drawn_at, BUILT_IN), DRAWN]
+    assert list(plain.errors) == [*BUILT_IN, *FUSIONS, BARE, *drawn, *backs]
+    assert list(harmed.errors) == [*BUILT_IN, *FUSIONS, BARE, *map(alone, FUSIONS), *backs]
     assert all(0.0 < error < 200.0 for item in (plain, harmed) for error in item.errors.values())
     assert (plain.condition, harmed.condition) == ("no obstacle", "obstacle")
     assert min(plain.wall_f1.values()) > 0.1
+    for item in (plain, harmed):
+        assert list(item.faces_f1) == list(item.errors)
+        assert list(item.ate_m) == [*BUILT_IN, FUSED_PATH]
+        assert item.choice in BUILT_IN
+    # Nobody was lost: every path is right within a cell or two, and the fused one no worse.
+    assert plain.ate_m[FUSED_PATH] < 1.5 * max(plain.ate_m[name] for name in BUILT_IN) < 0.3
+    # A back lowers the error of any map, and moves no face.
+    for name in BUILT_IN:
+        assert plain.errors[thick(name)] < plain.errors[name]
+        assert plain.faces_f1[thick(name)] == pytest.approx(plain.faces_f1[name], abs=0.03)
+    assert harmed.choice != "gmapping"
 
 
 def test_the_same_seeds_give_the_same_bytes_in_other_processes(
@@ -196,7 +204,7 @@ def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     (grid,) = {id(item): item for item in fused.values()}.values()
     assert grid is not None
     assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
-    assert vote_every_way([], {}, config, device, notes) == dict.fromkeys(FUSIONS)
+    assert vote_every_way([], {}, config, device, notes) == dict.fromkeys((*FUSIONS, BARE))
 
 
 def test_drives_are_paired_and_worlds_are_numbered() -> None:

@@ -1,0 +1,176 @@
+"""What the scans of one drive say of its paths, and the maps that they draw at each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
+from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.surfaces import with_backs
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import LogScan
+from slamfusion.jobs.fused_path import fuse_weighed_paths
+from slamfusion.slam.registry import BUILT_IN
+from slamfusion.trajectory import Trajectory
+
+__all__ = [
+    "CHOICE",
+    "DRAWN",
+    "FUSED_PATH",
+    "WeighedPaths",
+    "draw_paths",
+    "drawn_at",
+    "path_errors",
+    "thick",
+    "thickened",
+    "weigh_paths",
+]
+
+# Poses of simulated drives have the stamps of their scans, which files round, seconds.
+SAME_STAMP_S = 1e-3
+# The producer whose path the scans bear out best, in tables.
+CHOICE = "evidence choice"
+# The path that is made of all of them, and the map that all scans draw at it.
+FUSED_PATH, DRAWN = "fused path", "drawn"
+
+
+def drawn_at(name: str) -> str:
+    """Return what the map is called that all scans draw at a producer's own path."""
+    return f"{name}, drawn"
+
+
+def thick(name: str) -> str:
+    """Return what a producer's map is called whose walls were given backs."""
+    return f"{name}, backs"
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedPaths:
+    """The paths of a drive, as far as its scans bear them out.
+
+    Attributes:
+        paths: of the producers, and the fused one where there is one, by name.
+        choice: the producer whose path they bear out best; empty where they cannot tell.
+    """
+
+    paths: Mapping[str, Trajectory] = field(default_factory=dict)
+    choice: str = ""
+
+
+def weigh_paths(
+    scans: Sequence[LogScan],
+    paths: Mapping[str, Trajectory],
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> WeighedPaths:
+    """Ask the scans of a drive which path they bear out, and make one path of all.
+
+    Args:
+        scans: of the drive.
+        paths: of the producers, by name.
+        device: scores the paths.
+        notes: told, by what is missing, why.
+    """
+    paths = {name: path for name, path in paths.items() if len(path)}
+    if not paths:
+        return WeighedPaths()
+    try:
+        evidence = score_paths(judged_scans(scans), paths, device)
+    except SlamFusionError as error:
+        notes[CHOICE] = str(error)
+        return WeighedPaths(paths)
+    (choice, *_) = evidence.ranking()
+    if len(paths) < LEAST_FUSED:
+        return WeighedPaths(paths, choice)
+    try:
+        fused, _ = fuse_weighed_paths(paths, evidence)
+    except SlamFusionError as error:
+        notes[FUSED_PATH] = str(error)
+        return WeighedPaths(paths, choice)
+    return WeighedPaths({**paths, FUSED_PATH: fused.trajectory}, choice)
+
+
+def path_errors(
+    weighed: WeighedPaths, truth: Trajectory, tolerance_s: float = SAME_STAMP_S
+) -> dict[str, float]:
+    """Return the absolute error of each path (root mean square after a rigid fit), metres.
+
+    Args:
+        weighed: the paths.
+        truth: the true path; one that meets fewer than two of its poses in time has no error.
+        tolerance_s: poses this near in time belong together.
+    """
+    config = TrajectoryConfig(tolerance_s=tolerance_s)
+    found = {}
+    for name, path in weighed.paths.items():
+        with suppress(SlamFusionError):
+            found[name] = trajectory_errors(path, truth, config).ate.rmse
+    return found
+
+
+def draw_paths(
+    scans: Sequence[LogScan],
+    weighed: WeighedPaths,
+    resolution: float,
+    config: RunConfig,
+    device: ComputeDevice,
+) -> dict[str, OccupancyGrid | None]:
+    """Draw the map of all scans at every path, by one sensor model.
+
+    Args:
+        scans: of the drive.
+        weighed: its paths.
+        resolution: metres per cell.
+        config: ``fusion.vote`` says whether walls are solid.
+        device: draws.
+
+    Returns:
+        ``drawn_at`` each producer's path, and ``DRAWN`` at the fused one; None where there is no
+        path.
+    """
+    rays = drawn_scans(scans)
+    found: dict[str, OccupancyGrid | None] = {}
+    for name in (*BUILT_IN, FUSED_PATH):
+        method = DRAWN if name == FUSED_PATH else drawn_at(name)
+        found[method] = None
+        if name in weighed.paths:
+            grid = draw_map(rays, weighed.paths[name], device, resolution=resolution, name=method)
+            if config.fusion.vote.solid_walls:
+                grid = with_backs(grid, config.fusion.normalize)
+            found[method] = grid
+    return found
+
+
+def thickened(
+    maps: Mapping[str, OccupancyGrid | None],
+    errors: Mapping[str, MapError],
+    truth: OccupancyGrid,
+    config: RunConfig,
+) -> dict[str, MapError]:
+    """Return the errors of producers' maps whose walls were given backs, as votes give them.
+
+    Args:
+        maps: by producer; None: it made none.
+        errors: of these maps, by name: each is measured where it lay.
+        truth: the true map.
+        config: thresholds and tolerance.
+    """
+    found = {}
+    for name, grid in maps.items():
+        found[thick(name)] = errors[name]
+        if grid is not None:
+            found[thick(name)] = compare_to_truth(
+                with_backs(grid, config.fusion.normalize),
+                truth,
+                errors[name].transform,
+                normalize=config.fusion.normalize,
+                tolerance_m=config.evaluate.tolerance_m,
+            )
+    return found

@@ -1,0 +1,130 @@
+"""The maps of one drive, voted on in every way, and how far each map is from the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, RunConfig, VoteMode
+from slamfusion.errors import GridError
+from slamfusion.evaluation import MapError, compare_to_truth
+from slamfusion.fusion.align import align_grids
+from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.pipeline import vote_again
+from slamfusion.fusion.records import FusionResult
+from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
+from slamfusion.jobs.defaults import RUN_VOTE
+from slamfusion.jobs.fuse_drive import fuse_drive
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["BARE", "FUSIONS", "PATIENCE_S", "PLAIN", "against_truth", "vote_every_way"]
+
+# Every way to vote, the plain one first.
+FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
+PLAIN: VoteMode = "majority"
+# The vote of ``run`` without the backs that it gives to walls.
+BARE = f"{RUN_VOTE}, bare"
+# Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
+PATIENCE_S = 60.0
+
+
+def vote_every_way(
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> dict[str, OccupancyGrid | None]:
+    """Return the fused map of every way to vote; all have the same voters, or the same one map.
+
+    Args:
+        grids: the producers' maps.
+        paths: found with them, by name.
+        config: settings of the fusion.
+        device: computes.
+        notes: told, by method, what went wrong.
+
+    Returns:
+        By way to vote, then by ``BARE``; None where there is no map at all.
+    """
+    ways = (*FUSIONS, BARE)
+    if not grids:
+        notes[PLAIN] = "no map was made"
+        return dict.fromkeys(ways)
+    plain = _vote_plainly(grids, paths, config, device, notes)
+    if isinstance(plain, OccupancyGrid):
+        return dict.fromkeys(ways, plain)
+    settings: dict[str, FusionConfig] = {mode: _voting(config.fusion, mode) for mode in FUSIONS}
+    bare = replace(settings[RUN_VOTE].vote, solid_walls=False)
+    settings[BARE] = replace(config.fusion, vote=bare)
+    return {way: vote_again(plain, settings[way], device).fused for way in ways}
+
+
+def _vote_plainly(
+    grids: Sequence[OccupancyGrid],
+    paths: Mapping[str, Trajectory],
+    config: RunConfig,
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> FusionResult | OccupancyGrid:
+    """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
+    if len(grids) < LEAST_FUSED:
+        notes[PLAIN] = f"{grids[0].name} alone: it made the only map"
+        return grids[0]
+    kept = {grid.name: paths[grid.name] for grid in grids}
+    config = replace(config, fusion=_voting(config.fusion, PLAIN))
+    fusion = fuse_drive(grids, kept, config, device, shared_frame=True)
+    if fusion.result is None:
+        best = fusion.fallback or grids[0]
+        notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
+        return best
+    for record in fusion.result.rejected:
+        notes[f"{PLAIN} without {record.name}"] = record.reason
+    return fusion.result
+
+
+def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:
+    return replace(config, vote=replace(config.vote, mode=mode))
+
+
+def against_truth(
+    grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, device: ComputeDevice
+) -> MapError:
+    """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
+
+    Aligned is where its walls fit best, or next best.
+
+    Args:
+        grid: None is a map that knows nothing.
+        truth: decides lattice and box.
+        config: thresholds, search (never the fixed-step one) and tolerance.
+        device: computes.
+    """
+    nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
+    known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
+    transforms = [IDENTITY]
+    align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
+    settings = replace(config.fusion, align=align)
+    if grid is not None:
+        with suppress(GridError):  # not one known cell: it lies as well anywhere
+            found = align_grids(truth, grid, settings, device)
+            transforms.append(found.transform)
+            # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
+            if found.runner_up is not None:
+                transforms.append(found.runner_up.transform)
+    errors = [
+        compare_to_truth(
+            known,
+            truth,
+            transform,
+            normalize=config.fusion.normalize,
+            tolerance_m=config.evaluate.tolerance_m,
+        )
+        for transform in transforms
+    ]
+    return min(errors, key=lambda item: item.error)
