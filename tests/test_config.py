@@ -100,7 +100,7 @@ def test_every_field_says_what_it_is(config_class: type[Any]) -> None:
         ({"fusion": {"align": {"deadline_s": float("nan")}}}, "found nan"),
         (
             {"fusion": {"vote": {"mode": "coin"}}},
-            "majority, consensus, weighted, log-odds, found 'coin'",
+            "majority, consensus, weighted, log-odds, drawn, found 'coin'",
         ),
         ({"fusion": [1]}, "run.yaml: fusion: wanted a mapping of settings, found list"),
         ([1], "run.yaml: wanted a mapping of settings, found list"),

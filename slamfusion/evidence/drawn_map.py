@@ -50,12 +50,15 @@ class SensorModel:
         least_hits: and at least this many.
         least_visits: a free cell was crossed by at least this many beams.
         beyond_m: a beam that goes on beyond a wall for more than this is cut off there, metres.
+        least_area_m2: known cells that touch no others, and cover less than this together, are left
+            out, square metres: far rays met there by chance.
     """
 
     wall_share: float = 0.25
     least_hits: int = 2
     least_visits: int = 3
     beyond_m: float = 0.2
+    least_area_m2: float = 0.2
 
 
 DEFAULT_MODEL = SensorModel()
@@ -129,7 +132,7 @@ def draw_map(
     walls = _is_wall(counts, model)
     visits = counts & 0xFFFF
     cells = np.where(walls, OCCUPIED, np.where(visits >= model.least_visits, FREE, UNKNOWN))
-    cells = cells.astype(np.int8)
+    cells = _without_specks(cells.astype(np.int8), model.least_area_m2 / resolution**2)
     box = known_box(cells)
     if box is not None:
         # Not by ``OccupancyGrid.crop``: the origin is rounded once, from whole cells.
@@ -247,6 +250,15 @@ def _is_wall(counts: npt.NDArray[np.uint32], model: SensorModel) -> npt.NDArray[
     """Return which cells are walls, (H, W) bool."""
     hits, visits = counts >> 16, counts & 0xFFFF
     return np.asarray((hits >= model.least_hits) & (hits > model.wall_share * visits))
+
+
+def _without_specks(cells: npt.NDArray[np.int8], least_cells: float) -> npt.NDArray[np.int8]:
+    """Return (H, W) cells without small patches of known ones that touch no others."""
+    of, count = ndimage.label(cells != UNKNOWN, np.ones((3, 3)))
+    sizes = np.bincount(of.ravel(), minlength=count + 1)
+    # The largest is the map, however small that is.
+    least = min(least_cells, sizes[1:].max(initial=0))
+    return np.where((sizes < least)[of], UNKNOWN, cells).astype(np.int8)
 
 
 def _cut_off(

@@ -177,6 +177,24 @@ def test_what_few_beams_have_crossed_stays_unknown() -> None:
     assert at(draw([scan], poses, model=model), 2.0, 0.0) == FREE
 
 
+def test_what_lies_apart_and_is_small_is_left_out() -> None:
+    # Single beams of four scans went through the wall and meet far behind it.
+    scans = seen(driven())
+    clean = draw(scans, driven())
+    far = np.array([[8.0, 8.0]])
+    for index in range(0, SCANS, 13):
+        here = DrawnScan(scans[index].stamp_s, np.zeros(2), scans[index].ends)
+        c, s = np.cos(driven()[index, 2]), np.sin(driven()[index, 2])
+        own = (far - driven()[index, :2]) @ np.array([[c, -s], [s, c]])
+        scans[index] = replace(here, ends=np.concatenate((here.ends, own)))
+    model = SensorModel(beyond_m=100.0)
+    without = draw(scans, driven(), model=model)
+    assert np.abs(without.cell_centres(*np.nonzero(without.cells >= 0))).max() < 8.0
+    everything = draw(scans, driven(), model=replace(model, least_area_m2=0.0))
+    assert OCCUPIED in {at(everything, x, y) for x in (7.98, 8.02) for y in (7.98, 8.02)}
+    assert (everything.cells == OCCUPIED).sum() > (clean.cells == OCCUPIED).sum()
+
+
 def test_scans_without_a_pose_are_left_out() -> None:
     scans = seen(driven())
     half = Trajectory(0.1 * np.arange(SCANS)[:20], driven()[:20], "half")
