@@ -8,10 +8,10 @@ from slamfusion.config import FusionConfig, RunConfig, VoteConfig, VoteMode
 
 __all__ = ["RUN_DEFAULTS", "RUN_VOTE"]
 
-# How the maps of a drive vote. On recorded and simulated drives the consensus is nearest to the
-# truth and doubles no walls; see docs/concepts/voting.md.
+# How the maps of a drive vote where no map can be drawn of it; see docs/concepts/voting.md.
 RUN_VOTE: VoteMode = "consensus"
-# Of ``run_log``.
+# Of ``run_log``. The map that all scans draw at the fused path is nearer to the truth than any vote
+# on maps, and than the best producer's own drawn alike; see docs/concepts/paths.md.
 RUN_DEFAULTS = replace(
-    RunConfig(), fusion=replace(FusionConfig(), vote=replace(VoteConfig(), mode=RUN_VOTE))
+    RunConfig(), fusion=replace(FusionConfig(), vote=replace(VoteConfig(), mode="drawn"))
 )
