@@ -30,14 +30,13 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence import (
     PathEvidence,
-    fuse_paths,
     judged_scans,
     score_paths,
-    trust_in_paths,
 )
 from slamfusion.evidence.predictive import HitModel
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
+from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.record import add_record_option, console_for
@@ -151,7 +150,7 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         judged = judged_scans(scans)
         alone = score_paths(judged, parts, device, model)
         time_s = time.perf_counter() - began_s
-        fused = {FUSED: fuse_paths(parts, trust_in_paths(alone)).trajectory}
+        fused = {FUSED: fuse_weighed_paths(parts, alone)[0].trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
         contest = score_subset(evidence, (TRUTH, *parts))
         ate_m = {

@@ -109,7 +109,9 @@ def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[st
     assert document["error"] is None
     assert document["seed"] == 3
     stages = document["stages_s"]
-    assert list(stages) == ["producers", "fusion", "evidence", "path", "errors", "report"]
+    wanted = ["producers", "fusion", "evidence", "path", "drawing", "errors", "report"]
+    assert list(stages) == wanted
+    assert (document["fused_mode"], document["why_voted"]) == ("drawn", None)
     assert sum(stages.values()) <= document["time_s"]
 
 
@@ -121,18 +123,6 @@ def test_a_producer_makes_the_map_that_slam_makes(
     assert done.returncode == 0, done.stderr
     for suffix in (".pgm", ".tum", ".yaml"):
         assert (tmp_path / f"graph{suffix}").read_bytes() == (out / f"graph{suffix}").read_bytes()
-
-
-def test_the_fused_map_is_what_fuse_makes_of_the_saved_maps(
-    made: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
-    out, _ = made
-    maps = [out / f"{name}.yaml" for name in NAMES]
-    done = run("fuse", *maps, "--shared-frame", "--mode", "consensus", "-o", tmp_path / "fused")
-    assert done.returncode == 0, done.stderr
-    again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
-    assert again.origin == fused.origin
-    assert np.array_equal(again.cells, fused.cells)
 
 
 def test_a_saved_map_has_the_errors_that_the_run_told(
@@ -179,14 +169,22 @@ def test_the_report_is_one_page_with_everything(made: tuple[Path, dict[str, Any]
     assert html.count("<img ") == len(pictures)
 
 
-def test_the_tables_name_the_same(place: Path, tmp_path: Path) -> None:
+def test_the_tables_name_the_same_and_the_vote_is_that_of_fuse(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run("run", place / "flat.log", "-o", out, *TWO, "--relations", place / "flat.relations")
+    vote = ("--mode", "consensus")
+    options = (*TWO, *vote, "--relations", place / "flat.relations")
+    done = run("run", place / "flat.log", "-o", out, *options)
     assert done.returncode == 0, done.stderr
     for word in ("tinyslam", "graph", "relations m", "fused 2 of 2 inputs", "m apart (median)",
-                 "fused.yaml", "report.html"):  # fmt: skip
+                 "fused.yaml (consensus)", "report.html"):  # fmt: skip
         assert word in done.stdout
     assert "gmapping" not in done.stdout
+    maps = [out / f"{name}.yaml" for name in ("tinyslam", "graph")]
+    done = run("fuse", *maps, "--shared-frame", *vote, "-o", tmp_path / "fused")
+    assert done.returncode == 0, done.stderr
+    again, fused = load_map(tmp_path / "fused.yaml"), load_map(out / "fused.yaml")
+    assert again.origin == fused.origin
+    assert np.array_equal(again.cells, fused.cells)
 
 
 def test_a_killed_producer_is_named_and_the_others_are_fused(place: Path, tmp_path: Path) -> None:

@@ -75,4 +75,4 @@ def test_a_notebook_runs_and_says_the_same_of_the_same_things(path: Path):
     ]
     assert words[0]
     assert words[0] == words[1]
-    assert "votes" in printed(again)
+    assert "fits" in printed(again)

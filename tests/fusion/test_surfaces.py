@@ -9,7 +9,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slamfusion.fusion.surfaces import REACH_CELLS, sharpen_fronts, wall_backs
+from slamfusion.config import NormalizeConfig
+from slamfusion.fusion.surfaces import REACH_CELLS, sharpen_fronts, wall_backs, with_backs
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid, trinary_cells
 
 U, F, O = -1, 0, 1
 I8 = npt.NDArray[np.int8]
@@ -135,3 +138,17 @@ def test_what_lies_out_of_reach_has_no_say(seed: int):
     near = slice(middle.start - REACH_CELLS, middle.stop + REACH_CELLS)
     other[near, near] = cells[near, near]
     assert np.array_equal(solid(cells)[middle, middle], solid(other)[middle, middle])
+
+
+def test_a_map_is_given_backs_where_it_lies():
+    cells = np.array([[10, 90, -1], [10, 80, -1], [10, 70, -1]], dtype=np.int8)
+    grid = OccupancyGrid(cells, 0.1, Pose2(1.0, 2.0, 0.5), "skin")
+    thick = with_backs(grid, NormalizeConfig())
+    assert thick.name == "skin"
+    assert thick.origin.transform((0.1, 0.1)) == pytest.approx((1.0, 2.0))
+    # What it was it stays, behind its wall there is one more, and beyond its edge too.
+    inner = thick.cells[1:-1, 1:-1]
+    assert (inner[cells >= 0] == cells[cells >= 0]).all()
+    classes = trinary_cells(thick.cells, NormalizeConfig())
+    assert classes[2].tolist() == [U, F, O, O, U]
+    assert (classes[:, 4] == U).all()

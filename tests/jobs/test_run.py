@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial import KDTree
 
 from slamfusion.compute import NumpyDevice
-from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.cells import wall_centres
 from slamfusion.evidence import FusedPath
@@ -34,7 +33,8 @@ from tests.support.written_maps import fits, written_map
 
 def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     two = replace(RUN_DEFAULTS.run, producers=("tinyslam", "graph"), draw=True)
-    config = replace(RUN_DEFAULTS, run=two)
+    vote = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")
+    config = replace(RUN_DEFAULTS, run=two, fusion=replace(RUN_DEFAULTS.fusion, vote=vote))
     prepared: list[bool] = []
     told: list[str] = []
     run = run_log(
@@ -129,12 +129,6 @@ def test_a_start_that_names_no_input_ends_the_run_before_any_work(place: Path) -
             run_log(place / "flat.log", replace(RUN_DEFAULTS, start=start), saved_maps=saved)
 
 
-def drawn(config: RunConfig) -> RunConfig:
-    """The same settings with the drawn map as the fused one."""
-    vote = replace(config.fusion.vote, mode="drawn")
-    return replace(config, fusion=replace(config.fusion, vote=vote))
-
-
 def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     place: Path, tmp_path: Path
 ) -> None:
@@ -151,7 +145,7 @@ def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     right = moved.inverse()
     for off_m, is_found in ((0.5, True), (9.0, False)):
         start = {"saved": (right.x + off_m, right.y, right.yaw_rad)}
-        config = drawn(replace(two, start=start))
+        config = replace(two, start=start)
         run = run_log(place / "flat.log", config, saved_maps=[place / "saved.yaml"])
         assert run.usable is not None
         became = {record.name: record.accepted for record in run.usable.inputs}
@@ -188,10 +182,12 @@ def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
         (None, "fewer than two producers have a path"),
         (no_scan, "give a path of this"),
     ):
-        made = draw_run(files, path, vote, (), drawn(RUN_DEFAULTS), NumpyDevice())
+        made = draw_run(files, path, vote, (), RUN_DEFAULTS, NumpyDevice())
         assert (made.fusion, made.beside) == (vote, None)
         assert why in str(made.why_voted)
-    assert draw_run(files, None, vote, (), RUN_DEFAULTS, NumpyDevice()).why_voted is None
+    voted = replace(RUN_DEFAULTS.fusion.vote, mode="majority")
+    other = replace(RUN_DEFAULTS, fusion=replace(RUN_DEFAULTS.fusion, vote=voted))
+    assert draw_run(files, None, vote, (), other, NumpyDevice()).why_voted is None
 
 
 def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:
