@@ -81,12 +81,12 @@ def weigh_paths(
     paths = {name: path for name, path in paths.items() if len(path)}
     if not paths:
         return WeighedPaths()
+    evidence, choice = None, ""
     try:
         evidence = score_paths(judged_scans(scans), paths, device)
+        choice = evidence.ranking()[0]
     except SlamFusionError as error:
         notes[CHOICE] = str(error)
-        return WeighedPaths(paths)
-    (choice, *_) = evidence.ranking()
     if len(paths) < LEAST_FUSED:
         return WeighedPaths(paths, choice)
     try:

@@ -172,7 +172,8 @@ def measure_trial(
         device: computes.
 
     Returns:
-        The record, and each map's error with its difference to the truth.
+        The record, and each map's error with its difference to the truth, but for those whose walls
+        were given backs.
 
     Raises:
         SimulationError: the course cannot be driven.
@@ -192,15 +193,15 @@ def measure_trial(
         name: against_truth(grid, truth, config, device)
         for name, grid in {**made.maps, **fused}.items()
     }
-    found |= thickened(made.maps, found, truth, config)
+    measured = {**found, **thickened(made.maps, found, truth, config)}
     record = TrialRecord(
         trial.condition,
         trial.world,
         trial.seed,
-        {name: item.error for name, item in found.items()},
-        {name: item.wall_f1 or 0.0 for name, item in found.items()},
+        {name: item.error for name, item in measured.items()},
+        {name: item.wall_f1 or 0.0 for name, item in measured.items()},
         notes,
-        {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()},
+        {name: item.faces.f1(FACES_M) or 0.0 for name, item in measured.items()},
         path_errors(weighed, _true_path(recording, seen)),
         weighed.choice,
     )

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.experiments.voting import FUSIONS
+from slamfusion.experiments.drive_paths import DRAWN, drawn_at
+from slamfusion.experiments.voting import BARE, FUSIONS
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
@@ -126,11 +127,13 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert document["config"]["experiment"]["ground_obstacle"]["repetitions"] == 2
     files = tree(tmp_path)
     assert {f"ground-obstacle.{kind}" for kind in ("csv", "md", "json")} < set(files)
-    assert len([name for name in files if name.endswith(".png")]) == 2 * len(methods)
+    shown = [*methods, BARE]
+    assert len([name for name in files if name.endswith(".png")]) == 2 * len(shown)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "p-values as in [F16], obstacle" in page
     assert "Fused minus best input" in page
-    assert page.count("data:image/png;base64") == 2 * len(methods)
+    assert page.count("data:image/png;base64") == 2 * len(shown)
+    assert "Faces of the walls" in page
     # All of it is there: nothing is driven again, and everything is the same.
     again = json_of(run(*arguments, timeout=20.0))
     assert again["trials"] == document["trials"]
@@ -158,12 +161,13 @@ def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
     assert skipped.endswith("intel-910-raw.log.gz is not there")
     document = json_of(done)
     methods = [*BUILT_IN, *FUSIONS]
-    assert [item["map"] for item in document["maps"]] == [*methods, "reference"]
+    drawn = [*map(drawn_at, BUILT_IN), DRAWN]
+    assert [item["map"] for item in document["maps"]] == [*methods, *drawn, "reference"]
     assert all(item["wall_distance_mean_m"] < 0.2 for item in document["maps"][:-1])
     assert set(document["overall"]) == set(FUSIONS)
     files = tree(out)
     assert {f"real-logs.{kind}" for kind in ("csv", "md", "json")} < set(files)
-    assert len([name for name in files if name.endswith(".png")]) == len(methods)
+    assert len([name for name in files if name.endswith(".png")]) == len([*methods, *drawn])
     assert "12 of 12 scans" in (out / "report.html").read_text(encoding="utf-8")
 
 
