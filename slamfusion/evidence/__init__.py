@@ -5,11 +5,18 @@ now, with beams, chunks and stamps that no path has a say in; ``with_path`` scor
 beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart, and
 ``reach_verdict`` puts it into words. ``fuse_paths`` makes one path of several, each believed as far
 as the scans bear it out, and ``refine_path`` lays all scans of the drive on each other along it.
+``find_exclusions`` says when a path has left the others and must not vote.
 """
 
 from __future__ import annotations
 
 from slamfusion.evidence.beams import JudgedScans, judged_scans
+from slamfusion.evidence.exclusion import (
+    ExcludedSpan,
+    Exclusions,
+    UndecidedSpan,
+    find_exclusions,
+)
 from slamfusion.evidence.fused_path import FusedPath, fuse_paths, trust_in_paths
 from slamfusion.evidence.predictive import (
     Comparison,
@@ -25,12 +32,16 @@ from slamfusion.evidence.verdict import Verdict, reach_verdict
 __all__ = [
     "Comparison",
     "CoveredPath",
+    "ExcludedSpan",
+    "Exclusions",
     "FusedPath",
     "JudgedScans",
     "PathEvidence",
     "PathScore",
+    "UndecidedSpan",
     "Verdict",
     "cover_stamps",
+    "find_exclusions",
     "fuse_paths",
     "judged_scans",
     "reach_verdict",

@@ -1,0 +1,358 @@
+"""``find_exclusions``: when a path has left the others, so that what it drew then must not vote.
+
+A SLAM that goes wrong half-way is right before, and its map with it. Every two paths are laid on
+each other where most of their poses agree, and part where they do not. Whoever is apart from the
+largest group that agrees is outvoted for that time; but where the scans bear its path out better,
+it is the group that loses its say. Where no group is the largest (two paths that part, or all of
+them) the scans decide alone, and where they cannot tell nobody is left out.
+
+Scans that are laid on one heap predict each other, and whatever is seen near it: what the scans say
+for a path that stands still for some time while the robot drives does not count.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.evidence.beams import CHUNKS
+from slamfusion.evidence.comparison import BLOCKS, compare_sums
+from slamfusion.evidence.parting import LEAST_S, PART_M
+from slamfusion.evidence.path_frames import pose_distances
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.geometry import compose_poses, fit_motion
+
+__all__ = [
+    "ExcludedSpan",
+    "Exclusions",
+    "UndecidedSpan",
+    "find_exclusions",
+    "parted",
+    "path_distances",
+]
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+B8 = npt.NDArray[np.bool_]
+
+# Two paths part where they are ``PART_M`` from each other: from where they last were within this
+# share of it, to where they are so again.
+NEAR_SHARE = 0.5
+# A pose is fitted as two points, this far before and behind it, metres: headings count too.
+LEVER_M = 3.0
+# Two paths are fitted from each of as many parts of the drive, in as many rounds at most.
+BEGINNINGS, FITS = 8, 20
+# Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
+# a path that broke in two equal halves, the second one is wrong.
+MORE_POSES = 1.05
+# With fewer blocks of scans than this, the scans are not asked about a time.
+LEAST_BLOCKS = 4
+# The scans take a vote where their difference is less likely than this by chance: many are asked.
+SURE = 0.01
+# And not for a path that somewhere travels less than this share of the way that most travel, where
+# that is so many metres, from second to second: steps of single scans are noise.
+LEAST_WAY, DRIVEN_M, STEP_S = 0.5, 0.5, 1.0
+
+_OUTVOTED, _CONTRADICTED = 1, 2
+
+
+@dataclass(frozen=True)
+class ExcludedSpan:
+    """A part of a drive in which a path has no vote.
+
+    Attributes:
+        from_s, to_s: seconds since the first scan.
+        gap_m: how far it is at most from the nearest of those that vote, metres, and ``TURN_M`` for
+            a radian; of all others where none votes.
+        ground: most others agree with each other, or the scans bear another path out better.
+    """
+
+    from_s: float
+    to_s: float
+    gap_m: float
+    ground: Literal["outvoted", "contradicted by the scans"]
+
+
+@dataclass(frozen=True)
+class UndecidedSpan:
+    """A part of a drive in which paths have parted and nothing tells which one is right.
+
+    Attributes:
+        from_s, to_s: seconds since the first scan.
+    """
+
+    from_s: float
+    to_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Exclusions:
+    """When each path of a drive has no vote.
+
+    Attributes:
+        stamps_s: (M,) float64, of the scans that were judged, seconds.
+        excluded: (M,) bool by name of every path, whether it has no vote then.
+        spans: the same as times, by name, in their order.
+        undecided: where paths have parted and nothing tells which one is right.
+    """
+
+    stamps_s: F64
+    excluded: Mapping[str, B8]
+    spans: Mapping[str, tuple[ExcludedSpan, ...]]
+    undecided: tuple[UndecidedSpan, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The paths that have no vote at some time."""
+        return tuple(name for name, spans in self.spans.items() if spans)
+
+    def excluded_share(self, name: str) -> float:
+        """Return the share of the judged scans at which a path has no vote."""
+        return float(self.excluded[name].mean())
+
+    def votes_at(self, name: str, stamps_s: F64) -> B8:
+        """Return whether a path has a vote at times, (T,) bool: as at the judged scan next to each.
+
+        Args:
+            name: of the path.
+            stamps_s: (T,) seconds.
+        """
+        last = len(self.stamps_s) - 1
+        after = np.searchsorted(self.stamps_s, stamps_s).clip(min(1, last), last)
+        before = np.maximum(after - 1, 0)
+        is_later = self.stamps_s[after] - stamps_s < stamps_s - self.stamps_s[before]
+        return np.asarray(~self.excluded[name][np.where(is_later, after, before)])
+
+
+def find_exclusions(evidence: PathEvidence) -> Exclusions:
+    """Say when each path of a drive has left the others and must not vote.
+
+    Args:
+        evidence: of the paths that vote, and of no path made of them.
+    """
+    return _Drive.of(evidence).judge()
+
+
+def path_distances(moving: F64, still: F64) -> F64:
+    """Return how far two paths lie apart at each scan when laid on each other where most agree.
+
+    Args:
+        moving, still: (M, 3) poses of the same scans, each path in a frame of its own.
+
+    Returns:
+        (M,) metres, and ``TURN_M`` for a radian.
+    """
+    count = len(moving)
+    found: tuple[int, F64] | None = None
+    for part in range(BEGINNINGS):
+        first = part * count // BEGINNINGS
+        kept = np.zeros(count, dtype=np.bool_)
+        kept[first : max(first + 1, (part + 1) * count // BEGINNINGS)] = True
+        gap_m = _gaps_after_fit(moving, still, kept)
+        near = int(np.count_nonzero(gap_m <= NEAR_SHARE * PART_M))
+        if found is None or near > MORE_POSES * found[0]:
+            found = near, gap_m
+    return np.zeros(count) if found is None else found[1]
+
+
+def _gaps_after_fit(moving: F64, still: F64, kept: B8) -> F64:
+    """Fit two paths where they are kept, then wherever they are then near; return (M,) gaps."""
+    for _ in range(FITS):
+        motion = fit_motion(_with_levers(moving[kept]), _with_levers(still[kept]))
+        laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
+        gap_m = pose_distances(laid, still)
+        near = gap_m <= NEAR_SHARE * PART_M
+        if not near.any() or np.array_equal(near, kept):
+            break
+        kept = near
+    return gap_m
+
+
+def _with_levers(poses: F64) -> F64:
+    """Return (2 M, 3) points before and behind each of (M, 3) poses."""
+    lever_m = LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
+    ahead, behind = poses.copy(), poses.copy()
+    ahead[:, :2] += lever_m
+    behind[:, :2] -= lever_m
+    return np.concatenate((ahead, behind))
+
+
+def parted(gap_m: F64, stamps_s: F64) -> B8:
+    """Return at which scans two paths have parted, (M,) bool; for less than a second they have not.
+
+    Args:
+        gap_m: (M,) how far apart they are, metres.
+        stamps_s: (M,) seconds.
+    """
+    away = np.zeros(len(gap_m), dtype=np.bool_)
+    for here in _spans(gap_m > NEAR_SHARE * PART_M, stamps_s):
+        away[here] = gap_m[here].max() > PART_M
+    return away
+
+
+def _spans(flags: B8, stamps_s: F64) -> Iterator[slice]:
+    """Yield where flags are set without a break, for ``LEAST_S`` at least."""
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if stamps_s[min(stop, len(stamps_s) - 1)] - stamps_s[start] >= LEAST_S:
+            yield slice(start, stop)
+
+
+def _majorities(apart: B8) -> B8:
+    """Return which paths are in the largest group of those that agree, (K, M) bool.
+
+    A path is in the group of whoever it has not parted from; where no group is larger than every
+    other, there is none.
+
+    Args:
+        apart: (K, K, M) bool, whether two paths have parted.
+    """
+    count = len(apart)
+    patterns, at = np.unique(apart.reshape(count * count, -1), axis=1, return_inverse=True)
+    found = np.zeros((count, patterns.shape[1]), dtype=np.bool_)
+    for column, pattern in enumerate(patterns.T):
+        labels = np.arange(count)
+        for a, b in zip(*np.nonzero(~pattern.reshape(count, count)), strict=True):
+            labels[labels == labels[b]] = labels[a]
+        sizes = np.bincount(labels, minlength=count)
+        if np.count_nonzero(sizes == sizes.max()) == 1:
+            found[:, column] = labels == sizes.argmax()
+    return np.asarray(found[:, at.reshape(-1)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """K paths, where they have parted among the M judged scans, and what the scans say of them.
+
+    Attributes:
+        evidence: of the paths.
+        judged: (M,) int64, the judged scans.
+        gaps: (K, K, M) float64, how far every two are apart, metres.
+        apart: (K, K, M) bool, whether they have parted.
+        in_majority: (K, M) bool, see ``_majorities``.
+    """
+
+    evidence: PathEvidence
+    judged: I64
+    gaps: F64
+    apart: B8
+    in_majority: B8
+
+    @classmethod
+    def of(cls, evidence: PathEvidence) -> _Drive:
+        """Lay every two paths on each other, and see who goes with whom."""
+        judged = np.flatnonzero(evidence.is_judged)
+        stamps_s = evidence.scans.stamps_s[judged]
+        paths = [score.path.poses[judged] for score in evidence.scores.values()]
+        gaps = np.zeros((len(paths), len(paths), len(judged)))
+        apart = np.zeros(gaps.shape, dtype=np.bool_)
+        for a, b in itertools.combinations(range(len(paths)), 2):
+            gaps[a, b] = gaps[b, a] = path_distances(paths[a], paths[b])
+            apart[a, b] = apart[b, a] = parted(gaps[a, b], stamps_s)
+        return cls(evidence, judged, gaps, apart, _majorities(apart))
+
+    @property
+    def stamps_s(self) -> F64:
+        """(M,) times of the judged scans, seconds."""
+        return np.asarray(self.evidence.scans.stamps_s[self.judged])
+
+    def judge(self) -> Exclusions:
+        """Take the vote of whoever left the others."""
+        has_majority = np.asarray(self.in_majority.any(axis=0), dtype=np.bool_)
+        sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
+        members = np.maximum(self.in_majority.sum(axis=0), 1)
+        of_majority = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
+        standing = self._standing()
+        grounds = np.zeros(sums.shape, dtype=np.int8)
+        for row, own in enumerate(sums):
+            for here in _spans(has_majority & ~self.in_majority[row], self.stamps_s):
+                if row not in standing and self._is_better(own, of_majority, here):
+                    grounds[:, here][self.in_majority[:, here]] = _CONTRADICTED
+                else:
+                    grounds[row, here] = _OUTVOTED
+        undecided = []
+        for here in _spans(~has_majority, self.stamps_s):
+            lost = [
+                row for row in range(len(sums)) if self._is_contradicted(row, standing, sums, here)
+            ]
+            grounds[lost, here] = _CONTRADICTED
+            if not lost:
+                undecided.append(UndecidedSpan(*self._times(here)))
+        names = tuple(self.evidence.scores)
+        return Exclusions(
+            self.stamps_s,
+            {name: own > 0 for name, own in zip(names, grounds, strict=True)},
+            {name: tuple(self._excluded(row, grounds)) for row, name in enumerate(names)},
+            tuple(undecided),
+        )
+
+    def _is_better(self, first: F64, second: F64, here: slice) -> bool:
+        """Whether the scans of a time surely bear the first path out better than the second.
+
+        Args:
+            first, second: (M,) sums of log-likelihoods of the judged scans.
+            here: the scans that are asked.
+        """
+        inside = np.zeros(len(self.judged), dtype=np.bool_)
+        inside[here] = True
+        blocks = BLOCKS * int(np.count_nonzero(inside)) // len(inside)
+        if blocks < LEAST_BLOCKS:
+            return False
+        beams = next(iter(self.evidence.scores.values())).beams[self.judged]
+        found = compare_sums(first, second, beams, inside, blocks)
+        return found.difference > 0.0 and found.p_value < SURE
+
+    def _is_contradicted(self, row: int, standing: Collection[int], sums: F64, here: slice) -> bool:
+        """Whether the scans of a time bear out better a path that has parted from this one."""
+        rivals = np.flatnonzero(self.apart[row, :, here].any(axis=1)).tolist()
+        return any(
+            self._is_better(sums[rival], sums[row], here)
+            for rival in rivals
+            if rival not in standing
+        )
+
+    def _standing(self) -> frozenset[int]:
+        """Return the paths that stand still somewhere while most drive, the odometry among them."""
+        seconds = np.floor(self.stamps_s / STEP_S)
+        picked = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0)
+        paths = [score.path.poses for score in self.evidence.scores.values()]
+        if self.evidence.scans.odometry is not None:
+            paths.append(self.evidence.scans.odometry)
+        part = picked[1:] * CHUNKS // len(self.judged)
+        ways_m = np.stack(
+            [
+                np.bincount(
+                    part, np.hypot(*np.diff(poses[self.judged[picked], :2], axis=0).T), CHUNKS
+                )
+                for poses in paths
+            ]
+        )
+        driven_m = np.median(ways_m, axis=0)
+        stands = (ways_m < LEAST_WAY * driven_m) & (driven_m >= DRIVEN_M)
+        return frozenset(np.flatnonzero(stands.any(axis=1)).tolist())
+
+    def _times(self, here: slice) -> tuple[float, float]:
+        """Return when a time begins and ends, seconds since the first scan."""
+        since_s = self.stamps_s - self.evidence.scans.stamps_s[0]
+        return float(since_s[here.start]), float(since_s[min(here.stop, len(since_s) - 1)])
+
+    def _excluded(self, row: int, grounds: npt.NDArray[np.int8]) -> Iterator[ExcludedSpan]:
+        """Yield the times in which a path has no vote."""
+        others = np.arange(len(grounds)) != row
+        votes = (grounds == 0) & others[:, None]
+        nearest = np.where(votes | (others[:, None] & ~votes.any(axis=0)), self.gaps[row], np.inf)
+        gap_m = nearest.min(axis=0)
+        edges = np.flatnonzero(np.diff(np.r_[0, grounds[row] > 0, 0]))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            here = slice(start, stop)
+            is_outvoted = 2 * np.count_nonzero(grounds[row, here] == _OUTVOTED) >= stop - start
+            yield ExcludedSpan(
+                *self._times(here),
+                float(gap_m[here].max()),
+                "outvoted" if is_outvoted else "contradicted by the scans",
+            )

@@ -1,0 +1,305 @@
+"""When a path has no vote: on both sides of each threshold, and by whom it is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.evidence import (
+    CoveredPath,
+    Exclusions,
+    JudgedScans,
+    PathEvidence,
+    PathScore,
+    find_exclusions,
+    score_paths,
+)
+from slamfusion.evidence.exclusion import BEGINNINGS, LEAST_BLOCKS, NEAR_SHARE, path_distances
+from slamfusion.evidence.parting import LEAST_S, PART_M
+from slamfusion.evidence.path_frames import TURN_M
+from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import bent, circuit, moved
+
+F64 = npt.NDArray[np.float64]
+COUNT, STEP_S = 400, 0.25
+BEAMS = 50
+
+
+def way(seed: int = 0, noise_m: float = 0.0) -> F64:
+    """A drive of 100 s around a block, (COUNT, 3), as one of several sees it."""
+    poses = circuit(COUNT, 3.0).poses.copy()
+    poses[:, :2] += np.random.default_rng(seed).normal(0.0, noise_m, (COUNT, 2))
+    return poses
+
+
+def aside(poses: F64, away_m: float, first: int, last: int = COUNT) -> F64:
+    """Return a path that is away along x for some of the scans."""
+    out = poses.copy()
+    out[first:last, 0] += away_m
+    return out
+
+
+def told(
+    paths: Mapping[str, F64], likelihoods: Mapping[str, F64 | float] | None = None
+) -> PathEvidence:
+    """Return evidence that says of each scan's hits what it is told to: 0 where it is told nothing.
+
+    Values scatter a little, so that equal ones cannot be told apart.
+    """
+    stamps_s = STEP_S * np.arange(COUNT)
+    beams = np.full(COUNT, BEAMS, dtype=np.int64)
+    everywhere = np.ones(COUNT, dtype=np.bool_)
+    nothing = np.zeros((0, 2))
+    scans = JudgedScans(
+        stamps_s, np.arange(COUNT) * 24 // COUNT, None, np.zeros((COUNT, 2)), nothing,
+        np.zeros(0), np.zeros(0, dtype=np.int64), 0,
+    )  # fmt: skip
+    scores = {}
+    for seed, (name, poses) in enumerate(paths.items()):
+        mean = np.broadcast_to((likelihoods or {}).get(name, 0.0), COUNT)
+        scatter = np.random.default_rng(seed).normal(0.0, 0.05, COUNT)
+        covered = CoveredPath(poses, everywhere, everywhere)
+        scores[name] = PathScore(name, covered, beams * (mean + scatter), beams, beams)
+    return PathEvidence(scans, everywhere, scores)
+
+
+def with_odometry(evidence: PathEvidence, poses: F64) -> PathEvidence:
+    return replace(evidence, scans=replace(evidence.scans, odometry=poses))
+
+
+def spans(found: Exclusions, name: str) -> list[tuple[float, float]]:
+    return [(span.from_s, span.to_s) for span in found.spans[name]]
+
+
+def sides(limit: float) -> list[tuple[float, bool]]:
+    """A little below and above a limit, and whether that exceeds it."""
+    return [(0.98 * limit, False), (1.02 * limit, True)]
+
+
+def test_who_leaves_the_others_has_no_vote_from_there_on() -> None:
+    paths = {"a": way(1, 0.02), "b": way(2, 0.02), "c": aside(way(3, 0.02), 2.0, 280)}
+    found = find_exclusions(told(paths))
+    assert found.names == ("c",)
+    assert spans(found, "c") == [(70.0, 99.75)]
+    (span,) = found.spans["c"]
+    assert (span.ground, span.gap_m) == ("outvoted", pytest.approx(2.0, abs=0.15))
+    assert found.excluded_share("c") == 0.3
+    assert found.excluded_share("a") == 0.0
+    assert found.undecided == ()
+    # As at the judged scan next in time, before and after the drive too.
+    assert found.votes_at("c", np.array([-5.0, 69.85, 69.9, 99.75, 200.0])).tolist() == [
+        *(True, True, False, False, False)
+    ]
+    assert found.votes_at("a", np.array([0.0, 99.0])).all()
+
+
+@pytest.mark.parametrize(("away_m", "is_out"), sides(PART_M))
+def test_paths_part_beyond_a_distance(away_m: float, is_out: bool) -> None:
+    paths = {"a": way(), "b": way(), "c": aside(way(), away_m, 200, 300)}
+    assert spans(find_exclusions(told(paths)), "c") == ([(50.0, 75.0)] if is_out else [])
+
+
+@pytest.mark.parametrize(("gap_m", "is_out"), sides(PART_M))
+def test_a_heading_counts_as_what_it_moves(gap_m: float, is_out: bool) -> None:
+    turned = way()
+    turned[200:300, 2] += gap_m / TURN_M
+    found = find_exclusions(told({"a": way(), "b": way(), "c": turned}))
+    assert spans(found, "c") == ([(50.0, 75.0)] if is_out else [])
+
+
+@pytest.mark.parametrize(("scans", "is_out"), [(3, False), (4, True)])
+def test_a_moment_is_none(scans: int, is_out: bool) -> None:
+    assert scans * STEP_S == LEAST_S - (0.0 if is_out else STEP_S)
+    paths = {"a": way(), "b": way(), "c": aside(way(), 2.0, 200, 200 + scans)}
+    assert bool(spans(find_exclusions(told(paths)), "c")) == is_out
+
+
+@pytest.mark.parametrize(("share", "stays"), sides(NEAR_SHARE))
+def test_it_is_out_from_where_it_was_near_to_where_it_is_near_again(
+    share: float, stays: bool
+) -> None:
+    poses = aside(aside(way(), share * PART_M, 192, 248), 2.0, 200, 240)
+    found = find_exclusions(told({"a": way(), "b": way(), "c": poses}))
+    assert spans(found, "c") == ([(48.0, 62.0)] if stays else [(50.0, 60.0)])
+
+
+@given(
+    x=st.floats(-1e3, 1e3),
+    yaw_rad=st.floats(-math.pi, math.pi),
+    turn_rad=st.sampled_from([-0.5, 0.2]),
+)
+def test_each_path_may_have_a_frame_of_its_own(x: float, yaw_rad: float, turn_rad: float) -> None:
+    good = Trajectory(STEP_S * np.arange(COUNT), way())
+    wrong = moved(good, (0.0, 0.0, turn_rad), 300)
+    paths = {
+        "a": good.poses,
+        "b": moved(good, (x, 5.0, yaw_rad)).poses,
+        "c": moved(wrong, (-3.0, x, -yaw_rad)).poses,
+    }
+    found = find_exclusions(told(paths))
+    assert found.names == ("c",)
+    assert spans(found, "c")[0][0] >= 75.0
+    assert found.excluded_share("c") > 0.2
+
+
+def test_of_two_equal_halves_the_second_one_is_out_and_else_the_smaller_part() -> None:
+    for cut, wanted in ((200, [(50.0, 99.75)]), (120, [(0.0, 30.0)])):
+        paths = {"a": way(1, 0.02), "b": way(2, 0.02), "c": aside(way(3, 0.02), 2.0, cut)}
+        assert spans(find_exclusions(told(paths)), "c") == wanted
+
+
+def test_good_paths_that_differ_by_a_little_all_vote() -> None:
+    paths = {name: way(seed, 0.05) for seed, name in enumerate("abcd")}
+    found = find_exclusions(told(paths, {"a": -1.0}))
+    assert found.names == ()
+    assert not any(own.any() for own in found.excluded.values())
+
+
+def test_one_path_alone_has_nobody_to_leave(device: ComputeDevice, scans: JudgedScans) -> None:
+    assert find_exclusions(score_paths(scans, {"only": circuit()}, device)).names == ()
+
+
+# -- who is right ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("likelihood", "out"),
+    [(0.0, "b"), (-0.3, "b"), (0.3, "ac")],
+    ids=["cannot tell", "worse", "better"],
+)
+def test_the_odd_one_of_three_is_out_but_where_the_scans_bear_it_out(
+    likelihood: float, out: str
+) -> None:
+    own = np.zeros(COUNT)
+    own[200:300] = likelihood
+    paths = {"a": way(), "b": aside(way(), 2.0, 200, 300), "c": way()}
+    found = find_exclusions(told(paths, {"b": own}))
+    assert "".join(found.names) == out
+    for name in out:
+        assert spans(found, name) == [(50.0, 75.0)]
+        wanted = "outvoted" if out == "b" else "contradicted by the scans"
+        assert found.spans[name][0].ground == wanted
+
+
+@pytest.mark.parametrize(
+    ("likelihood", "out"), [(0.0, ""), (-0.3, "b"), (0.3, "a")], ids=["equal", "worse", "better"]
+)
+def test_of_two_that_part_the_scans_decide_or_nobody(likelihood: float, out: str) -> None:
+    own = np.zeros(COUNT)
+    own[200:300] = likelihood
+    found = find_exclusions(told({"a": way(), "b": aside(way(), 2.0, 200, 300)}, {"b": own}))
+    assert "".join(found.names) == out
+    assert [(span.from_s, span.to_s) for span in found.undecided] == [(50.0, 75.0)] * (not out)
+    if out:
+        assert found.spans[out][0].ground == "contradicted by the scans"
+
+
+@pytest.mark.parametrize("blocks", [LEAST_BLOCKS - 1, LEAST_BLOCKS])
+def test_the_scans_are_not_asked_about_a_short_time(blocks: int) -> None:
+    scans = math.ceil(blocks * COUNT / 96)
+    own = np.zeros(COUNT)
+    own[200 : 200 + scans] = -1.0
+    paths = {"a": way(), "b": aside(way(), 2.0, 200, 200 + scans)}
+    assert bool(find_exclusions(told(paths, {"b": own})).names) == (blocks >= LEAST_BLOCKS)
+
+
+def test_of_three_that_all_part_those_are_out_that_the_scans_contradict() -> None:
+    lower = {"b": np.zeros(COUNT), "c": np.zeros(COUNT)}
+    lower["b"][200:300], lower["c"][200:300] = -0.3, -0.2
+    paths = {"a": way(), "b": aside(way(), 2.0, 200, 300), "c": aside(way(), -2.0, 200, 300)}
+    found = find_exclusions(told(paths, lower))
+    assert found.names == ("b", "c")
+    assert not find_exclusions(told(paths)).names
+    assert len(find_exclusions(told(paths)).undecided) == 1
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.48, False), (0.52, True)])
+@pytest.mark.parametrize("others", ["a", "ac"])
+def test_what_scans_say_for_a_path_that_stands_still_does_not_count(
+    share: float, counts: bool, others: str
+) -> None:
+    slow = way()
+    slow[200:, :2] = slow[200, :2] + share * (slow[200:, :2] - slow[200, :2])
+    higher = np.zeros(COUNT)
+    higher[200:] = 0.3
+    paths = {**dict.fromkeys(others, way()), "b": slow}
+    found = find_exclusions(with_odometry(told(paths, {"b": higher}), way()))
+    assert found.names == (tuple(others) if counts else ("b",) if len(others) > 1 else ())
+
+
+@pytest.mark.parametrize("stands", [False, True])
+def test_one_heap_spoils_what_scans_say_at_all_times(stands: bool) -> None:
+    poses = aside(way(), 2.0, 100, 200)
+    if stands:
+        poses[360:, :2] = poses[360, :2]
+    higher = np.zeros(COUNT)
+    higher[100:200] = 0.3
+    found = find_exclusions(told({"a": way(), "b": poses, "c": way()}, {"b": higher}))
+    assert found.names == (("b",) if stands else ("a", "c"))
+
+
+def test_a_robot_that_stands_makes_no_heap() -> None:
+    still = way()
+    still[200:260] = still[200]
+    trembling = still.copy()
+    trembling[200:260, :2] += np.random.default_rng(0).normal(0.0, 0.02, (60, 2))
+    higher = np.zeros(COUNT)
+    higher[300:] = 0.3
+    paths = {"a": trembling, "b": aside(still, 2.0, 300), "c": trembling}
+    assert find_exclusions(told(paths, {"b": higher})).names == ("a", "c")
+
+
+def test_the_odometry_says_too_whether_the_robot_stands() -> None:
+    own = np.zeros(COUNT)
+    own[200:300] = 0.3
+    wild = way()
+    # From one side to the other at every second.
+    wild[200:300, 0] += np.repeat(np.tile([4.0, -4.0], 13), 4)[:100]
+    evidence = told({"a": way(), "b": wild}, {"a": own})
+    assert find_exclusions(evidence).names == ()
+    assert find_exclusions(with_odometry(evidence, way())).names == ("b",)
+
+
+def test_two_against_two_is_decided_by_the_scans() -> None:
+    wrong = aside(way(), 2.0, 200, 300)
+    lower = np.zeros(COUNT)
+    lower[200:300] = -0.3
+    paths = {"a": way(), "b": way(), "c": wrong, "d": wrong}
+    assert not find_exclusions(told(paths)).names
+    assert find_exclusions(told(paths, {"c": lower, "d": lower})).names == ("c", "d")
+
+
+def test_who_stands_between_two_belongs_to_both() -> None:
+    paths = {
+        "a": way(),
+        "b": aside(way(), 0.25, 200, 300),
+        "c": aside(way(), 0.5, 200, 300),
+        "d": aside(way(), 3.0, 200, 300),
+    }
+    assert find_exclusions(told(paths)).names == ("d",)
+
+
+def test_scans_of_a_room_outvote_a_bent_path(device: ComputeDevice, scans: JudgedScans) -> None:
+    truth = circuit()
+    near = Trajectory(truth.stamps_s, truth.poses + np.array([0.01, 0.0, 0.002]))
+    wrong = bent(truth, math.radians(15.0), 90)
+    paths = {"a": truth, "b": near, "c": wrong}
+    found = find_exclusions(score_paths(scans, paths, device))
+    assert found.names == ("c",)
+    (span,) = found.spans["c"]
+    assert 22.5 <= span.from_s <= 24.0
+    assert span.to_s == truth.stamps_s[-1]
+
+
+@pytest.mark.parametrize("count", [1, BEGINNINGS - 1, 40])
+def test_few_scans_are_enough_to_lay_paths_on_each_other(count: int) -> None:
+    poses = way()[:count]
+    assert path_distances(poses, poses).max() == pytest.approx(0.0, abs=1e-9)
