@@ -25,7 +25,7 @@ from slamfusion.evidence.comparison import BLOCKS, compare_sums
 from slamfusion.evidence.parting import LEAST_S, PART_M
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import compose_poses, fit_motion
+from slamfusion.geometry import compose_poses, fit_motion, with_levers
 
 __all__ = [
     "ExcludedSpan",
@@ -43,8 +43,6 @@ B8 = npt.NDArray[np.bool_]
 # Two paths part where they are ``PART_M`` from each other: from where they last were within this
 # share of it, to where they are so again.
 NEAR_SHARE = 0.5
-# A pose is fitted as two points, this far before and behind it, metres: headings count too.
-LEVER_M = 3.0
 # Two paths are fitted from each of as many parts of the drive, in as many rounds at most.
 BEGINNINGS, FITS = 8, 20
 # Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
@@ -163,7 +161,7 @@ def path_distances(moving: F64, still: F64) -> F64:
 def _gaps_after_fit(moving: F64, still: F64, kept: B8) -> F64:
     """Fit two paths where they are kept, then wherever they are then near; return (M,) gaps."""
     for _ in range(FITS):
-        motion = fit_motion(_with_levers(moving[kept]), _with_levers(still[kept]))
+        motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
         laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
         gap_m = pose_distances(laid, still)
         near = gap_m <= NEAR_SHARE * PART_M
@@ -171,15 +169,6 @@ def _gaps_after_fit(moving: F64, still: F64, kept: B8) -> F64:
             break
         kept = near
     return gap_m
-
-
-def _with_levers(poses: F64) -> F64:
-    """Return (2 M, 3) points before and behind each of (M, 3) poses."""
-    lever_m = LEVER_M * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-    ahead, behind = poses.copy(), poses.copy()
-    ahead[:, :2] += lever_m
-    behind[:, :2] -= lever_m
-    return np.concatenate((ahead, behind))
 
 
 def parted(gap_m: F64, stamps_s: F64) -> B8:

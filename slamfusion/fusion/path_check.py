@@ -55,6 +55,9 @@ __all__ = [
 ]
 
 LEAST_FUSED = 2
+# Poses farther apart in time are of two places, seconds: a path need not be told for the whole
+# drive.
+TOGETHER_S = 1.0
 # The wall score of a map that is placed by its path. Bent maps of one drive have 0.42 or more;
 # where the paths of a lost one pass all the same, the walls score 0.36 at most.
 PLACED_SCORE_MIN = 0.40
@@ -85,7 +88,7 @@ class PathGap:
 
     Attributes:
         a, b: the producers.
-        stamps_s: (N,) float64, of the poses of ``a``.
+        stamps_s: (N,) float64, of the poses of ``a`` at whose time ``b`` has one.
         gaps_m: (N,) float64, distance to the pose of ``b`` nearest in time.
         yaw_rad: median of the differences of the headings, 0 to pi.
     """
@@ -142,11 +145,23 @@ def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
     """
     gaps = []
     for (a, path), (b, other) in itertools.combinations(paths.items(), 2):
-        near = other.poses[other.nearest(path.stamps_s)]
-        apart = np.hypot(*(path.poses[:, :2] - near[:, :2]).T)
-        turned = np.abs(wrap_angles(path.poses[:, 2] - near[:, 2]))
-        gaps.append(PathGap(a, b, path.stamps_s, apart, float(np.median(turned))))
+        at, near = _together(path, other)
+        apart = np.hypot(*(path.poses[at, :2] - other.poses[near, :2]).T)
+        turned = np.abs(wrap_angles(path.poses[at, 2] - other.poses[near, 2]))
+        gaps.append(PathGap(a, b, path.stamps_s[at], apart, float(np.median(turned))))
     return tuple(gaps)
+
+
+def _together(
+    path: Trajectory, other: Trajectory
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the poses of a path, and of each the one of another nearest in time, as indices.
+
+    Those within ``TOGETHER_S`` of each other; all where there are none.
+    """
+    near, is_together = other.matches(path.stamps_s, TOGETHER_S)
+    at = np.flatnonzero(is_together) if is_together.any() else np.arange(len(path))
+    return at, near[at]
 
 
 def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
@@ -154,14 +169,14 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
 
     Args:
         moving, still: paths of one drive, at least one pose each; each pose of ``moving`` goes with
-            the pose of ``still`` nearest in time.
+            the pose of ``still`` nearest in time, where that is within ``TOGETHER_S``.
 
     Returns:
         Maps a point of the frame of ``moving`` into that of ``still``: least squares of places and
         headings.
     """
-    near = still.poses[still.nearest(moving.stamps_s)]
-    return fit_motion(with_levers(moving.poses), with_levers(near))
+    at, near = _together(moving, still)
+    return fit_motion(with_levers(moving.poses[at]), with_levers(still.poses[near]))
 
 
 def place_by_path(
@@ -258,6 +273,7 @@ def fuse_with_paths(
     device: ComputeDevice,
     progress: Callable[[str, int, int], None] | None = None,
     starts: Starts | None = None,
+    in_part: Collection[str] = (),
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:
     """Fuse maps; leave out a producer whose path then lies elsewhere than those of the others.
 
@@ -270,7 +286,7 @@ def fuse_with_paths(
         config: see ``fuse_grids``.
         limit_m: two paths agree when their median gap is at most this, metres.
         device: computes.
-        progress, starts: see ``fuse_grids``.
+        progress, starts, in_part: see ``fuse_grids``.
 
     Returns:
         The fusion, and the gaps between the paths of all producers whose walls fit, also of those
@@ -283,7 +299,7 @@ def fuse_with_paths(
     def look(pair: Alignment, reference: GridFeatures, moving: GridFeatures) -> Alignment:
         return place_by_path(pair, reference, moving, paths, limit_m, device)
 
-    result = fuse_grids(grids, config, device, progress, look, starts)
+    result = fuse_grids(grids, config, device, progress, look, starts, in_part)
     placed = {
         record.name: moved_path(paths[record.name], record.alignment.transform)
         for record in result.accepted
@@ -298,7 +314,7 @@ def fuse_with_paths(
         message = f"the walls of the maps fit, but the paths do not, so nothing is fused ({words})"
         raise PathsApartError(message, result.pairs, gaps)
     rest = [grid for grid in grids if grid.name not in reasons]
-    again = fuse_grids(rest, config, device, second_look=look, starts=starts)
+    again = fuse_grids(rest, config, device, second_look=look, starts=starts, in_part=in_part)
     kept = {record.name: record for record in again.inputs}
     inputs = [
         kept[record.name]

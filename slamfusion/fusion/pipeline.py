@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -29,13 +29,18 @@ from slamfusion.fusion.normalize import (
 )
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.start import Starts
-from slamfusion.fusion.vote import check_votes, double_reach_cells, margin_cells, vote_grids
+from slamfusion.fusion.vote import (
+    agreement_weights,
+    check_votes,
+    double_reach_cells,
+    margin_cells,
+    vote_grids,
+)
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 
 __all__ = [
     "AlignedGroup",
-    "agreement_weights",
     "align_group",
     "choose_reference",
     "fuse_grids",
@@ -48,7 +53,6 @@ Progress = Callable[[str, int, int], None]
 SecondLook = Callable[[Alignment, GridFeatures, GridFeatures], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
-WEIGHT_CEILING = 0.99
 # [F16]: any two of three decide, so one input has nobody to agree with.
 MINIMUM_INPUTS = 2
 # Of more pairs most share nothing: what is refused is not searched once more.
@@ -62,6 +66,7 @@ def fuse_grids(
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
+    in_part: Collection[str] = (),
 ) -> FusionResult:
     """Bring the grids into one frame and let them vote.
 
@@ -73,6 +78,8 @@ def fuse_grids(
         second_look: what else is known of a pair: given each alignment, returns the one that is
             believed; None: the walls alone decide.
         starts: where the inputs are expected; a pair of which both are is searched only there.
+        in_part: names of inputs that do not show all of their place: they are not the reference,
+            whose box the fused map may have, where there is another.
 
     Returns:
         The fused map and everything needed to judge it. A single grid is its own fusion.
@@ -96,7 +103,9 @@ def fuse_grids(
             continue
         features[grid.name] = GridFeatures(normalized, device)
     names = [grid.name for grid in grids]
-    group = align_group(features, reasons, config, device, names, progress, second_look, starts)
+    group = align_group(
+        features, reasons, config, device, names, progress, second_look, starts, in_part
+    )
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     rejected = {
@@ -156,6 +165,7 @@ def align_group(
     progress: Progress | None = None,
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
+    in_part: Collection[str] = (),
 ) -> AlignedGroup:
     """Align every pair, find the largest group that fits together, and choose its reference.
 
@@ -165,7 +175,7 @@ def align_group(
         config: settings of the search; ``reference`` may name the reference.
         device: computes.
         names: all inputs, in order.
-        progress, second_look, starts: see ``fuse_grids``.
+        progress, second_look, starts, in_part: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
@@ -174,7 +184,9 @@ def align_group(
     pairs = _align_pairs(features, config, device, progress, second_look, starts or Starts())
     implied = ImpliedPairs(features, len(pairs), device)
     group = _agree(names, features, pairs, reasons, implied)
-    reference = choose_reference(group.members, features, config.reference, names)
+    whole = [name for name in group.members if name not in in_part]
+    candidates = whole if whole and config.reference is None else group.members
+    reference = choose_reference(candidates, features, config.reference, names)
     alignments = _to_reference(reference, group, features, pairs, device)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
@@ -478,24 +490,3 @@ def _vote(
         device=device.name,
         time_s=0.0,
     )
-
-
-def agreement_weights(aligned: Sequence[npt.NDArray[np.int8]]) -> list[float]:
-    """Return each input's weight: the log-odds of its agreement with the others, the largest 1.
-
-    The agreement is the share of its known cells, among those that others know, where it says what
-    most of the others say; independent voters of that reliability are best weighted by its
-    log-odds.
-    """
-    stack = np.stack(aligned)
-    occupied = (stack == 1).sum(axis=0, dtype=np.int16)
-    free = (stack == 0).sum(axis=0, dtype=np.int16)
-    raw = []
-    for cells in stack:
-        others = (occupied - (cells == 1)) - (free - (cells == 0))
-        counted = (cells >= 0) & (others != 0)
-        agree = counted & ((others > 0) == (cells == 1))
-        share = agree.sum() / max(1, counted.sum())
-        share = min(max(float(share), 1.0 - WEIGHT_CEILING), WEIGHT_CEILING)
-        raw.append(max(0.05, math.log(share / (1.0 - share))))
-    return [weight / max(raw) for weight in raw]

@@ -18,6 +18,7 @@ from slamfusion.fusion.records import VoteResult
 from slamfusion.fusion.surfaces import REACH_CELLS, sharpen_fronts, wall_backs
 
 __all__ = [
+    "agreement_weights",
     "check_votes",
     "double_reach_cells",
     "log_odds_table",
@@ -33,6 +34,8 @@ I32 = npt.NDArray[np.int32]
 
 # Divides by 2, 3, 4, 6, 7, 9 and 12: simple ratios of weights stay exact.
 WEIGHT_MAX = 252
+# Of an agreement of all cells: no vote outweighs the others without end.
+WEIGHT_CEILING = 0.99
 # One input alone never outweighs this many percent; 0 and 100 would outvote everyone for ever.
 SUREST_PERCENT = 98
 LOG_ODDS_ONE = 256
@@ -151,6 +154,27 @@ def quantise_weights(weights: Sequence[float]) -> I32:
     share = np.asarray(weights, dtype=np.float64) / largest
     whole: I32 = np.maximum(1, np.rint(WEIGHT_MAX * share)).astype(np.int32)
     return whole
+
+
+def agreement_weights(aligned: Sequence[I8]) -> list[float]:
+    """Return each input's weight: the log-odds of its agreement with the others, the largest 1.
+
+    The agreement is the share of its known cells, among those that others know, where it says what
+    most of the others say; independent voters of that reliability are best weighted by its
+    log-odds.
+    """
+    stack = np.stack(aligned)
+    occupied = (stack == 1).sum(axis=0, dtype=np.int16)
+    free = (stack == 0).sum(axis=0, dtype=np.int16)
+    raw = []
+    for cells in stack:
+        others = (occupied - (cells == 1)) - (free - (cells == 0))
+        counted = (cells >= 0) & (others != 0)
+        agree = counted & ((others > 0) == (cells == 1))
+        share = agree.sum() / max(1, counted.sum())
+        share = min(max(float(share), 1.0 - WEIGHT_CEILING), WEIGHT_CEILING)
+        raw.append(max(0.05, math.log(share / (1.0 - share))))
+    return [weight / max(raw) for weight in raw]
 
 
 def log_odds_table() -> I32:

@@ -13,6 +13,7 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.path_check import (
+    TOGETHER_S,
     PathsApartError,
     agreeing,
     fallback_map,
@@ -63,6 +64,27 @@ def test_a_path_with_fewer_poses_is_met_by_the_nearest_in_time() -> None:
     (gap,) = path_gaps({"a": few, "b": TRUE_PATH})
     assert len(gap.gaps_m) == 5
     assert gap.max_m == 0.0
+
+
+def test_of_a_path_that_is_told_in_part_that_part_counts() -> None:
+    half = Trajectory(TRUE_PATH.stamps_s[:25], TRUE_PATH.poses[:25], "half")
+    for paths in ({"a": TRUE_PATH, "b": half}, {"a": half, "b": TRUE_PATH}):
+        (gap,) = path_gaps(paths)
+        assert len(gap.stamps_s) == len(gap.gaps_m) < 27
+        assert gap.max_m < 0.11
+    fitted = fit_paths(moved_path(TRUE_PATH, Pose2(3.0, -1.0, 0.4)), half)
+    assert fitted.compose(Pose2(3.0, -1.0, 0.4)).x == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("later_s", "compared"), [(0.99, 1), (1.01, 50)])
+def test_poses_within_a_second_are_compared_or_all_where_there_are_none(
+    later_s: float, compared: int
+) -> None:
+    assert TOGETHER_S == 1.0
+    single = Trajectory(TRUE_PATH.stamps_s[-1:] + later_s, TRUE_PATH.poses[-1:], "single")
+    (gap,) = path_gaps({"a": TRUE_PATH, "b": single})
+    assert len(gap.gaps_m) == compared
+    assert gap.max_m == pytest.approx(0.0 if compared == 1 else 5.0)
 
 
 def test_a_turned_path_shows_in_the_headings() -> None:

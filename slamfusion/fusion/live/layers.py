@@ -16,8 +16,12 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.live.boxes import grown_inside, hull, overlap, padded, slices
 from slamfusion.fusion.live.lattice import Lattice, Layer, carry
-from slamfusion.fusion.pipeline import agreement_weights
-from slamfusion.fusion.vote import double_reach_cells, vote_grids, vote_reach_cells
+from slamfusion.fusion.vote import (
+    agreement_weights,
+    double_reach_cells,
+    vote_grids,
+    vote_reach_cells,
+)
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.memory import check_memory
