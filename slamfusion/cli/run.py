@@ -233,6 +233,8 @@ def _tell(run: LogRun, *, debug: bool) -> None:
             print(outcome.detail, file=sys.stderr)
     for record in run.fusion.result.rejected if run.fusion.result is not None else ():
         notice(f"rejected: {record.name}: {record.reason}")
+    for sentence in run.layers.sentences():
+        notice(sentence)
     for name, result in run.results.items():
         for sentence in result.run.warnings():
             notice(f"{name}: {sentence}")

@@ -1,10 +1,10 @@
 """``find_exclusions``: when a path has left the others, so that what it drew then must not vote.
 
-A SLAM that goes wrong half-way is right before, and its map with it. Every two paths are laid on
-each other where most of their poses agree, and part where they do not. Whoever is apart from the
-largest group that agrees is outvoted for that time; but where the scans bear its path out better,
-it is the group that loses its say. Where no group is the largest (two paths that part, or all of
-them) the scans decide alone, and where they cannot tell nobody is left out.
+A SLAM that goes wrong half-way is right before, and its map with it. Paths are laid on one of them
+where most of their poses agree, and part where they do not. Whoever is in no largest group of which
+no two have parted is outvoted for that time; but where the scans bear its path out better, it is
+the group that loses its say. Of two in such groups that have parted (two paths, or all of them) the
+scans decide alone, and where they cannot tell nobody is left out.
 
 Scans that are laid on one heap predict each other, and whatever is seen near it: what the scans say
 for a path that stands still for some time while the robot drives does not count.
@@ -13,7 +13,7 @@ for a path that stands still for some time while the robot drives does not count
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,8 +32,8 @@ __all__ = [
     "Exclusions",
     "UndecidedSpan",
     "find_exclusions",
+    "lay_on",
     "parted",
-    "path_distances",
 ]
 
 F64 = npt.NDArray[np.float64]
@@ -136,39 +136,47 @@ def find_exclusions(evidence: PathEvidence) -> Exclusions:
     return _Drive.of(evidence).judge()
 
 
-def path_distances(moving: F64, still: F64) -> F64:
-    """Return how far two paths lie apart at each scan when laid on each other where most agree.
+def lay_on(moving: F64, still: F64) -> tuple[F64, int]:
+    """Lay a path on another where most of their poses agree.
 
     Args:
-        moving, still: (M, 3) poses of the same scans, each path in a frame of its own.
+        moving, still: (M, 3) poses of the same scans, M at least 1.
 
     Returns:
-        (M,) metres, and ``TURN_M`` for a radian.
+        (M, 3) the poses of the first in the frame of the other, and how many are near.
     """
     count = len(moving)
-    found: tuple[int, F64] | None = None
+    found, most = moving, -1
     for part in range(BEGINNINGS):
         first = part * count // BEGINNINGS
         kept = np.zeros(count, dtype=np.bool_)
         kept[first : max(first + 1, (part + 1) * count // BEGINNINGS)] = True
-        gap_m = _gaps_after_fit(moving, still, kept)
-        near = int(np.count_nonzero(gap_m <= NEAR_SHARE * PART_M))
-        if found is None or near > MORE_POSES * found[0]:
-            found = near, gap_m
-    return np.zeros(count) if found is None else found[1]
+        laid = moving
+        for _ in range(FITS):
+            motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
+            laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
+            is_near = pose_distances(laid, still) <= NEAR_SHARE * PART_M
+            if not is_near.any() or np.array_equal(is_near, kept):
+                break
+            kept = is_near
+        near = int(np.count_nonzero(is_near))
+        if most < 0 or near > MORE_POSES * most:
+            found, most = laid, near
+    return found, most
 
 
-def _gaps_after_fit(moving: F64, still: F64, kept: B8) -> F64:
-    """Fit two paths where they are kept, then wherever they are then near; return (M,) gaps."""
-    for _ in range(FITS):
-        motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
-        laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
-        gap_m = pose_distances(laid, still)
-        near = gap_m <= NEAR_SHARE * PART_M
-        if not near.any() or np.array_equal(near, kept):
-            break
-        kept = near
-    return gap_m
+def _in_one_frame(paths: Sequence[F64], likelihoods: Sequence[float]) -> F64:
+    """Lay K paths, (M, 3) each, on the one that they agree with most, (K, M, 3).
+
+    Of those that hardly differ in this, on the one that the scans bear out best.
+    """
+    laid, agreed = [], []
+    for still in paths:
+        found = [lay_on(moving, still) for moving in paths]
+        laid.append(np.stack([poses for poses, _ in found]))
+        agreed.append(sum(near for _, near in found))
+    able = [row for row in range(len(paths)) if MORE_POSES * agreed[row] >= max(agreed)]
+    return laid[max(able, key=lambda row: likelihoods[row])]
 
 
 def parted(gap_m: F64, stamps_s: F64) -> B8:
@@ -192,11 +200,8 @@ def _spans(flags: B8, stamps_s: F64) -> Iterator[slice]:
             yield slice(start, stop)
 
 
-def _majorities(apart: B8) -> B8:
-    """Return which paths are in the largest group of those that agree, (K, M) bool.
-
-    A path is in the group of whoever it has not parted from; where no group is larger than every
-    other, there is none.
+def _in_largest_group(apart: B8) -> B8:
+    """Return which paths are in a largest group of which no two have parted, (K, M) bool.
 
     Args:
         apart: (K, K, M) bool, whether two paths have parted.
@@ -205,12 +210,13 @@ def _majorities(apart: B8) -> B8:
     patterns, at = np.unique(apart.reshape(count * count, -1), axis=1, return_inverse=True)
     found = np.zeros((count, patterns.shape[1]), dtype=np.bool_)
     for column, pattern in enumerate(patterns.T):
-        labels = np.arange(count)
-        for a, b in zip(*np.nonzero(~pattern.reshape(count, count)), strict=True):
-            labels[labels == labels[b]] = labels[a]
-        sizes = np.bincount(labels, minlength=count)
-        if np.count_nonzero(sizes == sizes.max()) == 1:
-            found[:, column] = labels == sizes.argmax()
+        has_parted = pattern.reshape(count, count)
+        for size in range(count, 0, -1):
+            for members in itertools.combinations(range(count), size):
+                if not has_parted[np.ix_(members, members)].any():
+                    found[list(members), column] = True
+            if found[:, column].any():
+                break
     return np.asarray(found[:, at.reshape(-1)])
 
 
@@ -223,7 +229,7 @@ class _Drive:
         judged: (M,) int64, the judged scans.
         gaps: (K, K, M) float64, how far every two are apart, metres.
         apart: (K, K, M) bool, whether they have parted.
-        in_majority: (K, M) bool, see ``_majorities``.
+        in_majority: (K, M) bool, see ``_in_largest_group``.
     """
 
     evidence: PathEvidence
@@ -234,16 +240,18 @@ class _Drive:
 
     @classmethod
     def of(cls, evidence: PathEvidence) -> _Drive:
-        """Lay every two paths on each other, and see who goes with whom."""
+        """Lay the paths into one frame, and see who goes with whom."""
         judged = np.flatnonzero(evidence.is_judged)
         stamps_s = evidence.scans.stamps_s[judged]
-        paths = [score.path.poses[judged] for score in evidence.scores.values()]
-        gaps = np.zeros((len(paths), len(paths), len(judged)))
+        scores = evidence.scores.values()
+        paths = _in_one_frame(
+            [score.path.poses[judged] for score in scores], [score.consistency for score in scores]
+        )
+        gaps = pose_distances(paths[:, None], paths[None])
         apart = np.zeros(gaps.shape, dtype=np.bool_)
         for a, b in itertools.combinations(range(len(paths)), 2):
-            gaps[a, b] = gaps[b, a] = path_distances(paths[a], paths[b])
             apart[a, b] = apart[b, a] = parted(gaps[a, b], stamps_s)
-        return cls(evidence, judged, gaps, apart, _majorities(apart))
+        return cls(evidence, judged, gaps, apart, _in_largest_group(apart))
 
     @property
     def stamps_s(self) -> F64:
@@ -252,33 +260,56 @@ class _Drive:
 
     def judge(self) -> Exclusions:
         """Take the vote of whoever left the others."""
-        has_majority = np.asarray(self.in_majority.any(axis=0), dtype=np.bool_)
         sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
-        members = np.maximum(self.in_majority.sum(axis=0), 1)
+        members = self.in_majority.sum(axis=0)
         of_majority = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
         standing = self._standing()
         grounds = np.zeros(sums.shape, dtype=np.int8)
         for row, own in enumerate(sums):
-            for here in _spans(has_majority & ~self.in_majority[row], self.stamps_s):
+            for here in _spans(~self.in_majority[row], self.stamps_s):
                 if row not in standing and self._is_better(own, of_majority, here):
                     grounds[:, here][self.in_majority[:, here]] = _CONTRADICTED
                 else:
                     grounds[row, here] = _OUTVOTED
-        undecided = []
-        for here in _spans(~has_majority, self.stamps_s):
-            lost = [
-                row for row in range(len(sums)) if self._is_contradicted(row, standing, sums, here)
-            ]
-            grounds[lost, here] = _CONTRADICTED
-            if not lost:
-                undecided.append(UndecidedSpan(*self._times(here)))
+        is_open = self._judge_rivals(sums, standing, grounds)
+        undecided = tuple(
+            UndecidedSpan(*self._times(here)) for here in _spans(is_open, self.stamps_s)
+        )
         names = tuple(self.evidence.scores)
         return Exclusions(
             self.stamps_s,
             {name: own > 0 for name, own in zip(names, grounds, strict=True)},
             {name: tuple(self._excluded(row, grounds)) for row, name in enumerate(names)},
-            tuple(undecided),
+            undecided,
         )
+
+    def _judge_rivals(
+        self, sums: F64, standing: Collection[int], grounds: npt.NDArray[np.int8]
+    ) -> B8:
+        """Let the scans decide between paths of equal groups that have parted.
+
+        Args:
+            sums: (K, M) log-likelihoods of the judged scans.
+            standing: paths for which these do not count.
+            grounds: (K, M), is told who has no vote.
+
+        Returns:
+            (M,) bool, where they cannot tell who is right of two that vote.
+        """
+        unsettled = []
+        for a, b in itertools.combinations(range(len(sums)), 2):
+            are_rivals = self.apart[a, b] & self.in_majority[a] & self.in_majority[b]
+            for here in _spans(are_rivals, self.stamps_s):
+                if a not in standing and self._is_better(sums[a], sums[b], here):
+                    grounds[b, here] = _CONTRADICTED
+                elif b not in standing and self._is_better(sums[b], sums[a], here):
+                    grounds[a, here] = _CONTRADICTED
+                else:
+                    unsettled.append((a, b, here))
+        is_open = np.zeros(sums.shape[1], dtype=np.bool_)
+        for a, b, here in unsettled:
+            is_open[here] |= (grounds[a, here] == 0) & (grounds[b, here] == 0)
+        return is_open
 
     def _is_better(self, first: F64, second: F64, here: slice) -> bool:
         """Whether the scans of a time surely bear the first path out better than the second.
@@ -295,15 +326,6 @@ class _Drive:
         beams = next(iter(self.evidence.scores.values())).beams[self.judged]
         found = compare_sums(first, second, beams, inside, blocks)
         return found.difference > 0.0 and found.p_value < SURE
-
-    def _is_contradicted(self, row: int, standing: Collection[int], sums: F64, here: slice) -> bool:
-        """Whether the scans of a time bear out better a path that has parted from this one."""
-        rivals = np.flatnonzero(self.apart[row, :, here].any(axis=1)).tolist()
-        return any(
-            self._is_better(sums[rival], sums[row], here)
-            for rival in rivals
-            if rival not in standing
-        )
 
     def _standing(self) -> frozenset[int]:
         """Return the paths that stand still somewhere while most drive, the odometry among them."""

@@ -33,6 +33,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.jobs.inputs import Warn
+from slamfusion.jobs.partial import draw_layers_of_scans
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
@@ -314,7 +315,8 @@ def _compare_on_log(
         if progress is not None:
             progress(f"{name}, {producer}", done, total)
 
-    made = produce_maps(dict.fromkeys(BUILT_IN, scans), config, device, tell)
+    fed = dict.fromkeys(BUILT_IN, scans)
+    made = produce_maps(fed, config, device, tell)
     notes = dict(made.reasons)
     if not made.grids:
         message = f"{name}: no producer made a map ({'; '.join(notes.values())})"
@@ -323,7 +325,8 @@ def _compare_on_log(
     # The reference is drawn from scans as well: its walls have no backs either.
     vote = replace(config.fusion.vote, solid_walls=False)
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
-    fused = vote_every_way(made.grids, made.paths, config, device, notes)
+    layers = draw_layers_of_scans(made.grids, made.paths, scans, fed, device)
+    fused = vote_every_way(layers, config, device, notes)
 
     del fused[BARE]  # here all votes are
     weighed = weigh_paths(scans, made.paths, device, notes)

@@ -39,6 +39,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.jobs.fuse_drive import DriveMaps, produce_maps
+from slamfusion.jobs.partial import draw_layers_of_scans
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
@@ -181,10 +182,12 @@ def measure_trial(
     config = replace(config, seed=trial.seed)
     recording = simulate(trial.course, device)
     faulty = FAULTS[trial.fault](recording.scans) if trial.fault else recording.scans
-    made = _produce(trial, recording, faulty, config, device)
+    fed = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
+    made = produce_maps(fed, config, device)
     notes = dict(made.reasons)
-    fused = _fuse(trial, made, config, device, notes)
+    # What befalls all of them befalls the robot.
     seen = recording.scans if trial.harmed else faulty
+    fused = _fuse(trial, made, seen, fed, config, device, notes)
     weighed = weigh_paths(seen, made.paths, device, notes)
     if trial.draws:
         fused |= draw_paths(seen, weighed, recording.world.grid.resolution, config, device)
@@ -216,21 +219,11 @@ def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
     return Trajectory(stamps_s, recording.truth.poses[kept], "truth")
 
 
-def _produce(
-    trial: Trial,
-    recording: Recording,
-    faulty: Sequence[LogScan],
-    config: RunConfig,
-    device: ComputeDevice,
-) -> DriveMaps:
-    """Run each producer on the scans, which for the harmed ones have the fault."""
-    scans = {name: faulty if trial.harmed in {"", name} else recording.scans for name in BUILT_IN}
-    return produce_maps(scans, config, device)
-
-
 def _fuse(
     trial: Trial,
     made: DriveMaps,
+    seen: Sequence[LogScan],
+    fed: Mapping[str, Sequence[LogScan]],
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
@@ -239,11 +232,13 @@ def _fuse(
     grids, paths = made.grids, made.paths
     align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
     config = replace(config, fusion=replace(config.fusion, align=align))
-    fused = vote_every_way(grids, paths, config, device, notes)
+    layers = draw_layers_of_scans(grids, paths, seen, fed, device)
+    fused = vote_every_way(layers, config, device, notes)
     if trial.harmed:
         rest = [grid for grid in grids if grid.name != trial.harmed]
         own_notes: dict[str, str] = {}
-        others = vote_every_way(rest, paths, config, device, own_notes)
+        layers = draw_layers_of_scans(rest, paths, seen, fed, device)
+        others = vote_every_way(layers, config, device, own_notes)
         fused |= {alone(mode): others[mode] for mode in FUSIONS}
         notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}
     return fused

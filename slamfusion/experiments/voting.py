@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import get_args
@@ -14,13 +13,11 @@ from slamfusion.config import FusionConfig, RunConfig, VoteMode
 from slamfusion.errors import GridError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.fusion.align import align_grids
-from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.jobs.defaults import RUN_VOTE
-from slamfusion.jobs.fuse_drive import fuse_drive
-from slamfusion.trajectory import Trajectory
+from slamfusion.jobs.partial import Layers, fuse_layers
 
 __all__ = ["BARE", "FUSIONS", "PATIENCE_S", "PLAIN", "against_truth", "vote_every_way"]
 
@@ -34,8 +31,7 @@ PATIENCE_S = 60.0
 
 
 def vote_every_way(
-    grids: Sequence[OccupancyGrid],
-    paths: Mapping[str, Trajectory],
+    layers: Layers,
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
@@ -43,8 +39,7 @@ def vote_every_way(
     """Return the fused map of every way to vote; all have the same voters, or the same one map.
 
     Args:
-        grids: the producers' maps.
-        paths: found with them, by name.
+        layers: what takes part of the producers' maps.
         config: settings of the fusion.
         device: computes.
         notes: told, by method, what went wrong.
@@ -53,10 +48,11 @@ def vote_every_way(
         By way to vote, then by ``BARE``; None where there is no map at all.
     """
     ways = (*FUSIONS, BARE)
-    if not grids:
+    if not layers.maps:
         notes[PLAIN] = "no map was made"
         return dict.fromkeys(ways)
-    plain = _vote_plainly(grids, paths, config, device, notes)
+    notes |= {f"{PLAIN}, {vote.name} in part": vote.sentence() for vote in layers.partial}
+    plain = _vote_plainly(layers, config, device, notes)
     if isinstance(plain, OccupancyGrid):
         return dict.fromkeys(ways, plain)
     settings: dict[str, FusionConfig] = {mode: _voting(config.fusion, mode) for mode in FUSIONS}
@@ -66,21 +62,20 @@ def vote_every_way(
 
 
 def _vote_plainly(
-    grids: Sequence[OccupancyGrid],
-    paths: Mapping[str, Trajectory],
+    layers: Layers,
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
 ) -> FusionResult | OccupancyGrid:
     """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
-    if len(grids) < LEAST_FUSED:
-        notes[PLAIN] = f"{grids[0].name} alone: it made the only map"
-        return grids[0]
-    kept = {grid.name: paths[grid.name] for grid in grids}
+    first, *others = layers.grids
+    if not others:
+        notes[PLAIN] = f"{first.name} alone: it made the only map"
+        return first
     config = replace(config, fusion=_voting(config.fusion, PLAIN))
-    fusion = fuse_drive(grids, kept, config, device, shared_frame=True)
+    fusion = fuse_layers(layers, config, device, shared_frame=True)
     if fusion.result is None:
-        best = fusion.fallback or grids[0]
+        best = fusion.fallback or first
         notes[PLAIN] = f"{best.name} alone: {fusion.failure}"
         return best
     for record in fusion.result.rejected:

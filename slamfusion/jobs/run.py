@@ -33,9 +33,11 @@ from slamfusion.jobs.inputs import (
 )
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
 from slamfusion.jobs.outputs import DRAWN, FUSED
+from slamfusion.jobs.partial import Layers
 from slamfusion.jobs.produced import ProducerResult
 from slamfusion.jobs.run_stages import (
     Drive,
+    draw_drive_layers,
     evaluate_drive_maps,
     fuse_maps,
     fuse_producer_paths,
@@ -63,7 +65,8 @@ class LogRun:
         saved_maps: files of other SLAMs' maps that voted too.
         config: the settings in effect.
         outcomes: what became of each producer.
-        grids: the inputs of the fusion: the producers' maps, then the saved ones.
+        grids: the producers' maps, then the saved ones.
+        layers: what took part in the vote of these, and who has none for some of the drive.
         fusion: what came of fusing them, also where it may not be used.
         fused_path: one path made of the producers' paths; None where fewer than two have one, or
             where no fused map may be used.
@@ -90,6 +93,7 @@ class LogRun:
     config: RunConfig
     outcomes: tuple[Outcome, ...]
     grids: tuple[OccupancyGrid, ...]
+    layers: Layers
     fusion: DriveFusion
     fused_path: DrivePath | None
     drawn: OccupancyGrid | None
@@ -210,11 +214,12 @@ def run_log(
     stages = {"producers": time.perf_counter() - begun_s}
     timed = stage_timer(stages)
     drive = Drive(files, config, outcomes, held, device, progress)
-    with timed("fusion"):
-        fusion, failure = fuse_maps(drive, grids, len(maps), starts)
-    usable = fusion.result if failure is None else None
     with timed("evidence"):
         evidence, no_verdict = score_producer_paths(drive)
+    with timed("fusion"):
+        layers = draw_drive_layers(drive, grids, evidence)
+        fusion, failure = fuse_maps(drive, layers, len(maps), starts)
+    usable = fusion.result if failure is None else None
     with timed("path"):
         fused_path = None if usable is None else fuse_producer_paths(drive, usable, evidence)
     with timed("evidence"):
@@ -234,6 +239,7 @@ def run_log(
         config=config,
         outcomes=outcomes,
         grids=grids,
+        layers=layers,
         fusion=fusion,
         fused_path=fused_path,
         drawn=drawn.beside,

@@ -151,6 +151,7 @@ def _reported(run: LogRun) -> RunReport:
         if outcome.run is not None
     ]
     warnings = [(f"{item.run.name}:", text) for item in runs for text in item.run.warnings()]
+    warnings += [("The vote:", sentence) for sentence in run.layers.sentences()]
     warnings += [("Not measured:", trouble) for trouble in run.not_measured]
     return RunReport(
         log=str(run.files.log),
@@ -208,6 +209,7 @@ def run_document(
         "why_voted": run.why_voted,
         "agreement": None if usable is None else str(files[AGREEMENT][0]),
         "best_founded": None if best is None else best.name,
+        "partial_votes": [vote.to_json() for vote in run.layers.partial],
         "path_gaps": [gap.to_json() for gap in run.fusion.gaps],
         "path_evidence": [] if run.verdict is None else run.verdict.paths_to_json(),
         "verdict": None if run.verdict is None else run.verdict.to_json(),

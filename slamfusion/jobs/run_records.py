@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import Literal, TypedDict
 
 from slamfusion.config import FusionMode
 from slamfusion.evaluation.records import (
@@ -28,9 +28,11 @@ from slamfusion.slam.records import (
 
 __all__ = [
     "DrawnMapJson",
+    "ExcludedSpanJson",
     "FailedProducerJson",
     "FusedPathJson",
     "LogFilesJson",
+    "PartialVoteJson",
     "ProducerJson",
     "RunDocument",
     "RunFilesJson",
@@ -143,6 +145,32 @@ class DrawnMapJson(TypedDict):
     """How thick its walls are; null when no wall is beside a free cell."""
 
 
+class ExcludedSpanJson(TypedDict):
+    """A part of a drive in which a producer has no vote."""
+
+    from_s: float
+    """Where it begins, seconds since the first scan."""
+    to_s: float
+    """Where it ends, seconds since the first scan."""
+    gap_m: float
+    """How far it is at most from the nearest path that votes, metres, and 2 m for a radian."""
+    ground: Literal["outvoted", "contradicted by the scans"]
+    """Why: most others agree with each other, or the scans bear another path out better."""
+
+
+class PartialVoteJson(TypedDict):
+    """A producer that has no vote for some of the drive."""
+
+    name: str
+    """The producer."""
+    excluded_spans: Sequence[ExcludedSpanJson]
+    """When it has none."""
+    excluded_share: float
+    """Share of the judged scans that lie in these times, 0 to 1."""
+    left_out: str | None
+    """Why it has no vote at all; null: its layer was drawn without these times and took part."""
+
+
 class RunFilesJson(LogFilesJson):
     """The files that ``slamfusion run`` was given."""
 
@@ -172,6 +200,8 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """YAML file of the agreement map; null where nothing was fused."""
     best_founded: str | None
     """Where nothing was fused, the map whose walls the others' fit best; else null."""
+    partial_votes: Sequence[PartialVoteJson]
+    """Producers that have no vote for the time in which they left the others."""
     path_gaps: Sequence[PathGapJson]
     """Between every two producers' paths in the fused frame."""
     path_evidence: Sequence[PathEvidenceJson]

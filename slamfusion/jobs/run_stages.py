@@ -20,15 +20,17 @@ from slamfusion.fusion.path_check import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io import ScanLog, open_log
 from slamfusion.jobs.drawn import voting_config
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
-from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
+from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath, fuse_log_paths
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.judge import score_log_paths
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.outputs import FUSED
+from slamfusion.jobs.partial import Layers, draw_layers, fuse_layers
 from slamfusion.jobs.produced import ProducerResult, measure_run
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.slam.common.runner import ProducerRun
@@ -37,6 +39,7 @@ from slamfusion.trajectory import Trajectory
 
 __all__ = [
     "Drive",
+    "draw_drive_layers",
     "evaluate_drive_maps",
     "fuse_maps",
     "fuse_producer_paths",
@@ -98,29 +101,29 @@ def stage_timer(stages: dict[str, float]) -> Callable[[str], AbstractContextMana
 
 
 def fuse_maps(
-    drive: Drive, grids: Sequence[OccupancyGrid], saved: int, starts: Starts
+    drive: Drive, layers: Layers, saved: int, starts: Starts
 ) -> tuple[DriveFusion, SlamFusionError | None]:
     """Fuse the maps; return with the fusion why it may not be used, if so.
 
     Args:
         drive: what the producers made.
-        grids: their maps, then the saved ones.
-        saved: how many of these are saved ones.
+        layers: what takes part in the vote.
+        saved: how many of the maps are saved ones.
         starts: where maps are searched for.
     """
     config = voting_config(drive.config)
-    fusion = fuse_drive(
-        grids,
-        drive.paths,
+    fusion = fuse_layers(
+        layers,
         config,
         drive.device,
         shared_frame=not saved,
         progress=drive.progress,
         starts=starts,
     )
-    if len(grids) < LEAST_FUSED:
+    made = len(layers.maps)
+    if made < LEAST_FUSED:
         reasons = "; ".join(f"{outcome.name}: {outcome.reason}" for outcome in drive.failed)
-        message = f"{len(grids) or 'none'} of {len(drive.outcomes) + saved} maps was made"
+        message = f"{made or 'none'} of {len(drive.outcomes) + saved} maps was made"
         return fusion, SlamFusionError(
             f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
         )
@@ -134,6 +137,28 @@ def fuse_maps(
             names = ", ".join(item.name for item in drive.failed)
             return fusion, SlamFusionError(f"--require-all, but no map of {names}")
     return fusion, None
+
+
+def draw_drive_layers(
+    drive: Drive, maps: Sequence[OccupancyGrid], evidence: PathEvidence | None
+) -> Layers:
+    """Take out of the maps what their producers drew after they had left the others.
+
+    Args:
+        drive: what the producers made; its troubles are told what cannot be done.
+        maps: theirs, then the saved ones.
+        evidence: what the scans say of the paths; None: they could not be asked, and all vote.
+    """
+    files = drive.files
+
+    def scans_of(_: str) -> ScanLog:
+        return open_log(files.log, drive.config.log, files.scan_odometry)
+
+    try:
+        return draw_layers(maps, drive.paths, evidence, scans_of, drive.device)
+    except SlamFusionError as error:
+        drive.troubles.append(f"the layers of the vote: {error}")
+        return Layers.as_made(maps, drive.paths)
 
 
 def score_producer_paths(drive: Drive) -> tuple[PathEvidence | None, str | None]:

@@ -24,6 +24,7 @@ from slamfusion.experiments.failures import FAILURES
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.trials import Trial, TrialRecord, alone, run_trials
 from slamfusion.experiments.voting import BARE, FUSIONS, vote_every_way
+from slamfusion.jobs.partial import Layers
 from slamfusion.sim import COURSES, simulate
 from slamfusion.slam.registry import BUILT_IN, with_settings
 from slamfusion.trajectory import Trajectory
@@ -201,11 +202,12 @@ def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     }
     notes: dict[str, str] = {}
     config = replace(RunConfig(), fusion=fusion_config())
-    fused = vote_every_way(grids, paths, config, device, notes)
+    fused = vote_every_way(Layers.as_made(grids, paths), config, device, notes)
     (grid,) = {id(item): item for item in fused.values()}.values()
     assert grid is not None
     assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
-    assert vote_every_way([], {}, config, device, notes) == dict.fromkeys((*FUSIONS, BARE))
+    nobody = Layers.as_made([], {})
+    assert vote_every_way(nobody, config, device, notes) == dict.fromkeys((*FUSIONS, BARE))
 
 
 def test_drives_are_paired_and_worlds_are_numbered() -> None:

@@ -49,7 +49,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved.document), "run")
     assert saved.folder == tmp_path / "out"
-    wanted = ["producers", "fusion", "evidence", "path", "drawing", "errors", "report"]
+    wanted = ["producers", "evidence", "fusion", "path", "drawing", "errors", "report"]
     assert list(saved.stages) == wanted
     assert run.verdict is not None
     assert saved.document["verdict"] is not None

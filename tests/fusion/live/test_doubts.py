@@ -12,7 +12,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.live import layers as fused_layers
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.fusion.drawings import off_by, padded
 from tests.fusion.live.maps import (
     AWAY,
@@ -422,6 +422,36 @@ def test_poses_that_contradict_the_others_take_the_vote_while_that_lasts(
     for stamp in range(15, 20):
         tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
     drive.step()
+    assert drive.accepted() == "abc"
+
+
+def test_who_goes_wrong_half_way_leaves_nothing_in_the_fused_map_while_it_lasts(
+    device: ComputeDevice,
+) -> None:
+    # Its walls stand; those of one half it draws again from now on, 0.8 m aside.
+    good = three()["b"]
+    cells = good.cells.copy()
+    half = cells[:, cells.shape[1] // 2 :]
+    again = np.roll(half, round(0.8 / good.resolution), axis=0)
+    half[again == OCCUPIED] = OCCUPIED
+    drive = started(device)
+    for stamp in range(10):
+        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    for stamp in range(10, 15):
+        tell(drive, float(stamp), a=0.0, b=1.5, c=-0.1)
+    drive.step(replace(good, cells=cells))
+    assert drive.accepted() == "ac"
+    assert "poses contradict those of a, c" in drive.input("b").reason
+    alone = started(device)
+    alone.live.drop("b", "it is left out")
+    alone.step()
+    assert drive.fused is not None
+    assert alone.fused is not None
+    assert np.array_equal(drive.fused.cells, alone.fused.cells)
+    # It has its vote again when it is right again.
+    for stamp in range(15, 20):
+        tell(drive, float(stamp), a=0.0, b=0.1, c=-0.1)
+    drive.step(good)
     assert drive.accepted() == "abc"
 
 
