@@ -2,9 +2,10 @@
 
 A SLAM that goes wrong half-way is right before, and its map with it. Paths are laid on one of them
 where most of their poses agree, and part where they do not. Whoever is in no largest group of which
-no two have parted is outvoted for that time; but where the scans bear its path out better, it is
-the group that loses its say. Of two in such groups that have parted (two paths, or all of them) the
-scans decide alone, and where they cannot tell nobody is left out.
+no two have parted is outvoted for that time; but where the scans bear its path out better than the
+others together, and than each, it is the group that loses its say. Of two in such groups that have
+parted (two paths, or all of them) the scans decide alone, and where they cannot tell nobody is left
+out.
 
 Scans that are laid on one heap predict each other, and whatever is seen near it: what the scans say
 for a path that stands still for some time while the robot drives does not count.
@@ -262,12 +263,14 @@ class _Drive:
         """Take the vote of whoever left the others."""
         sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
         members = self.in_majority.sum(axis=0)
-        of_majority = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
+        of_group = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
         standing = self._standing()
         grounds = np.zeros(sums.shape, dtype=np.int8)
         for row, own in enumerate(sums):
             for here in _spans(~self.in_majority[row], self.stamps_s):
-                if row not in standing and self._is_better(own, of_majority, here):
+                group = self.in_majority[:, here].any(axis=1)
+                is_best = bool((own[here].sum() > sums[group, here].sum(axis=1)).all())
+                if row not in standing and is_best and self._is_better(own, of_group, here):
                     grounds[:, here][self.in_majority[:, here]] = _CONTRADICTED
                 else:
                     grounds[row, here] = _OUTVOTED
@@ -308,7 +311,10 @@ class _Drive:
                     unsettled.append((a, b, here))
         is_open = np.zeros(sums.shape[1], dtype=np.bool_)
         for a, b, here in unsettled:
-            is_open[here] |= (grounds[a, here] == 0) & (grounds[b, here] == 0)
+            both_vote = (grounds[a, here] == 0) & (grounds[b, here] == 0)
+            # Where a third one goes with both, they differ by a little.
+            is_bridged = (~self.apart[a, :, here] & ~self.apart[b, :, here]).any(axis=0)
+            is_open[here] |= both_vote & ~is_bridged
         return is_open
 
     def _is_better(self, first: F64, second: F64, here: slice) -> bool:
@@ -321,9 +327,9 @@ class _Drive:
         inside = np.zeros(len(self.judged), dtype=np.bool_)
         inside[here] = True
         blocks = BLOCKS * int(np.count_nonzero(inside)) // len(inside)
-        if blocks < LEAST_BLOCKS:
-            return False
         beams = next(iter(self.evidence.scores.values())).beams[self.judged]
+        if blocks < LEAST_BLOCKS or not beams[inside].any():
+            return False
         found = compare_sums(first, second, beams, inside, blocks)
         return found.difference > 0.0 and found.p_value < SURE
 

@@ -284,7 +284,39 @@ def test_who_stands_between_two_belongs_to_both() -> None:
         "c": aside(way(), 0.5, 200, 300),
         "d": aside(way(), 3.0, 200, 300),
     }
-    assert find_exclusions(told(paths)).names == ("d",)
+    found = find_exclusions(told(paths))
+    assert found.names == ("d",)
+    assert found.undecided == ()
+    # But where the scans surely contradict one of the two, it is out.
+    lower = np.zeros(COUNT)
+    lower[200:300] = -0.3
+    assert find_exclusions(told(paths, {"c": lower, "d": lower})).names == ("c", "d")
+
+
+def test_who_is_alone_must_be_better_than_each_of_the_group() -> None:
+    # Better than the two others together, as one of them is worse.
+    said = {name: np.zeros(COUNT) for name in "bc"}
+    paths = {"a": way(), "b": aside(way(), 2.0, 200, 300), "c": way()}
+    for likelihood, out in ((-0.02, ("b",)), (0.02, ("a", "c"))):
+        said["b"][200:300], said["c"][200:300] = likelihood, -0.3
+        assert find_exclusions(told(paths, said)).names == out
+
+
+def test_each_goes_wrong_at_a_time_of_its_own() -> None:
+    paths = {"a": way(), "b": aside(way(), 0.5, 0, 150), "c": aside(way(), 2.0, 200)}
+    found = find_exclusions(told(paths, {"b": -0.1, "c": -0.2}))
+    assert (spans(found, "b"), spans(found, "c")) == ([(0.0, 37.5)], [(50.0, 99.75)])
+
+
+def test_scans_that_hit_nothing_say_nothing() -> None:
+    evidence = told({"a": way(), "b": aside(way(), 2.0, 200, 300)})
+    blind = {
+        name: replace(score, beams=np.where(np.arange(COUNT) // 100 == 2, 0, score.beams))
+        for name, score in evidence.scores.items()
+    }
+    found = find_exclusions(replace(evidence, scores=blind))
+    assert found.names == ()
+    assert len(found.undecided) == 1
 
 
 def test_scans_of_a_room_outvote_a_bent_path(device: ComputeDevice, scans: JudgedScans) -> None:
