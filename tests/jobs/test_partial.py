@@ -37,6 +37,8 @@ from tests.support.documents import check_document
 
 COUNT = 120
 RESOLUTION = 0.05
+VOTE = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")
+CONFIG = replace(RUN_DEFAULTS, fusion=replace(RUN_DEFAULTS.fusion, vote=VOTE))
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +89,7 @@ def layers_of(paths: Mapping[str, Trajectory], device: ComputeDevice) -> Layers:
 
 def far_share(grid: OccupancyGrid, like: OccupancyGrid) -> float:
     """Share of a map's walls that are more than 0.15 m from any of another's."""
-    thresholds = RUN_DEFAULTS.fusion.normalize
+    thresholds = CONFIG.fusion.normalize
     walls, others = (
         wall_centres(trinary_cells(item.cells, thresholds), item) for item in (grid, like)
     )
@@ -145,13 +147,13 @@ def test_what_was_drawn_wrong_is_not_in_the_fused_map(device: ComputeDevice) -> 
     shares = [
         far_share(result.fused, maps[0])
         for item in (Layers.as_made(maps, paths), layers)
-        if (result := fuse_layers(item, RUN_DEFAULTS, device, shared_frame=True).result)
+        if (result := fuse_layers(item, CONFIG, device, shared_frame=True).result)
     ]
     before, after = shares
     assert before > 0.05
     assert after < 0.01
     # The fused map has the box of a map that shows all, though that of the layer is smaller.
-    fused = fuse_layers(layers, RUN_DEFAULTS, device, shared_frame=True).result
+    fused = fuse_layers(layers, CONFIG, device, shared_frame=True).result
     assert fused is not None
     assert fused.reference == "a"
 
@@ -169,7 +171,7 @@ def test_who_was_hardly_with_the_others_is_left_out(device: ComputeDevice, kept:
     assert [grid.name for grid in layers.grids] == ["a", "b"]
     assert "less than 10% of the drive is left" in vote.left_out
     assert vote.left_out in vote.sentence()
-    result = fuse_layers(layers, RUN_DEFAULTS, device, shared_frame=True).result
+    result = fuse_layers(layers, CONFIG, device, shared_frame=True).result
     assert result is not None
     record = result.inputs[2]
     assert (record.name, record.accepted, record.reason) == ("c", False, vote.left_out)
@@ -230,7 +232,7 @@ def test_the_main_job_on_a_drive_on_which_one_producer_goes_wrong(tmp_path: Path
         sigma_m=1e-3, sigma_rad=1e-3, sigma_m_per_m=0.0, sigma_rad_per_rad=0.0,
         prior_weight_xy=1.0, prior_weight_yaw=1.0,
     )  # fmt: skip
-    config = with_settings(RUN_DEFAULTS, "tinyslam", matcher=trusting)
+    config = with_settings(CONFIG, "tinyslam", matcher=trusting)
     config = replace(config, run=replace(config.run, producers=("tinyslam", "graph")))
     run = run_log(tmp_path / "bent.log", config)
     assert run.failure is None
@@ -248,7 +250,7 @@ def test_the_main_job_on_a_drive_on_which_one_producer_goes_wrong(tmp_path: Path
     # Its own map is kept as it was made; the layer that voted is another one.
     own, layer = run.grids[0], run.layers.grids[0]
     kept = load_map(tmp_path / "out" / "tinyslam.yaml")
-    thresholds = RUN_DEFAULTS.fusion.normalize
+    thresholds = CONFIG.fusion.normalize
     saved_cells, own_cells = (trinary_cells(item.cells, thresholds) for item in (kept, own))
     assert np.array_equal(saved_cells, own_cells)
     assert run.usable is not None
