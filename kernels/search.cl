@@ -19,35 +19,36 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
   const int j = get_global_id(0) * SHIFT_LANES, i = get_global_id(1) * SHIFT_ROWS;
   const int k = get_global_id(2);
   if (j >= shift_width || i >= shift_height || k >= count) return;
-  const int second = i + 1 < shift_height ? field_width : 0;
   __global const uchar *field = fields + (size_t)k * field_stride + (size_t)i * field_width + j;
   __global const int *offset = offsets + (size_t)k * offset_stride;
-  int16 total0 = 0, total1 = 0, total2 = 0, total3 = 0;
+  const int r1 = LOWER(1, shift_height - 1 - i) * field_width;
+  const int r2 = LOWER(2, shift_height - 1 - i) * field_width;
+  const int r3 = LOWER(3, shift_height - 1 - i) * field_width;
+  int16 total0 = 0, total1 = 0, total2 = 0, total3 = 0, total4 = 0, total5 = 0, total6 = 0, total7 = 0;
   for (int start = 0; start < points; start += 16) {
-    ulong4 low = 0, high = 0;
+    ulong4 w0 = 0, w1 = 0, w2 = 0, w3 = 0;
     const int stop = min(start + 16, points);
     for (int n = start; n < stop; n++) {
       __global const uchar *p = field + offset[n];
-      low += LOAD32(p);
-      high += LOAD32(p + second);
+      w0 += LOAD32(p);
+      w1 += LOAD32(p + r1);
+      w2 += LOAD32(p + r2);
+      w3 += LOAD32(p + r3);
     }
-    total0 += convert_int16(as_uchar16(low.lo));
-    total1 += convert_int16(as_uchar16(low.hi));
-    total2 += convert_int16(as_uchar16(high.lo));
-    total3 += convert_int16(as_uchar16(high.hi));
+    total0 += convert_int16(as_uchar16(w0.lo));
+    total1 += convert_int16(as_uchar16(w0.hi));
+    total2 += convert_int16(as_uchar16(w1.lo));
+    total3 += convert_int16(as_uchar16(w1.hi));
+    total4 += convert_int16(as_uchar16(w2.lo));
+    total5 += convert_int16(as_uchar16(w2.hi));
+    total6 += convert_int16(as_uchar16(w3.lo));
+    total7 += convert_int16(as_uchar16(w3.hi));
   }
-  __global int *out = scores + ((size_t)k * shift_height + i) * shift_width + j;
-  STORE32(as_ulong4(total0.lo), out);
-  STORE32(as_ulong4(total0.hi), out + 8);
-  STORE32(as_ulong4(total1.lo), out + 16);
-  STORE32(as_ulong4(total1.hi), out + 24);
-  if (second) {
-    out += shift_width;
-    STORE32(as_ulong4(total2.lo), out);
-    STORE32(as_ulong4(total2.hi), out + 8);
-    STORE32(as_ulong4(total3.lo), out + 16);
-    STORE32(as_ulong4(total3.hi), out + 24);
-  }
+#define ROW(n, x, y) if (i + n < shift_height) { \
+  __global int *out = scores + ((size_t)k * shift_height + i + n) * shift_width + j; \
+  STORE32(as_ulong4(x.lo), out); STORE32(as_ulong4(x.hi), out + 8); \
+  STORE32(as_ulong4(y.lo), out + 16); STORE32(as_ulong4(y.hi), out + 24); }
+  ROW(0, total0, total1) ROW(1, total2, total3) ROW(2, total4, total5) ROW(3, total6, total7)
 }
 
 /* Sum of a forward and a backward score surface, and the best of each tile x tile block of shifts.

@@ -104,7 +104,7 @@ WINDOW_LANES: Final = 32
 
 # Shifts along a row, and down the rows, that one work item of ``correlate`` does at once.
 SHIFT_LANES: Final = 32
-SHIFT_ROWS: Final = 2
+SHIFT_ROWS: Final = 4
 # Numbers per chunk of points: score, hits, clashes, points on the field.
 COUNT_TERMS: Final = 4
 # Numbers per chunk of points: six of the matrix, three of the gradient, the sum of weights.

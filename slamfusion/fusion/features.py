@@ -257,18 +257,23 @@ class GridFeatures:
         return self._seen[near2]
 
     def evidence_table(
-        self, step: int, sigma: float, top: int, cancel: CancelToken | None = None
+        self,
+        step: int,
+        sigma: float,
+        top: int,
+        cancel: CancelToken | None = None,
+        doubt: float = 0.0,
     ) -> EvidenceTable:
         """Return what a wall of the other map tells in the cells of a level of this one.
 
         Args:
             step: of the level. sigma: width of a wall in its cells. top: greatest field value.
-            cancel: asked before each operation.
+            cancel: asked before each operation. doubt: see ``wall_evidence.evidence_table``.
 
         Raises:
             CancelledSearchError: ``cancel`` says so.
         """
-        return evidence_table(self.chance(step, sigma, cancel), sigma, top)
+        return evidence_table(self.chance(step, sigma, cancel), sigma, top, doubt)
 
     def field(
         self, step: int, table: ScoreTable, cancel: CancelToken | None = None

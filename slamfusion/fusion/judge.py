@@ -28,7 +28,7 @@ from slamfusion.fusion.pieces import WallPieces, wall_pieces
 from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
 from slamfusion.fusion.refine import polish, rank, refine
 from slamfusion.fusion.scale import estimate_scale
-from slamfusion.fusion.search import CoarseSearch, SearchWindow, search, wall_widths
+from slamfusion.fusion.search import DOUBT, CoarseSearch, SearchWindow, search, wall_widths
 from slamfusion.fusion.slides import slides
 from slamfusion.geometry import Pose2, wrap_angle
 
@@ -42,9 +42,8 @@ DISTINCT_YAW_RAD = math.radians(10.0)
 BENT_CELLS = 60.0
 # Less of what the common ground could give than this, and one of the maps is bent: a wider width of
 # a wall may tell more, and the fit is spread over the whole map. Where an answer gives more, what
-# others leave unexplained speaks against them by so much.
+# others leave unexplained speaks against them.
 PLAIN_SHARE = 0.75
-DOUBT = 1.0
 # So much less, and its fits a metre or two apart are one answer.
 BENT_SHARE = 0.5
 # Of the answers that give this much of the most evidence the one with the highest share may be

@@ -26,6 +26,7 @@ from slamfusion.fusion.refine import refine, settle
 from slamfusion.fusion.shifts import COARSE_SIGMA, SearchWindow, score_shifts, shift_range
 
 __all__ = [
+    "DOUBT",
     "FINER_CHANCE_MAX",
     "CoarseSearch",
     "SearchWindow",
@@ -47,13 +48,17 @@ COARSE_CHANCE_MAX, FINER_CHANCE_MAX = 0.8, 0.55
 FINEST_FACTOR = 4
 # Motions that go down from one level to the next, and walls of each map that judge them there.
 DESCENT = ((1536, 384), (256, 768), (96, 1536))
+# Two good maps of one place leave little of what they have in common unexplained. A small common
+# ground is outweighed by a large one that fits badly, unless that counts: a third of what goes down
+# is chosen with this much doubt (see ``wall_evidence``), of so many times as many.
+DOUBT, DOUBTED_SHARE, DOUBTED_OF = 1.0, 3, 4
 # Cells of the last level of the descent, metres.
 DESCENT_CELL_M = 0.2
 # Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
 # maps are compared that show the same walls in the same places, by the second bent ones.
 WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
-# Motions that are settled, by each width.
-SETTLED = (8, 4)
+# Motions that are settled: by the narrow width, by the broad one, and by the narrow one with doubt.
+SETTLED = (8, 4, 6)
 FINE_TOP = 255
 FINE_POINTS = 4096
 WINDOW_SLACK_CELLS = 2.0
@@ -142,13 +147,14 @@ def coarse_search(
     flat = scores.evidence.ravel()
     motions = scores.motions.reshape(-1, 3)
     yaw_step, last = scores.yaw_step, step
-    order = _most(flat, DESCENT[0][0])
+    order = _most(flat, DOUBTED_OF * DESCENT[0][0])
     motions, found = motions[order], flat[order]
     target = max(1, round(DESCENT_CELL_M / reference.grid.grid.resolution))
+    doubted = _doubted(reference, moving, motions, last, DESCENT[0][1], device, cancel)
     for most, points in DESCENT:
         if last <= target:
             break
-        order = np.argsort(-found, kind="stable")[:most]
+        order = _either(found, doubted, most)
         half = max(target, last // 2)
         motions = _neighbours(motions[order], last / 2.0, yaw_step / 2.0)
         yaw_step *= half / last
@@ -161,9 +167,14 @@ def coarse_search(
         rows = np.arange(len(best))
         motions, found = motions[rows, best], values[rows, best]
         motions, found = _apart(motions, found, float(last), yaw_step)
+        doubted = _doubted(reference, moving, motions, last, points, device, cancel)
+    shift, turn = 2.5 * step, 2.5 * scores.yaw_step
     order = np.argsort(-found, kind="stable")
-    rows = distinct_rows(motions[order], 2.5 * step, 2.5 * scores.yaw_step, config.candidates)
-    kept = order[rows]
+    kept = order[distinct_rows(motions[order], shift, turn, config.candidates)]
+    order = np.concatenate((kept, np.argsort(-doubted, kind="stable")))
+    most = len(kept) + config.candidates // DOUBTED_SHARE
+    kept = order[distinct_rows(motions[order], shift, turn, most)]
+    kept = kept[np.argsort(-found[kept], kind="stable")]
     most_evidence = np.maximum(scores.evidence.max(axis=1), 0.0)
     best = most_evidence / max(float(most_evidence.max()), 1e-9)
     return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], last)
@@ -177,6 +188,31 @@ def _most(values: F64, most: int) -> npt.NDArray[np.intp]:
     else:
         chosen = np.arange(len(values))
     return chosen[np.argsort(-values[chosen], kind="stable")][:most]
+
+
+def _doubted(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motions: F64,
+    step: int,
+    points: int,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> F64:
+    """Return the evidence (P,) on a coarse level, less what stays unexplained."""
+    return score_motions(
+        reference, moving, motions, step, device,
+        sigma=COARSE_SIGMA, points=points, doubt=DOUBT, cancel=cancel,
+    )  # fmt: skip
+
+
+def _either(found: F64, doubted: F64, most: int) -> npt.NDArray[np.intp]:
+    """Return the indices of at most ``most``: the best, and among the others those by doubt."""
+    order = np.argsort(-found, kind="stable")
+    sure = most - most // DOUBTED_SHARE
+    others = order[sure:]
+    others = others[np.argsort(-doubted[others], kind="stable")]
+    return np.concatenate((order[:sure], others[: most - sure]))
 
 
 def _neighbours(motions: F64, shift: float, turn: float) -> F64:
@@ -207,6 +243,7 @@ def score_motions(
     sigma: float,
     points: int = FINE_POINTS,
     scales: F64 | None = None,
+    doubt: float = 0.0,
     cancel: CancelToken | None = None,
 ) -> F64:
     """Return the evidence (P,) for motions at a level, nats summed over cells of wall of both maps.
@@ -219,6 +256,7 @@ def score_motions(
         sigma: width of a wall, cells of the level.
         points: at most this many wall points of each grid are looked at; each stands for its share.
         scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
+        doubt: see ``wall_evidence.evidence_table``.
         cancel: asked before each operation.
 
     Raises:
@@ -231,7 +269,7 @@ def score_motions(
     there, back = fixed_similarities(local, centre, size)
     total = np.zeros(len(motions))
     for own, pose, features in ((mov, there, reference), (ref, back, moving)):
-        table = features.evidence_table(step, sigma, FINE_TOP, cancel)
+        table = features.evidence_table(step, sigma, FINE_TOP, cancel, doubt)
         field = features.field(step, table, cancel)
         sample = spread_sample(own.points, points)
         check_cancelled(cancel)
@@ -279,10 +317,12 @@ def search(
     )
     widths = wall_widths(reference)
     chosen = []
-    for sigma, most in zip(widths, SETTLED, strict=True):
+    by = ((widths[0], 0.0), (widths[1], 0.0), (widths[0], DOUBT))
+    for (sigma, doubt), most in zip(by, SETTLED, strict=True):
         scores = score_motions(
-            reference, moving, motions, 1, device, sigma=sigma, points=1024, cancel=cancel
-        )
+            reference, moving, motions, 1, device,
+            sigma=sigma, points=1024, doubt=doubt, cancel=cancel,
+        )  # fmt: skip
         order = np.argsort(-scores, kind="stable")
         chosen.append(distinct(motions[order], 3.0 * middle, 0.02, most))
     motions = distinct(np.concatenate(chosen), 3.0 * middle, 0.02)

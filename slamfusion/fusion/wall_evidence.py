@@ -79,21 +79,26 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
 
 
-def evidence_table(chance: float, sigma: float, top: int) -> EvidenceTable:
-    """Return the table of L.
+def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> EvidenceTable:
+    """Return the table of L, less ``doubt`` times what L lacks of the most there is.
 
     Args:
         chance: c of the module's text, 0..1.
         sigma: width of a wall in cells.
         top: the greatest value of the field: 15 where a kernel adds packed values, else 255.
+        doubt: see ``pieces.WallPieces``; what a wall lacks in cells that the other map does not
+            know counts for nothing here, too.
     """
     expected = HIT * min(1.0, max(CHANCE_MIN, chance)) + STRAY
+    most, least = math.log((HIT + STRAY) / expected), math.log(STRAY / expected)
     evidence = np.log((HIT * likeness(sigma) + STRAY) / expected)
-    unit = math.log((HIT + STRAY) / STRAY) / top
-    base = round(-math.log(STRAY / expected) / unit)
+    evidence = evidence - doubt * (most - evidence)
+    least -= doubt * (most - least)
+    unit = (1.0 + doubt) * math.log((HIT + STRAY) / STRAY) / top
+    base = round(-least / unit)
     value = np.clip(np.rint(evidence / unit), -base, top - base).astype(np.int64)
     hit, miss = np.maximum(value, 0), np.maximum(-value, 0)
-    name = f"evidence/{sigma:g}/{expected:.6f}/{top}"
+    name = f"evidence/{sigma:g}/{expected:.6f}/{top}/{doubt:g}"
     return EvidenceTable(
         hit.astype(np.uint16), miss.astype(np.uint16), base, top - base, name, unit
     )

@@ -45,15 +45,19 @@ class Side:
         return np.stack((col + 0.5, row + 0.5), axis=1)
 
 
-def side_of(features: GridFeatures, sigma: float, top: int) -> Side:
-    """L = log((0.75 like + 0.04) / (0.75 c + 0.04)); nothing speaks against in the unknown."""
+def side_of(features: GridFeatures, sigma: float, top: int, doubt: float = 0.0) -> Side:
+    """L = log((0.75 like + 0.04) / (0.75 c + 0.04)); nothing speaks against in the unknown.
+
+    Less doubt times what L lacks of that on a wall.
+    """
     cells = np.asarray(features.grid.cells)
     walls, free = surface_of(cells), cells == 0
     like = likeness_of(walls, sigma)
     chance = max(0.02, like[walls | free].mean())
     nats = np.log((0.75 * like + 0.04) / (0.75 * chance + 0.04))
+    nats -= doubt * (np.log(0.79 / (0.75 * chance + 0.04)) - nats)
     nats = np.where(free, nats, np.maximum(nats, 0.0))
-    unit = math.log(0.79 / 0.04) / top
+    unit = (1.0 + doubt) * math.log(0.79 / 0.04) / top
     centre = cells.shape[1] / 2.0, cells.shape[0] / 2.0
     return Side(walls, nats, unit, np.rint(nats / unit).astype(int), centre)
 

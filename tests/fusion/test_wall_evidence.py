@@ -66,12 +66,13 @@ def test_a_wall_tells_less_where_any_wall_would_find_one(
 
 def test_tables_that_differ_have_names_that_differ() -> None:
     names = {
-        evidence_table(chance, sigma, top).name
+        evidence_table(chance, sigma, top, doubt).name
         for chance in (0.1, 0.2)
         for sigma in (0.75, 1.5)
         for top in (15, 255)
+        for doubt in (0.0, 1.0)
     }
-    assert len(names) == 8
+    assert len(names) == 16
 
 
 def test_likeness_is_one_on_a_wall_and_a_shared_table_cannot_be_changed() -> None:
@@ -86,13 +87,16 @@ def field_of(features: GridFeatures, table: EvidenceTable) -> np.ndarray:
     return features.device.download(features.field(1, table)).astype(int)
 
 
+@pytest.mark.parametrize("doubt", [0.0, 1.0])
 @pytest.mark.parametrize("top", [15, 255])
 @pytest.mark.parametrize("seed", range(4))
-def test_fields_equal_their_definition(device: ComputeDevice, seed: int, top: int) -> None:
+def test_fields_equal_their_definition(
+    device: ComputeDevice, seed: int, top: int, doubt: float
+) -> None:
     features = features_of(random_grid(seed), device)
     for sigma in (0.75, 1.5, 4.0):
-        table = features.evidence_table(1, sigma, top)
-        wanted = side_of(features, sigma, top)
+        table = features.evidence_table(1, sigma, top, doubt=doubt)
+        wanted = side_of(features, sigma, top, doubt)
         assert table.unit == pytest.approx(wanted.unit)
         assert np.array_equal(field_of(features, table) - table.base, wanted.value)
 
