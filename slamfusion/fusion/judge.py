@@ -125,7 +125,7 @@ class _Stand:
     def _better_than(self, others: list[int]) -> float:
         """Return the pieces for the answer against the best of some others, or against none."""
         pieces = self.pieces
-        return min([pieces.witnesses(0), *(pieces.better(0, k) for k in others)])
+        return min([pieces.witnesses(0), *(pieces.against(k) for k in others)])
 
     @property
     def clean_share(self) -> float:
@@ -260,7 +260,7 @@ def _chosen(
     pieces = wall_pieces(reference, moving, found.motions, broad, device, cancel)
     wide = _stand(found, broad, pieces)
     is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
-    if not is_same or stand.better < NARROW_MIN:
+    if not is_same or stand.better < NARROW_MIN or stand.share < SHARE_MIN:
         return stand
     return min(stand, wide, key=_Stand.wrong)
 

@@ -26,6 +26,9 @@ F64 = npt.NDArray[np.float64]
 # Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
 PIECE_POINTS = 8192
+# Of two good maps, a rival that gives more than this share of the answer's evidence makes what
+# speaks for the answer count less; nothing where both give the same.
+RIVAL_RATIO = 0.5
 FIELD_TOP = 255
 
 
@@ -90,6 +93,18 @@ class WallPieces:
         """Return how many pieces of equal weight would say that k is better than the other."""
         weighed = self.weighed
         return _witnesses(weighed[k] - weighed[other])
+
+    def against(self, rival: int) -> float:
+        """Return how many pieces the first motion has for it against a rival, as a judge counts.
+
+        Where the maps are taken for good ones (``doubt``) and the rival gives nearly as much, fewer
+        than ``better``.
+        """
+        better, total = self.better(0, rival), self.total
+        if self.doubt == 0.0 or better <= 0.0 or total[0] <= 0.0:
+            return better
+        lead = 1.0 - max(0.0, float(total[rival] / total[0]))
+        return better * min(1.0, lead / (1.0 - RIVAL_RATIO))
 
 
 def _witnesses(values: F64) -> float:

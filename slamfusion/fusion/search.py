@@ -49,8 +49,8 @@ FINEST_FACTOR = 4
 # Motions that go down from one level to the next, and walls of each map that judge them there.
 DESCENT = ((1536, 384), (256, 768), (96, 1536))
 # Two good maps of one place leave little of what they have in common unexplained. A small common
-# ground is outweighed by a large one that fits badly, unless that counts: a third of what goes down
-# is chosen with this much doubt (see ``wall_evidence``), of so many times as many.
+# ground is outweighed by a large one that fits badly, unless that counts: a third more than the
+# best goes down, chosen with this much doubt (see ``wall_evidence``) of so many times as many.
 DOUBT, DOUBTED_SHARE, DOUBTED_OF = 1.0, 3, 4
 # Cells of the last level of the descent, metres.
 DESCENT_CELL_M = 0.2
@@ -207,12 +207,11 @@ def _doubted(
 
 
 def _either(found: F64, doubted: F64, most: int) -> npt.NDArray[np.intp]:
-    """Return the indices of at most ``most``: the best, and among the others those by doubt."""
+    """Return the indices of the ``most`` best, and of the best of the others by doubt."""
     order = np.argsort(-found, kind="stable")
-    sure = most - most // DOUBTED_SHARE
-    others = order[sure:]
+    others = order[most:]
     others = others[np.argsort(-doubted[others], kind="stable")]
-    return np.concatenate((order[:sure], others[: most - sure]))
+    return np.concatenate((order[:most], others[: most // DOUBTED_SHARE]))
 
 
 def _neighbours(motions: F64, shift: float, turn: float) -> F64:

@@ -95,12 +95,13 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"share": 0.6, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 60%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 30%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "walls do not match: 30%"),
-    # Good maps: what is left unexplained takes off twice as much.
-    (GOOD | {"share": WHOLE, "better": ENOUGH + 1e-6}, "accepted", "walls match: 100%"),
-    (GOOD | {"share": WHOLE, "better": ENOUGH - 1e-6}, "ambiguous", "explains 40% of it"),
-    (GOOD | {"share": 0.9, "better": ENOUGH / 0.7 + 1e-6}, "accepted", "walls match: 90%"),
-    (GOOD | {"share": 0.9, "better": ENOUGH / 0.7 - 1e-6}, "ambiguous", "explains 40% of it"),
-    (GOOD | {"share": 0.66, "witnesses": 1e3, "better": 1e3}, "too little in common", ""),
+    # Good maps: by the odds of what is explained, one at 11 to 1 and two at most.
+    (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 + 1e-6}, "accepted", "walls match: 100%"),
+    (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 - 1e-6}, "ambiguous", "explains 40% of it"),
+    (GOOD | {"share": 11 / 12, "better": ENOUGH + 1e-6}, "accepted", "walls match: 92%"),
+    (GOOD | {"share": 11 / 12, "better": ENOUGH - 1e-6}, "ambiguous", "explains 40% of it"),
+    (GOOD | {"share": 0.8, "better": ENOUGH / 4.0 * 11.0 + 1e-6}, "accepted", "walls match: 80%"),
+    (GOOD | {"share": 0.8, "better": ENOUGH / 4.0 * 11.0 - 1e-6}, "ambiguous", "explains 40%"),
     (GOOD | {"share": 0.9, "witnesses": 5.0, "better": 5.0}, "too little in common", "5.0"),
     # A proof that was not finished: five times the trials at most.
     (UNPROVEN | {"gap": 1.0, "better": ENOUGH + math.log(5.0) + 1e-6}, "accepted", ""),
@@ -282,9 +283,12 @@ def test_how_many_wrong_answers_are_to_be_expected(
 
 
 @pytest.mark.parametrize(
-    ("share", "weight"), [(1.0, 1.0), (0.9, 0.7), (0.75, 0.25), (2 / 3, 0.0), (0.3, 0.0)]
+    ("share", "weight"),
+    [(1.0, 2.0), (0.99, 2.0), (22 / 23, 2.0), (11 / 12, 1.0), (0.8, 4 / 11), (0.5, 1 / 11)],
 )
-def test_of_good_maps_what_is_unexplained_takes_off(share: float, weight: float) -> None:
+def test_of_good_maps_pieces_count_by_the_odds_of_what_is_explained(
+    share: float, weight: float
+) -> None:
     found = expected_wrong(7.0, share, is_plain=True)
     assert found == pytest.approx(2.0 * math.exp(-7.0 * weight))
 

@@ -141,7 +141,7 @@ def test_more_pairs_of_a_job_let_more_wrong_answers_be_expected(device: ComputeD
     assert one is not None
     assert many is not None
     assert many.expected_wrong == pytest.approx(7.0 * one.expected_wrong)
-    assert one.expected_wrong == expected_wrong(one.better, one.share)
+    assert one.expected_wrong == expected_wrong(one.better, one.share, is_plain=one.good_maps)
 
 
 def test_a_prior_is_the_share_of_the_poses(device: ComputeDevice) -> None:

@@ -30,6 +30,32 @@ def pieces_of(*evidence: list[float]) -> WallPieces:
     return WallPieces(table, np.ones_like(table), np.ones(len(table)))
 
 
+def doubted(answer: list[float], rival: list[float], doubt: float = 1.0) -> WallPieces:
+    """An answer and a rival that explain all that they see."""
+    table = np.array([answer, rival])
+    return WallPieces(table, table, np.ones(2), doubt)
+
+
+@pytest.mark.parametrize(
+    ("rival", "share"),
+    [(0.0, 1.0), (0.3, 1.0), (0.5, 1.0), (0.75, 0.5), (0.9, 0.2), (1.0, 0.0)],
+)
+def test_a_rival_of_good_maps_that_gives_nearly_as_much_takes_off(
+    rival: float, share: float
+) -> None:
+    pieces = doubted([1.0] * 20 + [0.0] * 20, [0.0] * 20 + [rival] * 20)
+    assert pieces.against(1) == pytest.approx(share * pieces.better(0, 1))
+    bent = replace(pieces, doubt=0.0)
+    assert bent.against(1) == bent.better(0, 1)
+
+
+def test_a_rival_that_is_better_counts_as_it_is() -> None:
+    pieces = doubted([1.0, 1.0, 0.0], [1.0, 1.0, 1.0])
+    assert pieces.against(1) == pieces.better(0, 1) == pytest.approx(-1.0)
+    nothing = doubted([0.0, 0.0], [-1.0, -1.0])
+    assert nothing.against(1) == nothing.better(0, 1) == pytest.approx(2.0)
+
+
 def some_motions(ref: GridFeatures, seed: int, count: int = 6) -> np.ndarray:
     """Motions that land the moving centre within a quarter of the reference from its middle."""
     rng = np.random.default_rng(seed)
