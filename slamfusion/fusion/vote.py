@@ -117,7 +117,7 @@ def check_votes(config: VoteConfig) -> None:
     if config.mode not in votes:
         message = (
             f"mode {config.mode!r} draws the map from the scans of a log, and here are maps alone; "
-            f"take {', '.join(votes[:-1])} or {votes[-1]}, or `slamfusion run LOG --mode drawn`"
+            f"take {', '.join(votes[:-1])} or {votes[-1]}, or a log and `slamfusion run`"
         )
         raise ConfigError(message)
 

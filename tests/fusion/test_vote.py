@@ -322,7 +322,9 @@ def test_what_cannot_vote_is_refused(device: ComputeDevice):
     ):
         with pytest.raises(GridError, match=words):
             vote_grids(wrong, VoteConfig(), device)
-    with pytest.raises(ConfigError, match=r"'drawn' draws the map from .*run LOG --mode drawn"):
+    with pytest.raises(
+        ConfigError, match=r"'drawn' draws the map from .*a log and `slamfusion run`"
+    ):
         vote_grids([cell], VoteConfig(mode="drawn"), device)
     with pytest.raises(ConfigError, match="wants 1 weights"):
         vote_grids([cell], VoteConfig(mode="weighted"), device)
