@@ -151,6 +151,8 @@ def _reported(run: LogRun) -> RunReport:
         if outcome.run is not None
     ]
     warnings = [(f"{item.run.name}:", text) for item in runs for text in item.run.warnings()]
+    if run.why_voted is not None:
+        warnings.append(("Not drawn:", f"the maps vote ({run.fused_mode}): {run.why_voted}"))
     warnings += [("The vote:", sentence) for sentence in run.layers.sentences()]
     warnings += [("Not measured:", trouble) for trouble in run.not_measured]
     return RunReport(
@@ -158,6 +160,7 @@ def _reported(run: LogRun) -> RunReport:
         runs=runs,
         failed=[(outcome.name, outcome.reason) for outcome in run.failed],
         result=run.fusion.result,
+        mode=run.fused_mode or "",
         failure="" if run.failure is None else str(run.failure),
         grids=run.grids,
         pairs=run.fusion.pairs,

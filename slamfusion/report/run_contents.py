@@ -44,6 +44,7 @@ class RunReport:
         runs: the producers that made a map.
         failed: the others, each with its reason.
         result: the fusion; None where nothing was fused.
+        mode: how the fused map came to be: ``drawn``, or the mode of the vote; empty: not said.
         failure: why the fused map must not be used, or why there is none; empty where all is well.
         grids: all inputs of the fusion, saved maps included.
         pairs: where nothing was fused, the pairs that were tried.
@@ -62,6 +63,7 @@ class RunReport:
     runs: Sequence[ReportedRun]
     failed: Sequence[tuple[str, str]] = ()
     result: FusionResult | None = None
+    mode: str = ""
     failure: str = ""
     grids: Sequence[OccupancyGrid] = ()
     pairs: Sequence[Alignment] = ()

@@ -111,12 +111,19 @@ def _banner(report: RunReport) -> Banner:
         headline = "Do not use this map" if result is not None else "Nothing was fused"
         return Banner("bad", headline, [("", report.failure), *lines])
     accepted = ", ".join(record.name for record in result.accepted)
-    lines.append(("Fused:", f"{accepted}; in the frame of {result.reference}."))
+    lines.append(("Fused:", f"{accepted}{_how(report.mode)}; in the frame of {result.reference}."))
     total, fused = len(result.inputs) + len(report.failed), len(result.accepted)
     if fused < total:
         return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
     tone = "warn" if report.warnings else "good"
     return Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
+
+
+def _how(mode: str) -> str:
+    """Return how a fused map came to be, for the end of a list of names."""
+    if mode == "drawn":
+        return "; the map is drawn from all scans at the path fused of theirs"
+    return f"; by vote ({mode})" if mode else ""
 
 
 def _facts(report: RunReport) -> list[Fact]:

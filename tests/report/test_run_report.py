@@ -151,6 +151,18 @@ def test_a_map_that_may_not_be_used_is_not_called_fused(tmp_path: Path) -> None:
     assert "maps were fused" not in text
 
 
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [("drawn", "the map is drawn from all scans"), ("consensus", "by vote (consensus)")],
+)
+def test_the_headline_says_how_the_fused_map_came_to_be(
+    tmp_path: Path, mode: str, words: str
+) -> None:
+    report = replace(everything(), mode=mode)
+    text = read(write_run_report(report, tmp_path, config=CONFIG)).text
+    assert f"Fused: room 0, room 1, room 2; {words}" in text
+
+
 def test_a_producer_without_scores_or_odometry_is_drawn_all_the_same(tmp_path: Path) -> None:
     bare = replace(
         produced("room 0"), odometry=None, match_scores=np.empty(0), series=(), other_paths=()
