@@ -10,10 +10,28 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
 
-__all__ = ["SAME_STAMP_S", "Trajectory"]
+__all__ = ["SAME_STAMP_S", "Trajectory", "nearest_stamps"]
 
 # Times that differ by no more are one, seconds: files round them to milliseconds.
 SAME_STAMP_S = 1e-3
+
+
+def nearest_stamps(
+    stamps_s: npt.NDArray[np.float64], wanted_s: npt.ArrayLike
+) -> npt.NDArray[np.int64]:
+    """Return for each wanted time the index of the nearest stamp; the earlier on a tie.
+
+    Args:
+        stamps_s: (N,) seconds, never decreasing, N at least 1.
+        wanted_s: any shape, seconds.
+    """
+    wanted = np.asarray(wanted_s, dtype=np.float64)
+    last = len(stamps_s) - 1
+    after = np.clip(np.searchsorted(stamps_s, wanted), 1, max(1, last))
+    before = after - 1
+    after = np.minimum(after, last)
+    later_is_nearer = stamps_s[after] - wanted < wanted - stamps_s[before]
+    return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +88,7 @@ class Trajectory:
         if len(self) == 0:
             message = f"{self.name}: has no pose"
             raise TrajectoryError(message)
-        wanted = np.asarray(stamps_s, dtype=np.float64)
-        after = np.clip(np.searchsorted(self.stamps_s, wanted), 1, max(1, len(self) - 1))
-        before = after - 1
-        after = np.minimum(after, len(self) - 1)
-        later_is_nearer = self.stamps_s[after] - wanted < wanted - self.stamps_s[before]
-        return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
+        return nearest_stamps(self.stamps_s, stamps_s)
 
     def matches(
         self, stamps_s: npt.ArrayLike, within_s: float = SAME_STAMP_S

@@ -23,10 +23,11 @@ import numpy.typing as npt
 
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.comparison import BLOCKS, compare_sums
-from slamfusion.evidence.parting import LEAST_S, PART_M
+from slamfusion.evidence.parting import LEAST_S, PART_M, flag_runs
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import compose_poses, fit_motion, with_levers
+from slamfusion.trajectory import nearest_stamps
 
 __all__ = [
     "ExcludedSpan",
@@ -121,11 +122,7 @@ class Exclusions:
             name: of the path.
             stamps_s: (T,) seconds.
         """
-        last = len(self.stamps_s) - 1
-        after = np.searchsorted(self.stamps_s, stamps_s).clip(min(1, last), last)
-        before = np.maximum(after - 1, 0)
-        is_later = self.stamps_s[after] - stamps_s < stamps_s - self.stamps_s[before]
-        return np.asarray(~self.excluded[name][np.where(is_later, after, before)])
+        return np.asarray(~self.excluded[name][nearest_stamps(self.stamps_s, stamps_s)])
 
 
 def find_exclusions(evidence: PathEvidence) -> Exclusions:
@@ -195,10 +192,9 @@ def parted(gap_m: F64, stamps_s: F64) -> B8:
 
 def _spans(flags: B8, stamps_s: F64) -> Iterator[slice]:
     """Yield where flags are set without a break, for ``LEAST_S`` at least."""
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
-    for start, stop in edges.reshape(-1, 2).tolist():
-        if stamps_s[min(stop, len(stamps_s) - 1)] - stamps_s[start] >= LEAST_S:
-            yield slice(start, stop)
+    for here in flag_runs(flags):
+        if stamps_s[min(here.stop, len(stamps_s) - 1)] - stamps_s[here.start] >= LEAST_S:
+            yield here
 
 
 def _in_largest_group(apart: B8) -> B8:
@@ -364,10 +360,9 @@ class _Drive:
         votes = (grounds == 0) & others[:, None]
         nearest = np.where(votes | (others[:, None] & ~votes.any(axis=0)), self.gaps[row], np.inf)
         gap_m = nearest.min(axis=0)
-        edges = np.flatnonzero(np.diff(np.r_[0, grounds[row] > 0, 0]))
-        for start, stop in edges.reshape(-1, 2).tolist():
-            here = slice(start, stop)
-            is_outvoted = 2 * np.count_nonzero(grounds[row, here] == _OUTVOTED) >= stop - start
+        for here in flag_runs(grounds[row] > 0):
+            outvoted = np.count_nonzero(grounds[row, here] == _OUTVOTED)
+            is_outvoted = 2 * outvoted >= here.stop - here.start
             yield ExcludedSpan(
                 *self._times(here),
                 float(gap_m[here].max()),

@@ -6,6 +6,7 @@ does not turn the rest. What the scans say of such a span is asked of its scans 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,7 +17,7 @@ from slamfusion.evidence.comparison import compare_sums
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import compose_poses, fit_motion, with_levers
 
-__all__ = ["Span", "path_gap_m", "path_spans"]
+__all__ = ["Span", "flag_runs", "path_gap_m", "path_spans"]
 
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
@@ -114,6 +115,13 @@ def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
     return np.asarray(left, dtype=np.float64)
 
 
+def flag_runs(flags: B8) -> Iterator[slice]:
+    """Yield where flags, (N,), are set without a break, in their order."""
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        yield slice(start, stop)
+
+
 def _parted(gap_m: F64, since_s: F64) -> B8:
     """Say at which scans two paths have parted, with a lower threshold for meeting again."""
     wide, near = gap_m > PART_M, gap_m <= 0.5 * PART_M
@@ -121,9 +129,7 @@ def _parted(gap_m: F64, since_s: F64) -> B8:
     decided = np.where(wide, 1, np.where(near, -1, 0))
     last = np.maximum.accumulate(np.where(decided != 0, np.arange(len(gap_m)), -1))
     apart = np.where(last >= 0, decided[np.maximum(last, 0)] > 0, False)
-    edges = np.flatnonzero(np.diff(np.r_[0, apart.astype(np.int8), 0]))
-    for start, stop in edges.reshape(-1, 2).tolist():
-        end_s = since_s[min(stop, len(since_s) - 1)]
-        if end_s - since_s[start] < LEAST_S:
-            apart[start:stop] = False
+    for here in flag_runs(apart):
+        if since_s[min(here.stop, len(since_s) - 1)] - since_s[here.start] < LEAST_S:
+            apart[here] = False
     return np.asarray(apart, dtype=np.bool_)

@@ -17,8 +17,9 @@ from slamfusion.fusion.surfaces import with_backs
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
+from slamfusion.jobs.outputs import DRAWN
 from slamfusion.slam.registry import BUILT_IN
-from slamfusion.trajectory import Trajectory
+from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 __all__ = [
     "CHOICE",
@@ -33,12 +34,10 @@ __all__ = [
     "weigh_paths",
 ]
 
-# Poses of simulated drives have the stamps of their scans, which files round, seconds.
-SAME_STAMP_S = 1e-3
 # The producer whose path the scans bear out best, in tables.
 CHOICE = "evidence choice"
-# The path that is made of all of them, and the map that all scans draw at it.
-FUSED_PATH, DRAWN = "fused path", "drawn"
+# The path that is made of all of them; the map that all scans draw at it is called as in ``run``.
+FUSED_PATH = "fused path"
 
 
 def drawn_at(name: str) -> str:
