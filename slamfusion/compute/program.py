@@ -34,48 +34,59 @@ def kernel_folder() -> Path:
     raise DeviceError(message)
 
 
-def family_source(folder: Path, family: str) -> str:
-    """Return the source of a kernel family with the headers that it includes written out.
+def kernel_source(folder: Path) -> str:
+    """Return the source of all kernels with the headers that they include written out.
 
-    The compiler then needs no path, which PoCL's cache goes by: what one installation built, every
-    other one of equal sources has.
+    It is one program, since PoCL reads the OpenCL header of 1 MB anew for each program that it
+    finds in its cache. No path stands in it, which that cache goes by: what one installation built,
+    every other one of equal sources has.
 
     Args:
-        folder: of the .cl files.
-        family: name of one, without its suffix.
+        folder: of the .cl files, one for each family.
+    """
+    return "\n".join(_family_source(folder, family) for family in FAMILIES)
+
+
+def _family_source(folder: Path, family: str) -> str:
+    """Return the source of a family; a compiler's complaint names its files and lines.
+
+    Arithmetic is as in a program that begins: what the family before it asked for has ended.
     """
     source = (folder / f"{family}.cl").read_text(encoding="utf-8")
-    return INCLUDE.sub(lambda found: (folder / found[1]).read_text(encoding="utf-8"), source)
+
+    def write_out(found: re.Match[str]) -> str:
+        header = (folder / found[1]).read_text(encoding="utf-8")
+        next_line = source.count("\n", 0, found.end()) + 2
+        return f'#line 1 "{found[1]}"\n{header}\n#line {next_line} "{family}.cl"'
+
+    begin = f'#pragma OPENCL FP_CONTRACT ON\n#line 1 "{family}.cl"\n'
+    return begin + INCLUDE.sub(write_out, source)
 
 
 class KernelProgram:
-    """All kernel families, built for one device; a kernel object is fetched once and kept."""
+    """All kernels, built for one device; a kernel object is fetched once and kept."""
 
     def __init__(self, context: Any, device: Any, options: tuple[str, ...] = ()) -> None:
-        """Build every family; a compiler's complaint becomes one DeviceError.
+        """Build every kernel; a compiler's complaint becomes one DeviceError.
 
         Args:
             context, device: pyopencl's own.
             options: of the compiler, beside the constants of ``layout``.
         """
-        folder = kernel_folder()
+        source = kernel_source(kernel_folder())
         self.options = ("-w", *kernel_options(), *options)
         LOG.debug("kernels are built with %s", " ".join(self.options))
-        self._kernels: dict[str, Any] = {}
-        for family in FAMILIES:
-            source = family_source(folder, family)
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", cl.CompilerWarning)
-                    program = cl.Program(context, source).build(
-                        options=list(self.options), devices=[device]
-                    )
-            except cl.Error as error:
-                words = " ".join(str(error).split())[:400]
-                message = f"{family}.cl does not build on {device.name.strip()}: {words}"
-                raise DeviceError(message) from error
-            for kernel in program.all_kernels():
-                self._kernels[kernel.function_name] = kernel
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                program = cl.Program(context, source).build(
+                    options=list(self.options), devices=[device]
+                )
+        except cl.Error as error:
+            words = " ".join(str(error).split())[:400]
+            message = f"the kernels do not build on {device.name.strip()}: {words}"
+            raise DeviceError(message) from error
+        self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
 
     def __getitem__(self, name: str) -> Any:
         """Return the kernel object of that name."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -211,26 +212,50 @@ def test_missing_kernels_are_named(package: Path):
     assert str(package / "kernels") in str(caught.value)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_what_is_built_is_the_same_wherever_the_package_lies(tmp_path: Path, family: str):
+def test_what_is_built_is_the_same_wherever_the_package_lies(tmp_path: Path):
     """So that PoCL's cache has it after the package was installed anew."""
     folder = program.kernel_folder()
     shutil.copytree(folder, tmp_path / "kernels")
-    source = program.family_source(tmp_path / "kernels", family)
-    assert source == program.family_source(folder, family)
+    source = program.kernel_source(tmp_path / "kernels")
+    assert source == program.kernel_source(folder)
     assert "#include" not in source
     assert str(folder) not in source
 
 
+def test_no_family_changes_the_next_one():
+    """They are one program: a macro has one meaning, and contraction of floats is as written."""
+    folder = program.kernel_folder()
+    macros = [
+        (name, family)
+        for family in FAMILIES
+        for name in set(
+            re.findall(r"^ *#define (\w+)", (folder / f"{family}.cl").read_text(), re.MULTILINE)
+        )
+    ]
+    assert len({name for name, _ in macros}) == len(macros) > 10
+    begins = re.findall(
+        r"^#pragma OPENCL FP_CONTRACT ON\n#line 1 \"(\w+)\.cl\"$",
+        program.kernel_source(folder),
+        re.MULTILINE,
+    )
+    assert begins == list(FAMILIES)
+
+
 @needs_wheels
-def test_source_that_does_not_build_is_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "common.h").touch()
+def test_source_that_does_not_build_is_one_error_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "common.h").write_text("/* of\nthree\nlines */\n", encoding="utf-8")
     for family in FAMILIES:
-        (tmp_path / f"{family}.cl").write_text("__kernel void broken( {", encoding="utf-8")
+        text = (
+            '/* first */\n#include "common.h"\n__kernel void broken( {' if family == "votes" else ""
+        )
+        (tmp_path / f"{family}.cl").write_text(text, encoding="utf-8")
     monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
-    with pytest.raises(DeviceError, match="does not build on") as caught:
+    with pytest.raises(DeviceError, match="do not build on") as caught:
         open_device(POCL)
     assert "\n" not in str(caught.value)
+    assert "votes.cl:3:" in str(caught.value)
 
 
 SINGLE_THREAD, THREADED = fake("basic-AMD EPYC", CPU), fake("pthread-AMD EPYC", CPU)
