@@ -30,8 +30,8 @@ from typing import Any
 
 __all__ = ["Forked", "Server"]
 
-# Read when a node starts, not when Python or a library is loaded.
-READ_LATE = {"ROS_DOMAIN_ID"}
+# Read when a node or a device begins, not when Python or a library is loaded.
+READ_LATE = {"ROS_DOMAIN_ID", "POCL_DEVICES"}
 # Written by pytest, and by OpenCV and pyopencl where they are loaded.
 NOT_READ = {"PYTEST_CURRENT_TEST", "LD_LIBRARY_PATH", "PYOPENCL_HOME"}
 # With these, coverage measures processes that are started, and would not know a fork.
@@ -229,6 +229,8 @@ def _become(script: str, request: dict[str, Any], files: list[int]) -> None:
         os.dup2(file, number)
         os.close(file)
     os.chdir(request["cwd"])
+    for name in READ_LATE - request["env"].keys():
+        os.environ.pop(name, None)
     os.environ.update(request["env"])
     sys.argv = [script, *request["arguments"]]
     runpy.run_path(script, run_name="__main__")
