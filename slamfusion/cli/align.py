@@ -95,7 +95,7 @@ def _print_alignment(found: Alignment, device: str) -> None:
     if found.runner_up is not None:
         rows.append(
             [
-                "runner-up",
+                "runner-up ratio",
                 _where(found.runner_up.transform, found.runner_up.ratio),
             ]
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -13,7 +14,7 @@ from slamfusion.config import RunConfig
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import BenchEntryJson
 
-__all__ = ["command"]
+__all__ = ["command", "print_entries"]
 
 
 @click.command("bench")
@@ -30,12 +31,13 @@ def command(quick: bool, config: RunConfig, as_json: bool) -> int:
     if as_json:
         print_json(bench_document(results, device))
     else:
-        print_table(
-            COLUMNS,
-            [_row(entry) for entry in results["entries"]],
-            title=f"Benchmarks on {device.name}",
-        )
+        print_entries(results["entries"], device.name)
     return 0
+
+
+def print_entries(entries: Sequence[BenchEntryJson], device: str) -> None:
+    """Print a row for each measurement on a device."""
+    print_table(COLUMNS, [_row(entry) for entry in entries], title=f"Benchmarks on {device}")
 
 
 COLUMNS = ("work ", "s", "runs", "baseline ", "baseline s", "ratio", "must", "stretch", "reached ")

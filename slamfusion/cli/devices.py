@@ -43,11 +43,9 @@ def print_devices(devices: Sequence[DeviceJson]) -> None:
             device["name"],
             device["platform"],
             device["type"],
-            device["version"],
             str(device["compute_units"]),
             f"{device['memory_mb']:.0f}",
             "yes" if device["usable"] else "NO",
-            device["note"],
         ]
         for device in devices
     ]
@@ -56,10 +54,8 @@ def print_devices(devices: Sequence[DeviceJson]) -> None:
         "name ",
         "platform ",
         "type ",
-        "version ",
         "units",
         "memory MB",
         "usable ",
-        "note ",
     )
-    print_table(columns, rows)
+    print_table(columns, rows, notes=[device["note"] for device in devices])

@@ -42,9 +42,15 @@ def _print(document: DoctorDocument) -> None:
     print_devices(document["devices"])
     if document["pocl"] is not None:
         print(f"PoCL: {document['pocl']['detail']}")
-    tested = [
-        [test["name"], "yes" if test["passed"] else "NO", test["detail"]]
-        for test in document["self_test"]
-    ]
-    print_table(("self test ", "passed ", "detail "), tested, title=f"on {document['device']}")
+    tests = document["self_test"]
+    failed = [test for test in tests if not test["passed"]]
+    if failed:
+        print_table(
+            ("failed self test ",),
+            [[test["name"]] for test in failed],
+            notes=[test["detail"] for test in failed],
+            title=f"{len(failed)} of {len(tests)} self tests failed on {document['device']}",
+        )
+    else:
+        print(f"kernels: all {len(tests)} self tests passed on {document['device']}")
     print_table(("for ", "install "), [list(item) for item in document["install"].items()])

@@ -215,10 +215,14 @@ def _print_distances(comparison: DistanceComparison) -> None:
             number(row.map_m),
             number(row.error_m),
             number(row.error_percent, 1),
-            row.reason,
         ]
         for row in comparison.rows
     ]
-    columns = ("distance ", "measured m", "map m", "error m", "error %", "note ")
-    print_table(columns, rows, title=f"Measured distances in {comparison.name}")
+    columns = ("distance ", "measured m", "map m", "error m", "error %")
+    print_table(
+        columns,
+        rows,
+        notes=[row.reason for row in comparison.rows],
+        title=f"Measured distances in {comparison.name}",
+    )
     print(f"mean absolute error: {number(comparison.mean_absolute_error_m)} m")

@@ -22,10 +22,8 @@ PAIR_COLUMNS = (
     "yaw deg",
     "score",
     "overlap",
-    "runner-up",
+    "runner-up ratio",
     "gap",
-    "time s",
-    "reason ",
 )
 
 
@@ -34,6 +32,7 @@ def print_alignments(result: FusionResult) -> None:
     print_table(
         PAIR_COLUMNS[1:],
         [_row(record, result.reference) for record in result.inputs],
+        notes=[record.reason for record in result.inputs],
         title=f"Alignment to {result.reference}, on {result.device}",
     )
 
@@ -43,6 +42,7 @@ def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
     print_table(
         PAIR_COLUMNS,
         [[pair.reference, *_cells(pair, "yes" if pair.accepted else "NO")] for pair in pairs],
+        notes=[pair.reason for pair in pairs],
         title=f"Nothing was fused, on {device}",
     )
 
@@ -53,12 +53,12 @@ def _row(record: InputRecord, reference: str) -> list[str]:
     if record.name == reference:
         accepted = "reference"
     if record.alignment is None:
-        return [record.name, accepted, *["-"] * 8, record.reason]
-    return [record.name, *_cells(record.alignment, accepted)[1:-1], record.reason]
+        return [record.name, accepted, *["-"] * (len(PAIR_COLUMNS) - 3)]
+    return [record.name, *_cells(record.alignment, accepted)[1:]]
 
 
 def _cells(found: Alignment, accepted: str) -> list[str]:
-    """Return an alignment's cells of the table, from the input's name to the reason."""
+    """Return an alignment's cells of the table, from the input's name on."""
     return [
         found.moving,
         accepted,
@@ -69,6 +69,4 @@ def _cells(found: Alignment, accepted: str) -> list[str]:
         number(found.overlap),
         number(None if found.runner_up is None else found.runner_up.ratio, 2),
         number(found.bound_gap),
-        number(found.time_s, 2),
-        found.reason,
     ]

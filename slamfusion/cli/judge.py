@@ -85,8 +85,8 @@ def print_verdict(verdict: Verdict) -> None:
 
 
 _COLUMNS = (
-    *("path ", "log-likelihood of a hit", "behind the best", "95 %", "p", "tied "),
-    *("hits judged", "seen again %", "own poses %", "left the best s", "by m"),
+    *("path ", "log-likelihood a hit", "behind best", "95 % interval", "p", "tied "),
+    *("hits judged", "seen again %", "own poses %", "left best s", "by m"),
 )
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import click
 
+from slamfusion.cli.tables import Table, one_line
 from slamfusion.jobs.documents import number, plain
 from slamfusion.jobs.inputs import Progress
 
@@ -24,10 +27,10 @@ __all__ = [
     "progress_bar",
 ]
 
-# Tables in a pipe or file are never squeezed to a terminal's width.
-PIPE_WIDTH = 240
-# Paths of people are shorter; what is longer is no word.
-WORD_CHARACTERS, WORD_ENDS = 400, 40
+# Narrower terminals break the lines themselves.
+LEAST_WIDTH = 40
+# Where nobody watches, a line tells this often how far a long stage is, seconds.
+TOLD_EVERY_S = 10.0
 
 
 @dataclass
@@ -47,18 +50,6 @@ def print_json(document: Mapping[str, Any]) -> None:
         context.ensure_object(Settings).printed = True
 
 
-def one_line(text: str) -> str:
-    """Return the text without line breaks and control characters; the middle of long words goes."""
-    words = (
-        word if len(word) <= WORD_CHARACTERS else f"{word[:WORD_ENDS]}...{word[-WORD_ENDS:]}"
-        for word in text.split()
-    )
-    return "".join(
-        character if character.isprintable() else character.encode("unicode_escape").decode()
-        for character in " ".join(words)
-    )
-
-
 def notice(text: str) -> None:
     """Print one line about this run to stderr."""
     print(f"slamfusion: {one_line(text)}", file=sys.stderr)
@@ -68,39 +59,24 @@ def print_table(
     columns: Sequence[str],
     rows: Sequence[Sequence[str]],
     *,
-    title: str | None = None,
+    notes: Sequence[str] = (),
+    title: str = "",
     header: bool = True,
 ) -> None:
-    """Print a table to stdout; columns whose name ends in a space are aligned left."""
-    from rich.box import SIMPLE_HEAD  # noqa: PLC0415  (rich loads slowly; --help needs none)
-    from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-    from rich.text import Text  # noqa: PLC0415
-
-    width = None if sys.stdout.isatty() else PIPE_WIDTH
-
-    class Pipe(Console):
-        """Leaves a reader that went away to the caller; rich would exit with code 1."""
-
-        def on_broken_pipe(self) -> None:
-            raise  # noqa: PLE0704 - rich calls it where it has caught the error
-
-    console = Pipe(file=sys.stdout, width=width, markup=False, highlight=False)
-    table = Table(
-        title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=header
-    )
-    for name in columns:
-        table.add_column(name.rstrip(), justify="left" if name.endswith(" ") else "right")
-    for row in rows:
-        table.add_row(*(Text(one_line(cell)) for cell in row))
-    console.print(table)
+    """Print a table to stdout, fitted to a terminal or tab-separated; see ``Table``."""
+    table = Table(columns, rows, notes, title, has_head=header)
+    if not sys.stdout.isatty():
+        lines = table.tabbed()
+    else:
+        lines = table.fitted(max(LEAST_WIDTH, shutil.get_terminal_size().columns))
+    print("\n".join([*lines, ""]))
 
 
 @contextlib.contextmanager
-def progress_bar() -> Iterator[Progress | None]:
-    """Give a callback (stage, done, total) that draws on stderr; None where nobody watches."""
+def progress_bar() -> Iterator[Progress]:
+    """Give a callback (stage, done, total): bars on a terminal's stderr, else lines."""
     if not sys.stderr.isatty():
-        yield None
+        yield _Lines()
         return
     from rich.console import Console  # noqa: PLC0415
     from rich.progress import Progress as Bar  # noqa: PLC0415
@@ -115,3 +91,16 @@ def progress_bar() -> Iterator[Progress | None]:
             bar.update(tasks[stage], completed=done, total=total)
 
         yield report
+
+
+class _Lines:
+    """Tells progress in lines on stderr; what is done soon says nothing."""
+
+    def __init__(self) -> None:
+        self._told_s = time.monotonic()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told_s >= TOLD_EVERY_S:
+            self._told_s = now_s
+            notice(f"{stage}: {done} of {total}")

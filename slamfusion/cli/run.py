@@ -297,14 +297,15 @@ def _print_producers(run: LogRun) -> None:
     """Print a row for each producer, with the errors that are known."""
     with_relations = any(item.measures.relations for item in run.results.values())
     with_truth = any(item.measures.truth for item in run.results.values())
-    columns = ["producer ", "scans", "used", "s", "ms a scan", "95 %", "MB", "match score"]
-    columns += ["relations m", "deg"] if with_relations else []
-    columns += ["ATE m", "deg"] if with_truth else []
-    rows = []
+    columns = ["producer ", "scans", "used", "s", "ms a scan", "95 % ms", "MB", "match score"]
+    columns += ["relations m", "relations deg"] if with_relations else []
+    columns += ["ATE m", "ATE deg"] if with_truth else []
+    rows, notes = [], []
     for outcome in run.outcomes:
         result = run.results.get(outcome.name)
+        notes.append("" if result is not None else f"NO MAP: {outcome.reason}")
         if result is None:
-            rows.append([outcome.name, *["-"] * (len(columns) - 1), f"NO MAP: {outcome.reason}"])
+            rows.append([outcome.name, *["-"] * (len(columns) - 1)])
             continue
         made, measures = result.run, result.measures
         time_ms = made.time_per_scan_ms()
@@ -330,5 +331,5 @@ def _print_producers(run: LogRun) -> None:
                 number(None if found is None or found.ate is None else found.ate.rmse, 4),
                 number(None if found is None else found.ate_rotation_deg.rmse, 3),
             ]
-        rows.append([*row, "made a map"])
-    print_table([*columns, "what "], rows, title=f"Producers on {run.files.log}")
+        rows.append(row)
+    print_table(columns, rows, notes=notes, title=f"Producers on {run.files.log}")

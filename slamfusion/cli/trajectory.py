@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from slamfusion.jobs.trajectory import Measures
     from slamfusion.trajectory import Trajectory
 
-__all__ = ["command", "print_measures"]
+__all__ = ["command", "print_errors", "print_measures"]
 
 
 @click.command("trajectory")
@@ -156,9 +157,16 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
             f"{found.config.tolerance_s:g} s, {aligned}; "
             f"{len(found.relative_translation_m)} pairs"
         )
+    title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
+    print_errors(title, kinds, notes)
+
+
+def print_errors(
+    title: str, kinds: Sequence[tuple[str, ErrorStatistics | None, int]], notes: Sequence[str]
+) -> None:
+    """Print a row of figures for each kind of error (name with its unit, figures, digits)."""
     rows = [[name, *_figures(statistics, digits)] for name, statistics, digits in kinds]
     columns = ("error ", "mean", "std", "rmse", "median", "min", "max")
-    title = f"{estimate.name}: {len(estimate)} poses, {estimate.path_length_m():.1f} m"
     print_table(columns, rows, title=title)
     for note in notes:
         print(note)

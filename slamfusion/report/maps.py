@@ -118,7 +118,7 @@ def alignment_table(
         "score",
         "overlap",
         "error [F16]",
-        "runner-up",
+        "runner-up ratio",
         "bound gap",
         "time s",
         "reason",

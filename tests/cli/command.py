@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -31,7 +32,9 @@ def run(
     timeout: float = 180.0,
     is_anew: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Start ``slamfusion`` with arguments and return what it printed.
+    """Start ``slamfusion`` with arguments and return what it printed, but for lines of progress.
+
+    Such lines come on a slow machine; see ``slamfusion.cli.output.progress_bar``.
 
     It is a process of its own: a fork of one that has loaded its libraries, where that is the same.
 
@@ -46,22 +49,31 @@ def run(
     words = [str(INSTALLED), *map(str, arguments)]
     whole = {**os.environ, **(env or {})}
     if not is_anew and not limits and server().can_start(whole):
-        return run_forked(words, cwd, whole, timeout)
+        return _without_progress(run_forked(words, cwd, whole, timeout))
 
     def set_limits() -> None:
         for kind, value in (limits or {}).items():
             resource.setrlimit(kind, (value, value))
 
-    return subprocess.run(
-        words,
-        cwd=cwd,
-        env=whole,
-        preexec_fn=set_limits if limits else None,
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
+    return _without_progress(
+        subprocess.run(
+            words,
+            cwd=cwd,
+            env=whole,
+            preexec_fn=set_limits if limits else None,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
     )
+
+
+def _without_progress(
+    done: subprocess.CompletedProcess[str],
+) -> subprocess.CompletedProcess[str]:
+    done.stderr = re.sub(r"^slamfusion: [^:\n]+: \d+ of \d+\n", "", done.stderr, flags=re.MULTILINE)
+    return done
 
 
 @functools.cache

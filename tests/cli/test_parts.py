@@ -13,8 +13,9 @@ import pytest
 from slamfusion.cli import slam
 from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.options import config_fields, option_name
-from slamfusion.cli.output import one_line, progress_bar
+from slamfusion.cli.output import progress_bar
 from slamfusion.cli.program import COMMANDS
+from slamfusion.cli.tables import one_line
 from slamfusion.config import GMAPPING_PROFILES
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.documents import plain
@@ -147,8 +148,18 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
     for stream, drawn in ((Terminal(), True), (io.StringIO(), False)):
         monkeypatch.setattr("sys.stderr", stream)
         with progress_bar() as progress:
-            assert (progress is not None) == drawn
-            if progress is not None:
-                progress("align", 1, 3)
-                progress("align", 3, 3)
+            progress("align", 1, 3)
+            progress("align", 3, 3)
         assert bool(stream.getvalue()) == drawn
+
+
+def test_progress_of_long_work_is_told_in_lines_where_nobody_watches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, now = io.StringIO(), iter((0.0, 1.0, 11.0, 12.0, 22.0))
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setattr("slamfusion.cli.output.time.monotonic", lambda: next(now))
+    with progress_bar() as progress:
+        for done in range(4):
+            progress("graph", done, 4)
+    assert stream.getvalue() == "slamfusion: graph: 1 of 4\nslamfusion: graph: 3 of 4\n"

@@ -1,0 +1,208 @@
+"""Every table that commands print, of values written out here; see ``test_tables``.
+
+``python -m tests.cli.shown_tables`` writes what they look like anew, to be looked at.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+from slamfusion.cli import bench, devices, doctor, evaluate, experiment, fused, judge, run
+from slamfusion.cli import trajectory as trajectories
+from slamfusion.config import NormalizeConfig
+from slamfusion.evaluation import compare_to_truth
+from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.evidence.comparison import Comparison
+from slamfusion.evidence.parting import Span
+from slamfusion.evidence.verdict import PathVerdict
+from slamfusion.experiments.sheets import Sheet
+from slamfusion.jobs.evaluate import Evaluation
+from slamfusion.jobs.tool_records import BenchEntryJson
+from tests.report.drawn import alignment, fusion, room
+
+FOLDER = Path(__file__).parent
+WIDTHS = (80, 200)
+
+
+class Terminal(io.StringIO):
+    """What a command prints to."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def shown(print_it: Callable[[], None], width: int | None) -> str:
+    """Return what is printed on a terminal of some width; None: into a pipe."""
+    stream = io.StringIO() if width is None else Terminal()
+    with (
+        patch.dict(os.environ, {"COLUMNS": str(width or 0)}),
+        contextlib.redirect_stdout(stream),
+    ):
+        print_it()
+    return stream.getvalue()
+
+
+def _fuse() -> None:
+    fused.print_alignments(fusion(rejected_name="the_upper_floor"))
+
+
+def _nothing_fused() -> None:
+    fused.print_pairs([alignment("office", "upper_floor", accepted=False)], "numpy")
+
+
+def _evaluate() -> None:
+    truth = room("truth", 7)
+    errors = [
+        compare_to_truth(room(name, seed), truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+        for seed, name in enumerate(("tinyslam", "gmapping", "fused"))
+    ]
+    evaluate.print_evaluations([Evaluation(error, None) for error in errors])
+
+
+def _run() -> None:
+    made: Any = SimpleNamespace(
+        name="gmapping",
+        scans=910,
+        scans_used=908,
+        time_s=12.31,
+        time_per_scan_ms=lambda: {"mean": 13.4, "p50": 12.0, "p95": 21.7},
+        peak_memory_bytes=81.2e6,
+        health=SimpleNamespace(mean_match_score=0.913),
+    )
+    errors = ErrorStatistics.of([0.02, 0.06])
+    measures = SimpleNamespace(
+        relations=SimpleNamespace(translation=errors, rotation_deg=errors),
+        truth=SimpleNamespace(ate=errors, ate_rotation_deg=errors),
+    )
+    outcomes = [
+        SimpleNamespace(name="gmapping", reason=""),
+        SimpleNamespace(name="tinyslam", reason="the process was killed (SIGKILL) at scan 400"),
+    ]
+    log: Any = SimpleNamespace(
+        results={"gmapping": SimpleNamespace(run=made, measures=measures)},
+        outcomes=outcomes,
+        files=SimpleNamespace(log="intel.log"),
+    )
+    run._print_producers(log)
+
+
+def _judge() -> None:
+    names = ("graph", "gmapping", "fused")
+    against = Comparison("better", 0.0132, 0.0041, 0.0212, 0.004)
+    paths = tuple(
+        PathVerdict(
+            name,
+            -1.2034 - 0.0132 * index,
+            index < 1,
+            against if index else None,
+            (Span(0.0, 30.0, True, 0.02), Span(30.0, 62.5, False, 0.41)) if index else (),
+        )
+        for index, name in enumerate(names)
+    )
+    score = SimpleNamespace(
+        beams_judged=128_411, seen_share=0.87, path=SimpleNamespace(own_share=1.0)
+    )
+    verdict: Any = SimpleNamespace(
+        evidence=SimpleNamespace(scores=dict.fromkeys(names, score)),
+        paths=paths,
+        sentence="The scans bear out graph best.",
+    )
+    judge.print_verdict(verdict)
+
+
+def _trajectory() -> None:
+    statistics = ErrorStatistics.of([0.01, 0.02, 0.12])
+    kinds = ("relations, translation m", "RPE over 1 frames, rotation deg, as first reported")
+    trajectories.print_errors(
+        "slam: 910 poses, 412.1 m", [(kind, statistics, 4) for kind in kinds], ["3 of 3 used"]
+    )
+
+
+def _experiment() -> None:
+    heading = ("course, lidar", "tinyslam", "gmapping", "graph", "vote of the three", "weighted")
+    figures = ("68.11 (4.02)", "71.60 (3.87)", "66.95 (12.40)", "60.32 (2.77)", "61.03 (2.91)")
+    rows = ((f"obstacle, {lidar}", *figures) for lidar in ("rplidar", "hokuyo utm-30lx"))
+    sheet = Sheet("Error against the truth: mean (deviation)", heading, tuple(rows))
+    table: Any = SimpleNamespace(title="Ground obstacle", sheets=lambda **_: [sheet])
+    document: Any = {"sentences": ["The vote is below each input."], "files": ["out/table.md"]}
+    experiment._print_tables(table, document)
+
+
+DEVICE: Any = {
+    "index": 0,
+    "name": "cpu-haswell-Intel(R) Xeon(R) Processor @ 2.90GHz",
+    "platform": "Portable Computing Language",
+    "type": "cpu",
+    "version": "OpenCL 2.0 pocl",
+    "compute_units": 2,
+    "memory_mb": 5858,
+    "usable": True,
+    "note": "one thread; for many small kernels",
+}
+
+
+def _devices() -> None:
+    devices.print_devices([DEVICE])
+
+
+def _doctor(*, passed: bool) -> None:
+    test = {"name": "fields", "passed": passed, "detail": "12 of 4096 cells differ"}
+    document: Any = {
+        "versions": {"python": "3.11.2", "pyopencl": None},
+        "devices": [DEVICE],
+        "pocl": None,
+        "self_test": [test, {"name": "votes", "passed": True, "detail": ""}],
+        "device": "numpy",
+        "install": {"any CPU": "apt install pocl-opencl-icd"},
+    }
+    doctor._print(document)
+
+
+def _bench() -> None:
+    entry: BenchEntryJson = {
+        "name": "align 800 x 800, without proof",
+        "seconds": 0.2893,
+        "runs": 3,
+        "baseline": "the plain search of [F16] at 1 cell and 1 deg",
+        "baseline_seconds": 6.1,
+        "ratio": 0.0474,
+        "detail": {},
+        "target_of": "seconds",
+        "must": 0.15,
+        "stretch": 0.06,
+        "meets_must": False,
+        "meets_stretch": False,
+    }
+    bench.print_entries([entry], "numpy")
+
+
+SHOWN: dict[str, Callable[[], None]] = {
+    "fuse": _fuse,
+    "fuse, nothing": _nothing_fused,
+    "evaluate": _evaluate,
+    "run": _run,
+    "judge": _judge,
+    "trajectory": _trajectory,
+    "experiment": _experiment,
+    "devices": _devices,
+    "doctor": lambda: _doctor(passed=True),
+    "doctor, failed": lambda: _doctor(passed=False),
+    "bench": _bench,
+}
+
+
+def all_shown(width: int | None) -> str:
+    """Return every table."""
+    return "\n".join(f"### {name}\n{shown(print_it, width)}" for name, print_it in SHOWN.items())
+
+
+if __name__ == "__main__":
+    for number in WIDTHS:
+        (FOLDER / f"tables_{number}.txt").write_text(all_shown(number), encoding="utf-8")
