@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, map_resolution_option, with_config
+from slamfusion.cli.options import FILE, common_options, map_resolution_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.cli.starts import (
     GivenStarts,
@@ -29,8 +29,8 @@ __all__ = ["command"]
 
 
 @click.command("align", cls=JoinedStart)
-@click.argument("reference", type=click.Path(path_type=Path))
-@click.argument("moving", type=click.Path(path_type=Path))
+@click.argument("reference", type=FILE)
+@click.argument("moving", type=FILE)
 @start_option(
     "Where the frame of MOVING lies in that of REFERENCE (with NAME: where that map's lies in the "
     "other's; both may have one, in a frame that they share)",

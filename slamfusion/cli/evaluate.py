@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, map_resolution_option, with_config
+from slamfusion.cli.options import FILE, common_options, map_resolution_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable, device_for, load_maps
@@ -21,11 +21,11 @@ __all__ = ["command", "print_evaluations"]
 
 
 @click.command("evaluate")
-@click.argument("maps", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("maps", nargs=-1, required=True, type=FILE)
 @click.option(
     "--truth",
     "truth_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="MAP",
     help="The true map.",
 )
@@ -37,21 +37,21 @@ __all__ = ["command", "print_evaluations"]
 @click.option(
     "--distances",
     "distances_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Compare distances measured in the building with the map's (CSV or YAML).",
 )
 @click.option(
     "--report",
     "report_dir",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Write a self-contained HTML report with its pictures here.",
 )
 @click.option(
     "--image",
     "image_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Write the difference image of the map here; several maps add their names.",
 )

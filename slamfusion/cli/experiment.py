@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError
@@ -32,7 +32,7 @@ OUTPUT = click.option(
     "--output",
     "folder",
     required=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Folder for the tables and pictures; made where it is missing.",
 )
@@ -87,28 +87,28 @@ def cell_models(folder: Path, as_json: bool) -> int:
 @click.option(
     "--log",
     "log_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="LOG",
     help="A recorded drive, besides the simulated floors.",
 )
 @click.option(
     "--relations",
     "relations_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Known motions of the recorded drive [K09].",
 )
 @click.option(
     "--odometry",
     "odometry_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Raw odometry of its whole run, to carry poses on to the times of the relations.",
 )
 @click.option(
     "--reference",
     "reference_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="The best known trajectory of the recorded drive.",
 )
@@ -279,7 +279,7 @@ def failures(folder: Path, config: RunConfig, as_json: bool) -> int:
 @click.option(
     "--datasets",
     required=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Folder of the recordings, with mit-csail/ and intel/ in it.",
 )

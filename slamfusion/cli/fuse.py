@@ -11,7 +11,9 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fused import print_alignments, print_pairs
+from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
+    FILE,
     common_options,
     file_option,
     map_resolution_option,
@@ -24,7 +26,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import check_writable, device_for, load_maps
-from slamfusion.jobs.outputs import AGREEMENT_END
+from slamfusion.jobs.outputs import AGREEMENT_END, PAGE
 
 if TYPE_CHECKING:
     from slamfusion.jobs.fuse import FusedMaps
@@ -62,13 +64,13 @@ class _Outputs:
 
 
 @click.command("fuse")
-@click.argument("maps", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("maps", nargs=-1, required=True, type=FILE)
 @click.option(
     "-o",
     "--output",
     "out",
     required=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="OUT",
     help="Write OUT.yaml, OUT.pgm and OUT_agreement.yaml, OUT_agreement.pgm.",
 )
@@ -156,7 +158,11 @@ def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) 
     print(f"fused map: {outputs.fused}.yaml")
     print(f"agreement: {outputs.agreement}.yaml")
     if report_dir is not None:
-        print(f"report:    {report_dir}")
+        print(f"report:    {report_dir / PAGE}")
+    steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []
+    if not fused.evaluations:
+        steps.append(f"slamfusion evaluate {outputs.fused}.yaml --truth TRUE_MAP.yaml")
+    print_next_steps(Path(f"{outputs.fused}.yaml"), steps)
 
 
 def _report_failure(

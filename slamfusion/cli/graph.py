@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable, real_path
@@ -28,19 +28,19 @@ def command() -> None:
 
 
 @command.command("optimize")
-@click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
+@click.argument("path", metavar="FILE", type=FILE)
 @click.option(
     "-o",
     "--output",
     "out",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="OUT.g2o",
     help="Write the graph with its new poses here; all edges stay.",
 )
 @click.option(
     "--tum",
     "tum_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="OUT.tum",
     help="Write the new poses here, with the vertex ids as times.",
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.options import common_options, drive_files, file_option, with_config
+from slamfusion.cli.options import FILE, common_options, drive_files, file_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -20,10 +20,8 @@ __all__ = ["command", "print_verdict"]
 
 
 @click.command("judge")
-@click.argument("log", type=click.Path(path_type=Path))
-@click.argument(
-    "paths", metavar="PATH...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@click.argument("log", type=FILE)
+@click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=FILE)
 @file_option(
     "--truth", "truth", "FILE", "The true trajectory: errors of the paths, ranked beside the scans."
 )

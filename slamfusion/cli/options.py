@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import os
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from slamfusion.config import (
 from slamfusion.errors import ConfigError
 
 __all__ = [
+    "FILE",
     "ConfigOption",
     "common_options",
     "config_fields",
@@ -42,6 +44,20 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
+
+
+class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """A path, which need not exist; ``~`` is the home folder also where no shell has put it in."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path; one that begins with ``~NAME`` of nobody stays."""
+        del param, ctx
+        return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for nobody
+
+
+FILE = _UserPath()
 
 
 @dataclass(frozen=True)
@@ -157,9 +173,7 @@ def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[
         metavar: what help calls the value.
         text: of help.
     """
-    return click.option(
-        name, parameter, type=click.Path(path_type=Path), metavar=metavar, help=text
-    )
+    return click.option(name, parameter, type=FILE, metavar=metavar, help=text)
 
 
 _CONFIG_FILE = file_option(

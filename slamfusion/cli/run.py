@@ -13,7 +13,9 @@ import click
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.judge import print_verdict
+from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
+    FILE,
     common_options,
     drive_options,
     file_option,
@@ -39,6 +41,7 @@ from slamfusion.jobs.outputs import (
     FAILED,
     FUSED,
     FUSED_PATH,
+    PAGE,
     REPORT,
     possible_outputs,
 )
@@ -123,13 +126,13 @@ class _ManyInputs(click.Command):
 
 
 @click.command("run", cls=_ManyInputs)
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=FILE)
 @click.option(
     "-o",
     "--output",
     "out",
     required=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Write here: each producer's map, path and record, the fused map, and report/.",
 )
@@ -137,7 +140,7 @@ class _ManyInputs(click.Command):
     "--inputs",
     "maps",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="MAP",
     help="Saved maps of other SLAMs that vote too: one or several.",
 )
@@ -235,9 +238,7 @@ def _tell(run: LogRun, *, debug: bool) -> None:
         notice(f"rejected: {record.name}: {record.reason}")
     for sentence in run.layers.sentences():
         notice(sentence)
-    for name, result in run.results.items():
-        for sentence in result.run.warnings():
-            notice(f"{name}: {sentence}")
+    _tell_warnings(run)
     if run.no_verdict is not None:
         notice(f"no verdict on the paths: {run.no_verdict}")
     if run.why_voted is not None:
@@ -246,11 +247,44 @@ def _tell(run: LogRun, *, debug: bool) -> None:
         notice(f"all paths count alike in the fused path: {run.fused_path.not_weighed}")
 
 
+def _tell_warnings(run: LogRun) -> None:
+    """Say what speaks against the maps, each sentence once."""
+    said: dict[str, list[str]] = {}
+    for name, result in run.results.items():
+        for sentence in result.run.warnings():
+            said.setdefault(sentence, []).append(name)
+    for sentence, names in said.items():
+        notice(f"{', '.join(names)}: {sentence}")
+
+
 def _print(run: LogRun, saved: SavedRun) -> None:
     """Print the producers, the alignment, the errors, and where everything lies."""
+    _print_producers(run)
+    _print_alignments(run)
+    if run.evaluations:
+        print_evaluations(run.evaluations)
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
+    print(f"time:      {saved.document['time_s']:.1f} s ({stages})")
+    if run.usable is not None:
+        print(f"fused map: {saved.folder / FUSED}.yaml ({run.fused_mode})")
+        print(f"agreement: {saved.folder / AGREEMENT}.yaml")
+    if run.fused_path is not None:
+        print(f"fused path: {saved.folder / FUSED_PATH}{_path_words(run.fused_path)}")
+    if run.drawn is not None:
+        print(f"drawn map: {saved.folder / DRAWN}.yaml")
+    print(f"report:    {saved.folder / REPORT / PAGE}")
+    if run.verdict is not None:
+        print()
+        print_verdict(run.verdict)
+    if run.usable is not None:
+        page = saved.folder / REPORT / PAGE
+        print_next_steps(saved.folder / f"{FUSED}.yaml", [f"open {page} in a browser"])
+
+
+def _print_alignments(run: LogRun) -> None:
+    """Print how the maps lie to each other, and what came of their vote."""
     from slamfusion.jobs.fuse import fusion_sentences  # noqa: PLC0415
 
-    _print_producers(run)
     if run.usable is not None and run.doubled is not None:
         print_alignments(run.usable)
         for sentence in fusion_sentences(run.usable, run.doubled):
@@ -263,21 +297,6 @@ def _print(run: LogRun, saved: SavedRun) -> None:
         print()
     elif run.fusion.pairs:
         print_pairs(run.fusion.pairs, run.device)
-    if run.evaluations:
-        print_evaluations(run.evaluations)
-    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
-    print(f"time:      {saved.document['time_s']:.1f} s ({stages})")
-    if run.usable is not None:
-        print(f"fused map: {saved.folder / FUSED}.yaml ({run.fused_mode})")
-        print(f"agreement: {saved.folder / AGREEMENT}.yaml")
-    if run.fused_path is not None:
-        print(f"fused path: {saved.folder / FUSED_PATH}{_path_words(run.fused_path)}")
-    if run.drawn is not None:
-        print(f"drawn map: {saved.folder / DRAWN}.yaml")
-    print(f"report:    {saved.folder / REPORT / 'report.html'}")
-    if run.verdict is not None:
-        print()
-        print_verdict(run.verdict)
 
 
 def _path_words(path: DrivePath) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable
@@ -37,7 +37,7 @@ class _Command(click.Command):
     "--output",
     "folder",
     required=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Folder for the log, the truth and the course; made where it is missing.",
 )

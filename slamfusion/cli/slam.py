@@ -11,6 +11,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.options import (
+    FILE,
     common_options,
     drive_options,
     file_option,
@@ -188,13 +189,13 @@ def _make_command(name: str) -> click.Command:
     base = with_producers(RunConfig(), [name])
 
     @click.command(name)
-    @click.argument("log", type=click.Path(path_type=Path))
+    @click.argument("log", type=FILE)
     @click.option(
         "-o",
         "--output",
         "out",
         required=True,
-        type=click.Path(path_type=Path),
+        type=FILE,
         metavar="OUT",
         help="Write the map OUT.yaml and OUT.pgm, the path OUT.tum and the record OUT.json.",
     )

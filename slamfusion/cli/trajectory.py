@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import common_options, with_config
+from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable
@@ -22,18 +22,18 @@ __all__ = ["command", "print_errors", "print_measures"]
 
 
 @click.command("trajectory")
-@click.argument("estimate", metavar="EST", type=click.Path(path_type=Path))
+@click.argument("estimate", metavar="EST", type=FILE)
 @click.option(
     "--relations",
     "relations_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Known motions between pairs of times, lines of 't1 t2 x y z roll pitch yaw' [K09].",
 )
 @click.option(
     "--odometry",
     "odometry_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Raw odometry of the whole run: the pose at a relation's time is the nearest estimated "
     "one, carried on by it.",
@@ -41,7 +41,7 @@ __all__ = ["command", "print_errors", "print_measures"]
 @click.option(
     "--log",
     "log_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="LOG",
     help="The log that EST was made from: with --odometry, a pose's place in the run is found by "
     "its scan's own odometry and not by its stamp.",
@@ -49,21 +49,21 @@ __all__ = ["command", "print_errors", "print_measures"]
 @click.option(
     "--truth",
     "truth_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="The true trajectory: absolute and relative errors (ATE, RPE).",
 )
 @click.option(
     "--map",
     "map_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="MAP",
     help="A map in the frame of EST, to draw the path over in the report.",
 )
 @click.option(
     "--report",
     "report_dir",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Write a self-contained HTML report with its pictures here.",
 )

@@ -132,6 +132,12 @@ class ErrorTable:
             }
         return found
 
+    def borne_out(self) -> frozenset[str]:
+        """Return the ways to vote that are better than the best input, by the test, everywhere."""
+        compared = [against for name in self.conditions() for against in self.against_best(name)]
+        unsure = {against.fusion for against in compared if not against.is_better}
+        return frozenset(FUSIONS) - unsure
+
     def against_others(self, condition: str) -> dict[str, float]:
         """Return every fusion's mean error over that of fusing the unharmed producers alone.
 

@@ -73,6 +73,11 @@ class Against:
             "p_value": self.p_value,
         }
 
+    @property
+    def is_better(self) -> bool:
+        """Whether the fusion's error is smaller, and that is hardly chance."""
+        return self.ratio < 1.0 and self.p_value is not None and self.p_value < SIGNIFICANT
+
     def sentence(self) -> str:
         """Say whether the fusion is better than the best input."""
         percent = 100.0 * (self.ratio - 1.0)

@@ -145,6 +145,7 @@ def write_page_of_tables(
     return write_fusion_experiment(
         table.title,
         ratios,
+        table.borne_out(),
         table.sentences(),
         tables,
         pictures,

@@ -181,6 +181,10 @@ class RealLogTable:
                 found[mode] = {"ratio": sum(ratios) / len(ratios), "worst": max(ratios)}
         return found
 
+    def borne_out(self) -> frozenset[str]:
+        """Return nothing: single drives of different places allow no test."""
+        return frozenset()
+
     def sheets(self, *, details: bool) -> list[Sheet]:
         """Return a table for each drive; ``details`` adds nothing."""
         del details

@@ -49,6 +49,9 @@ class Tables(Protocol):
     def overall(self) -> Mapping[str, RatiosJson]:
         """Return for each way to vote its error against the best inputs'."""
 
+    def borne_out(self) -> frozenset[str]:
+        """Return the ways to vote that are better than the best input in every test made."""
+
     def sheets(self, *, details: bool) -> list[Sheet]:
         """Return the tables."""
 

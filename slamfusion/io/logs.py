@@ -34,6 +34,8 @@ _READERS: dict[str, Reader] = {
 }
 _TEXT_READERS: tuple[Reader, ...] = (CarmenLog, TinySlamDat)
 _BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+# Logs of a folder that a message names.
+_NAMED = 5
 _BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap", "*.db3.zstd", "*.mcap.zstd")
 # Text has none of the control characters, but for tab, line feed, form feed and carriage return.
 _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\f\r"))
@@ -48,7 +50,8 @@ def open_log(
 
     Args:
         path: CARMEN (.clf, .log, .gfs, .carmen, .txt) or tinySLAM (.dat), each also as .gz; a
-            ROS 1 bag (.bag); a ROS 2 bag's folder, .db3 or .mcap.
+            ROS 1 bag (.bag); a ROS 2 bag's folder, its metadata.yaml, .db3 or .mcap; a folder with
+            a single log in it.
         config: topics and frames of bags, the no-return value, the period for broken stamps.
         scan_odometry: a CSV file with the odometry of each laser line of a CARMEN log, taken
             instead of the poses in it (see ``read_scan_odometry``); default: the log's own.
@@ -62,6 +65,10 @@ def open_log(
         OSError: the file cannot be opened.
     """
     where = Path(path)
+    if where.name == _BAG_FILES[0]:
+        where = where.parent
+    elif where.is_dir() and not _is_bag(where) and len(logs := _logs_in(where)) == 1:
+        where = logs[0]
     reader = _reader(where)
     if scan_odometry is None:
         return reader(where, config)
@@ -73,18 +80,34 @@ def open_log(
     return CarmenLog(where, config, read_scan_odometry(scan_odometry))
 
 
+def _suffix(where: Path) -> str:
+    """Return a file's ending without ``.gz``."""
+    return Path(strip_gz(where.name)).suffix
+
+
+def _is_bag(folder: Path) -> bool:
+    """Whether a folder is a ROS 2 bag."""
+    return any(any(folder.glob(pattern)) for pattern in _BAG_FILES)
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    """Return the files of a folder that are named as logs are, in order."""
+    return sorted(item for item in folder.iterdir() if _suffix(item) in _READERS)
+
+
 def _reader(where: Path) -> Reader:
     """Return the reader of a file or folder."""
     if where.is_dir():
-        if not any(any(where.glob(pattern)) for pattern in _BAG_FILES):
-            message = (
-                f"{where}: a folder without metadata.yaml, .db3 or .mcap is no ROS 2 bag; name a "
-                "bag's folder or a log file"
-            )
-            raise LogError(message)
-        return BagLog
+        if _is_bag(where):
+            return BagLog
+        logs = ", ".join(item.name for item in _logs_in(where)[:_NAMED])
+        message = (
+            f"{where}: a folder without metadata.yaml, .db3 or .mcap is no ROS 2 bag; name a "
+            f"bag's folder or a log file{logs and f' in it ({logs})'}"
+        )
+        raise LogError(message)
     head = read_head(where)
-    suffix = Path(strip_gz(where.name)).suffix
+    suffix = _suffix(where)
     reader = _READERS.get(suffix)
     if reader is None:
         message = (

@@ -44,7 +44,7 @@ def check_installation(config: RunConfig) -> DoctorDocument:
         problems.append(
             pocl.detail
             if pocl is not None and pocl.state == "refused"
-            else "no usable OpenCL device; install one of the drivers listed"
+            else f"no usable OpenCL device; for any CPU: {INSTALL['any CPU']}"
         )
     if has_two_rclpy():
         problems.append(
@@ -52,7 +52,11 @@ def check_installation(config: RunConfig) -> DoctorDocument:
             "run pip uninstall ros-jazzy-rclpy"
         )
     device, tests = _self_test(config.device.device)
-    problems += [f"self test {name}: {detail}" for name, passed, detail in tests if not passed]
+    problems += [
+        f"self test {name}: {detail}; use --device numpy, or another driver: {INSTALL['any CPU']}"
+        for name, passed, detail in tests
+        if not passed
+    ]
     return {
         "ok": not problems,
         "problems": problems,

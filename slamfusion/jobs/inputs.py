@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from slamfusion.config import MapFileConfig, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.outputs import FUSED
 
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
@@ -38,6 +39,8 @@ Progress = Callable[[str, int, int], None]
 # Told in a sentence what is doubtful about an input.
 Warn = Callable[[str], None]
 
+# Maps of a folder that a message names.
+MOST_NAMED = 5
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".tum", ".txt", ".csv")
 
 
@@ -50,7 +53,7 @@ def load_maps(
     """Load maps in order, named apart even where their files have one name.
 
     Args:
-        paths: map_server YAML files, or bare images.
+        paths: map_server YAML files, bare images, or folders with a fused map or a single one.
         resolution: metres per cell of the bare images.
         config: how they are read.
         warn: told in a sentence what is doubtful about a map.
@@ -61,6 +64,7 @@ def load_maps(
     """
     from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
+    files = [_map_file(path) for path in paths]
     return [
         load_map(
             path,
@@ -69,8 +73,25 @@ def load_maps(
             legacy_unknown=config.legacy_unknown,
             warn=warn,
         )
-        for path, name in zip(paths, distinct_names(paths), strict=True)
+        for path, name in zip(files, distinct_names(files), strict=True)
     ]
+
+
+def _map_file(path: Path) -> Path:
+    """Return the map of a folder: the fused one of a run, or the only one; other paths as given.
+
+    Raises:
+        MapFileError: a folder without such a map.
+    """
+    if not path.is_dir():
+        return path
+    maps = [item for item in sorted(path.iterdir()) if _is_yaml(item)]
+    chosen = [item for item in maps if item.stem == FUSED] or maps
+    if len(chosen) == 1:
+        return chosen[0]
+    found = ", ".join(item.name for item in maps[:MOST_NAMED]) or "no YAML file"
+    message = f"{path}: a folder, wanted one map; found {found}: name a map in it"
+    raise MapFileError(message)
 
 
 def as_grids(

@@ -18,6 +18,7 @@ __all__ = [
     "FAILED",
     "FUSED",
     "FUSED_PATH",
+    "PAGE",
     "PROBABILITY",
     "REPORT",
     "SUFFIXES",

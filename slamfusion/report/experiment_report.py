@@ -6,7 +6,7 @@ pictures are looked at without a page around them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -176,6 +176,7 @@ class Difference:
 def write_fusion_experiment(
     title: str,
     ratios: Mapping[str, float],
+    borne_out: Collection[str],
     sentences: Sequence[str],
     tables: Sequence[Table],
     examples: Mapping[str, Sequence[Difference]],
@@ -189,6 +190,7 @@ def write_fusion_experiment(
     Args:
         title: of the page.
         ratios: error of every way to vote over that of the best inputs, by name; at least one.
+        borne_out: of these, the ones whose smaller error is hardly chance.
         sentences: what was found, in words.
         tables: the first two are shown at the top, the others after the pictures.
         examples: the maps of a drive, by the name of its section.
@@ -203,15 +205,20 @@ def write_fusion_experiment(
         SlamFusionError: the directory cannot be written.
     """
     best = min(ratios, key=ratios.__getitem__)
-    is_better = ratios[best] < 1.0
-    headline = f"{best} is {'better' if is_better else 'not better'} than the best inputs"
+    is_better = ratios[best] < 1.0 and best in borne_out
+    if ratios[best] >= 1.0:
+        headline = f"{best} is not better than the best inputs"
+    elif is_better:
+        headline = f"{best} is better than the best inputs"
+    else:
+        headline = f"{best} has a smaller error than the best inputs, which may be chance"
     lines = [(f"{head}:", rest) for head, _, rest in (text.partition(": ") for text in sentences)]
     banner = Banner("good" if is_better else "warn", headline, lines)
     facts = [
         Fact(
             f"{100.0 * (ratio - 1.0):+.1f} %",
             f"{name} against the best inputs",
-            "good" if ratio < 1.0 else "bad",
+            "bad" if ratio >= 1.0 else "good" if name in borne_out else "plain",
         )
         for name, ratio in ratios.items()
     ]

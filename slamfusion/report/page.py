@@ -140,7 +140,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Banner:
-    """The first thing to see: ``tone`` is ``good``, ``warn`` or ``bad``."""
+    """The first thing to see: ``tone`` is ``good``, ``plain``, ``warn`` or ``bad``."""
 
     tone: str
     headline: str

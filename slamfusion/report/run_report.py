@@ -46,6 +46,8 @@ __all__ = ["ReportedRun", "RunReport", "write_run_report"]
 
 BYTES_PER_MB = 1e6
 MOST_OVERLAYS = 6
+# The fused path among those of the verdict.
+FUSED_PATH = "fused"
 YAW_NOTE = (
     "An overlay shows a pair under the best alignment that was found; where two maps agree their "
     "colours add up to white."
@@ -115,8 +117,15 @@ def _banner(report: RunReport) -> Banner:
     total, fused = len(result.inputs) + len(report.failed), len(result.accepted)
     if fused < total:
         return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
-    tone = "warn" if report.warnings else "good"
-    return Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
+    headline = f"{'Both' if total == 2 else f'All {total}'} maps were fused"
+    verdict = report.verdict
+    tied = {} if verdict is None else {path.name: path.tied for path in verdict.paths}
+    if verdict is None or FUSED_PATH not in tied:
+        return Banner("warn" if report.warnings else "plain", headline, lines)
+    if not tied[FUSED_PATH]:
+        return Banner("warn", f"{headline}, but the scans bear out {verdict.best} better", lines)
+    judged = f"{headline}; the scans bear out their fused path as well as any"
+    return Banner("warn" if report.warnings else "good", judged, lines)
 
 
 def _how(mode: str) -> str:

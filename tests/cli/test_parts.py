@@ -12,15 +12,16 @@ import pytest
 
 from slamfusion.cli import slam
 from slamfusion.cli.fuse import command as fuse_command
-from slamfusion.cli.options import config_fields, option_name
+from slamfusion.cli.options import FILE, config_fields, option_name
 from slamfusion.cli.output import progress_bar
 from slamfusion.cli.program import COMMANDS
 from slamfusion.cli.tables import one_line
-from slamfusion.config import GMAPPING_PROFILES
+from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
 from slamfusion.jobs.documents import plain
-from slamfusion.jobs.inputs import check_writable, distinct_names
+from slamfusion.jobs.inputs import check_writable, distinct_names, load_maps
 from slamfusion.slam.registry import BUILT_IN, producer
+from tests.cli.command import ROOT
 
 pytestmark = pytest.mark.once
 
@@ -163,3 +164,22 @@ def test_progress_of_long_work_is_told_in_lines_where_nobody_watches(
         for done in range(4):
             progress("graph", done, 4)
     assert stream.getvalue() == "slamfusion: graph: 1 of 4\nslamfusion: graph: 3 of 4\n"
+
+
+def test_a_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/robot")
+    assert FILE.convert("~/map.yaml", None, None) == Path("/home/robot/map.yaml")
+    assert FILE.convert("a~b/~", None, None) == Path("a~b/~")
+    assert FILE.convert("~nobody-at-all/x", None, None) == Path("~nobody-at-all/x")
+
+
+def test_the_map_of_a_folder_is_the_fused_or_the_only_one(tmp_path: Path) -> None:
+    sample = ROOT / "data" / "sample"
+    with pytest.raises(MapFileError, match=r"map_a\.yaml, map_b\.yaml, .*: name a map in it"):
+        load_maps([sample], None, MapFileConfig())
+    for name in ("map_a.yaml", "map_a.pgm"):
+        (tmp_path / name).write_bytes((sample / name).read_bytes())
+    assert load_maps([tmp_path], None, MapFileConfig())[0].name == "map_a"
+    fused = (tmp_path / "map_a.yaml").read_text(encoding="utf-8")
+    (tmp_path / "fused.yaml").write_text(fused, encoding="utf-8")
+    assert load_maps([tmp_path], None, MapFileConfig())[0].name == "fused"

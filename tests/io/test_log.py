@@ -117,8 +117,16 @@ def test_a_log_whose_scans_are_all_damaged_says_why(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    write_lines(tmp_path / "a.log", flaser(1))
     assert "no ROS 2 bag" in refusal(tmp_path)
+    for name in ("a.log", "b.log"):
+        write_lines(tmp_path / name, flaser(1))
+    assert "a log file in it (a.log, b.log)" in refusal(tmp_path)
+
+
+def test_the_only_log_of_a_folder_is_taken(tmp_path: Path) -> None:
+    write_lines(tmp_path / "a.log", flaser(1))
+    (tmp_path / "notes.md").write_text("notes", encoding="utf-8")
+    assert len(list(open_log(tmp_path))) == 1
 
 
 def test_a_pipe_is_refused(tmp_path: Path) -> None:
