@@ -18,16 +18,13 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
+from slamfusion.palette import Rgb
 
 __all__ = [
     "DPI",
-    "FREE_RGB",
     "INK",
-    "UNKNOWN_RGB",
-    "WALL_RGB",
     "WIDTH_IN",
     "Classes",
-    "Rgb",
     "box_corner",
     "crop_box",
     "cut_cells",
@@ -39,7 +36,6 @@ __all__ = [
 ]
 
 Classes = npt.NDArray[np.int8]
-Rgb = tuple[int, int, int]
 
 INK = "#7b828c"  # contrast of about 4 to 1 on white and on the dark page
 # Four inches of lettering in 920 pixels: readable where three pictures stand side by side.
@@ -50,10 +46,6 @@ WIDTH_IN = 4.0
 _LONGEST_SIDE_CELLS = 760
 _LONGEST_SIDE_TURNED = 450
 _MARGIN_CELLS = 4
-
-UNKNOWN_RGB: Rgb = (205, 209, 214)
-FREE_RGB: Rgb = (255, 255, 255)
-WALL_RGB: Rgb = (18, 22, 28)
 
 
 def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:

@@ -10,7 +10,8 @@ from matplotlib.collections import LineCollection  # noqa: TID251
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
-from slamfusion.report.canvas import Rgb, to_png, unit_rgb
+from slamfusion.palette import Rgb
+from slamfusion.report.canvas import to_png, unit_rgb
 from slamfusion.report.page import LegendEntry, Picture
 from slamfusion.report.paths import (
     ESTIMATE_COLOUR,

@@ -21,7 +21,7 @@ from markupsafe import Markup
 
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.io.atomic import AtomicFiles
-from slamfusion.report.plots import Rgb
+from slamfusion.palette import Rgb
 from slamfusion.version import __version__
 
 __all__ = [

@@ -21,14 +21,11 @@ from matplotlib.transforms import Affine2D  # noqa: TID251
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
 from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
 from slamfusion.report.canvas import (
     DPI,
-    FREE_RGB,
     INK,
-    UNKNOWN_RGB,
-    WALL_RGB,
     WIDTH_IN,
-    Rgb,
     box_corner,
     crop_box,
     cut_cells,
@@ -70,9 +67,7 @@ ODOMETRY_COLOUR: Rgb = (104, 112, 122)
 OTHERS_COLOUR: Rgb = (103, 65, 217)
 REVISIT_COLOUR: Rgb = (232, 89, 12)
 START_COLOUR: Rgb = (47, 158, 68)
-END_COLOUR: Rgb = (201, 42, 42)
-# Paths of several producers; told apart also by who sees no red or no green.
-RUN_COLOURS: tuple[Rgb, ...] = ((0, 114, 178), (230, 120, 0), (170, 60, 160), (0, 140, 100))
+END_COLOUR: Rgb = (110, 0, 60)
 INK_RGB: Rgb = (20, 22, 26)
 
 # Ends of both colour scales that would vanish on white are cut off.
@@ -335,7 +330,7 @@ def run_paths_legend(
 
 def run_colour(index: int) -> Rgb:
     """Return the colour of one of several producers' paths."""
-    return RUN_COLOURS[index % len(RUN_COLOURS)]
+    return INPUT_COLOURS[index % len(INPUT_COLOURS)]
 
 
 def others_legend(count: int) -> tuple[LegendEntry, ...]:

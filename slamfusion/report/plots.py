@@ -25,15 +25,12 @@ from slamfusion.evaluation import (
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
+from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB, Rgb
 from slamfusion.report.canvas import (
     DPI,
-    FREE_RGB,
     INK,
-    UNKNOWN_RGB,
-    WALL_RGB,
     WIDTH_IN,
     Classes,
-    Rgb,
     box_corner,
     crop_box,
     cut_cells,
@@ -262,8 +259,8 @@ def layer_colours(count: int) -> list[Rgb]:
     """Return bright colours for ``count`` layers, evenly around the hues; their sum is white."""
     fixed: dict[int, list[Rgb]] = {
         1: [(255, 255, 255)],
-        2: [(255, 70, 150), (0, 215, 165)],
-        3: [(255, 82, 62), (40, 205, 80), (64, 132, 255)],
+        2: [(255, 130, 30), (40, 140, 255)],
+        3: [(235, 100, 0), (90, 235, 150), (80, 100, 255)],
     }
     if count in fixed:
         return fixed[count]

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure  # noqa: TID251
 
+from slamfusion.palette import Rgb
 from slamfusion.report.canvas import (
     DPI,
     INK,
     WIDTH_IN,
-    Rgb,
     style_axes,
     to_png,
     unit_rgb,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.report.canvas import Rgb
+from slamfusion.palette import Rgb
 from slamfusion.report.closures import (
     BELIEVED_COLOUR,
     OUTLIER_COLOUR,

@@ -15,8 +15,8 @@ from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.evaluation import RelationErrors, TrajectoryErrors, trajectory_errors
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
+from slamfusion.palette import Rgb
 from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
-from slamfusion.report.canvas import Rgb
 from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory

@@ -1,0 +1,96 @@
+"""Colours that must be told apart are, also by who sees no red or no green.
+
+What they see is simulated with the matrices of Machado, Oliveira and Fernandes (IEEE TVCG 15(6), 2009,
+severity 1.0, on linear RGB); how far two colours are apart is CIEDE76, the distance in CIE L*a*b* (D65).
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.report import paths, plots
+
+pytestmark = pytest.mark.once
+
+# Two areas side by side are told apart from about 10 on; thin walls and lines need more.
+LEAST_OF_AREAS, LEAST = 10.0, 20.0
+
+SEEN = {
+    "all": np.eye(3),
+    "protanopia": np.array(
+        [
+            [0.152286, 1.052583, -0.204868],
+            [0.114503, 0.786281, 0.099216],
+            [-0.003882, -0.048116, 1.051998],
+        ]
+    ),
+    "deuteranopia": np.array(
+        [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ]
+    ),
+}
+TO_XYZ = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
+)
+
+
+def lab(rgb: Rgb, sight: str) -> npt.NDArray[np.float64]:
+    """Return what somebody sees as L*, a*, b*."""
+    value = np.array(rgb) / 255.0
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    xyz = TO_XYZ @ np.clip(SEEN[sight] @ linear, 0.0, 1.0) / (TO_XYZ @ np.ones(3))
+    bent = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.array(
+        [116 * bent[1] - 16, 500 * (bent[0] - bent[1]), 200 * (bent[1] - bent[2])]
+    )
+
+
+def distance(one: Rgb, two: Rgb, sight: str) -> float:
+    return float(np.linalg.norm(lab(one, sight) - lab(two, sight)))
+
+
+TOGETHER = {
+    "inputs": (*INPUT_COLOURS, FREE_RGB, WALL_RGB),
+    "overlay of two": plots.layer_colours(2),
+    "overlay of three": plots.layer_colours(3),
+    "overlay of four": plots.layer_colours(4),
+    "path and truth": (paths.ESTIMATE_COLOUR, paths.TRUTH_COLOUR),
+    "start and end": (paths.START_COLOUR, paths.END_COLOUR),
+    "difference": tuple(
+        rgb for text, rgb in plots.DIFFERENCE_COLOURS.values() if text.endswith("wall")
+    ),
+}
+
+
+@pytest.mark.parametrize("sight", SEEN)
+@pytest.mark.parametrize("name", TOGETHER)
+def test_colours_are_told_apart(name: str, sight: str) -> None:
+    near = {
+        (one, two): distance(one, two, sight)
+        for one, two in itertools.combinations(TOGETHER[name], 2)
+    }
+    assert min(near.values()) >= LEAST, near
+
+
+@pytest.mark.parametrize("sight", SEEN)
+def test_classes_of_cells_are_told_apart(sight: str) -> None:
+    classes = itertools.combinations((UNKNOWN_RGB, FREE_RGB, WALL_RGB), 2)
+    assert min(distance(*pair, sight) for pair in classes) >= LEAST_OF_AREAS
+
+
+def test_red_and_green_of_one_lightness_would_be_found() -> None:
+    red, green = (200, 70, 60), (110, 130, 50)
+    assert distance(red, green, "all") > 2 * LEAST
+    assert min(distance(red, green, sight) for sight in SEEN) < LEAST
