@@ -68,7 +68,7 @@ SHARE_FLOOR = 0.6
 # piece for it where less than 6 % was unexplained, but up to ten where a fifth was.
 ODDS_ONE, ODDS_MOST = 11.0, 2.0
 # Where a proof ends at its deadline, what it left undecided counts as further trials: at a gap of
-# 1, the most there is, as so many times the others.
+# 1, the most there is, as so many times the others; so does a search that was cut.
 UNPROVEN = 4.0
 # More pieces than this make no difference that a number can show.
 COUNTED_MAX = 500.0
@@ -141,6 +141,7 @@ class Evidence:
         scaled_share: ``share`` at that scale, by the narrow width of a wall.
         is_plain: weighed as two good maps (``WallPieces.doubt``), not as maps that may be bent.
         gap: what a proof left undecided, 0..1 (``Alignment.bound_gap``); 0 without one.
+        is_cut: whether walls fill the cells that were searched (``CoarseSearch.is_cut``).
         better_inside: ``better`` among the answers in the window; None without one.
         clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """
@@ -163,6 +164,12 @@ class Evidence:
     better_inside: float | None = None
     is_plain: bool = False
     gap: float = 0.0
+    is_cut: bool = False
+
+    @property
+    def undecided(self) -> float:
+        """What the search or its proof left undecided, 0..1: all, where the search was cut."""
+        return 1.0 if self.is_cut else self.gap
 
 
 def expected_wrong(
@@ -188,7 +195,17 @@ def expected_wrong(
 
 
 def decide(evidence: Evidence) -> Decision:
-    """Return what to believe, and why."""
+    """Return what to believe, and why; what was left undecided is said."""
+    decision = _decide(evidence)
+    said = ""
+    if evidence.is_cut:
+        said = "; walls fill the cells that were searched, and finer ones would take too long"
+    elif decision.accepted and evidence.gap > 0.0:
+        said = f"; the proof was not finished in time (gap {evidence.gap:.2f})"
+    return replace(decision, reason=decision.reason + said)
+
+
+def _decide(evidence: Evidence) -> Decision:
     if evidence.walls < WALLS_MIN:
         return _refused(
             "too little in common",
@@ -243,7 +260,7 @@ def _wrong(evidence: Evidence, better: float) -> float:
         evidence.pairs,
         evidence.prior,
         is_plain=evidence.is_plain,
-        gap=evidence.gap,
+        gap=evidence.undecided,
     )
 
 

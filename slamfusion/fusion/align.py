@@ -15,12 +15,13 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.fixed_step import fixed_step_search
 from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.judge import Found, judge, prior_within, rejected_alignment
+from slamfusion.fusion.judge import judge, prior_within, rejected_alignment
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.normalize import check_resampling, common_resolution, normalize_grid
 from slamfusion.fusion.proof import LatticeScore, neighbourhood_best, prove
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.refine import settle
+from slamfusion.fusion.rivals import Found
 from slamfusion.fusion.search import (
     FINER_CHANCE_MAX,
     SearchWindow,
@@ -125,9 +126,11 @@ def align_features(
         start = Pose2()
     expected = pose_of(start)
     is_thorough = thorough and found.search == "full"
-    has_finer = is_thorough and _has_finer(reference, moving, config, found, cancel)
-    # Where a finer level may yet bear the pair out, the image waits for it.
-    found = replace(found, looks_at_image=is_thorough and not has_finer)
+    has_finer = is_thorough and _has_finer(reference, moving, config, window, found, cancel)
+    # Where a finer level may yet bear the pair out, the image waits for it; among walls everywhere
+    # an image fits as anything does.
+    is_cut = found.coarse is not None and found.coarse.is_cut
+    found = replace(found, looks_at_image=is_thorough and not (has_finer or is_cut))
     pair = judge(reference, moving, config, device, found, expected, pairs, began, cancel)
     if pair.accepted or not has_finer:
         return pair
@@ -140,6 +143,7 @@ def _has_finer(
     reference: GridFeatures,
     moving: GridFeatures,
     config: AlignConfig,
+    window: SearchWindow,
     found: Found,
     cancel: CancelToken | None,
 ) -> bool:
@@ -147,7 +151,7 @@ def _has_finer(
     if found.coarse is None:
         return False
     step, cells = found.coarse.step, config.coarse_cells
-    return finer_step(reference, moving, cells, step, FINER_CHANCE_MAX, cancel) < step
+    return finer_step(reference, moving, cells, step, window, FINER_CHANCE_MAX, cancel) < step
 
 
 def _searched_finer(

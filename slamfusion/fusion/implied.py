@@ -14,13 +14,9 @@ from slamfusion.fusion.accept import CLASH_MAX, EXPECTED_WRONG_MAX, SHARE_MIN, e
 from slamfusion.fusion.align import track_features
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.judge import (
-    DISTINCT_CELLS,
-    DISTINCT_YAW_RAD,
-    is_distinct,
-    prior_within,
-)
+from slamfusion.fusion.judge import prior_within
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.rivals import DISTINCT_CELLS, DISTINCT_YAW_RAD, is_distinct
 from slamfusion.geometry import Pose2
 
 __all__ = ["Implied", "ImpliedPairs", "words_over"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,128 +16,47 @@ from slamfusion.fusion.accept import (
     SHARE_MIN,
     Evidence,
     decide,
-    expected_wrong,
 )
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures
 from slamfusion.fusion.frames import motion_of, transform_of
 from slamfusion.fusion.measure import measure
 from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain, mirror_image
-from slamfusion.fusion.motions import displacement
-from slamfusion.fusion.pieces import WallPieces, wall_pieces
+from slamfusion.fusion.motions import displacement, turned_about
 from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
 from slamfusion.fusion.refine import polish, rank, refine
-from slamfusion.fusion.scale import estimate_scale
-from slamfusion.fusion.search import DOUBT, CoarseSearch, SearchWindow, search, wall_widths
-from slamfusion.fusion.slides import slides
+from slamfusion.fusion.rivals import (
+    DISTINCT_CELLS,
+    DISTINCT_YAW_RAD,
+    PLAIN_SHARE,
+    Found,
+    Standing,
+    chosen_standing,
+)
+from slamfusion.fusion.scale import common_middle, estimate_scale
+from slamfusion.fusion.search import (
+    CoarseSearch,
+    SearchWindow,
+    score_motions,
+    search,
+    wall_widths,
+)
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["Found", "is_distinct", "judge", "prior_within", "rejected_alignment"]
+__all__ = ["judge", "prior_within", "rejected_alignment"]
 
 F64 = npt.NDArray[np.float64]
 
-DISTINCT_CELLS = 20.0
-DISTINCT_YAW_RAD = math.radians(10.0)
-# A bent map fits its place in several ways a metre or two apart; they are one answer.
-BENT_CELLS = 60.0
-# Less of what the common ground could give than this, and one of the maps is bent: a wider width of
-# a wall may tell more, and the fit is spread over the whole map. Where an answer gives more, what
-# others leave unexplained speaks against them.
-PLAIN_SHARE = 0.75
-# So much less, and its fits a metre or two apart are one answer.
-BENT_SHARE = 0.5
-# Of the answers that give this much of the most evidence the one with the highest share may be
-# right.
-NOTED_RATIO = 0.7
-# And less than this of either map's walls meets.
+# Less than this of either map's walls meets: a bent map's, whose fit is spread over the whole map.
 BENT_MATCH = 0.45
 BENT_SCALES = (24.0,)
-# A wide width speaks only where the narrow one says the same by so many pieces.
-NARROW_MIN = 2.0
+# Turns from which the last fit begins, the answer's own first; the width of a wall, cells, by which
+# the best is chosen.
+POLISH_TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
+THIN_CELLS = 1.0
 YAW_RAD_MIN = math.radians(0.5)
 # A mirror image that gives more times as much is not told from one that gives this.
 GAIN_MAX = 100.0
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What the search leaves for the decision.
-
-    Attributes:
-        motions: (P, 3) what the search ends with.
-        coarse: outcome of the coarse stages; None where there was no search.
-        bound_gap: see ``Alignment.bound_gap``.
-        search: ``full``, ``window``, ``fixed step`` or ``tracked``.
-        prior: see ``Evidence.prior``.
-        candidates: how many of the motions, the first, may be the answer; None: all. The others are
-            rivals only.
-        looks_at_image: whether what is refused is searched once more as a mirror image.
-    """
-
-    motions: F64
-    coarse: CoarseSearch | None
-    bound_gap: float | None
-    search: str
-    prior: float = 1.0
-    candidates: int | None = None
-    looks_at_image: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class _Stand:
-    """How an answer stands against its rivals, by one width of a wall.
-
-    Attributes:
-        sigma: the width, cells.
-        motions: (P, 3) the answer, then its rivals.
-        others: which of them are other answers, best first.
-        pieces: what the pieces of wall say of them.
-        inside: those of the others that lie in the window.
-    """
-
-    sigma: float
-    motions: F64
-    others: list[int]
-    pieces: WallPieces
-    inside: list[int]
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is weighed as that of two good maps of one place."""
-        return self.pieces.doubt > 0.0
-
-    @property
-    def better_inside(self) -> float:
-        """The same of the others in the window alone."""
-        return self._better_than(self.inside)
-
-    @property
-    def better(self) -> float:
-        """Pieces that say that the answer is better than any other, and than none."""
-        return self._better_than(self.others)
-
-    def wrong(self, pairs: int = 1, prior: float = 1.0, gap: float = 0.0) -> float:
-        """Return the wrong answers to be expected to look as good; see ``expected_wrong``."""
-        return expected_wrong(
-            self.better, self.share, pairs, prior, is_plain=self.is_plain, gap=gap
-        )
-
-    def _better_than(self, others: list[int]) -> float:
-        """Return the pieces for the answer against the best of some others, or against none."""
-        pieces = self.pieces
-        return min([pieces.witnesses(0), *(pieces.against(k) for k in others)])
-
-    @property
-    def clean_share(self) -> float:
-        """The highest share of another answer that gives at least 0.7 as much."""
-        total, share = self.pieces.total, self.pieces.share()
-        noted = [float(share[k]) for k in self.others if total[k] >= NOTED_RATIO * total[0]]
-        return max(noted, default=0.0)
-
-    @property
-    def share(self) -> float:
-        """Evidence as a share of what the common ground could give."""
-        return float(self.pieces.share()[0])
 
 
 def judge(
@@ -167,7 +86,7 @@ def judge(
         CancelledSearchError: ``cancel`` says so.
     """
     narrow = wall_widths(reference)[0]
-    stand = _chosen(reference, moving, device, found, pairs, cancel)
+    stand = chosen_standing(reference, moving, device, found, pairs, cancel)
     others = stand.others
     best, statistics = _placed(reference, moving, device, found, stand, cancel)
     overlap, error = statistics.pop("overlap"), statistics.pop("error")
@@ -190,7 +109,7 @@ def judge(
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
     evidence = _evidence(
         reference, moving, stand, runner_up, statistics,
-        pairs=pairs, prior=prior, search=found.search, gap=found.bound_gap or 0.0,
+        found=found, pairs=pairs, prior=prior,
     )  # fmt: skip
     decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
@@ -209,7 +128,7 @@ def judge(
         share=evidence.share,
         common_m=evidence.common_m,
         rival_ratio=evidence.ratio,
-        expected_wrong=stand.wrong(pairs, prior, evidence.gap),
+        expected_wrong=stand.wrong(pairs, prior, evidence.undecided),
         mirrored=evidence.mirrored,
         scale=evidence.scale,
         scaled_share=None if evidence.scale is None else evidence.scaled_share,
@@ -235,49 +154,19 @@ def judge(
     )
 
 
-def _chosen(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    device: ComputeDevice,
-    found: Found,
-    pairs: int,
-    cancel: CancelToken | None,
-) -> _Stand:
-    """Return the answer and its rivals, weighed as two good maps, or as maps that are bent."""
-    narrow, broad = wall_widths(reference)
-    pieces = wall_pieces(reference, moving, found.motions, narrow, device, cancel)
-    stand = _stand(found, narrow, pieces)
-    if found.coarse is None:
-        return stand
-    plain = _stand(found, narrow, replace(pieces, doubt=DOUBT))
-    if _is_plain(plain, stand):
-        if plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX:
-            plain = _with_slides(reference, moving, plain, device, cancel)
-        is_enough = plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
-        if is_enough or is_distinct(plain.motions[0], stand.motions[0]):
-            return plain
-        return min(plain, stand, key=_Stand.wrong)
-    pieces = wall_pieces(reference, moving, found.motions, broad, device, cancel)
-    wide = _stand(found, broad, pieces)
-    is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
-    if not is_same or stand.better < NARROW_MIN or stand.share < SHARE_MIN:
-        return stand
-    return min(stand, wide, key=_Stand.wrong)
-
-
 def _placed(
     reference: GridFeatures,
     moving: GridFeatures,
     device: ComputeDevice,
     found: Found,
-    stand: _Stand,
+    stand: Standing,
     cancel: CancelToken | None,
 ) -> tuple[F64, dict[str, float]]:
     """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``)."""
     best = stand.motions[0]
     is_bent = stand.share < PLAIN_SHARE or stand.sigma > wall_widths(reference)[0]
     if not is_bent and found.coarse is not None:
-        best = polish(reference, moving, best, device, cancel)
+        best = _polished(reference, moving, best, device, cancel)
     statistics = measure(reference, moving, best, device, cancel)
     if is_bent and _met(statistics) < BENT_MATCH:
         # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
@@ -297,55 +186,21 @@ def _placed(
     return best, statistics
 
 
-def _stand(found: Found, sigma: float, pieces: WallPieces) -> _Stand:
-    """Return the best candidate by what the pieces say of all, and its rivals, best first.
-
-    Args:
-        found: the motions.
-        sigma: the width of a wall by which the pieces were weighed, cells.
-        pieces: of all motions.
-    """
-    total = pieces.total
-    best = int(np.argmax(total[: found.candidates]))
-    order = np.argsort(-total, kind="stable")
-    order = np.concatenate(([best], order[order != best]))
-    motions, pieces = found.motions[order], pieces.take(order)
-    is_bent = float(pieces.share()[0]) < BENT_SHARE
-    others = _others(motions, BENT_CELLS if is_bent else DISTINCT_CELLS)
-    limit = len(order) if found.candidates is None else found.candidates
-    inside = [k for k in others if order[k] < limit]
-    return _Stand(sigma, motions, others, pieces, inside)
-
-
-def _is_plain(plain: _Stand, kind: _Stand) -> bool:
-    """Whether two good maps of one place explain the walls nearly as well as bent ones could.
-
-    Args:
-        plain: the best answer where what it leaves unexplained speaks against it.
-        kind: the best answer where that weighs little.
-    """
-    gives = float(plain.pieces.evidence[0].sum())
-    return plain.share >= PLAIN_SHARE and gives >= NOTED_RATIO * float(kind.pieces.total[0])
-
-
-def _with_slides(
+def _polished(
     reference: GridFeatures,
     moving: GridFeatures,
-    stand: _Stand,
+    motion: F64,
     device: ComputeDevice,
     cancel: CancelToken | None,
-) -> _Stand:
-    """Return the same with the best shifts of the answer among its rivals."""
-    further = slides(
-        reference, moving, stand.motions[0], stand.sigma, DISTINCT_CELLS, device, cancel
-    )
-    pieces = wall_pieces(reference, moving, further, stand.sigma, device, cancel)
-    pieces = stand.pieces.joined(pieces)
-    total = pieces.total
-    new = range(len(stand.motions), len(stand.motions) + len(further))
-    others = sorted([*stand.others, *new], key=lambda k: -total[k])
-    motions = np.concatenate((stand.motions, further))
-    return replace(stand, motions=motions, pieces=pieces, others=others)
+) -> F64:
+    """Return the answer (3,) fitted from several yaws, by the evidence of thin walls.
+
+    On a strip of common ground a fit may settle half a degree off, where it begins.
+    """
+    middle = common_middle(reference, moving, motion, wall_widths(reference)[0], device)
+    fitted = polish(reference, moving, turned_about(motion, middle, POLISH_TURNS), device, cancel)
+    values = score_motions(reference, moving, fitted, 1, device, sigma=THIN_CELLS, cancel=cancel)
+    return np.asarray(fitted[int(np.argmax(values))])
 
 
 def _met(statistics: dict[str, float]) -> float:
@@ -353,22 +208,16 @@ def _met(statistics: dict[str, float]) -> float:
     return max(statistics["wall_match_moving"], statistics["wall_match_reference"])
 
 
-def _others(motions: F64, cells: float) -> list[int]:
-    """Return the motions that are another answer than the first: farther, or turned."""
-    return [k for k in range(1, len(motions)) if is_distinct(motions[k], motions[0], cells)]
-
-
 def _evidence(
     reference: GridFeatures,
     moving: GridFeatures,
-    stand: _Stand,
+    stand: Standing,
     runner_up: RunnerUp | None,
     statistics: dict[str, float],
     *,
+    found: Found,
     pairs: int,
     prior: float,
-    search: str,
-    gap: float,
 ) -> Evidence:
     """Return what speaks for the answer, and for the best of the others."""
     pieces, others = stand.pieces, stand.others
@@ -387,13 +236,14 @@ def _evidence(
         clean_share=stand.clean_share,
         better_inside=stand.better_inside,
         is_plain=stand.is_plain,
-        gap=gap,
+        gap=found.bound_gap or 0.0,
+        is_cut=found.coarse is not None and found.coarse.is_cut,
         ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,
         rival=rival,
         pairs=pairs,
         prior=prior,
         statistics=statistics,
-        search=search,
+        search=found.search,
     )
 
 
@@ -403,7 +253,7 @@ def _looked_closer(
     moving: GridFeatures,
     config: AlignConfig,
     device: ComputeDevice,
-    stand: _Stand,
+    stand: Standing,
     narrow: float,
     cancel: CancelToken | None,
 ) -> Evidence:
@@ -425,7 +275,7 @@ def _looked_at_image(
     moving: GridFeatures,
     config: AlignConfig,
     device: ComputeDevice,
-    stand: _Stand,
+    stand: Standing,
     pairs: int,
     cancel: CancelToken | None,
 ) -> Evidence:
@@ -434,7 +284,9 @@ def _looked_at_image(
     coarse, motions, _ = search(reference, image, config, SearchWindow(), device, cancel)
     if not len(motions):
         return evidence
-    other = _chosen(reference, image, device, Found(motions, coarse, None, "full"), pairs, cancel)
+    other = chosen_standing(
+        reference, image, device, Found(motions, coarse, None, "full"), pairs, cancel
+    )
     # A half of a place that is nearly its own image may fit both ways.
     least = EXPECTED_WRONG_MAX * min(1.0, stand.wrong(pairs))
     if other.share < SHARE_MIN or other.wrong(pairs) >= least:
@@ -470,12 +322,6 @@ def _profile(reference: GridFeatures, moving: GridFeatures, coarse: CoarseSearch
     yaws = np.array([wrap_angle(float(yaw) + turn) for yaw in coarse.yaws])
     order = np.argsort(yaws)
     return np.stack((yaws[order], coarse.best[order]), axis=1)
-
-
-def is_distinct(a: F64, b: F64, cells: float = DISTINCT_CELLS) -> bool:
-    """Whether two motions are different answers rather than the same one found twice."""
-    shift, turn = displacement(a, b)
-    return shift > cells or turn > DISTINCT_YAW_RAD
 
 
 def rejected_alignment(

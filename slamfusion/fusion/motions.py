@@ -20,6 +20,7 @@ __all__ = [
     "fixed_similarities",
     "invert",
     "to_lattice",
+    "turned_about",
 ]
 
 F64 = npt.NDArray[np.float64]
@@ -59,6 +60,21 @@ def fixed_similarities(
     back = np.stack((cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y)), axis=1)
     one = float(FIXED_ONE)
     return np.rint(there * one).astype(np.int64), np.rint(back * one).astype(np.int64)
+
+
+def turned_about(motion: F64, middle: F64, turns: F64) -> F64:
+    """Return (P, 3) a motion, turned further about a place that stays.
+
+    Args:
+        motion: (3,).
+        middle: (2,) the place, x and y in cells of the reference.
+        turns: (P,) rad.
+    """
+    x, y = motion[:2] - middle
+    cos, sin = np.cos(turns), np.sin(turns)
+    return np.stack(
+        (middle[0] + cos * x - sin * y, middle[1] + sin * x + cos * y, motion[2] + turns), axis=1
+    )
 
 
 def displacement(a: F64, b: F64) -> tuple[float, float]:

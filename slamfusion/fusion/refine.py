@@ -179,11 +179,11 @@ def settle(
 def polish(
     reference: GridFeatures,
     moving: GridFeatures,
-    motion: F64,
+    motions: F64,
     device: ComputeDevice,
     cancel: CancelToken | None = None,
 ) -> F64:
-    """Fit two maps that show the same walls as narrowly as cells allow.
+    """Fit two maps that show the same walls as narrowly as cells allow, each motion on its own.
 
     Where little is in common a wide fit is pulled by walls that the other map does not have. Walls
     that are equally thick are fitted by their surfaces, others by all of their cells: see
@@ -191,12 +191,12 @@ def polish(
 
     Args:
         reference, moving: the two grids.
-        motion: (3,) right to a few cells.
+        motions: (P, 3) right to a few cells.
         device: computes the normal equations.
         cancel: asked before each operation.
 
     Returns:
-        (3,) the motion there.
+        (P, 3) the motions there.
 
     Raises:
         CancelledSearchError: ``cancel`` says so.
@@ -205,10 +205,10 @@ def polish(
         len(grid.wall_points) / max(1, len(grid.level(1, cancel).points))
         for grid in (reference, moving)
     ]
-    fitted = refine(
+    return refine(
         reference,
         moving,
-        motion[None],
+        motions,
         1,
         POLISH_SCALES,
         device,
@@ -216,7 +216,6 @@ def polish(
         solid=max(thick) > THICKER * min(thick),
         cancel=cancel,
     )
-    return np.asarray(fitted[0])
 
 
 def _surface_distance(

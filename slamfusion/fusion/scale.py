@@ -18,7 +18,7 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pieces import WallPieces, wall_pieces
 from slamfusion.fusion.search import score_motions
 
-__all__ = ["ScaleFit", "estimate_scale"]
+__all__ = ["ScaleFit", "common_middle", "estimate_scale"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def estimate_scale(
         CancelledSearchError: ``cancel`` says so.
     """
     wide, narrow = widths
-    middle = _middle(reference, moving, motion, wide, device)
+    middle = common_middle(reference, moving, motion, wide, device)
     scale, at = 1.0, motion
     for offsets, sigma in ((COARSE, wide), (FINE, wide), (FINE, narrow)):
         scales = scale + offsets
@@ -94,7 +94,7 @@ def _is_better(both: WallPieces) -> bool:
     return both.better(0, 1) >= BETTER_MIN
 
 
-def _middle(
+def common_middle(
     reference: GridFeatures, moving: GridFeatures, motion: F64, sigma: float, device: ComputeDevice
 ) -> F64:
     """Return (2,) the mean place of moving walls that lie on walls of the reference, its cells."""

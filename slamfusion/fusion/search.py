@@ -23,7 +23,13 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.motions import distinct, distinct_rows, fixed_similarities
 from slamfusion.fusion.refine import refine, settle
-from slamfusion.fusion.shifts import COARSE_SIGMA, SearchWindow, score_shifts, shift_range
+from slamfusion.fusion.shifts import (
+    COARSE_SIGMA,
+    SearchWindow,
+    score_shifts,
+    shift_range,
+    shift_work,
+)
 
 __all__ = [
     "DOUBT",
@@ -46,19 +52,24 @@ F64 = npt.NDArray[np.float64]
 # Where a search found nothing to believe, one that takes longer does so sooner.
 COARSE_CHANCE_MAX, FINER_CHANCE_MAX = 0.8, 0.55
 FINEST_FACTOR = 4
+# ... nor one on which more field values would be added than this: 1 s of one core.
+LEVEL_WORK_MAX = 6e10
 # Motions that go down from one level to the next, and walls of each map that judge them there.
-DESCENT = ((1536, 384), (256, 768), (96, 1536))
+DESCENT = ((2304, 256), (384, 768), (96, 1536))
 # Two good maps of one place leave little of what they have in common unexplained. A small common
-# ground is outweighed by a large one that fits badly, unless that counts: a third more than the
-# best goes down, chosen with this much doubt (see ``wall_evidence``) of so many times as many.
-DOUBT, DOUBTED_SHARE, DOUBTED_OF = 1.0, 3, 4
+# ground is outweighed by a large one that fits badly, unless that counts (see ``wall_evidence``):
+# by this much when answers are compared, by less on coarse cells, which blur what fits.
+DOUBT, COARSE_DOUBT = 1.0, 0.5
+# Besides the best, a third as many of so many times as many go down by doubt; of those that are
+# refined half as many.
+DOUBTED_OF, DOUBTED_SHARE, DOUBTED_CANDIDATES = 3, 3, 2
 # Cells of the last level of the descent, metres.
 DESCENT_CELL_M = 0.2
 # Widths of a wall on full-resolution cells, metres, and the least they are in cells. By the first
 # maps are compared that show the same walls in the same places, by the second bent ones.
 WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
 # Motions that are settled: by the narrow width, by the broad one, and by the narrow one with doubt.
-SETTLED = (8, 4, 6)
+SETTLED = (8, 4, 10)
 FINE_TOP = 255
 FINE_POINTS = 4096
 WINDOW_SLACK_CELLS = 2.0
@@ -77,6 +88,8 @@ class CoarseSearch:
         motions: (P, 3) best distinct motions in fine cells, best first.
         evidence: (P,) what the last level gives for them, nats a cell of it.
         last_step: fine cells per cell of the last level.
+        is_cut: whether walls fill the coarsest level, so that any place fits there, and a finer one
+            would take too long: what is right may not be among the motions.
     """
 
     step: int
@@ -85,22 +98,24 @@ class CoarseSearch:
     motions: F64
     evidence: F64
     last_step: int
+    is_cut: bool
 
 
 def coarse_step(
     reference: GridFeatures,
     moving: GridFeatures,
     cells: int,
+    window: SearchWindow,
     cancel: CancelToken | None = None,
     chance: float = COARSE_CHANCE_MAX,
 ) -> int:
     """Return the fine cells per coarse cell that leave ``cells`` on the longest side.
 
     Finer where walls would be so near each other that any wall finds one; but never more than four
-    times finer, which would take too long.
+    times finer, nor where that would take too long.
     """
     step = _step(reference, moving, cells)
-    while (finer := finer_step(reference, moving, cells, step, chance, cancel)) < step:
+    while (finer := finer_step(reference, moving, cells, step, window, chance, cancel)) < step:
         step = finer
     return step
 
@@ -110,21 +125,34 @@ def finer_step(
     moving: GridFeatures,
     cells: int,
     step: int,
+    window: SearchWindow,
     chance: float,
     cancel: CancelToken | None = None,
 ) -> int:
     """Return the next finer step where walls are too near each other at one; else that step.
 
     Args:
-        reference, moving, cells, cancel: see ``coarse_step``.
+        reference, moving, cells, window, cancel: see ``coarse_step``.
         step: fine cells per coarse cell.
         chance: walls are too near where a wall of another place finds more than this, 0..1.
     """
     finest = _step(reference, moving, FINEST_FACTOR * cells)
-    grids = (reference, moving)
-    if step <= finest or max(grid.chance(step, COARSE_SIGMA, cancel) for grid in grids) <= chance:
+    if step <= finest or not _is_filled(reference, moving, step, chance, cancel):
         return step
-    return max(finest, (2 * step) // 3)
+    finer = max(finest, (2 * step) // 3)
+    is_long = shift_work(reference, moving, finer, window) > LEVEL_WORK_MAX
+    return step if is_long else finer
+
+
+def _is_filled(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    step: int,
+    chance: float,
+    cancel: CancelToken | None,
+) -> bool:
+    """Whether a wall of another place finds more than ``chance`` at a step, in either map."""
+    return max(grid.chance(step, COARSE_SIGMA, cancel) for grid in (reference, moving)) > chance
 
 
 def _step(reference: GridFeatures, moving: GridFeatures, cells: int) -> int:
@@ -142,7 +170,8 @@ def coarse_search(
     chance: float = COARSE_CHANCE_MAX,
 ) -> CoarseSearch:
     """Score all whole-cell shifts at all yaws on shrunken grids and follow the best down."""
-    step = coarse_step(reference, moving, config.coarse_cells, cancel, chance)
+    step = coarse_step(reference, moving, config.coarse_cells, window, cancel, chance)
+    is_cut = _is_filled(reference, moving, step, COARSE_CHANCE_MAX, cancel)
     scores = score_shifts(reference, moving, step, window, device, cancel)
     flat = scores.evidence.ravel()
     motions = scores.motions.reshape(-1, 3)
@@ -169,15 +198,18 @@ def coarse_search(
         motions, found = _apart(motions, found, float(last), yaw_step)
         doubted = _doubted(reference, moving, motions, last, points, device, cancel)
     shift, turn = 2.5 * step, 2.5 * scores.yaw_step
-    order = np.argsort(-found, kind="stable")
-    kept = order[distinct_rows(motions[order], shift, turn, config.candidates)]
-    order = np.concatenate((kept, np.argsort(-doubted, kind="stable")))
-    most = len(kept) + config.candidates // DOUBTED_SHARE
-    kept = order[distinct_rows(motions[order], shift, turn, most)]
+    chosen = []
+    for values, most in (
+        (found, config.candidates),
+        (doubted, config.candidates // DOUBTED_CANDIDATES),
+    ):
+        order = np.argsort(-values, kind="stable")
+        chosen.append(order[distinct_rows(motions[order], shift, turn, most)])
+    kept = np.unique(np.concatenate(chosen))
     kept = kept[np.argsort(-found[kept], kind="stable")]
     most_evidence = np.maximum(scores.evidence.max(axis=1), 0.0)
     best = most_evidence / max(float(most_evidence.max()), 1e-9)
-    return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], last)
+    return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], last, is_cut)
 
 
 def _most(values: F64, most: int) -> npt.NDArray[np.intp]:
@@ -202,7 +234,7 @@ def _doubted(
     """Return the evidence (P,) on a coarse level, less what stays unexplained."""
     return score_motions(
         reference, moving, motions, step, device,
-        sigma=COARSE_SIGMA, points=points, doubt=DOUBT, cancel=cancel,
+        sigma=COARSE_SIGMA, points=points, doubt=COARSE_DOUBT, cancel=cancel,
     )  # fmt: skip
 
 

@@ -16,9 +16,9 @@ from slamfusion.config import AlignConfig, FusionConfig, NormalizeConfig
 from slamfusion.errors import ConfigError, GridError
 from slamfusion.fusion import align_grids
 from slamfusion.fusion.align import _prove, align_features, track_features
-from slamfusion.fusion.judge import Found
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.rivals import Found
 from slamfusion.fusion.search import SearchWindow, score_motions, wall_widths
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid

@@ -21,8 +21,9 @@ from slamfusion.fusion import FusionResult, align_grids, fuse_grids
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.consistency import closure_error
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.judge import Found, judge
+from slamfusion.fusion.judge import judge
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.rivals import Found
 from slamfusion.fusion.search import CoarseSearch
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
@@ -381,7 +382,7 @@ def test_a_wide_width_alone_is_not_believed(device: ComputeDevice) -> None:
     case = next(drawn(d for d in drafts if d.moving.side == "low"))
     pair = [features_of(grid, device) for grid in (case.reference, case.moving)]
     none = np.zeros(0)
-    coarse = CoarseSearch(1, none, none, np.zeros((0, 3)), none, 1)
+    coarse = CoarseSearch(1, none, none, np.zeros((0, 3)), none, 1, is_cut=False)
     found = Found(np.array(BESIDE), coarse, None, "full")
     began = time.perf_counter()
     answer = judge(pair[0], pair[1], QUICK.align, device, found, None, 1, began, None)

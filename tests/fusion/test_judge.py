@@ -12,8 +12,9 @@ from slamfusion.config import FusionConfig
 from slamfusion.fusion import align_grids
 from slamfusion.fusion.accept import expected_wrong
 from slamfusion.fusion.align import align_features
-from slamfusion.fusion.judge import is_distinct, prior_within, rejected_alignment
+from slamfusion.fusion.judge import prior_within, rejected_alignment
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.rivals import is_distinct
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import (
@@ -45,11 +46,11 @@ ROOM = (
 
 
 def part_pair(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
-    """Return two halves of a building with 15 % of each in common, and the pose of the second."""
+    """Return two halves of a building with 7 % of each in common, and the pose of the second."""
     truth = building(seed, 16.0, 12.0, 0.05)
     places = along(truth, truth, Pose2(), "x")
     known = places[truth.cells >= 0]
-    halves = halves_of(int(known.min()), int(known.max()), 0.15)
+    halves = halves_of(int(known.min()), int(known.max()), 0.07)
     low = kept(truth, places, (halves.low, halves.low_end)).with_name("low")
     high = kept(truth, places, (halves.high_start, halves.high))
     moving, pose = degraded(high, seed, "high", yaw_rad=1.2, flip_share=0.01)

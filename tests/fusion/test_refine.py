@@ -77,7 +77,7 @@ def test_polishing_comes_home_where_most_walls_are_in_one_map_alone(
     (rows, cols) = np.nonzero(strip >= 0)
     corner = np.array([cols.min(), rows.min()])
     answer = np.array([*(np.array(mov.centre) + corner), 0.0])
-    found = polish(ref, mov, answer + away, device)
+    found = polish(ref, mov, (answer + away)[None], device)[0]
     shift, turn = displacement(found, answer)
     assert shift < 0.1
     assert turn < 1e-3
@@ -91,7 +91,7 @@ def test_polishing_thick_walls_on_thin_ones_stays_centred(
     for moving, reference in ((thin, fat), (fat, thin)):
         middle = np.array([reference.shape[1] / 2, reference.shape[0] / 2, 0.0])
         start = middle + np.array([0.3, -0.2, 0.002])
-        shift, _ = displacement(polish(reference, moving, start, device), middle)
+        shift, _ = displacement(polish(reference, moving, start[None], device)[0], middle)
         assert shift < 0.2, moving.grid.name
 
 

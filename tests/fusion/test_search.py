@@ -119,18 +119,22 @@ def test_peaks_are_distinct_best_first_and_each_with_its_evidence(device: Comput
     ref, mov = (features_of(fine_grid(seed), device) for seed in (51, 52))
     found = coarse_search(ref, mov, config, OPEN, device)
     assert found.step > found.last_step == 4
-    # A third more: those that leave least unexplained.
-    assert found.motions.shape == (12, 3)
-    assert found.evidence.shape == (12,)
+    # Up to half as many more: those that leave least unexplained.
+    assert 9 <= len(found.motions) <= 9 + 4
+    assert found.evidence.shape == found.motions.shape[:1]
     assert np.all(np.diff(found.evidence) <= 0)
     a, b = (level_side(grid, 4, COARSE_SIGMA, FINE_TOP) for grid in (ref, mov))
     wanted = [evidence_of(a, b, in_level(motion, 4)) for motion in found.motions]
     assert found.evidence == pytest.approx(np.array(wanted), abs=1e-9)
     yaw_step = score_shifts(ref, mov, found.step, OPEN, device).yaw_step
-    for k, motion in enumerate(found.motions):
-        for better in found.motions[:k]:
-            shift, turn = displacement(motion, better)
-            assert shift >= 2.5 * found.step or turn >= 2.5 * yaw_step
+    # The best lie apart, and so do those that leave least: at most two lie beside each other.
+    for motion in found.motions:
+        beside = 0
+        for other in found.motions:
+            shift, turn = displacement(motion, other)
+            beside += shift < 2.5 * found.step and turn < 2.5 * yaw_step
+        assert beside <= 3
+    assert len(np.unique(found.motions, axis=0)) == len(found.motions)
 
 
 def test_the_descent_never_loses_evidence(device: ComputeDevice) -> None:
@@ -283,7 +287,7 @@ def test_a_motion_with_an_overlap_of_a_third_is_found(
     coarse, motions, evidence = search(ref, mov, config, OPEN, device)
     assert (coarse.step > coarse.last_step) == (cells == 28), "there was a descent"
     away = [displacement(motion, wanted) for motion in coarse.motions]
-    assert any(shift < 2.0 * coarse.last_step and turn < 0.05 for shift, turn in away)
+    assert any(shift < 2.0 * coarse.last_step and turn < 0.06 for shift, turn in away)
     # Rooms of one size fit on each other: another motion may have more evidence, never the less.
     own = score_motions(ref, mov, wanted[None], 1, device, sigma=wall_widths(ref)[0])[0]
     away = [displacement(motion, wanted) for motion in motions]
@@ -327,15 +331,17 @@ def test_the_coarse_step_is_the_first_that_is_fine_enough(
     wanted, finest = math.ceil(longest / 16), math.ceil(longest / 64)
     while wanted > finest and features.chance(wanted, COARSE_SIGMA) > 0.8:
         wanted = max(finest, 2 * wanted // 3)
-    assert coarse_step(features, features, 16) == wanted
+    assert coarse_step(features, features, 16, OPEN) == wanted
     plain = features_of(building(1), device)
-    assert coarse_step(plain, features, 16) == coarse_step(features, plain, 16) <= wanted
+    assert (
+        coarse_step(plain, features, 16, OPEN) == coarse_step(features, plain, 16, OPEN) <= wanted
+    )
 
 
 def test_a_search_that_takes_longer_begins_on_a_finer_level(device: ComputeDevice) -> None:
     grid = features_of(building(3, 11.0, 9.0, 0.05), device)
-    usual = coarse_step(grid, grid, 24)
-    finer = coarse_step(grid, grid, 24, chance=FINER_CHANCE_MAX)
+    usual = coarse_step(grid, grid, 24, OPEN)
+    finer = coarse_step(grid, grid, 24, OPEN, chance=FINER_CHANCE_MAX)
     assert grid.chance(usual, COARSE_SIGMA) > FINER_CHANCE_MAX
     assert finer < usual
     window = SearchWindow((*grid.centre, 0.0), 20.0, 0.2)
@@ -346,11 +352,11 @@ def test_a_search_that_takes_longer_begins_on_a_finer_level(device: ComputeDevic
 
 
 def test_what_a_quick_search_misses_a_thorough_one_finds(device: ComputeDevice) -> None:
-    """On cells of 0.6 m the walls of this building are everywhere."""
-    truth = building(2, 24.0, 18.0, 0.05)
+    """On cells of 1.5 m the walls of this building are everywhere."""
+    truth = building(2, 36.0, 27.0, 0.05)
     moving, pose = degraded(truth, 2, "moving", yaw_rad=1.1, flip_share=0.05)
     pair = features_of(truth, device), features_of(moving, device)
-    config = AlignConfig(prove=False, coarse_cells=22)
+    config = AlignConfig(prove=False, coarse_cells=16)
     assert not align_features(*pair, config, device, thorough=False).accepted
     found = align_features(*pair, config, device)
     assert found.accepted, found.reason
@@ -361,11 +367,11 @@ def test_the_coarse_step_follows_the_longest_side_and_shrinks_where_walls_fill_t
     device: ComputeDevice,
 ) -> None:
     plain = features_of(building(1), device)
-    assert coarse_step(plain, plain, 48) == math.ceil(max(plain.shape) / 48)
+    assert coarse_step(plain, plain, 48, OPEN) == math.ceil(max(plain.shape) / 48)
     striped = np.zeros((96, 96), dtype=np.int8)
     striped[::3] = 100
     features = features_of(OccupancyGrid(striped, 0.1), device)
-    step = coarse_step(features, features, 16)
+    step = coarse_step(features, features, 16, OPEN)
     assert step < math.ceil(max(features.shape) / 16)
 
 
