@@ -9,8 +9,8 @@ tail of the best of many chance fits (Karlin and Altschul 1990, for sequences), 
 best of all other poses, stands for all that were searched. The pieces count by the share of what
 the common ground could give, since a chance fit leaves much of it unexplained:
 
-    n = better * min(share / (1 - share) / ODDS_ONE, ODDS_MOST)    two good maps of one place
-    n = better * max(share, SHARE_FLOOR)                           maps of which one is bent, or old
+    n = better * min((share / (1 - share) / ODDS_ONE)^2, WEIGHT_MOST)    two good maps of one place
+    n = better * max(share, SHARE_FLOOR)                                 one is bent, or old
     expected_wrong = pairs * prior * TRIALS * (1 + UNPROVEN * gap) * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
@@ -63,10 +63,10 @@ TRIALS = 2.0
 RATE = 1.0
 # Maps that are bent explain less of their common ground; pieces count at least this much.
 SHARE_FLOOR = 0.6
-# Good maps explain nearly all of it. At these odds of what is explained against what is not a piece
-# counts as one, at twice these and more as two: of 2500 wrong answers none had more than half a
-# piece for it where less than 6 % was unexplained, but up to ten where a fifth was.
-ODDS_ONE, ODDS_MOST = 11.0, 2.0
+# Good maps explain nearly all of it. At these odds of what is explained against what is not (92 %)
+# a piece counts as one, by the square of the odds, as two at most (from 94 % on): where a fifth is
+# unexplained, wrong answers have up to ten pieces for them.
+ODDS_ONE, WEIGHT_MOST = 11.0, 2.0
 # Where a proof ends at its deadline, what it left undecided counts as further trials: at a gap of
 # 1, the most there is, as so many times the others; so does a search that was cut.
 UNPROVEN = 4.0
@@ -188,7 +188,8 @@ def expected_wrong(
     """
     weight = max(share, SHARE_FLOOR)
     if is_plain:
-        weight = min(share / (max(1.0 - share, 1e-9) * ODDS_ONE), ODDS_MOST)
+        odds = share / max(1.0 - share, 1e-9)
+        weight = min((odds / ODDS_ONE) ** 2, WEIGHT_MOST)
     counted = min(better * weight, COUNTED_MAX)
     trials = TRIALS * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
     return pairs * prior * trials * math.exp(-RATE * max(counted, -COUNTED_MAX))

@@ -174,10 +174,9 @@ def coarse_search(
     is_cut = _is_filled(reference, moving, step, COARSE_CHANCE_MAX, cancel)
     scores = score_shifts(reference, moving, step, window, device, cancel)
     flat = scores.evidence.ravel()
-    motions = scores.motions.reshape(-1, 3)
     yaw_step, last = scores.yaw_step, step
     order = _most(flat, DOUBTED_OF * DESCENT[0][0])
-    motions, found = motions[order], flat[order]
+    motions, found = scores.motions(order), flat[order]
     target = max(1, round(DESCENT_CELL_M / reference.grid.grid.resolution))
     doubted = _doubted(reference, moving, motions, last, DESCENT[0][1], device, cancel)
     for most, points in DESCENT:

@@ -62,7 +62,7 @@ class ShiftScores:
         yaws: (K,) yaw in rad.
         yaw_step: rad from one yaw to the next.
         evidence: (K, T) nats per cell of wall, summed over the sampled walls of both maps.
-        motions: (K, T, 3) where the moving centre lands, fine cells, and yaw.
+        rows, cols: (K, T) cell of the level where the moving centre lands.
         work: field values that were added.
     """
 
@@ -70,8 +70,18 @@ class ShiftScores:
     yaws: F64
     yaw_step: float
     evidence: F64
-    motions: F64
+    rows: I32
+    cols: I32
     work: float
+
+    def motions(self, chosen: npt.NDArray[np.intp]) -> F64:
+        """Return (P, 3) where the moving centre lands, fine cells, and yaw.
+
+        Args:
+            chosen: (P,) of the tiles of all yaws, counted along ``evidence``.
+        """
+        x, y = ((axis.ravel()[chosen] + 0.5) * self.step for axis in (self.cols, self.rows))
+        return np.stack((x, y, self.yaws[chosen // self.evidence.shape[1]]), axis=1)
 
 
 def shift_range(
@@ -152,13 +162,9 @@ def score_shifts(
     values, places = device.tile_peaks(forward, backward, width, TILE)
     floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
     row, col = np.divmod(places.reshape(len(yaws), -1), width)
-    turns = np.broadcast_to(yaws[:, None], row.shape)
-    motions = np.stack(
-        ((col + cols[0] + 0.5) * step, (row + rows[0] + 0.5) * step, turns), axis=2
-    ).astype(np.float64)
     evidence = np.asarray((values.reshape(len(yaws), -1) - floor) * ours.unit, dtype=np.float64)
     work = float(forward.size) * len(from_mov) + float(backward.size) * len(from_ref)
-    return ShiftScores(step, yaws, yaw_step, evidence, motions, work)
+    return ShiftScores(step, yaws, yaw_step, evidence, row + rows[0], col + cols[0], work)
 
 
 def _yaw_lattice(step: float, window: SearchWindow) -> tuple[F64, float]:

@@ -31,6 +31,8 @@ PAIRS = load_pairs(Path(__file__).with_name("recorded_pairs.csv"))
 # A share at which each piece counts whole, and what pieces must then say: 2 exp(-better) < 0.01.
 WHOLE = 1.0
 ENOUGH = math.log(200.0)
+# Of good maps: pieces that count as one where four fifths are explained, at odds of 4 to 1.
+EIGHTY = (11.0 / 4.0) ** 2
 
 
 def evidence(**changes: Any) -> Evidence:
@@ -53,6 +55,7 @@ def evidence(**changes: Any) -> Evidence:
         "better_inside": None,
         "is_plain": False,
         "gap": 0.0,
+        "is_cut": False,
     }
     statistics = {"wall_match": 0.6, "wall_clash": 0.02, "chance": 0.1}
     for name, value in changes.items():
@@ -95,13 +98,13 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"share": 0.6, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 60%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 30%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "walls do not match: 30%"),
-    # Good maps: by the odds of what is explained, one at 11 to 1 and two at most.
+    # Good maps: by the square of the odds of what is explained, one at 11 to 1 and two at most.
     (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 + 1e-6}, "accepted", "walls match: 100%"),
     (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 - 1e-6}, "ambiguous", "explains 40% of it"),
     (GOOD | {"share": 11 / 12, "better": ENOUGH + 1e-6}, "accepted", "walls match: 92%"),
     (GOOD | {"share": 11 / 12, "better": ENOUGH - 1e-6}, "ambiguous", "explains 40% of it"),
-    (GOOD | {"share": 0.8, "better": ENOUGH / 4.0 * 11.0 + 1e-6}, "accepted", "walls match: 80%"),
-    (GOOD | {"share": 0.8, "better": ENOUGH / 4.0 * 11.0 - 1e-6}, "ambiguous", "explains 40%"),
+    (GOOD | {"share": 0.8, "better": ENOUGH * EIGHTY + 1e-6, "witnesses": 99.0}, "accepted", "80%"),
+    (GOOD | {"share": 0.8, "better": ENOUGH * EIGHTY - 1e-6, "witnesses": 99.0}, "ambiguous", ""),
     (GOOD | {"share": 0.9, "witnesses": 5.0, "better": 5.0}, "too little in common", "5.0"),
     # A proof that was not finished: five times the trials at most.
     (UNPROVEN | {"gap": 1.0, "better": ENOUGH + math.log(5.0) + 1e-6}, "accepted", ""),
@@ -122,6 +125,18 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"better": -3.0, "ratio": 1.2}, "ambiguous", "explains 120% of it"),
     ({"better": 1e9, "witnesses": 1e9}, "accepted", "walls match"),
     ({"better": -1e9, "ratio": 99.0}, "ambiguous", "ambiguous"),
+    # What is left undecided is said, and weighs.
+    (
+        {"better": ENOUGH / 0.8 + math.log(5.0) / 0.8 + 1e-6, "is_cut": True},
+        "accepted",
+        "; walls fill",
+    ),
+    (
+        {"better": ENOUGH / 0.8 + math.log(5.0) / 0.8 - 1e-6, "is_cut": True},
+        "ambiguous",
+        "; walls fill",
+    ),
+    ({"gap": 0.25}, "accepted", "; the proof was not finished in time (gap 0.25)"),
     # -- why not
     (TIED | {"share": 0.5}, "ambiguous", "another transform, at 1.00, 2.00 m, 90 deg, explains"),
     (TIED | {"share": 0.499}, "different place", "as any other place might (2 wrong ones"),
@@ -284,7 +299,7 @@ def test_how_many_wrong_answers_are_to_be_expected(
 
 @pytest.mark.parametrize(
     ("share", "weight"),
-    [(1.0, 2.0), (0.99, 2.0), (22 / 23, 2.0), (11 / 12, 1.0), (0.8, 4 / 11), (0.5, 1 / 11)],
+    [(1.0, 2.0), (0.99, 2.0), (15.6 / 16.6, 2.0), (11 / 12, 1.0), (0.8, 16 / 121), (0.5, 1 / 121)],
 )
 def test_of_good_maps_pieces_count_by_the_odds_of_what_is_explained(
     share: float, weight: float

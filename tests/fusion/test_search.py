@@ -143,7 +143,7 @@ def test_the_descent_never_loses_evidence(device: ComputeDevice) -> None:
     ref, mov = (features_of(fine_grid(seed), device) for seed in (53, 53))
     found = coarse_search(ref, mov, config, OPEN, device)
     scores = score_shifts(ref, mov, found.step, OPEN, device)
-    top = scores.motions.reshape(-1, 3)[scores.evidence.argmax()][None]
+    top = scores.motions(scores.evidence.argmax()[None])
     last = found.last_step
     assert found.evidence[0] >= score_motions(ref, mov, top, last, device, sigma=COARSE_SIGMA)[0]
 

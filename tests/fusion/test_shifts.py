@@ -55,7 +55,8 @@ def assert_tiles_are(
         row, col = (TILE * n for n in divmod(tile, tiles_x))
         part = surface[row : row + TILE, col : col + TILE]
         assert scores.evidence[k, tile] == pytest.approx(part.max(), abs=1e-9)
-        x, y, yaw = scores.motions[k, tile] / (scores.step, scores.step, 1.0)
+        at = np.ravel_multi_index(([k], [tile]), scores.evidence.shape)
+        x, y, yaw = scores.motions(at)[0] / (scores.step, scores.step, 1.0)
         assert yaw == scores.yaws[k]
         assert x % 1.0 == y % 1.0 == 0.5, "on the middle of a cell"
         at = round(y - 0.5) - rows[0], round(x - 0.5) - cols[0]
@@ -97,7 +98,8 @@ def test_an_open_window_leaves_out_no_shift_under_which_walls_meet(
     """Around the range of shifts nothing speaks for any motion."""
     ref, mov = (features_of(random_grid(seed + k, 20, 30), device) for k in (0, 30))
     scores = score_shifts(ref, mov, 1, SearchWindow(), device)
-    low, high = scores.motions[..., :2].min(axis=(0, 1)), scores.motions[..., :2].max(axis=(0, 1))
+    all_motions = scores.motions(np.arange(scores.evidence.size))[:, :2]
+    low, high = all_motions.min(axis=0), all_motions.max(axis=0)
     a, b = (side_of(grid, COARSE_SIGMA, COARSE_TOP) for grid in (ref, mov))
     reach = math.ceil(np.hypot(*(b.points - b.centre).T).max()) + 1
     rows, cols = ((-reach, size + reach + 1) for size in a.walls.shape)
@@ -123,7 +125,7 @@ def test_a_part_of_a_map_is_scored_where_it_hangs_out_of_the_other(device: Compu
     ref = features_of(whole.crop(CellBox(0, 0, whole.height, 40)), device)
     mov = features_of(whole.crop(CellBox(0, 30, whole.height, 110)), device)
     scores = score_shifts(ref, mov, 2, SearchWindow(), device)
-    best = scores.motions.reshape(-1, 3)[scores.evidence.argmax()]
+    best = scores.motions(scores.evidence.argmax()[None])[0]
     assert best[0] > ref.shape[1], "the centre of the moving grid is not on the reference"
     assert abs(math.remainder(best[2], 2.0 * math.pi)) < 1.5 * scores.yaw_step
 
@@ -153,5 +155,5 @@ def test_the_twins_score_the_same(device: ComputeDevice, twins: ComputeDevice, s
         ref, mov = (features_of(random_grid(seed, 20, 32), on_device) for seed in (41, 42))
         window = SearchWindow((12.0, 12.0, START_YAW), 8.0)
         found.append(score_shifts(ref, mov, step, window, on_device))
-    for name in ("yaws", "evidence", "motions", "work"):
+    for name in ("yaws", "evidence", "rows", "cols", "work"):
         assert np.array_equal(getattr(found[0], name), getattr(found[1], name)), name
