@@ -10,7 +10,8 @@ best of all other poses, stands for all that were searched. The pieces count by 
 the common ground could give, since a chance fit leaves much of it unexplained:
 
     n = better * min((share / (1 - share) / ODDS_ONE)^2, WEIGHT_MOST)    two good maps of one place
-    n = better * max(share, SHARE_FLOOR)                                 one is bent, or old
+    n = better * min(share / (1 - share) / ODDS_SHARP, 1)                sharp ones, one is old
+    n = better * max(share, SHARE_FLOOR)                                 one is bent
     expected_wrong = pairs * prior * TRIALS * (1 + UNPROVEN * gap) * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
@@ -39,6 +40,7 @@ __all__ = [
     "decide",
     "decide_mirrored",
     "expected_wrong",
+    "wrong_in_job",
 ]
 
 DecisionKind: TypeAlias = Literal[
@@ -63,6 +65,11 @@ TRIALS = 2.0
 RATE = 1.0
 # Maps that are bent explain less of their common ground; pieces count at least this much.
 SHARE_FLOOR = 0.6
+# Where this share of all walls of both maps meets within 0.15 m, and this share of the common ground
+# fits whole (``WallPieces.whole``), neither is bent: what stays unexplained was moved, or belongs to
+# another building with these outer walls. Pieces count by the odds of what is explained, as one at
+# these: 0.2 where five eighths are.
+SHARP_MATCH, SHARP_WHOLE, ODDS_SHARP = 0.45, 0.4, 8.0
 # Good maps explain nearly all of it. At these odds of what is explained against what is not (92 %)
 # a piece counts as one, by the square of the odds, as two at most (from 94 % on): where a fifth is
 # unexplained, wrong answers have up to ten pieces for them.
@@ -140,6 +147,8 @@ class Evidence:
         scale: size of the moving map's metre in the reference's, None: not estimated.
         scaled_share: ``share`` at that scale, by the narrow width of a wall.
         is_plain: weighed as two good maps (``WallPieces.doubt``), not as maps that may be bent.
+        is_sharp: whether walls meet so well, or not at all, that neither map is bent
+            (``SHARP_MATCH``).
         gap: what a proof left undecided, 0..1 (``Alignment.bound_gap``); 0 without one.
         is_cut: whether walls fill the cells that were searched (``CoarseSearch.is_cut``).
         better_inside: ``better`` among the answers in the window; None without one.
@@ -163,6 +172,7 @@ class Evidence:
     clean_share: float = 0.0
     better_inside: float | None = None
     is_plain: bool = False
+    is_sharp: bool = False
     gap: float = 0.0
     is_cut: bool = False
 
@@ -179,17 +189,20 @@ def expected_wrong(
     prior: float = 1.0,
     *,
     is_plain: bool = False,
+    is_sharp: bool = False,
     gap: float = 0.0,
 ) -> float:
     """Return how many wrong answers are to be expected to look as good, in the whole job.
 
     Args:
-        better, share, pairs, prior, is_plain, gap: see ``Evidence``.
+        better, share, pairs, prior, is_plain, is_sharp, gap: see ``Evidence``.
     """
+    odds = share / max(1.0 - share, 1e-9)
     weight = max(share, SHARE_FLOOR)
     if is_plain:
-        odds = share / max(1.0 - share, 1e-9)
         weight = min((odds / ODDS_ONE) ** 2, WEIGHT_MOST)
+    elif is_sharp:
+        weight = min(odds / ODDS_SHARP, weight)
     counted = min(better * weight, COUNTED_MAX)
     trials = TRIALS * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
     return pairs * prior * trials * math.exp(-RATE * max(counted, -COUNTED_MAX))
@@ -229,7 +242,7 @@ def _decide(evidence: Evidence) -> Decision:
             f"ambiguous: {evidence.share:.0%} of what common walls could give, while another "
             f"transform leaves less unexplained ({evidence.clean_share:.0%})",
         )
-    wrong = _wrong(evidence, evidence.better)
+    wrong = wrong_in_job(evidence)
     if wrong >= EXPECTED_WRONG_MAX and not (_is_whole(evidence) or _is_expected(evidence)):
         return _not_alone(evidence, wrong)
     is_scaled = evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_MAX
@@ -253,6 +266,11 @@ def _decide(evidence: Evidence) -> Decision:
     return Decision(True, "accepted", said)
 
 
+def wrong_in_job(evidence: Evidence) -> float:
+    """Return the wrong answers to be expected to look as good as an answer, in the whole job."""
+    return _wrong(evidence, evidence.better)
+
+
 def _wrong(evidence: Evidence, better: float) -> float:
     """Return the wrong answers to be expected if the answer were better by so many pieces."""
     return expected_wrong(
@@ -261,6 +279,7 @@ def _wrong(evidence: Evidence, better: float) -> float:
         evidence.pairs,
         evidence.prior,
         is_plain=evidence.is_plain,
+        is_sharp=evidence.is_sharp,
         gap=evidence.undecided,
     )
 

@@ -14,8 +14,11 @@ from slamfusion.config import AlignConfig
 from slamfusion.fusion.accept import (
     EXPECTED_WRONG_MAX,
     SHARE_MIN,
+    SHARP_MATCH,
+    SHARP_WHOLE,
     Evidence,
     decide,
+    wrong_in_job,
 )
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures
@@ -128,12 +131,13 @@ def judge(
         share=evidence.share,
         common_m=evidence.common_m,
         rival_ratio=evidence.ratio,
-        expected_wrong=stand.wrong(pairs, prior, evidence.undecided),
+        expected_wrong=wrong_in_job(evidence),
         mirrored=evidence.mirrored,
         scale=evidence.scale,
         scaled_share=None if evidence.scale is None else evidence.scaled_share,
         rival_share=evidence.clean_share,
         good_maps=evidence.is_plain,
+        sharp_maps=evidence.is_sharp,
     )
     return Alignment(
         reference.grid.name,
@@ -236,6 +240,7 @@ def _evidence(
         clean_share=stand.clean_share,
         better_inside=stand.better_inside,
         is_plain=stand.is_plain,
+        is_sharp=statistics["wall_match"] >= SHARP_MATCH and pieces.whole() >= SHARP_WHOLE,
         gap=found.bound_gap or 0.0,
         is_cut=found.coarse is not None and found.coarse.is_cut,
         ratio=max(0.0, highest / float(total[0])) if total[0] > 0 else 1.0,

@@ -29,6 +29,8 @@ PIECE_POINTS = 8192
 # Of two good maps, a rival that gives more than this share of the answer's evidence makes what
 # speaks for the answer count less; nothing where both give the same.
 RIVAL_RATIO = 0.5
+# A piece fits whole where it gives this share of what it could.
+WHOLE = 0.7
 FIELD_TOP = 255
 
 
@@ -84,6 +86,15 @@ class WallPieces:
     def share(self) -> F64:
         """Return (P,) the evidence as a share of what the common ground could give."""
         return np.asarray(self.evidence.sum(axis=1) / np.maximum(self.most.sum(axis=1), 1e-9))
+
+    def whole(self, k: int = 0) -> float:
+        """Return the share of what common ground could give motion k in pieces that fit whole.
+
+        Of sharp maps a piece fits or it does not; of maps that are bent most fit in part.
+        """
+        most = self.most[k]
+        fits = self.evidence[k] >= WHOLE * most
+        return float(most[fits].sum() / max(float(most.sum()), 1e-9))
 
     def witnesses(self, k: int = 0) -> float:
         """Return how many pieces of equal weight would say what the pieces say of motion k."""

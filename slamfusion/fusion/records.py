@@ -67,6 +67,8 @@ class MatchEvidenceJson(TypedDict):
     """The highest share of another answer that gives at least 0.7 of its evidence."""
     good_maps: bool
     """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
+    sharp_maps: bool
+    """Whether walls meet so well, or not at all, that neither map can be bent."""
 
 
 class AlignmentJson(TypedDict):
@@ -155,6 +157,7 @@ class MatchEvidence:
         rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
         good_maps: whether answers are compared as of two good maps of one place, so that what one
             leaves unexplained speaks against it; otherwise as of maps that may be bent.
+        sharp_maps: whether walls meet so well, or not at all, that neither map can be bent.
     """
 
     pieces: float
@@ -168,6 +171,7 @@ class MatchEvidence:
     scaled_share: float | None = None
     rival_share: float = 0.0
     good_maps: bool = False
+    sharp_maps: bool = False
 
     def to_json(self) -> MatchEvidenceJson:
         """Return the keys that other programs rely on."""
@@ -183,6 +187,7 @@ class MatchEvidence:
             "scaled_share": self.scaled_share,
             "rival_share": self.rival_share,
             "good_maps": self.good_maps,
+            "sharp_maps": self.sharp_maps,
         }
 
 

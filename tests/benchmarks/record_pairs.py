@@ -111,6 +111,7 @@ class Recorder:
             scaled_share=match.scaled_share or 0.0,
             clean_share=match.rival_share,
             is_plain=match.good_maps,
+            is_sharp=match.sharp_maps,
         )
         decision = decide(evidence).kind
         said = alignment.decision

@@ -83,6 +83,7 @@ def row_of(pair: RecordedPair) -> dict[str, str]:
         "answer": "right" if pair.is_right else "wrong",
         "decision": pair.decision,
         "good_maps": "yes" if pair.evidence.is_plain else "no",
+        "sharp_maps": "yes" if pair.evidence.is_sharp else "no",
     }
     for column in COLUMNS:
         value = value_of(pair.evidence, column)
@@ -115,6 +116,7 @@ def _pair(row: dict[str, str]) -> RecordedPair:
         scaled_share=float(row["scaled_share"] or 0.0),
         clean_share=float(row["clean_share"]),
         is_plain=row["good_maps"] == "yes",
+        is_sharp=row["sharp_maps"] == "yes",
     )
     return RecordedPair(
         row["source"],
