@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
+from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.fusion.normalize import NormalizedGrid, lattice_box, normalize_grid
-from slamfusion.fusion.pipeline import warp_onto
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.surfaces import wall_backs
 from slamfusion.fusion.vote import double_reach_cells, vote_grids

@@ -28,8 +28,8 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.fusion.normalize import normalize_grid
-from slamfusion.fusion.pipeline import warp_onto
 from slamfusion.fusion.records import Alignment
 from slamfusion.grid import CellBox
 from slamfusion.io import save_image

@@ -11,8 +11,8 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.groups import SecondLook
 from slamfusion.fusion.implied import ImpliedPairs, words_over
-from slamfusion.fusion.pipeline import SecondLook
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid

@@ -10,7 +10,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.errors import AlignmentError
-from slamfusion.fusion import align, fuse_grids, judge, pipeline
+from slamfusion.fusion import align, fuse_grids, groups, judge
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.mirror import mirror_gain, mirror_image
 from slamfusion.fusion.records import Alignment
@@ -114,7 +114,7 @@ def test_jobs_of_many_pairs_search_what_is_refused_once(
 ) -> None:
     place = building(4, 14.0, 9.0, 0.05)
     low, high = half(place, 0.0, 0.65).with_name("low"), half(place, 0.35, 1.0).with_name("high")
-    monkeypatch.setattr(pipeline, "THOROUGH_PAIRS", most)
+    monkeypatch.setattr(groups, "THOROUGH_PAIRS", most)
     with pytest.raises(AlignmentError) as failure:
         fuse_grids([low, mirrored(high)], FusionConfig(align=CONFIG), device)
     (pair,) = failure.value.pairs

@@ -17,7 +17,8 @@ from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import FusionResult, fuse_grids, normalize
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.pipeline import choose_reference, vote_again
+from slamfusion.fusion.groups import choose_reference
+from slamfusion.fusion.pipeline import vote_again
 from slamfusion.geometry import Pose2
 from slamfusion.grid import ORIGIN_MOST_M, CellBox, OccupancyGrid
 from slamfusion.io import memory
