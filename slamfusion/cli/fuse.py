@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.evaluate import print_evaluations
-from slamfusion.cli.fused import print_alignments, print_pairs
+from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
     FILE,
@@ -136,8 +136,7 @@ def command(
         _report_failure(error, grids, config, device.name, report_dir, as_json)
         raise
     document = save_fused_maps(fused, outputs.fused, report=report_dir)
-    for record in fused.result.rejected:
-        notice(f"rejected: {record.name}: {record.reason}")
+    tell_left_out(fused.result)
     if as_json:
         print_json(document)
     else:

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from slamfusion.cli.output import number, print_table
+from slamfusion.cli.output import notice, number, print_table
 
 if TYPE_CHECKING:
     from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 
-__all__ = ["print_alignments", "print_pairs"]
+__all__ = ["print_alignments", "print_pairs", "tell_left_out"]
 
 PAIR_COLUMNS = (
     "reference ",
@@ -37,6 +37,14 @@ def print_alignments(result: FusionResult) -> None:
     )
 
 
+def tell_left_out(result: FusionResult) -> None:
+    """Name on stderr the inputs that have no vote."""
+    for record in result.rejected:
+        notice(f"rejected: {record.name}: {record.reason}")
+    for record in result.copies:
+        notice(f"{record.name}: {record.reason}; --keep-duplicates counts each")
+
+
 def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
     """Print the pairs of maps of which nothing was fused."""
     print_table(
@@ -52,6 +60,8 @@ def _row(record: InputRecord, reference: str) -> list[str]:
     accepted = "yes" if record.accepted else "NO"
     if record.name == reference:
         accepted = "reference"
+    if record.copy_of is not None:
+        accepted = "copy"
     if record.alignment is None:
         return [record.name, accepted, *["-"] * (len(PAIR_COLUMNS) - 3)]
     return [record.name, *_cells(record.alignment, accepted)[1:]]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations
-from slamfusion.cli.fused import print_alignments, print_pairs
+from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
 from slamfusion.cli.judge import print_verdict
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
@@ -234,8 +234,8 @@ def _tell(run: LogRun, *, debug: bool) -> None:
         notice(f"no map: {outcome.name}: {outcome.reason}")
         if debug and outcome.detail:
             print(outcome.detail, file=sys.stderr)
-    for record in run.fusion.result.rejected if run.fusion.result is not None else ():
-        notice(f"rejected: {record.name}: {record.reason}")
+    if run.fusion.result is not None:
+        tell_left_out(run.fusion.result)
     for sentence in run.layers.sentences():
         notice(sentence)
     _tell_warnings(run)

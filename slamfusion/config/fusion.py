@@ -139,6 +139,9 @@ class FusionConfig(Checked):
         None, "name or index (from 0) of the reference; default: the smallest known box"
     )
     require_all: bool = option(False, "fail when any input is rejected")
+    keep_duplicates: bool = option(
+        False, "saved maps of equal cells, resolution and origin each have a vote, as in [F16]"
+    )
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
 from slamfusion.evidence import judged_scans, score_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.surfaces import with_backs
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan

@@ -19,9 +19,16 @@ from slamfusion.fusion.consistency import Group, largest_group, path_transform
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.implied import ImpliedPairs, words_over
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import Starts
+from slamfusion.fusion.start import Starts, named_input
 
-__all__ = ["AlignedGroup", "Progress", "SecondLook", "align_group", "choose_reference"]
+__all__ = [
+    "LEAST_FUSED",
+    "AlignedGroup",
+    "Progress",
+    "SecondLook",
+    "align_group",
+    "choose_reference",
+]
 
 # Told what is being done, how many steps are done, and of how many.
 Progress = Callable[[str, int, int], None]
@@ -30,7 +37,7 @@ SecondLook = Callable[[Alignment, GridFeatures, GridFeatures], Alignment]
 
 REFERENCE_AREA_SHARE = 0.5
 # [F16]: any two of three decide, so one input has nobody to agree with.
-MINIMUM_INPUTS = 2
+LEAST_FUSED = 2
 # Of more pairs most share nothing: what is refused is not searched once more.
 THOROUGH_PAIRS = 15
 
@@ -138,7 +145,7 @@ def _agree(
     group = Group((), 0.0)
     if usable:
         group = largest_group(usable, pairs, centres, resolution, implied.stands)
-    if len(group.members) < MINIMUM_INPUTS:
+    if len(group.members) < LEAST_FUSED:
         found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
         words = "; ".join([*reasons.values(), *found])
         listed = ", ".join(names)
@@ -161,10 +168,8 @@ def choose_reference(
     Raises:
         ConfigError: the wanted one is no input, or was rejected.
     """
-    if wanted is not None:
-        name = wanted
-        if wanted not in names and wanted.isdecimal() and int(wanted) < len(names):
-            name = names[int(wanted)]
+    name = named_input(wanted, names)
+    if name is not None:
         if name not in members:
             state = "was rejected" if name in names else "is none of them"
             message = (

@@ -28,6 +28,7 @@ from slamfusion.fusion.accept import CLASH_MAX
 from slamfusion.fusion.align import track_features
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.pipeline import fuse_grids
 from slamfusion.fusion.records import (
     Alignment,
@@ -42,7 +43,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
-    "LEAST_FUSED",
     "PathGap",
     "PathsApartError",
     "agreeing",
@@ -54,7 +54,6 @@ __all__ = [
     "place_by_path",
 ]
 
-LEAST_FUSED = 2
 # Poses farther apart in time are of two places, seconds: a path need not be told for the whole
 # drive.
 TOGETHER_S = 1.0

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError, GridError
+from slamfusion.fusion.duplicates import copy_words, find_copies
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.groups import Progress, SecondLook, align_group
+from slamfusion.fusion.groups import (
+    LEAST_FUSED,
+    Progress,
+    SecondLook,
+    align_group,
+)
 from slamfusion.fusion.lattice_vote import vote_on_lattice
 from slamfusion.fusion.normalize import check_resampling, common_resolution, normalize_grid
-from slamfusion.fusion.records import FusionResult, InputRecord
-from slamfusion.fusion.start import Starts
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+from slamfusion.fusion.resolutions import odd_resolutions
+from slamfusion.fusion.start import Starts, named_input
 from slamfusion.fusion.vote import check_votes
 from slamfusion.grid import OccupancyGrid
 
@@ -53,11 +60,15 @@ def fuse_grids(
     """
     began = time.perf_counter()
     check_votes(config.vote)
-    _check_inputs(grids, config)
-    resolution = common_resolution(list(grids), config.normalize)
-    reasons: dict[str, str] = {}
+    _check_names(grids)
+    odd = odd_resolutions({grid.name: grid.resolution for grid in grids})
+    copies = _copies(grids, config, starts)
+    voters = [grid for grid in grids if grid.name not in copies and grid.name not in odd]
+    check_resampling(voters, config.normalize, "fusing")
+    resolution = common_resolution(voters, config.normalize)
+    reasons = {name: reason for name, reason in odd.items() if name not in copies}
     features: dict[str, GridFeatures] = {}
-    for grid in grids:
+    for grid in voters:
         try:
             normalized = normalize_grid(grid, resolution, config.normalize, device)
         except GridError as error:
@@ -70,13 +81,16 @@ def fuse_grids(
     )
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
-    rejected = {
+    others = {
         grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
         for grid in grids
         if grid.name in reasons
     }
+    for grid in grids:
+        if grid.name in copies:
+            others[grid.name] = _copy(grid, copies[grid.name], group.alignments | shown)
     result = vote_on_lattice(
-        grids, group.reference, group.alignments, features, rejected, config, device
+        grids, group.reference, group.alignments, features, others, config, device
     )
     return replace(result, pairs=group.pairs, time_s=time.perf_counter() - began)
 
@@ -98,13 +112,13 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
             normalized = normalize_grid(record.grid, resolution, config.normalize, device)
             features[record.name] = GridFeatures(normalized, device)
             alignments[record.name] = record.alignment
-    rejected = {record.name: record for record in result.rejected}
+    rejected = {record.name: record for record in result.inputs if not record.accepted}
     voted = vote_on_lattice(grids, result.reference, alignments, features, rejected, config, device)
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
 
 
-def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
-    """Refuse no inputs, names given twice, and more cells than memory."""
+def _check_names(grids: Sequence[OccupancyGrid]) -> None:
+    """Refuse no inputs, and names given twice."""
     if not grids:
         message = "wanted at least one map to fuse, found none"
         raise AlignmentError(message)
@@ -113,4 +127,31 @@ def _check_inputs(grids: Sequence[OccupancyGrid], config: FusionConfig) -> None:
     if twice:
         message = f"inputs need distinct names; given twice: {', '.join(twice)}"
         raise ConfigError(message)
-    check_resampling(grids, config.normalize, "fusing")
+
+
+def _copies(
+    grids: Sequence[OccupancyGrid], config: FusionConfig, starts: Starts | None
+) -> dict[str, str]:
+    """Return the inputs that have no vote as copies, by whose is theirs; refuse copies alone."""
+    if config.keep_duplicates:
+        return {}
+    names = [grid.name for grid in grids]
+    known = {named_input(config.reference, names), *(starts.given if starts is not None else ())}
+    copies = find_copies(grids, {name for name in known if name is not None})
+    if copies and len(grids) - len(copies) < LEAST_FUSED:
+        message = (
+            f"{', '.join(names)} are one map, given {len(grids)} times: nothing bears it out, so "
+            "nothing is fused; --keep-duplicates counts each as a voter"
+        )
+        raise AlignmentError(message)
+    return copies
+
+
+def _copy(
+    grid: OccupancyGrid, voter: str, alignments: Mapping[str, Alignment | None]
+) -> InputRecord:
+    """Return the record of a copy: it lies where the voter lies, and has no vote."""
+    own = alignments.get(voter)
+    if own is not None:
+        own = replace(own, moving=grid.name)
+    return InputRecord(grid, own, False, copy_words(voter), copy_of=voter)

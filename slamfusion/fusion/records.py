@@ -273,6 +273,7 @@ class InputRecord:
         reason: why (not); one line.
         aligned: (H, W) int8 in {-1, 0, 1} on the fused lattice; None when rejected.
         dissent: (H, W) bool, where this input voted and was outvoted; None when rejected.
+        copy_of: the input that this one is a copy of, which votes for both; None: it is none.
     """
 
     grid: OccupancyGrid
@@ -281,6 +282,7 @@ class InputRecord:
     reason: str
     aligned: npt.NDArray[np.int8] | None = None
     dissent: npt.NDArray[np.bool_] | None = None
+    copy_of: str | None = None
 
     @property
     def name(self) -> str:
@@ -340,8 +342,15 @@ class FusionResult:
 
     @property
     def rejected(self) -> tuple[InputRecord, ...]:
-        """The inputs that did not vote."""
-        return tuple(record for record in self.inputs if not record.accepted)
+        """The inputs that do not fit; copies of others are none of them."""
+        return tuple(
+            record for record in self.inputs if not record.accepted and record.copy_of is None
+        )
+
+    @property
+    def copies(self) -> tuple[InputRecord, ...]:
+        """The inputs for which another votes that is the same map."""
+        return tuple(record for record in self.inputs if record.copy_of is not None)
 
     @property
     def wall_backs(self) -> int:

@@ -19,7 +19,7 @@ from slamfusion.config import START_M, START_RAD
 from slamfusion.errors import StartError
 from slamfusion.geometry import Pose2
 
-__all__ = ["StartPose", "Starts", "place_starts", "pose_of"]
+__all__ = ["StartPose", "Starts", "named_input", "place_starts", "pose_of"]
 
 PAIR = 2
 
@@ -103,6 +103,13 @@ class Starts:
         return self.given.get(name, _ORIGIN if name in self.frame else None)
 
 
+def named_input(wanted: str | None, names: Sequence[str]) -> str | None:
+    """Return the input that a name or an index from 0 means; another word as it is."""
+    if wanted is None or wanted in names or not wanted.isdecimal() or int(wanted) >= len(names):
+        return wanted
+    return names[int(wanted)]
+
+
 def pose_of(start: Pose2 | StartPose | None) -> Pose2 | None:
     """Return a start without its tolerances."""
     return start.pose if isinstance(start, StartPose) else start
@@ -151,9 +158,7 @@ def _frame(
     only: str, inputs: Sequence[str], reference: str | None, drive: Collection[str]
 ) -> frozenset[str]:
     """Return the inputs at the origin of the frame that a single start is told in."""
-    named = reference
-    if named is not None and named not in inputs and named.isdecimal() and int(named) < len(inputs):
-        named = inputs[int(named)]
+    named = named_input(reference, inputs)
     if named is not None and named in inputs and named != only and named not in drive:
         return frozenset({named})
     others = frozenset(drive) - {only}

@@ -14,7 +14,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evaluation import added_doubled_share, doubled_wall_share
 from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
@@ -346,6 +346,9 @@ def fusion_document(result: FusionResult, doubled: DoubledWalls) -> FusionJson:
         "doubled_wall_share": doubled.to_json(),
         "weights": result.weights,
         "pairs": [pair.to_json() for pair in result.pairs],
+        "copies": {
+            record.name: record.copy_of for record in result.copies if record.copy_of is not None
+        },
     }
 
 
@@ -377,6 +380,7 @@ def failure_document(
         "doubled_wall_share": None,
         "weights": {},
         "pairs": [pair.to_json() for pair in pairs],
+        "copies": {},
     }
 
 
@@ -386,6 +390,8 @@ def fusion_sentences(result: FusionResult, doubled: DoubledWalls) -> tuple[str, 
     if result.rejected:
         reasons = ", ".join(f"{record.name}: {record.reason}" for record in result.rejected)
         text += f"; rejected: {reasons}"
+    for record in result.copies:
+        text += f"; {record.name}: {record.reason}"
     added = (
         f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
         f"{doubled.added:.1%} of the walls doubled by the fusion, {result.time_s:.2f} s"

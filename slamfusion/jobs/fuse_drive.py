@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import (
-    LEAST_FUSED,
     PathGap,
     PathsApartError,
     fallback_map,

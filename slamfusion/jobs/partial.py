@@ -22,7 +22,7 @@ from slamfusion.evidence import (
     score_paths,
 )
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import InputRecord
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid

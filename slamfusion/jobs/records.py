@@ -155,6 +155,8 @@ class FusionJson(TypedDict):
     """Weight of each vote, by input."""
     pairs: Sequence[AlignmentJson]
     """Every pair that was aligned, also between rejected inputs."""
+    copies: Mapping[str, str]
+    """Inputs that are the same map as another, by name, and which of them votes for both."""
 
 
 class FuseDocument(FusionJson, CircumstancesJson):

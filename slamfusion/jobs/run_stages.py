@@ -16,7 +16,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evidence import PathEvidence, Verdict, reach_verdict, with_path
-from slamfusion.fusion.path_check import LEAST_FUSED
+from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid

@@ -42,6 +42,7 @@ __all__ = [
     "fused_section",
     "fusion_banner",
     "inputs_section",
+    "left_out_lines",
     "shown_box",
     "statistics_section",
     "write_failure_report",
@@ -168,9 +169,9 @@ _YAW_TEXT = (
 def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
-    lines = [(f"{record.name} was rejected:", record.reason) for record in result.rejected]
+    lines = left_out_lines(result)
     lines.append(("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}."))
-    total, fused = len(result.inputs), len(result.accepted)
+    total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
     if failure is not None:
         return Banner("bad", "Do not use this map", [("", failure), *lines])
     if fused < 2:
@@ -180,9 +181,17 @@ def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
     return Banner("good", f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
 
 
+def left_out_lines(result: FusionResult) -> list[tuple[str, str]]:
+    """Return which inputs have no vote, and why."""
+    return [
+        *((f"{record.name} was rejected:", record.reason) for record in result.rejected),
+        *((f"{record.name} is a copy:", record.reason) for record in result.copies),
+    ]
+
+
 def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
     """Return the numbers at the top."""
-    total, fused = len(result.inputs), len(result.accepted)
+    total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
     cells = result.fused.cells
     area = float(np.count_nonzero(cells != -1)) * result.fused.resolution**2
     agreement = result.agreement.cells[result.agreement.cells >= 0]
@@ -273,6 +282,8 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
     pictures: list[Picture] = []
     for record in result.inputs:
         role = "Reference." if record.name == result.reference else ""
+        if record.copy_of is not None:
+            continue
         caption = role if record.accepted else f"Rejected: {record.reason}"
         pictures.append(
             input_picture(record.grid, normalize, caption=caption, accepted=record.accepted)
@@ -336,7 +347,9 @@ def alignment_section(result: FusionResult, *, only_doubtful: bool = False) -> S
     to_reference = [
         record.alignment
         for record in result.inputs
-        if record.alignment is not None and record.name != result.reference
+        if record.alignment is not None
+        and record.name != result.reference
+        and record.copy_of is None
     ]
     shown = {(item.moving, item.reference) for item in to_reference}
     others = [pair for pair in result.pairs if (pair.moving, pair.reference) not in shown]
@@ -364,7 +377,7 @@ def statistics_section(
     rows = [
         [
             Cell(record.name),
-            roles[record.accepted],
+            roles[record.accepted] if record.copy_of is None else Cell("copy"),
             number(result.weights.get(record.name)),
             Cell(_outvoted(record) if record.accepted else "-"),
             Cell(record.reason),

@@ -14,6 +14,7 @@ from slamfusion.report.fusion_report import (
     dissent_section,
     fused_section,
     inputs_section,
+    left_out_lines,
     shown_box,
     statistics_section,
 )
@@ -105,7 +106,7 @@ def _banner(report: RunReport) -> Banner:
     lines = [(f"{name} made no map:", reason) for name, reason in report.failed]
     result = report.result
     if result is not None:
-        lines += [(f"{record.name} was rejected:", record.reason) for record in result.rejected]
+        lines += left_out_lines(result)
     lines += list(report.warnings)
     if report.verdict is not None:
         lines.append(("Verdict:", report.verdict.sentence))
@@ -114,7 +115,8 @@ def _banner(report: RunReport) -> Banner:
         return Banner("bad", headline, [("", report.failure), *lines])
     accepted = ", ".join(record.name for record in result.accepted)
     lines.append(("Fused:", f"{accepted}{_how(report.mode)}; in the frame of {result.reference}."))
-    total, fused = len(result.inputs) + len(report.failed), len(result.accepted)
+    total = len(result.inputs) - len(result.copies) + len(report.failed)
+    fused = len(result.accepted)
     if fused < total:
         return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
     headline = f"{'Both' if total == 2 else f'All {total}'} maps were fused"

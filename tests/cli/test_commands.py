@@ -198,6 +198,19 @@ def test_same_stems_get_distinct_names(tmp_path: Path) -> None:
     assert [item["name"] for item in json_of(done)["inputs"]] == ["a/map", "b/map"]
 
 
+def test_a_map_given_twice_has_one_vote_and_is_named(tmp_path: Path) -> None:
+    done = run("fuse", *MAPS[:2], MAPS[0], "-o", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("slamfusion: map_a#2: the same map as map_a")
+    document = json_of(done)
+    assert document["copies"] == {"map_a#2": "map_a"}
+    assert document["fused_count"] == 2
+    assert document["inputs"][2]["reason"] in line
+    again = run("fuse", *MAPS[:2], MAPS[0], "-o", tmp_path / "out", "--json", "--keep-duplicates")
+    assert json_of(again)["fused_count"] == 3
+
+
 def test_bare_images_take_the_resolution_option(tmp_path: Path) -> None:
     images = [SAMPLE / "map_a.pgm", SAMPLE / "map_b.pgm"]
     done = run("fuse", *images, "-o", tmp_path / "out", "--resolution", "0.05", "--json")

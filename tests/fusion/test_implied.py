@@ -18,7 +18,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import building, features_of, fusion_config
 
-QUICK = fusion_config()
+QUICK = replace(fusion_config(), keep_duplicates=True)
 
 
 def part(grid: OccupancyGrid, name: str, low: float, high: float) -> OccupancyGrid:

@@ -187,13 +187,13 @@ def square(name: str) -> OccupancyGrid:
 def test_a_map_that_walls_leave_open_is_placed_by_its_path(
     device: ComputeDevice, turns: int
 ) -> None:
-    grids = [square("a"), square("b")]
+    grids, config = [square("a"), square("b")], replace(QUICK, keep_duplicates=True)
     with pytest.raises(AlignmentError, match="ambiguous"):
-        fuse_grids(grids, QUICK, device)
+        fuse_grids(grids, config, device)
     turn = Pose2(0.0, 0.0, turns * math.pi / 2.0)
     path = moved_path(TRUE_PATH, Pose2(-4.0, -3.0))
     result, _ = fuse_with_paths(
-        grids, {"a": path, "b": moved_path(path, turn.inverse())}, QUICK, 0.5, device
+        grids, {"a": path, "b": moved_path(path, turn.inverse())}, config, 0.5, device
     )
     assert len(result.accepted) == 2
     (pair,) = result.pairs

@@ -162,7 +162,7 @@ def test_the_reference_keeps_its_cells_where_they_are(device: ComputeDevice) -> 
     """Three copies fused are the map itself, in its own frame and on its own lattice."""
     grid = with_origin(place(), Pose2(4.37, -2.11, 0.9))
     copies = [grid.with_name(name) for name in "abc"]
-    result = fuse_grids(copies, QUICK, device)
+    result = fuse_grids(copies, replace(QUICK, keep_duplicates=True), device)
     assert_same_world(result.fused, grid)
     assert result.agreement.cells[result.fused.cells >= 0].min() == 100
 
@@ -387,8 +387,9 @@ def test_outer_walls_have_their_backs_beyond_the_inputs(device: ComputeDevice, m
     """Three equal maps end at their outer walls: the backs of these lie one cell further out."""
     truth = place()
     grids = [truth.with_name(name) for name in "abc"]
-    result = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode)), device)
-    bare = fuse_grids(grids, replace(QUICK, vote=VoteConfig(mode, solid_walls=False)), device)
+    config = replace(QUICK, keep_duplicates=True)
+    result = fuse_grids(grids, replace(config, vote=VoteConfig(mode)), device)
+    bare = fuse_grids(grids, replace(config, vote=VoteConfig(mode, solid_walls=False)), device)
     assert_same_world(bare.fused, truth)
     assert bare.wall_backs == 0
     assert result.fused.cells.shape == tuple(side + 2 for side in bare.fused.cells.shape)

@@ -9,9 +9,10 @@ from slamfusion.errors import AlignmentError, MemoryBudgetError
 from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.lattice import Lattice
-from slamfusion.fusion.live.limits import odd_resolution, odd_resolutions, too_large
+from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.normalize import common_resolution
+from slamfusion.fusion.resolutions import odd_resolution, odd_resolutions
 
 __all__ = ["align_first", "believe_first", "fusable"]
 

@@ -7,7 +7,6 @@ nothing, or that no memory holds, costs the other inputs no time.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,7 @@ from slamfusion.fusion.accept import WALLS_MIN
 from slamfusion.grid import OccupancyGrid, implausible
 from slamfusion.io.memory import check_memory
 
-__all__ = ["bands", "odd_resolution", "odd_resolutions", "too_large", "unusable"]
+__all__ = ["bands", "too_large", "unusable"]
 
 I8 = npt.NDArray[np.int8]
 
@@ -38,9 +37,6 @@ EDGE_MIN = 0.001
 FREE_MIN = 0.01
 # Metres from corner to corner.
 LENGTH_MAX_M = 1e6
-# How many times coarser or finer than the fused cells a map's may be. Walls are compared within
-# 0.15 m, which says nothing of cells of a metre; and cells of 1 mm make a hall too large.
-RATIO_MAX = 16.0
 # Working copies of one map, in bytes a cell, and the map from which they are worth a check.
 INPUT_BYTES = 12
 CHECKED_CELLS = 1 << 22
@@ -131,33 +127,6 @@ def _verdict(found: _Texture) -> str | None:
             f"where maps have {STEPS_MAX:g} at most; is it noise?"
         )
     return None
-
-
-def odd_resolutions(resolutions: Mapping[str, float]) -> dict[str, str]:
-    """Return, in words, whose cells are too coarse or too fine to be fused with the others'.
-
-    The typical resolution is the median, of an even number the coarser one.
-
-    Args:
-        resolutions: by name, metres per cell.
-    """
-    if not resolutions:
-        return {}
-    typical = sorted(resolutions.values())[len(resolutions) // 2]
-    reasons = {name: odd_resolution(size, typical) for name, size in resolutions.items()}
-    return {name: reason for name, reason in reasons.items() if reason is not None}
-
-
-def odd_resolution(size: float, typical: float) -> str | None:
-    """Return in words that cells are too coarse or too fine for others, or None; m per cell."""
-    ratio = max(size / typical, typical / size)
-    if ratio <= RATIO_MAX:
-        return None
-    word = "coarser" if size > typical else "finer"
-    return (
-        f"cells of {size:g} m are {ratio:.3g} times {word} than those of the others ({typical:g} "
-        f"m); {RATIO_MAX:g} times can be fused"
-    )
 
 
 def too_large(grid: OccupancyGrid, resolution: float) -> str | None:

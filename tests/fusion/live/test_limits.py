@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.live import limits
-from slamfusion.fusion.live.limits import odd_resolution, odd_resolutions, too_large, unusable
+from slamfusion.fusion.live.limits import too_large, unusable
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import memory
@@ -24,22 +24,6 @@ def test_too_few_walls_say_nothing() -> None:
     assert "23 of the 24" in (unusable(draw("#" * 23 + "."), RULES) or "")
     assert unusable(draw("#" * 24 + "\n" + 2 * ("." * 24 + "\n")), RULES) is None
     assert "0 of the 24" in (unusable(draw("?" * 40), RULES) or "")
-
-
-@pytest.mark.parametrize("ratio", [15.9, 16.1])
-def test_cells_may_be_sixteen_times_coarser_or_finer(ratio: float) -> None:
-    is_odd = ratio > 16.0
-    assert (odd_resolution(0.05 * ratio, 0.05) is not None) is is_odd
-    assert (odd_resolution(0.05 / ratio, 0.05) is not None) is is_odd
-    found = odd_resolutions({"a": 0.05, "b": 0.05 * ratio, "c": 0.05})
-    assert list(found) == (["b"] if is_odd else [])
-    assert odd_resolutions({}) == {}
-
-
-def test_of_two_the_coarser_is_typical() -> None:
-    found = odd_resolutions({"fine": 0.01, "coarse": 1.0})
-    assert list(found) == ["fine"]
-    assert "finer than those of the others (1 m)" in found["fine"]
 
 
 def test_a_map_is_at_most_a_thousand_kilometres_long() -> None:
@@ -213,14 +197,6 @@ def test_more_free_cells_never_make_noise_of_a_place(
         return "noise" in (limits._verdict(found) or "")
 
     assert is_noise(free) >= is_noise(free + more)
-
-
-def test_sixteen_times_is_not_odd_and_equal_is_neither() -> None:
-    assert odd_resolution(16.0, 1.0) is odd_resolution(1.0, 16.0) is None
-    assert "coarser" in (odd_resolution(16.1, 1.0) or "")
-    assert "finer" in (odd_resolution(1.0, 16.1) or "")
-    four = {"a": 0.01, "b": 0.01, "c": 1.0, "d": 1.0}
-    assert list(odd_resolutions(four)) == ["a", "b"]
 
 
 @pytest.mark.parametrize(
