@@ -95,7 +95,10 @@ CONSISTENCY = {
     ): "a trial has three members at least, a key two",
     (
         "_grown_group",
-        "_rank(group, names) > _rank(best, names) => _rank(group, names) >= _rank(best, names)",
+        (
+            "rank_of(group, names) > rank_of(best, names)"
+            " => rank_of(group, names) >= rank_of(best, names)"
+        ),
     ): "groups of one rank are one group",
 }
 TRACKING = {

@@ -76,7 +76,9 @@ class AlignConfig(Checked):
         "the maps share their start frame: of equally good answers believe one near the identity",
     )
     prove: bool = option(
-        True, "prove the answer the best of the search set, or say how far it may be off"
+        True,
+        "prove the answer the best of the search set, or say how far it may be off; with more than "
+        "six maps loops of maps take its place",
     )
     deadline_s: float = option(2.0, "stop proving a pair after this long", unit="s", low=0.0)
     coarse_cells: int = option(

@@ -14,7 +14,18 @@ from dataclasses import dataclass
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["PATH_GAP", "Group", "Stands", "closure_error", "largest_group", "path_transform"]
+__all__ = [
+    "CLOSURE_CELLS",
+    "CLOSURE_YAW_RAD",
+    "PATH_GAP",
+    "Group",
+    "Stands",
+    "closure_error",
+    "largest_group",
+    "motion_from",
+    "path_transform",
+    "rank_of",
+]
 
 # Told a rejected pair and the transform that the accepted pairs of a group imply for it (moving map
 # frame to the reference's): whether the group may stand although the pair was rejected.
@@ -40,7 +51,7 @@ class Group:
     score: float
 
 
-def _motion(pair: Alignment, source: str) -> Pose2:
+def motion_from(pair: Alignment, source: str) -> Pose2:
     """Return the transform from ``source``'s frame into the other's."""
     return pair.transform if pair.moving == source else pair.transform.inverse()
 
@@ -129,7 +140,9 @@ def _closes(
         if all(side is not None and PATH_GAP in side.statistics for side in sides):
             continue
         ab, bc, ca = (side for side in sides if side is not None)
-        shift, turn = closure_error(_motion(ab, a), _motion(bc, b), _motion(ca, c), centres[a])
+        shift, turn = closure_error(
+            motion_from(ab, a), motion_from(bc, b), motion_from(ca, c), centres[a]
+        )
         if shift > CLOSURE_CELLS * resolution or turn > CLOSURE_YAW_RAD:
             return False
     return True
@@ -171,7 +184,7 @@ def _grown_group(
         inside = {key: pair for key, pair in edges.items() if key <= set(members)}
         ordered = tuple(name for name in names if name in members)
         group = Group(ordered, _sum_of_scores(inside))
-        if _rank(group, names) > _rank(best, names):
+        if rank_of(group, names) > rank_of(best, names):
             best = group
     return best
 
@@ -181,7 +194,7 @@ def _sum_of_scores(pairs: dict[frozenset[str], Alignment]) -> float:
     return math.fsum(pair.score for pair in pairs.values())
 
 
-def _rank(group: Group, names: Sequence[str]) -> tuple[int, float, list[int]]:
+def rank_of(group: Group, names: Sequence[str]) -> tuple[int, float, list[int]]:
     """Return what the better of two groups has more of: members, score, early inputs."""
     return len(group.members), group.score, [-names.index(name) for name in group.members]
 
@@ -206,7 +219,7 @@ def path_transform(
             for name in members:
                 pair = edges.get(frozenset((here, name)))
                 if name not in found and pair is not None:
-                    found[name] = _motion(pair, here).compose(found[here])
+                    found[name] = motion_from(pair, here).compose(found[here])
                     following.append(name)
         fresh = following
     return found.get(target)

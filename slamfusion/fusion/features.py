@@ -106,6 +106,13 @@ class GridFeatures:
         return self.shape[1] / 2.0, self.shape[0] / 2.0
 
     @cached_property
+    def middle(self) -> tuple[float, float]:
+        """The centre in the map frame, metres."""
+        grid = self.grid.grid
+        x, y = grid.origin.transform(np.array(self.centre) * grid.resolution)
+        return float(x), float(y)
+
+    @cached_property
     def known_cells(self) -> int:
         """Known cells."""
         return int(np.count_nonzero(self.grid.cells >= 0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -15,11 +15,20 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.align import align_features, rejected_alignment, track_features
-from slamfusion.fusion.consistency import Group, largest_group, path_transform
+from slamfusion.fusion.consistency import (
+    Group,
+    largest_group,
+    path_transform,
+    rank_of,
+)
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.implied import ImpliedPairs, words_over
+from slamfusion.fusion.many import Candidate, SolvedGroup, align_many
+from slamfusion.fusion.pair_ranking import rank_pairs
+from slamfusion.fusion.placement import placed
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import Starts, named_input
+from slamfusion.fusion.start import Starts, named_input, start_distance
+from slamfusion.geometry import Pose2
 
 __all__ = [
     "LEAST_FUSED",
@@ -38,25 +47,37 @@ SecondLook = Callable[[Alignment, GridFeatures, GridFeatures], Alignment]
 REFERENCE_AREA_SHARE = 0.5
 # [F16]: any two of three decide, so one input has nobody to agree with.
 LEAST_FUSED = 2
-# Of more pairs most share nothing: what is refused is not searched once more.
+# Of more pairs most share nothing: those that are promising are aligned, what is refused is not
+# searched once more, and nothing is proven.
 THOROUGH_PAIRS = 15
 
 
 @dataclass(frozen=True, eq=False)
-class AlignedGroup:
+class Members:
     """Inputs that fit together, and how.
 
     Attributes:
         reference: name of the reference.
         alignments: each member's alignment to the reference; the reference's own is the identity.
-        left_out: why every other input is no member, and the alignment that shows it.
-        pairs: every pair that was aligned.
     """
 
     reference: str
     alignments: dict[str, Alignment]
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedGroup(Members):
+    """The largest group of inputs that fit together, and what became of the others.
+
+    Attributes:
+        left_out: why every other input is no member, and the alignment that shows it.
+        pairs: every pair that was aligned.
+        others: further groups of two or more, the larger first.
+    """
+
     left_out: dict[str, tuple[str, Alignment | None]]
     pairs: tuple[Alignment, ...]
+    others: tuple[Members, ...] = ()
 
 
 def align_group(
@@ -70,7 +91,10 @@ def align_group(
     starts: Starts | None = None,
     in_part: Collection[str] = (),
 ) -> AlignedGroup:
-    """Align every pair, find the largest group that fits together, and choose its reference.
+    """Align pairs, find the groups that fit together, and choose their references.
+
+    Every pair of few inputs is aligned. Of many, or where nothing else is known of pairs, those
+    that are promising: see ``many``.
 
     Args:
         features: the inputs that can be aligned, by name, all at one resolution.
@@ -84,74 +108,156 @@ def align_group(
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
         ConfigError: the reference named in the config is no member.
     """
-    pairs = _align_pairs(features, config, device, progress, second_look, starts or Starts())
-    implied = ImpliedPairs(features, len(pairs), device)
-    group = _agree(names, features, pairs, reasons, implied)
+    count = math.comb(len(features), 2)
+    implied = ImpliedPairs(features, count, device)
+    aligner = _Aligner(features, config, device, count, progress, starts or Starts())
+    if count <= THOROUGH_PAIRS or second_look is not None:
+        pairs = aligner.align_all(second_look)
+        found = _all_groups(names, features, pairs, implied)
+    else:
+        solved, pairs = align_many(features, aligner.candidates(), aligner.align, implied)
+        found = [_solved_group(names, group, pairs) for group in solved]
+        found.sort(key=lambda item: rank_of(item[0], names), reverse=True)
+    aligner.tell("vote", aligner.done)
+    if len(names) == 1 and features:
+        found = [(Group((names[0],), 0.0), None)]
+    elif not found or len(found[0][0].members) < LEAST_FUSED:
+        raise _nothing_fused(names, pairs, reasons)
+    group, poses = found[0]
     whole = [name for name in group.members if name not in in_part]
     candidates = whole if whole and config.reference is None else group.members
     reference = choose_reference(candidates, features, config.reference, names)
-    alignments = _to_reference(reference, group, features, pairs, device)
+    alignments = _to_reference(reference, group, poses, features, pairs, device)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
         for name in features
         if name not in group.members
     }
-    return AlignedGroup(reference, alignments, left_out, tuple(pairs))
+    others = []
+    for other, its_poses in found[1:]:
+        if len(other.members) >= LEAST_FUSED:
+            own = choose_reference(other.members, features, None, names)
+            placed_ones = _to_reference(own, other, its_poses, features, pairs, device)
+            others.append(Members(own, placed_ones))
+    return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
 
-def _align_pairs(
-    features: dict[str, GridFeatures],
-    config: FusionConfig,
-    device: ComputeDevice,
-    progress: Progress | None,
-    second_look: SecondLook | None,
-    starts: Starts,
-) -> list[Alignment]:
-    """Align every pair, the larger known box to the smaller."""
-    couples = list(itertools.combinations(features.values(), 2))
-    is_thorough, pairs = len(couples) <= THOROUGH_PAIRS, []
-    for done, (a, b) in enumerate(couples):
-        reference, moving = (a, b) if math.prod(a.shape) <= math.prod(b.shape) else (b, a)
-        if progress is not None:
-            progress(f"{moving.grid.name} to {reference.grid.name}", done, len(couples))
-        start = starts.between(reference.grid.name, moving.grid.name)
-        pair = align_features(
-            reference, moving, config.align, device, start,
-            pairs=len(couples), thorough=is_thorough,
+class _Aligner:
+    """Aligns pairs of inputs, the larger known box to the smaller, and tells how far it is."""
+
+    def __init__(
+        self,
+        features: Mapping[str, GridFeatures],
+        config: FusionConfig,
+        device: ComputeDevice,
+        count: int,
+        progress: Progress | None,
+        starts: Starts,
+    ) -> None:
+        self.features, self.device, self.count = features, device, count
+        self.progress, self.starts = progress, starts
+        self.is_thorough = count <= THOROUGH_PAIRS
+        # Of many maps loops bear out what a proof would, and a proof takes as long as ten searches.
+        self.config = config.align if self.is_thorough else replace(config.align, prove=False)
+        self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
+
+    def tell(self, what: str, done: int) -> None:
+        """Tell what is being done, and how many alignments are."""
+        if self.progress is not None:
+            self.progress(what, done, max(self.steps, done))
+
+    def align(self, a: str, b: str) -> Alignment:
+        """Align two inputs by name."""
+        one, other = self.features[a], self.features[b]
+        is_in_order = math.prod(one.shape) <= math.prod(other.shape)
+        reference, moving = (one, other) if is_in_order else (other, one)
+        self.tell(f"{moving.grid.name} to {reference.grid.name}", self.done)
+        self.done += 1
+        start = self.starts.between(reference.grid.name, moving.grid.name)
+        return align_features(
+            reference, moving, self.config, self.device, start,
+            pairs=self.count, thorough=self.is_thorough,
         )  # fmt: skip
-        pairs.append(pair if second_look is None else second_look(pair, reference, moving))
-    if progress is not None:
-        progress("vote", len(couples), len(couples))
-    return pairs
+
+    def align_all(self, second_look: SecondLook | None) -> list[Alignment]:
+        """Align every pair."""
+        self.steps, pairs = self.count, []
+        for a, b in itertools.combinations(self.features, 2):
+            pair = self.align(a, b)
+            if second_look is not None:
+                pair = second_look(pair, self.features[pair.reference], self.features[pair.moving])
+            pairs.append(pair)
+        return pairs
+
+    def candidates(self) -> list[Candidate]:
+        """Return the pairs that may be aligned, the most promising first.
+
+        Where starts say that two maps cannot meet they are none; where they say that two may, the
+        nearest come first.
+        """
+        self.tell("rank pairs", 0)
+        names = list(self.features)
+        near, others = [], []
+        for pair in rank_pairs(list(self.features.values()), self.device):
+            a, b = names[pair.a], names[pair.b]
+            start = self.starts.between(a, b)
+            if start is None:
+                others.append(Candidate(a, b, pair.ratio))
+                continue
+            one, other = self.features[a], self.features[b]
+            reach = (math.hypot(*one.shape) + math.hypot(*other.shape)) / 2.0
+            apart = start_distance(
+                (one.middle, other.middle), reach * one.grid.grid.resolution, start
+            )
+            if apart < 1.0:
+                near.append((apart, Candidate(a, b, math.inf)))
+        near.sort(key=lambda item: item[0])
+        return [*(candidate for _, candidate in near), *others]
 
 
-def _agree(
+def _all_groups(
     names: Sequence[str],
-    features: dict[str, GridFeatures],
+    features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
-    reasons: dict[str, str],
     implied: ImpliedPairs,
-) -> Group:
-    """Return the largest group that fits together, or raise with every input's reason."""
-    if len(names) == 1 and features:
-        return Group((names[0],), 0.0)
+) -> list[tuple[Group, Mapping[str, Pose2] | None]]:
+    """Return the largest group of inputs that fit together, then that of the rest, and so on."""
+    if len(names) == 1:
+        return []
     centres, resolution = {}, 1.0
     for name, feature in features.items():
         resolution = feature.grid.grid.resolution
-        own = np.array(feature.centre) * resolution
-        x, y = feature.grid.grid.origin.transform(own)
-        centres[name] = (float(x), float(y))
-    usable = [name for name in names if name in features]
-    group = Group((), 0.0)
-    if usable:
-        group = largest_group(usable, pairs, centres, resolution, implied.stands)
-    if len(group.members) < LEAST_FUSED:
-        found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
-        words = "; ".join([*reasons.values(), *found])
-        listed = ", ".join(names)
-        message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
-        raise AlignmentError(message, tuple(pairs))
-    return group
+        centres[name] = feature.middle
+    rest = [name for name in names if name in features]
+    groups: list[tuple[Group, Mapping[str, Pose2] | None]] = []
+    while len(rest) >= LEAST_FUSED:
+        inside = [pair for pair in pairs if {pair.reference, pair.moving} <= set(rest)]
+        group = largest_group(rest, inside, centres, resolution, implied.stands)
+        if len(group.members) < LEAST_FUSED:
+            break
+        groups.append((group, None))
+        rest = [name for name in rest if name not in group.members]
+    return groups
+
+
+def _solved_group(
+    names: Sequence[str], solved: SolvedGroup, pairs: Sequence[Alignment]
+) -> tuple[Group, Mapping[str, Pose2] | None]:
+    """Return a group of many maps, and the poses of its members."""
+    members = tuple(name for name in names if name in solved.poses)
+    inside = [pair for pair in pairs if pair.accepted and pair.moving in solved.poses]
+    return Group(members, math.fsum(pair.score for pair in inside)), solved.poses
+
+
+def _nothing_fused(
+    names: Sequence[str], pairs: Sequence[Alignment], reasons: Mapping[str, str]
+) -> AlignmentError:
+    """Return the error of inputs of which no two agree, with every reason."""
+    found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
+    words = "; ".join([*reasons.values(), *found])
+    listed = ", ".join(names)
+    message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
+    return AlignmentError(message, tuple(pairs))
 
 
 def choose_reference(
@@ -188,42 +294,71 @@ def choose_reference(
 def _to_reference(
     reference: str,
     group: Group,
-    features: dict[str, GridFeatures],
+    poses: Mapping[str, Pose2] | None,
+    features: Mapping[str, GridFeatures],
     pairs: Sequence[Alignment],
     device: ComputeDevice,
 ) -> dict[str, Alignment]:
     """Return each member's alignment to the reference, the reference's own the identity.
 
-    A pair aligned directly is taken as it is; one aligned the other way round, or connected over
-    others only, is refined from the transform that is known and keeps what the search said of it.
+    Args:
+        reference: name of the reference.
+        group: the members.
+        poses: where all alignments together put them; None: every pair speaks for itself. A pair
+            aligned directly is then taken as it is; one aligned the other way round, or connected
+            over others only, is refined from the transform that is known and keeps what the search
+            said of it.
+        features, pairs, device: see ``align_group``.
     """
     direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
     out = {}
     for name in group.members:
+        pair = direct.get((reference, name))
+        other = direct.get((name, reference))
         if name == reference:
             out[name] = _own(features[name])
-        elif (reference, name) in direct:
-            out[name] = direct[reference, name]
+        elif poses is not None:
+            transform = poses[reference].inverse().compose(poses[name])
+            own = pair or other
+            if own is None:
+                out[name] = placed(features[reference], features[name], transform, device)
+            else:
+                out[name] = replace(_from_the_side_of(name, own), transform=transform)
+        elif pair is not None:
+            out[name] = pair
         else:
-            start = path_transform(name, reference, group.members, pairs)
-            if start is None:  # pragma: no cover - a group is connected by construction
-                message = f"{name} has no path of accepted pairs to {reference}"
-                raise AlignmentError(message, tuple(pairs))
-            tracked = track_features(features[reference], features[name], device, start)
-            other = direct.get((name, reference))
-            if other is not None:
-                other = _from_the_side_of(name, other)
-                tracked = replace(
-                    tracked,
-                    runner_up=other.runner_up,
-                    bound_gap=other.bound_gap,
-                    time_s=other.time_s + tracked.time_s,
-                    yaw_profile=other.yaw_profile,
-                    statistics=other.statistics | tracked.statistics,
-                )
-            reason = words_over(name, tracked) if other is None else other.reason
-            out[name] = replace(tracked, accepted=True, reason=reason)
+            out[name] = _over_others(name, reference, group, features, pairs, other, device)
     return out
+
+
+def _over_others(
+    name: str,
+    reference: str,
+    group: Group,
+    features: Mapping[str, GridFeatures],
+    pairs: Sequence[Alignment],
+    turned: Alignment | None,
+    device: ComputeDevice,
+) -> Alignment:
+    """Return the alignment of a member that was aligned the other way round, or over others."""
+    start = path_transform(name, reference, group.members, pairs)
+    if start is None:  # pragma: no cover - a group is connected by construction
+        message = f"{name} has no path of accepted pairs to {reference}"
+        raise AlignmentError(message, tuple(pairs))
+    tracked = track_features(features[reference], features[name], device, start)
+    if turned is None:
+        return replace(tracked, accepted=True, reason=words_over(name, tracked))
+    turned = _from_the_side_of(name, turned)
+    return replace(
+        tracked,
+        accepted=True,
+        reason=turned.reason,
+        runner_up=turned.runner_up,
+        bound_gap=turned.bound_gap,
+        time_s=turned.time_s + tracked.time_s,
+        yaw_profile=turned.yaw_profile,
+        statistics=turned.statistics | tracked.statistics,
+    )
 
 
 def _turned(profile: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64] | None:
@@ -262,8 +397,11 @@ def _left_out(
     if failed:
         shown = _from_the_side_of(name, failed[0])
         return f"to {shown.reference}: {shown.reason}{implied.words_against(failed[0])}", shown
-    reason = "its transforms to the others do not close (a to b to c to a)"
-    return reason, _from_the_side_of(name, mine[0]) if mine else None
+    if not mine:
+        return f"no pair of it with the maps around {reference} was promising", None
+    return "its transforms to the others do not close (a to b to c to a)", _from_the_side_of(
+        name, mine[0]
+    )
 
 
 def _from_the_side_of(name: str, pair: Alignment) -> Alignment:

@@ -33,11 +33,13 @@ class Implied:
         alignment: refined from there.
         stands: whether the pair speaks against no group.
         words: why, in a few words.
+        is_borne_out: whether walls on common ground, be it much or little, say that it lies there.
     """
 
     alignment: Alignment
     stands: bool
     words: str
+    is_borne_out: bool = False
 
 
 class ImpliedPairs:
@@ -61,9 +63,13 @@ class ImpliedPairs:
             pair: names the maps.
             transform: moving map frame to the reference's, metres.
         """
-        key = pair.reference, pair.moving, transform
+        return self.look_at(pair.reference, pair.moving, transform)
+
+    def look_at(self, reference: str, moving: str, transform: Pose2) -> Implied:
+        """Return what the walls of two maps say of an implied transform; see ``look``."""
+        key = reference, moving, transform
         if key not in self.seen:
-            self.seen[key] = self._look(pair, transform)
+            self.seen[key] = self._look(reference, moving, transform)
         return self.seen[key]
 
     def words_against(self, pair: Alignment) -> str:
@@ -73,17 +79,18 @@ class ImpliedPairs:
                 return f"; where the others put it, it gives {found.words}"
         return ""
 
-    def _look(self, pair: Alignment, transform: Pose2) -> Implied:
-        reference, moving = self.features[pair.reference], self.features[pair.moving]
+    def _look(self, still: str, moved: str, transform: Pose2) -> Implied:
+        reference, moving = self.features[still], self.features[moved]
         found = track_features(reference, moving, self.device, transform)
+        little = ""
         if found.overlap < MUCH_GROUND:
-            return Implied(found, True, f"{found.overlap:.0%} of the ground in common")
+            little = f"{found.overlap:.0%} of the ground in common"
         evidence = found.evidence
         if evidence is None:
-            return Implied(found, False, "no walls")
+            return Implied(found, bool(little), little or "no walls")
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
         wrong = expected_wrong(evidence.pieces, evidence.share, self.pairs, prior)
-        is_borne_out = (
+        fits = found.accepted or (
             evidence.share >= SHARE_MIN
             and wrong < EXPECTED_WRONG_MAX
             and found.statistics["wall_clash"] <= CLASH_MAX
@@ -92,7 +99,8 @@ class ImpliedPairs:
             motion_of(reference, moving, found.transform), motion_of(reference, moving, transform)
         )
         words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
-        return Implied(found, (found.accepted or is_borne_out) and not went, words)
+        is_borne_out = fits and not went
+        return Implied(found, is_borne_out or bool(little), little or words, is_borne_out)
 
 
 def words_over(name: str, found: Alignment) -> str:

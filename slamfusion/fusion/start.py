@@ -19,7 +19,7 @@ from slamfusion.config import START_M, START_RAD
 from slamfusion.errors import StartError
 from slamfusion.geometry import Pose2
 
-__all__ = ["StartPose", "Starts", "named_input", "place_starts", "pose_of"]
+__all__ = ["StartPose", "Starts", "named_input", "place_starts", "pose_of", "start_distance"]
 
 PAIR = 2
 
@@ -113,6 +113,21 @@ def named_input(wanted: str | None, names: Sequence[str]) -> str | None:
 def pose_of(start: Pose2 | StartPose | None) -> Pose2 | None:
     """Return a start without its tolerances."""
     return start.pose if isinstance(start, StartPose) else start
+
+
+def start_distance(
+    middles: tuple[tuple[float, float], tuple[float, float]], reach_m: float, start: StartPose
+) -> float:
+    """Return how far apart a start puts two maps; from 1 on they cannot meet.
+
+    Args:
+        middles: middle of the reference's and of the moving map's known box, each in its map frame.
+        reach_m: half the diagonal of both boxes together.
+        start: where the moving map's frame is expected in the reference's.
+    """
+    x, y = (float(value) for value in start.pose.transform(middles[1]))
+    apart = math.dist(middles[0], (x, y)) - math.sqrt(2.0) * start.metres
+    return max(0.0, apart) / reach_m
 
 
 def place_starts(

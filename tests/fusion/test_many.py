@@ -1,0 +1,144 @@
+"""Many maps: the promising pairs, groups in their right places, and a false pair that is named."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.errors import AlignmentError
+from slamfusion.fusion import groups
+from slamfusion.fusion.align import align_features
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.groups import AlignedGroup, Members, align_group
+from slamfusion.fusion.pair_ranking import parallel_yaws, rank_pairs, wall_directions
+from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.start import StartPose, Starts
+from slamfusion.geometry import Pose2
+from tests.fusion.drawings import features_of, fusion_config
+from tests.support.sites import ManyMaps, many_maps
+
+QUICK = fusion_config()
+RIGHT_M = 0.3
+
+
+@pytest.fixture(scope="module")
+def site() -> ManyMaps:
+    """Ten maps of 15 m: eight of one building, two of another."""
+    return many_maps(10, 3, 300)
+
+
+@pytest.fixture(scope="module")
+def features(site: ManyMaps, device: ComputeDevice) -> dict[str, GridFeatures]:
+    return {grid.name: features_of(grid, device) for grid in site.grids}
+
+
+def transforms(group: Members) -> dict[str, Pose2]:
+    return {name: pair.transform for name, pair in group.alignments.items()}
+
+
+def aligned(features: dict[str, GridFeatures], device: ComputeDevice, **more: Any) -> AlignedGroup:
+    return align_group(features, {}, QUICK, device, list(features), **more)
+
+
+def test_pairs_that_share_ground_are_more_promising_than_all_others(
+    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+) -> None:
+    ranked = rank_pairs(list(features.values()), device)
+    assert len(ranked) == math.comb(len(features), 2)
+    leads = {(pair.a, pair.b): pair.lead for pair in ranked}
+    near = [lead for key, lead in leads.items() if site.neighbours.get(key, 0.0) >= 0.3]
+    apart = [lead for key, lead in leads.items() if key not in site.neighbours]
+    assert len(near) >= 5
+    assert min(near) > max(apart)
+    assert [pair.lead for pair in ranked] == sorted(leads.values(), reverse=True)
+
+
+@pytest.mark.parametrize("turn", [0, 20, 135])
+def test_walls_are_parallel_under_the_turn_between_two_maps(turn: int) -> None:
+    walls = np.zeros((120, 120), dtype=np.uint8)
+    walls[20, 20:100] = walls[20:70, 99] = 1
+    own = wall_directions(walls)
+    yaws = parallel_yaws(np.roll(own, turn), own)
+    assert yaws[0] == turn
+    assert (turn + 90) % 180 in yaws
+
+
+def test_groups_of_many_maps_lie_in_their_places(
+    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    found = aligned(features, device, progress=lambda *step: told.append(step))
+    assert len(found.alignments) == 8
+    (other,) = found.others
+    assert len(other.alignments) == 2
+    for group in (found, other):
+        errors = site.errors_m(group.reference, transforms(group))
+        assert max(errors.values()) < RIGHT_M
+        assert all(pair.accepted for pair in group.alignments.values())
+    assert set(found.left_out) == set(other.alignments)
+    # Far fewer than all 45 pairs are searched in full.
+    searched = [pair for pair in found.pairs if not pair.reason.startswith("tracked")]
+    assert len(searched) <= 16
+    assert told[-1][0] == "vote"
+    assert len(told) == len(searched) + 2
+    over = [pair for pair in found.alignments.values() if pair.reason.startswith("placed over")]
+    assert over
+    assert all(pair.decision == "accepted" for pair in over)
+
+
+def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
+    site: ManyMaps,
+    features: dict[str, GridFeatures],
+    device: ComputeDevice,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The pair that is believed first is put 5 m aside."""
+    wrong: list[frozenset[str]] = []
+
+    def lie(reference: GridFeatures, moving: GridFeatures, *args: Any, **more: Any) -> Alignment:
+        pair = align_features(reference, moving, *args, **more)
+        key = frozenset((pair.reference, pair.moving))
+        if pair.accepted and (not wrong or key == wrong[0]):
+            wrong[:] = [key]
+            pair = replace(pair, transform=pair.transform.compose(Pose2(4.0, 3.0)))
+        return pair
+
+    monkeypatch.setattr(groups, "align_features", lie)
+    found = aligned(features, device)
+    (false,) = [pair for pair in found.pairs if {pair.reference, pair.moving} == wrong[0]]
+    assert not false.accepted
+    assert false.decision == "different place"
+    assert false.reason.startswith("taken back: ")
+    assert len(found.alignments) == 8
+    errors = site.errors_m(found.reference, transforms(found))
+    assert max(errors.values()) < RIGHT_M
+
+
+def test_starts_say_which_pairs_are_searched(
+    site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
+) -> None:
+    """All maps have one, in the frame of their building; the second building stands far away."""
+    far = {0: Pose2(), 1: Pose2(500.0, 0.0)}
+    given = {
+        grid.name: StartPose(far[building].compose(pose), 1.0, 0.2)
+        for grid, building, pose in zip(site.grids, site.buildings, site.poses, strict=True)
+    }
+    found = aligned(features, device, starts=Starts(given))
+    assert len(found.alignments) == 8
+    assert max(site.errors_m(found.reference, transforms(found)).values()) < RIGHT_M
+    number = {grid.name: index for index, grid in enumerate(site.grids)}
+    for pair in found.pairs:
+        assert site.buildings[number[pair.reference]] == site.buildings[number[pair.moving]]
+
+
+def test_maps_of_which_no_two_fit_are_refused(
+    features: dict[str, GridFeatures], device: ComputeDevice
+) -> None:
+    told = {name: StartPose(Pose2(500.0 * n, 0.0)) for n, name in enumerate(features)}
+    with pytest.raises(AlignmentError, match="no two of the inputs"):
+        aligned(features, device, starts=Starts(told))
