@@ -26,7 +26,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import check_writable, device_for, load_maps
-from slamfusion.jobs.outputs import AGREEMENT_END, PAGE
+from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, group_stem
 
 if TYPE_CHECKING:
     from slamfusion.jobs.fuse import FusedMaps
@@ -51,10 +51,13 @@ class _Outputs:
         return cls(stem, stem.with_name(stem.name + AGREEMENT_END))
 
     def refuse_inputs(self, maps: Sequence[Path]) -> None:
-        """Stop before an output replaces an input."""
+        """Stop before an output replaces an input: also that of a group that may be found."""
+        groups = [group_stem(self.fused, number) for number in range(2, len(maps) // 2 + 1)]
+        stems = [self.fused, *groups]
         written = {
-            Path(f"{stem}{suffix}").absolute()
-            for stem in (self.fused, self.agreement)
+            Path(f"{stem}{end}{suffix}").absolute()
+            for stem in stems
+            for end in ("", AGREEMENT_END)
             for suffix in (".yaml", ".pgm", ".png")
         }
         for path in maps:
@@ -72,7 +75,8 @@ class _Outputs:
     required=True,
     type=FILE,
     metavar="OUT",
-    help="Write OUT.yaml, OUT.pgm and OUT_agreement.yaml, OUT_agreement.pgm.",
+    help="Write OUT.yaml, OUT.pgm and OUT_agreement.yaml, OUT_agreement.pgm; of further groups of "
+    "maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ...",
 )
 @file_option(
     "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one."
@@ -156,6 +160,9 @@ def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) 
         print_evaluations(fused.evaluations)
     print(f"fused map: {outputs.fused}.yaml")
     print(f"agreement: {outputs.agreement}.yaml")
+    for number, other in enumerate(fused.result.others, start=2):
+        names = ", ".join(record.name for record in other.accepted)
+        print(f"group {number}:   {group_stem(outputs.fused, number)}.yaml ({names})")
     if report_dir is not None:
         print(f"report:    {report_dir / PAGE}")
     steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []

@@ -6,7 +6,7 @@ plans through the gap. The share of doubled walls needs no truth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 
 __all__ = ["added_doubled_share", "doubled_wall_cells", "doubled_wall_share"]
 
@@ -28,6 +28,8 @@ _STEP_CELLS = 0.5
 # Between the centres of two diagonal neighbours the interpolated wall falls to 0.5; a ray that
 # samples every half cell still meets 0.4 there, so that it cannot slip through a diagonal wall.
 _WALL_LEVEL = 0.4
+# Cells around a part of a map that decide what is doubled in it: a ray, and the filters' windows.
+REACH_CELLS = 24
 
 
 def doubled_wall_share(
@@ -56,7 +58,7 @@ def doubled_wall_share(
 
 
 def added_doubled_share(
-    fused: npt.NDArray[np.int8], inputs: Sequence[npt.NDArray[np.int8]]
+    fused: npt.NDArray[np.int8], inputs: Iterable[tuple[npt.NDArray[np.int8], CellBox]]
 ) -> float:
     """Return the share of fused wall cells that are doubled in no input: what a slip would make.
 
@@ -66,7 +68,8 @@ def added_doubled_share(
 
     Args:
         fused: (H, W) int8 in {-1, 0, 1}.
-        inputs: the aligned inputs on the same lattice, (H, W) int8 in {-1, 0, 1}.
+        inputs: the aligned inputs, (h, w) int8 in {-1, 0, 1}, each with the box of cells of the
+            fused lattice that it covers.
 
     Returns:
         0..1; 0 for a map without walls.
@@ -76,8 +79,13 @@ def added_doubled_share(
     if not considered:
         return 0.0
     doubled = doubled_wall_cells(fused == 1)
-    for cells in inputs:
-        doubled &= ~ndimage.binary_dilation(doubled_wall_cells(cells == 1), iterations=2)
+    for cells, box in inputs:
+        row, col = max(box.row0 - REACH_CELLS, 0), max(box.col0 - REACH_CELLS, 0)
+        window = doubled[row : box.row1 + REACH_CELLS, col : box.col1 + REACH_CELLS]
+        walls = np.zeros(window.shape, dtype=np.bool_)
+        own = walls[box.row0 - row :, box.col0 - col :]
+        own[: cells.shape[0], : cells.shape[1]] = cells == 1
+        window &= ~ndimage.binary_dilation(doubled_wall_cells(walls), iterations=2)
     return int(np.count_nonzero(doubled)) / considered
 
 

@@ -18,7 +18,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.lattice_vote import warp_onto
 from slamfusion.fusion.normalize import NormalizedGrid, lattice_box, normalize_grid
-from slamfusion.fusion.records import FusionResult
+from slamfusion.fusion.records import FusionResult, VotedLayer
 from slamfusion.fusion.surfaces import wall_backs
 from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
@@ -93,8 +93,7 @@ def fuse_with_drawn(
     records = tuple(
         replace(
             record,
-            aligned=aligned[record.name],
-            dissent=_dissent(voted.fused, aligned[record.name]),
+            layer=VotedLayer.of(aligned[record.name], _dissent(voted.fused, aligned[record.name])),
         )
         if record.name in aligned
         else record

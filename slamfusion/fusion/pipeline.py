@@ -13,12 +13,18 @@ from slamfusion.fusion.duplicates import copy_words, find_copies
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
+    Members,
     Progress,
     SecondLook,
     align_group,
 )
 from slamfusion.fusion.lattice_vote import vote_on_lattice
-from slamfusion.fusion.normalize import check_resampling, common_resolution, normalize_grid
+from slamfusion.fusion.normalize import (
+    NormalizedGrid,
+    check_resampling,
+    common_resolution,
+    normalize_grid,
+)
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.resolutions import odd_resolutions
 from slamfusion.fusion.start import Starts, named_input
@@ -67,19 +73,21 @@ def fuse_grids(
     check_resampling(voters, config.normalize, "fusing")
     resolution = common_resolution(voters, config.normalize)
     reasons = {name: reason for name, reason in odd.items() if name not in copies}
-    features: dict[str, GridFeatures] = {}
+    normalized: dict[str, NormalizedGrid] = {}
     for grid in voters:
         try:
-            normalized = normalize_grid(grid, resolution, config.normalize, device)
+            normalized[grid.name] = normalize_grid(grid, resolution, config.normalize, device)
         except GridError as error:
             reasons[grid.name] = str(error)
-            continue
-        features[grid.name] = GridFeatures(normalized, device)
+    features = {name: GridFeatures(grid, device) for name, grid in normalized.items()}
     names = [grid.name for grid in grids]
     group = align_group(
         features, reasons, config, device, names, progress, second_look, starts, in_part
     )
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
+    for number, members in enumerate(group.others, start=2):
+        for name in members.alignments:
+            reasons[name] += f"; fused in group {number}: {', '.join(members.alignments)}"
     shown = {name: alignment for name, (_, alignment) in group.left_out.items()}
     others = {
         grid.name: InputRecord(grid, shown.get(grid.name), False, reasons[grid.name])
@@ -89,10 +97,20 @@ def fuse_grids(
     for grid in grids:
         if grid.name in copies:
             others[grid.name] = _copy(grid, copies[grid.name], group.alignments | shown)
-    result = vote_on_lattice(
-        grids, group.reference, group.alignments, features, others, config, device
+    grid_of = {grid.name: grid for grid in grids}
+
+    def vote(
+        of: Sequence[OccupancyGrid], members: Members, rest: Mapping[str, InputRecord]
+    ) -> FusionResult:
+        return vote_on_lattice(of, members, normalized.__getitem__, rest, config, device)
+
+    result = vote(grids, group, others)
+    further = tuple(
+        vote([grid_of[name] for name in names if name in members.alignments], members, {})
+        for members in group.others
     )
-    return replace(result, pairs=group.pairs, time_s=time.perf_counter() - began)
+    time_s = time.perf_counter() - began
+    return replace(result, pairs=group.pairs, others=further, time_s=time_s)
 
 
 def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice) -> FusionResult:
@@ -106,14 +124,17 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
     began = time.perf_counter()
     grids = [record.grid for record in result.inputs]
     resolution = common_resolution(grids, config.normalize)
-    alignments, features = {}, {}
-    for record in result.accepted:
-        if record.alignment is not None:
-            normalized = normalize_grid(record.grid, resolution, config.normalize, device)
-            features[record.name] = GridFeatures(normalized, device)
-            alignments[record.name] = record.alignment
+    voters = {record.name: record for record in result.accepted if record.alignment is not None}
+    normalized = {
+        name: normalize_grid(record.grid, resolution, config.normalize, device)
+        for name, record in voters.items()
+    }
+    alignments = {
+        name: record.alignment for name, record in voters.items() if record.alignment is not None
+    }
     rejected = {record.name: record for record in result.inputs if not record.accepted}
-    voted = vote_on_lattice(grids, result.reference, alignments, features, rejected, config, device)
+    members = Members(result.reference, alignments)
+    voted = vote_on_lattice(grids, members, normalized.__getitem__, rejected, config, device)
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
 
 

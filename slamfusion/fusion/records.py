@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.fusion.accept import DecisionKind
+from slamfusion.fusion.boxes import slices
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, OccupancyGrid
+from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 
 __all__ = [
     "Alignment",
@@ -24,7 +25,10 @@ __all__ = [
     "RunnerUp",
     "RunnerUpJson",
     "VoteResult",
+    "VotedLayer",
 ]
+
+Cell = TypeVar("Cell", np.int8, np.bool_)
 
 
 class RunnerUpJson(TypedDict):
@@ -261,6 +265,46 @@ class Alignment:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class VotedLayer:
+    """What one input says on the fused lattice: cells of a box, nothing outside.
+
+    Attributes:
+        shape: rows and columns of the fused lattice.
+        box: cells of it that the input may know.
+        cells: (h, w) int8 in {-1, 0, 1} of the box.
+        outvoted: bits of the box in raster order, set where the input voted and was outvoted.
+    """
+
+    shape: tuple[int, int]
+    box: CellBox
+    cells: npt.NDArray[np.int8]
+    outvoted: npt.NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, aligned: npt.NDArray[np.int8], dissent: npt.NDArray[np.bool_]) -> VotedLayer:
+        """Take what an input says of all cells, and where it was outvoted; both (H, W)."""
+        height, width = aligned.shape
+        box = CellBox(0, 0, height, width)
+        return cls((height, width), box, aligned, np.packbits(dissent))
+
+    def aligned(self) -> npt.NDArray[np.int8]:
+        """Return what it says of all cells, (H, W) int8 in {-1, 0, 1}."""
+        return self._whole(self.cells, np.int8(-1))
+
+    def dissent(self) -> npt.NDArray[np.bool_]:
+        """Return where it was outvoted, (H, W) bool."""
+        bits = np.unpackbits(self.outvoted, count=self.box.area).view(np.bool_)
+        return self._whole(bits.reshape(self.cells.shape), np.False_)
+
+    def _whole(self, cells: npt.NDArray[Cell], outside: Cell) -> npt.NDArray[Cell]:
+        if cells.shape == self.shape:
+            return cells
+        whole = np.full(self.shape, outside, dtype=cells.dtype)
+        whole[slices(self.box, 0, 0)] = cells
+        return whole
+
+
 @dataclass(frozen=True)
 class InputRecord:
     """One input of a fusion: its grid, what became of it, and its cells on the fused lattice.
@@ -271,8 +315,7 @@ class InputRecord:
             grid could not be searched at all (e.g. all unknown); then ``reason`` says why.
         accepted: whether it voted.
         reason: why (not); one line.
-        aligned: (H, W) int8 in {-1, 0, 1} on the fused lattice; None when rejected.
-        dissent: (H, W) bool, where this input voted and was outvoted; None when rejected.
+        layer: what it says on the fused lattice; None when it did not vote.
         copy_of: the input that this one is a copy of, which votes for both; None: it is none.
     """
 
@@ -280,14 +323,23 @@ class InputRecord:
     alignment: Alignment | None
     accepted: bool
     reason: str
-    aligned: npt.NDArray[np.int8] | None = None
-    dissent: npt.NDArray[np.bool_] | None = None
+    layer: VotedLayer | None = None
     copy_of: str | None = None
 
     @property
     def name(self) -> str:
         """The input's name."""
         return self.grid.name
+
+    @property
+    def aligned(self) -> npt.NDArray[np.int8] | None:
+        """(H, W) int8 in {-1, 0, 1} on all of the fused lattice; None when it did not vote."""
+        return None if self.layer is None else self.layer.aligned()
+
+    @property
+    def dissent(self) -> npt.NDArray[np.bool_] | None:
+        """(H, W) bool, where this input voted and was outvoted; None when it did not vote."""
+        return None if self.layer is None else self.layer.dissent()
 
 
 @dataclass(frozen=True)
@@ -323,6 +375,8 @@ class FusionResult:
         weights: vote weight of each accepted input, by name.
         device: the device that computed it, in words.
         time_s: wall time of the whole fusion.
+        others: fusions of further groups of inputs, which share nothing that could be found with
+            those of this one; the larger first. Their inputs are the members of the group.
     """
 
     reference: str
@@ -334,6 +388,7 @@ class FusionResult:
     weights: dict[str, float]
     device: str
     time_s: float
+    others: tuple[FusionResult, ...] = ()
 
     @property
     def accepted(self) -> tuple[InputRecord, ...]:

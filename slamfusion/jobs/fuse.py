@@ -26,12 +26,14 @@ from slamfusion.jobs.outputs import (
     AGREEMENT_END,
     FAILED,
     failure_folder,
+    group_stem,
     remove_empty,
     report_files,
 )
 from slamfusion.jobs.records import (
     DoubledWallsJson,
     FailedFuseDocument,
+    FusedGroupJson,
     FuseDocument,
     FusionJson,
     NoAlignmentJson,
@@ -212,6 +214,16 @@ def fuse_maps(
 # --- files ------------------------------------------------------------------------------------
 
 
+def all_groups(result: FusionResult) -> tuple[FusionResult, ...]:
+    """Return the fusion of each group of inputs that share ground, the largest first."""
+    return (result, *result.others)
+
+
+def group_stems(result: FusionResult, stem: Path) -> list[Path]:
+    """Return the path, without suffix, of each group's fused map: OUT, OUT-2, OUT-3 ..."""
+    return [stem, *(group_stem(stem, n) for n in range(2, 2 + len(result.others)))]
+
+
 def agreement_stem(stem: Path) -> Path:
     """Return the path, without suffix, of the agreement map beside a fused map."""
     return stem.with_name(stem.name + AGREEMENT_END)
@@ -245,8 +257,10 @@ def save_fused_maps(
         if folder is not None:
             remove_empty(folder / FAILED)
         return document
-    save_map(fused.grid, stem, files=files)
-    save_map(fused.agreement, agreement_stem(stem), mode="raw", files=files)
+    stems = group_stems(fused.result, stem)
+    for result, path in zip(all_groups(fused.result), stems, strict=True):
+        save_map(result.fused, path, files=files)
+        save_map(result.agreement, agreement_stem(path), mode="raw", files=files)
     if folder is not None:
         from slamfusion.report import write_fusion_report  # noqa: PLC0415  (an extra)
 
@@ -254,8 +268,8 @@ def save_fused_maps(
         write_fusion_report(
             fused.result, folder, config=fused.config, evaluations=errors, files=files
         )
-        for path in report_files(folder / FAILED):
-            files.remove(path)
+        for page in report_files(folder / FAILED):
+            files.remove(page)
     return fuse_document(fused, stem)
 
 
@@ -307,6 +321,10 @@ def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
         **fusion_document(result, fused.doubled),
         "fused": f"{stem}.yaml",
         "agreement": f"{agreement_stem(stem)}.yaml",
+        "groups": [
+            _group(item, own)
+            for item, own in zip(all_groups(result), group_stems(result, stem), strict=True)
+        ],
         "evaluations": [evaluation.to_json() for evaluation in fused.evaluations],
         **circumstances(fused.config, result.device),
         "time_s": result.time_s,
@@ -328,6 +346,7 @@ def failed_fuse_document(
         **failure_document(grids, error.pairs, str(error)),
         "fused": None,
         "agreement": None,
+        "groups": [],
         "evaluations": [],
         "error": str(error),
         **circumstances(config, device),
@@ -392,11 +411,32 @@ def fusion_sentences(result: FusionResult, doubled: DoubledWalls) -> tuple[str, 
         text += f"; rejected: {reasons}"
     for record in result.copies:
         text += f"; {record.name}: {record.reason}"
+    if result.others:
+        text += f"; {further_groups(result)}"
     added = (
         f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
         f"{doubled.added:.1%} of the walls doubled by the fusion, {result.time_s:.2f} s"
     )
     return text, added
+
+
+def further_groups(result: FusionResult) -> str:
+    """Say which inputs are fused apart from the largest group."""
+    groups = [", ".join(record.name for record in other.accepted) for other in result.others]
+    return "fused apart, as they share nothing with these: " + "; ".join(groups)
+
+
+def _group(result: FusionResult, stem: Path) -> FusedGroupJson:
+    """Return what is said of one group, whose fused map has a path without suffix."""
+    return {
+        "fused": f"{stem}.yaml",
+        "agreement": f"{agreement_stem(stem)}.yaml",
+        "reference": result.reference,
+        "inputs": [
+            record.alignment.to_json() for record in result.accepted if record.alignment is not None
+        ],
+        "weights": result.weights,
+    }
 
 
 def _input(record: InputRecord, reference: str | None) -> AlignmentJson | UnalignedInputJson:
@@ -420,7 +460,8 @@ def _input(record: InputRecord, reference: str | None) -> AlignmentJson | Unalig
 def _added_doubled(result: FusionResult) -> float:
     """Return the share of fused wall cells that are doubled in no input."""
     cells = result.fused.cells
-    aligned = [record.aligned for record in result.accepted if record.aligned is not None]
+    layers = [record.layer for record in result.accepted if record.layer is not None]
+    aligned = ((layer.cells, layer.box) for layer in layers)
     return added_doubled_share(np.sign(cells).astype(np.int8), aligned)
 
 

@@ -24,6 +24,7 @@ __all__ = [
     "SUFFIXES",
     "earlier_results",
     "failure_folder",
+    "group_stem",
     "map_files",
     "output_files",
     "possible_outputs",
@@ -86,6 +87,11 @@ def possible_outputs(folder: Path) -> list[Path]:
     files = [path for name in names for path in output_files(folder / name, probabilities=True)]
     files += [path for name in (FUSED, AGREEMENT, DRAWN) for path in map_files(folder / name)]
     return [*files, folder / FUSED_PATH]
+
+
+def group_stem(stem: Path, number: int) -> Path:
+    """Return the path, without suffix, of the fused map of a further group, numbered from 2."""
+    return stem.with_name(f"{stem.name}-{number}")
 
 
 def map_files(stem: Path) -> list[Path]:

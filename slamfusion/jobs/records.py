@@ -36,6 +36,7 @@ __all__ = [
     "FailedFuseDocument",
     "FailureDocument",
     "FuseDocument",
+    "FusedGroupJson",
     "FusionJson",
     "JudgeDocument",
     "JudgedPathJson",
@@ -159,6 +160,21 @@ class FusionJson(TypedDict):
     """Inputs that are the same map as another, by name, and which of them votes for both."""
 
 
+class FusedGroupJson(TypedDict):
+    """Inputs that share ground, and the map that they became."""
+
+    fused: str
+    """YAML file of the fused map."""
+    agreement: str
+    """YAML file of the agreement map."""
+    reference: str
+    """The input whose frame and lattice the fused map has."""
+    inputs: Sequence[AlignmentJson]
+    """How each of them lies to the reference."""
+    weights: Mapping[str, float]
+    """Weight of each vote, by input."""
+
+
 class FuseDocument(FusionJson, CircumstancesJson):
     """``slamfusion fuse``."""
 
@@ -166,6 +182,8 @@ class FuseDocument(FusionJson, CircumstancesJson):
     """YAML file of the fused map; null where nothing was fused."""
     agreement: str | None
     """YAML file of the agreement map; null where nothing was fused."""
+    groups: Sequence[FusedGroupJson]
+    """Groups of inputs that share ground, the largest, which is told above, first."""
     evaluations: Sequence[EvaluationJson]
     """Errors of the inputs and of the fused map, with --truth."""
     time_s: float | None

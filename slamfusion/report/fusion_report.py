@@ -41,6 +41,7 @@ __all__ = [
     "dissent_section",
     "fused_section",
     "fusion_banner",
+    "group_sections",
     "inputs_section",
     "left_out_lines",
     "shown_box",
@@ -79,7 +80,8 @@ def write_fusion_report(
         SlamFusionError: the directory cannot be written.
     """
     box = shown_box(result)
-    sections = [fused_section(result, box), inputs_section(result, config)]
+    sections = [fused_section(result, box), *group_sections(result)]
+    sections.append(inputs_section(result, config))
     if any(record.dissent is not None for record in result.accepted):
         sections.append(dissent_section(result, box))
     if evaluations:
@@ -255,6 +257,26 @@ def fused_section(result: FusionResult, box: CellBox) -> Section:
         )
     )
     return Section("Fused map", "fused", "", pictures)
+
+
+def group_sections(result: FusionResult) -> list[Section]:
+    """Return the fused maps of further groups; empty without any."""
+    if not result.others:
+        return []
+    pictures = []
+    for place, other in enumerate(result.others, start=2):
+        names = ", ".join(record.name for record in other.accepted)
+        fused = other.fused
+        pictures.append(
+            Picture(
+                f"group-{place}",
+                plots.map_picture(_classes(fused), fused.resolution, fused.origin),
+                f"Group {place}",
+                f"{names}; in the frame of {other.reference}.",
+            )
+        )
+    text = "Maps that share ground with each other, and none that could be found with the others."
+    return [Section("Further groups", "groups", text, pictures)]
 
 
 def shown_box(result: FusionResult) -> CellBox:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.evaluation import added_doubled_share, doubled_wall_cells, doubled_wall_share
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import CellBox, OccupancyGrid
 
 Line = tuple[tuple[int, int], tuple[int, int]]
 
@@ -152,8 +152,15 @@ def test_limits_that_make_no_sense_are_refused(near: float, far: float) -> None:
 def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():
     passage = np.zeros((40, 60), dtype=np.int8)
     passage[10, 5:55] = passage[16, 5:55] = 1
-    assert added_doubled_share(passage, [passage, passage]) == 0.0
+    whole = CellBox(0, 0, 40, 60)
+    assert added_doubled_share(passage, [(passage, whole)] * 2) == 0.0
+    # A map of a part of the place.
+    part = CellBox(4, 3, 30, 57)
+    assert added_doubled_share(passage, [(passage[4:30, 3:57], part)]) == 0.0
+    assert added_doubled_share(passage, [(passage[4:30, 3:30], CellBox(4, 3, 30, 30))]) > 0.3
     single, slipped = np.zeros_like(passage), np.zeros_like(passage)
     single[10, 5:55] = slipped[15, 5:55] = 1
-    assert added_doubled_share(np.maximum(single, slipped), [single, slipped]) > 0.8
-    assert added_doubled_share(np.zeros_like(passage), [passage]) == 0.0
+    assert (
+        added_doubled_share(np.maximum(single, slipped), [(single, whole), (slipped, whole)]) > 0.8
+    )
+    assert added_doubled_share(np.zeros_like(passage), [(passage, whole)]) == 0.0

@@ -98,6 +98,30 @@ def test_all_of_them_may_be_required() -> None:
     assert len(caught.value.result.accepted) == 2
 
 
+def test_maps_of_two_buildings_become_two_maps(tmp_path: Path) -> None:
+    truth, grid, _ = moved()
+    other = building(4)
+    again, _ = degraded(other, 5, "again", yaw_rad=0.7)
+    third, _ = degraded(truth, 2, "third", yaw_rad=-0.4)
+    fused = fuse_maps([other, truth, grid, again, third], CONFIG, DEVICE)
+    assert [record.name for record in fused.result.accepted] == [truth.name, "moving", "third"]
+    (second,) = fused.result.others
+    assert [record.name for record in second.inputs] == [other.name, "again"]
+    assert all(record.accepted for record in second.inputs)
+    for record in fused.result.rejected:
+        assert record.reason.endswith(f"; fused in group 2: {other.name}, again")
+    document = save_fused_maps(fused, tmp_path / "out", report=tmp_path / "report")
+    check_document(plain(document), "fuse")
+    first, last = document["groups"]
+    assert first["fused"] == document["fused"] == str(tmp_path / "out.yaml")
+    assert [item["name"] for item in first["inputs"]] == [truth.name, "moving", "third"]
+    assert last["agreement"] == str(tmp_path / "out-2_agreement.yaml")
+    assert load_map(last["fused"]).cells.tolist() == second.fused.cells.tolist()
+    assert last["reference"] == second.reference
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Further groups" in page
+
+
 @pytest.mark.parametrize("maps", [[], [building(3)]])
 def test_one_map_alone_is_no_fusion(maps: list[OccupancyGrid]) -> None:
     with pytest.raises(SlamFusionError, match="fuse needs at least two"):

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp
+from slamfusion.fusion.records import (
+    Alignment,
+    FusionResult,
+    InputRecord,
+    RunnerUp,
+    VotedLayer,
+)
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 
@@ -63,7 +69,9 @@ def fusion(*, rejected_name: str = NASTY, accepted: int = 3) -> FusionResult:
     for index, grid in enumerate(grids):
         found = None if index == 0 else alignment("room 0", grid.name, accepted=True)
         aligned = trinary(grid)
-        records.append(InputRecord(grid, found, True, "fits", aligned, aligned != fused))
+        records.append(
+            InputRecord(grid, found, True, "fits", VotedLayer.of(aligned, aligned != fused))
+        )
     lost = room(rejected_name, 99, height=50)
     found = alignment("room 0", rejected_name, accepted=False)
     records.append(InputRecord(lost, found, False, REASON))

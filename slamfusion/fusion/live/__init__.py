@@ -5,7 +5,7 @@ empties it, refuses what says nothing of a place (``limits``) and lets the ``tra
 compare its new map with the one before; the ``supervisor`` decides whom to align and who votes,
 from the first fusion (``begin``) over tracking, search and confirmation (``align``, ``mirror``,
 ``poses``) to the last fused map (``recovery``); ``voting`` lays what changed on the ``layers`` of
-one ``lattice`` and votes on those ``boxes``; ``fusion`` is the whole of it, with the rules, and
+one ``lattice`` and votes on those boxes; ``fusion`` is the whole of it, with the rules, and
 answers each update by ``records``. ``state`` carries it over a restart.
 """
 

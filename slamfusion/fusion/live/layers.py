@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.live.boxes import grown_inside, hull, overlap, padded, slices
+from slamfusion.fusion.boxes import grown_inside, hull, overlap, padded, slices
 from slamfusion.fusion.live.lattice import Lattice, Layer, carry
 from slamfusion.fusion.vote import (
     agreement_weights,

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
+from slamfusion.fusion.boxes import hull, overlap, padded
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.live.boxes import hull, overlap, padded
 from slamfusion.fusion.live.lattice import Layer, carry, lay_out
 from slamfusion.fusion.live.limits import bands
 from slamfusion.fusion.normalize import normalize_grid

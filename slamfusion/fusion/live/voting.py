@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live.boxes import hull, joined
+from slamfusion.fusion.boxes import hull, joined
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.fusion.live.state import LiveState

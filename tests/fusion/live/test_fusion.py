@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError
-from slamfusion.fusion import fuse_grids
-from slamfusion.fusion.live import boxes
+from slamfusion.fusion import boxes, fuse_grids
 from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid, trinary_cells

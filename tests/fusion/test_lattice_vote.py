@@ -1,0 +1,119 @@
+"""A vote tile by tile is the vote of everything at once, and more may vote than fit one place."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
+from slamfusion.errors import GridError
+from slamfusion.fusion import FusionResult, lattice_vote
+from slamfusion.fusion.groups import Members
+from slamfusion.fusion.lattice_vote import vote_on_lattice
+from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from tests.fusion.drawings import random_cells
+
+SIZE = 0.1
+
+
+def aligned(name: str, transform: Pose2) -> Alignment:
+    return Alignment("map 0", name, transform, True, "", 1.0, 1.0, 0.0, None, None, 0.0)
+
+
+def voted(
+    places: list[tuple[OccupancyGrid, Pose2]], device: ComputeDevice, **vote: Any
+) -> FusionResult:
+    """Return the vote of maps that lie at given places in the first one's frame."""
+    grids = [grid.with_name(f"map {n}") for n, (grid, _) in enumerate(places)]
+    normalized = {
+        grid.name: normalize_grid(grid, SIZE, NormalizeConfig(), device) for grid in grids
+    }
+    alignments = {
+        grid.name: aligned(grid.name, pose) for grid, (_, pose) in zip(grids, places, strict=True)
+    }
+    config = FusionConfig(vote=replace(VoteConfig(extent="union"), **vote))
+    members = Members("map 0", alignments)
+    return vote_on_lattice(grids, members, normalized.__getitem__, {}, config, device)
+
+
+def scattered(count: int) -> list[tuple[OccupancyGrid, Pose2]]:
+    """Return small maps at overlapping places, turned by any angle."""
+    rng = np.random.default_rng(count)
+    return [
+        (
+            OccupancyGrid(random_cells(seed, 30, 40), SIZE),
+            Pose2() if seed == 0 else Pose2(*(float(v) for v in rng.uniform(-4.0, 4.0, 3))),
+        )
+        for seed in range(count)
+    ]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+@pytest.mark.parametrize(
+    "vote",
+    [
+        {"mode": "majority"},
+        {"mode": "majority", "unknown": "value"},
+        {"mode": "majority", "unknown": "abstain", "extent": "reference"},
+        {"mode": "weighted"},
+        {"mode": "consensus"},
+        {"mode": "log-odds"},
+        {"mode": "consensus", "solid_walls": False},
+    ],
+)
+def test_tiles_change_nothing(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, count: int, vote: dict[str, Any]
+) -> None:
+    wanted = voted(scattered(count), device, **vote)
+    monkeypatch.setattr(lattice_vote, "TILE", 17)
+    found = voted(scattered(count), device, **vote)
+    assert np.array_equal(found.fused.cells, wanted.fused.cells)
+    assert np.array_equal(found.agreement.cells, wanted.agreement.cells)
+    assert found.phantom_cells == wanted.phantom_cells
+    assert found.weights == wanted.weights
+    for one, other in zip(found.inputs, wanted.inputs, strict=True):
+        assert np.array_equal(one.aligned, other.aligned)
+        assert np.array_equal(one.dissent, other.dissent)
+
+
+def test_more_maps_vote_than_in_one_place(device: ComputeDevice) -> None:
+    """A row of forty rooms, each of which is seen by two neighbours."""
+    room = np.full((12, 24), 0, dtype=np.int8)
+    room[[0, -1]] = room[:, [0, -1]] = 100
+    places = [(OccupancyGrid(room, SIZE), Pose2(1.2 * n, 0.0)) for n in range(40)]
+    result = voted(places, device, mode="majority")
+    assert result.fused.cells.shape == (12, 12 * 39 + 24)
+    assert (result.fused.cells != UNKNOWN).all()
+    assert len(result.accepted) == 40
+    for record in result.inputs:
+        assert record.layer is not None
+        assert record.layer.cells.size < 1000
+    # One over the other they are too many.
+    with pytest.raises(GridError, match="a vote takes 1 to 32"):
+        voted([(OccupancyGrid(room, SIZE), Pose2()) for _ in range(33)], device, mode="majority")
+
+
+def test_boxes_of_layers_hold_all_that_an_input_knows(device: ComputeDevice) -> None:
+    """Dissent and cells of a layer in its box are those of the whole lattice."""
+    result = voted(scattered(5), device, mode="consensus")
+    for record in result.inputs:
+        assert record.layer is not None
+        assert record.aligned is not None
+        assert record.dissent is not None
+        rows, cols = np.nonzero(record.aligned != UNKNOWN)
+        box = record.layer.box
+        assert box.row0 <= rows.min()
+        assert rows.max() < box.row1
+        assert box.col0 <= cols.min()
+        assert cols.max() < box.col1
+        assert not (record.dissent & (record.aligned == UNKNOWN)).any()
+    pairs = itertools.combinations(result.inputs, 2)
+    assert all(a.layer is not b.layer for a, b in pairs)
