@@ -13,8 +13,9 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.judge import Found, judge
+from slamfusion.fusion.judge import judge
 from slamfusion.fusion.records import Alignment
+from slamfusion.fusion.rivals import Found
 from slamfusion.geometry import Pose2
 from slamfusion.pose_graph import PoseGraph, optimize
 from slamfusion.pose_graph.covariance import inverted, moved

@@ -1,7 +1,8 @@
 """Colours that must be told apart are, also by who sees no red or no green.
 
-What they see is simulated with the matrices of Machado, Oliveira and Fernandes (IEEE TVCG 15(6), 2009,
-severity 1.0, on linear RGB); how far two colours are apart is CIEDE76, the distance in CIE L*a*b* (D65).
+What they see is simulated with the matrices of Machado, Oliveira and Fernandes (IEEE TVCG 15(6),
+2009, severity 1.0, on linear RGB); how far two colours are apart is their distance in CIE L*a*b*
+(D65).
 """
 
 from __future__ import annotations
@@ -52,9 +53,7 @@ def lab(rgb: Rgb, sight: str) -> npt.NDArray[np.float64]:
     linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     xyz = TO_XYZ @ np.clip(SEEN[sight] @ linear, 0.0, 1.0) / (TO_XYZ @ np.ones(3))
     bent = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
-    return np.array(
-        [116 * bent[1] - 16, 500 * (bent[0] - bent[1]), 200 * (bent[1] - bent[2])]
-    )
+    return np.array([116 * bent[1] - 16, 500 * (bent[0] - bent[1]), 200 * (bent[1] - bent[2])])
 
 
 def distance(one: Rgb, two: Rgb, sight: str) -> float:
