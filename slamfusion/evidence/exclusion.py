@@ -3,9 +3,12 @@
 A SLAM that goes wrong half-way is right before, and its map with it. Paths are laid on one of them
 where most of their poses agree, and part where they do not. Whoever is in no largest group of which
 no two have parted is outvoted for that time; but where the scans bear its path out better than the
-others together, and than each, it is the group that loses its say. Of two in such groups that have
-parted (two paths, or all of them) the scans decide alone, and where they cannot tell nobody is left
-out.
+others together, those of them lose their say whom it is surely better than. Of two in such groups
+that have parted (two paths, or all of them) the scans decide alone, and where they cannot tell
+nobody is left out.
+
+A path that is wrong for some time draws what speaks against it at all other times. So of the times
+in which a path has already lost its vote no scan is drawn, nor asked, where the scans decide.
 
 Scans that are laid on one heap predict each other, and whatever is seen near it: what the scans say
 for a path that stands still for some time while the robot drives does not count.
@@ -21,11 +24,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.comparison import BLOCKS, compare_sums
 from slamfusion.evidence.parting import LEAST_S, PART_M, flag_runs
 from slamfusion.evidence.path_frames import pose_distances
-from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.predictive import PathEvidence, without_scans
 from slamfusion.geometry import compose_poses, fit_motion, with_levers
 from slamfusion.trajectory import nearest_stamps
 
@@ -50,15 +54,20 @@ BEGINNINGS, FITS = 8, 20
 # Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
 # a path that broke in two equal halves, the second one is wrong.
 MORE_POSES = 1.05
-# With fewer blocks of scans than this, the scans are not asked about a time.
-LEAST_BLOCKS = 4
 # The scans take a vote where their difference is less likely than this by chance: many are asked.
 SURE = 0.01
+# With fewer blocks of scans than this, the scans are not asked about a time.
+LEAST_BLOCKS = 4
+# And where their difference is greater than this, log-likelihood of a hit: what scan matchers fit
+# explains the scans of a place a little better than the true path does.
+LEAST_DIFFERENCE = 0.03
 # And not for a path that somewhere travels less than this share of the way that most travel, where
 # that is so many metres, from second to second: steps of single scans are noise.
 LEAST_WAY, DRIVEN_M, STEP_S = 0.5, 0.5, 1.0
 
 _OUTVOTED, _CONTRADICTED = 1, 2
+# Two paths, by their rows, and the scans at which they have parted.
+_Unsettled = tuple[int, int, slice]
 
 
 @dataclass(frozen=True)
@@ -125,13 +134,15 @@ class Exclusions:
         return np.asarray(~self.excluded[name][nearest_stamps(self.stamps_s, stamps_s)])
 
 
-def find_exclusions(evidence: PathEvidence) -> Exclusions:
+def find_exclusions(evidence: PathEvidence, device: ComputeDevice | None = None) -> Exclusions:
     """Say when each path of a drive has left the others and must not vote.
 
     Args:
         evidence: of the paths that vote, and of no path made of them.
+        device: scores paths without the times in which they have lost their vote; None: they have
+            the scores that they have with these.
     """
-    return _Drive.of(evidence).judge()
+    return _Drive.of(evidence, device).judge()
 
 
 def lay_on(moving: F64, still: F64) -> tuple[F64, int]:
@@ -223,6 +234,7 @@ class _Drive:
 
     Attributes:
         evidence: of the paths.
+        device: scores some of them once more; None: nothing does.
         judged: (M,) int64, the judged scans.
         gaps: (K, K, M) float64, how far every two are apart, metres.
         apart: (K, K, M) bool, whether they have parted.
@@ -230,13 +242,14 @@ class _Drive:
     """
 
     evidence: PathEvidence
+    device: ComputeDevice | None
     judged: I64
     gaps: F64
     apart: B8
     in_majority: B8
 
     @classmethod
-    def of(cls, evidence: PathEvidence) -> _Drive:
+    def of(cls, evidence: PathEvidence, device: ComputeDevice | None) -> _Drive:
         """Lay the paths into one frame, and see who goes with whom."""
         judged = np.flatnonzero(evidence.is_judged)
         stamps_s = evidence.scans.stamps_s[judged]
@@ -248,7 +261,7 @@ class _Drive:
         apart = np.zeros(gaps.shape, dtype=np.bool_)
         for a, b in itertools.combinations(range(len(paths)), 2):
             apart[a, b] = apart[b, a] = parted(gaps[a, b], stamps_s)
-        return cls(evidence, judged, gaps, apart, _in_largest_group(apart))
+        return cls(evidence, device, judged, gaps, apart, _in_largest_group(apart))
 
     @property
     def stamps_s(self) -> F64:
@@ -257,20 +270,11 @@ class _Drive:
 
     def judge(self) -> Exclusions:
         """Take the vote of whoever left the others."""
-        sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
-        members = self.in_majority.sum(axis=0)
-        of_group = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
         standing = self._standing()
-        grounds = np.zeros(sums.shape, dtype=np.int8)
-        for row, own in enumerate(sums):
-            for here in _spans(~self.in_majority[row], self.stamps_s):
-                group = self.in_majority[:, here].any(axis=1)
-                is_best = bool((own[here].sum() > sums[group, here].sum(axis=1)).all())
-                if row not in standing and is_best and self._is_better(own, of_group, here):
-                    grounds[:, here][self.in_majority[:, here]] = _CONTRADICTED
-                else:
-                    grounds[row, here] = _OUTVOTED
-        is_open = self._judge_rivals(sums, standing, grounds)
+        grounds = np.zeros(self.in_majority.shape, dtype=np.int8)
+        unsettled = self._judge_minorities(standing, grounds)
+        unsettled += self._judge_rivals(standing, grounds)
+        is_open = self._still_open(unsettled, grounds)
         undecided = tuple(
             UndecidedSpan(*self._times(here)) for here in _spans(is_open, self.stamps_s)
         )
@@ -282,30 +286,75 @@ class _Drive:
             undecided,
         )
 
-    def _judge_rivals(
-        self, sums: F64, standing: Collection[int], grounds: npt.NDArray[np.int8]
-    ) -> B8:
-        """Let the scans decide between paths of equal groups that have parted.
+    def _judge_minorities(
+        self, standing: Collection[int], grounds: npt.NDArray[np.int8]
+    ) -> list[_Unsettled]:
+        """Take the vote of whoever is in no largest group, or of those in it whom it belies.
 
         Args:
-            sums: (K, M) log-likelihoods of the judged scans.
-            standing: paths for which these do not count.
+            standing: paths for which what the scans say does not count.
             grounds: (K, M), is told who has no vote.
 
         Returns:
-            (M,) bool, where they cannot tell who is right of two that vote.
+            What the scans cannot tell: they bear a path out better than a group together, but not
+            than one of it.
+        """
+        sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
+        beams = next(iter(self.evidence.scores.values())).beams[self.judged]
+        members = self.in_majority.sum(axis=0)
+        of_group = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
+        unsettled = []
+        for row, own in enumerate(sums):
+            for here in _spans(~self.in_majority[row], self.stamps_s):
+                group = np.flatnonzero(self.in_majority[:, here].any(axis=1)).tolist()
+                is_best = bool((own[here].sum() > sums[group, here].sum(axis=1)).all())
+                if row in standing or not (
+                    is_best and self._is_better(own, of_group, beams, here, 0.0)
+                ):
+                    grounds[row, here] = _OUTVOTED
+                    continue
+                for other in group:
+                    if self._is_better(own, sums[other], beams, here):
+                        grounds[other, here][self.in_majority[other, here]] = _CONTRADICTED
+                    else:
+                        unsettled.append((row, other, here))
+        return unsettled
+
+    def _judge_rivals(
+        self, standing: Collection[int], grounds: npt.NDArray[np.int8]
+    ) -> list[_Unsettled]:
+        """Let the scans decide between paths of equal groups that have parted.
+
+        Args:
+            standing: paths for which what the scans say does not count.
+            grounds: (K, M), is told who has no vote.
+
+        Returns:
+            What they cannot tell.
         """
         unsettled = []
-        for a, b in itertools.combinations(range(len(sums)), 2):
+        names, decided = tuple(self.evidence.scores), grounds > 0
+        for a, b in itertools.combinations(range(len(names)), 2):
             are_rivals = self.apart[a, b] & self.in_majority[a] & self.in_majority[b]
-            for here in _spans(are_rivals, self.stamps_s):
-                if a not in standing and self._is_better(sums[a], sums[b], here):
+            spans = list(_spans(are_rivals, self.stamps_s))
+            if not spans:
+                continue
+            evidence = self._without(a, b, decided[a] | decided[b])
+            scores = [evidence.scores[names[row]] for row in (a, b)]
+            first, second = (score.sums[self.judged] for score in scores)
+            beams = scores[0].beams[self.judged]
+            for here in spans:
+                if a not in standing and self._is_better(first, second, beams, here):
                     grounds[b, here] = _CONTRADICTED
-                elif b not in standing and self._is_better(sums[b], sums[a], here):
+                elif b not in standing and self._is_better(second, first, beams, here):
                     grounds[a, here] = _CONTRADICTED
                 else:
                     unsettled.append((a, b, here))
-        is_open = np.zeros(sums.shape[1], dtype=np.bool_)
+        return unsettled
+
+    def _still_open(self, unsettled: Sequence[_Unsettled], grounds: npt.NDArray[np.int8]) -> B8:
+        """Return where two paths that have parted both vote, and none is between them, (M,)."""
+        is_open = np.zeros(grounds.shape[1], dtype=np.bool_)
         for a, b, here in unsettled:
             both_vote = (grounds[a, here] == 0) & (grounds[b, here] == 0)
             # Where a third one goes with both, they differ by a little.
@@ -313,21 +362,39 @@ class _Drive:
             is_open[here] |= both_vote & ~is_bridged
         return is_open
 
-    def _is_better(self, first: F64, second: F64, here: slice) -> bool:
+    def _without(self, a: int, b: int, left_out: B8) -> PathEvidence:
+        """Return what the scans say of two paths where some of the judged ones are left out.
+
+        Args:
+            a, b: of the paths.
+            left_out: (M,) bool, scans that are neither drawn nor judged.
+        """
+        if self.device is None or not left_out.any() or left_out.all():
+            return self.evidence
+        scans = np.zeros(len(self.evidence.scans), dtype=np.bool_)
+        scans[self.judged[left_out]] = True
+        names = tuple(self.evidence.scores)
+        return without_scans(self.evidence, (names[a], names[b]), scans, self.device)
+
+    def _is_better(
+        self, first: F64, second: F64, beams: I64, here: slice, least: float = LEAST_DIFFERENCE
+    ) -> bool:
         """Whether the scans of a time surely bear the first path out better than the second.
 
         Args:
             first, second: (M,) sums of log-likelihoods of the judged scans.
+            beams: (M,) their judged hits; 0 for scans that are left out.
             here: the scans that are asked.
+            least: what they differ by more than, log-likelihood of a hit.
         """
         inside = np.zeros(len(self.judged), dtype=np.bool_)
         inside[here] = True
+        inside &= beams > 0
         blocks = BLOCKS * int(np.count_nonzero(inside)) // len(inside)
-        beams = next(iter(self.evidence.scores.values())).beams[self.judged]
-        if blocks < LEAST_BLOCKS or not beams[inside].any():
+        if blocks < LEAST_BLOCKS:
             return False
         found = compare_sums(first, second, beams, inside, blocks)
-        return found.difference > 0.0 and found.p_value < SURE
+        return found.difference > least and found.p_value < SURE
 
     def _standing(self) -> frozenset[int]:
         """Return the paths that stand still somewhere while most drive, the odometry among them."""

@@ -16,7 +16,7 @@ Efficient continuous-time SLAM for 3D lidar-based online mapping, ICRA 2018, mea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,7 @@ __all__ = [
     "log_likelihoods",
     "score_paths",
     "with_path",
+    "without_scans",
 ]
 
 F64 = npt.NDArray[np.float64]
@@ -251,6 +252,39 @@ def with_path(
         return PathEvidence(scans, is_judged, {**evidence.scores, name: score})
     covered = {known: score.path for known, score in evidence.scores.items()}
     return _score_covered({**covered, name: own}, scans, device, model)
+
+
+def without_scans(
+    evidence: PathEvidence,
+    names: Collection[str],
+    left_out: B8,
+    device: ComputeDevice,
+    model: HitModel = DEFAULT_MODEL,
+) -> PathEvidence:
+    """Score some paths of a drive on fewer scans.
+
+    Args:
+        evidence: of these paths and of others, by the same model.
+        names: the paths.
+        left_out: (N,) bool, scans that neither draw nor are judged.
+        device: draws and looks up.
+        model: how likely a hit is.
+
+    Returns:
+        Scores of these paths.
+
+    Raises:
+        TrajectoryError: no judged scan is left.
+    """
+    scans, is_judged = evidence.scans, evidence.is_judged & ~left_out
+    if not is_judged[scans.hit_scans].any():
+        message = "every scan is left out; leave some to score the paths on"
+        raise TrajectoryError(message)
+    scores = {
+        name: _score(name, evidence.scores[name].path, scans, is_judged, device, model)
+        for name in names
+    }
+    return PathEvidence(scans, is_judged, scores)
 
 
 def _covered(name: str, path: Trajectory, scans: JudgedScans) -> CoveredPath:

@@ -20,13 +20,21 @@ from slamfusion.evidence import (
     PathEvidence,
     PathScore,
     find_exclusions,
+    judged_scans,
     score_paths,
 )
-from slamfusion.evidence.exclusion import BEGINNINGS, LEAST_BLOCKS, NEAR_SHARE, lay_on
+from slamfusion.evidence.exclusion import (
+    BEGINNINGS,
+    LEAST_BLOCKS,
+    LEAST_DIFFERENCE,
+    NEAR_SHARE,
+    lay_on,
+)
 from slamfusion.evidence.parting import LEAST_S, PART_M
 from slamfusion.evidence.path_frames import TURN_M, pose_distances
+from slamfusion.evidence.predictive import without_scans
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import bent, circuit, moved
+from tests.evidence.rooms import bent, circuit, moved, recorded
 
 F64 = npt.NDArray[np.float64]
 COUNT, STEP_S = 400, 0.25
@@ -293,13 +301,30 @@ def test_who_stands_between_two_belongs_to_both() -> None:
     assert find_exclusions(told(paths, {"c": lower, "d": lower})).names == ("c", "d")
 
 
-def test_who_is_alone_must_be_better_than_each_of_the_group() -> None:
-    # Better than the two others together, as one of them is worse.
+@pytest.mark.parametrize(
+    ("likelihood", "out"), [(-0.02, ("b",)), (0.02, ("c",)), (0.05, ("a", "c"))]
+)
+def test_of_a_group_those_lose_whom_the_scans_speak_against(
+    likelihood: float, out: tuple[str, ...]
+) -> None:
+    # One of the two others is much worse, so that it is better than the two together.
     said = {name: np.zeros(COUNT) for name in "bc"}
     paths = {"a": way(), "b": aside(way(), 2.0, 200, 300), "c": way()}
-    for likelihood, out in ((-0.02, ("b",)), (0.02, ("a", "c"))):
-        said["b"][200:300], said["c"][200:300] = likelihood, -0.3
-        assert find_exclusions(told(paths, said)).names == out
+    said["b"][200:300], said["c"][200:300] = likelihood, -0.3
+    found = find_exclusions(told(paths, said))
+    assert found.names == out
+    # Who is right of the two that then vote, and have parted, nobody can tell.
+    both_vote = {"a", "b"}.isdisjoint(out)
+    assert [(span.from_s, span.to_s) for span in found.undecided] == [(50.0, 75.0)] * both_vote
+
+
+@pytest.mark.parametrize(("behind", "is_out"), [(0.015, False), (0.045, True)])
+def test_scans_take_a_vote_for_more_than_scan_matchers_gain(behind: float, is_out: bool) -> None:
+    assert 0.015 < LEAST_DIFFERENCE < 0.045
+    lower = np.zeros(COUNT)
+    lower[200:300] = -behind
+    evidence = told({"a": way(), "b": aside(way(), 2.0, 200, 300)}, {"b": lower})
+    assert find_exclusions(evidence).names == (("b",) if is_out else ())
 
 
 def test_each_goes_wrong_at_a_time_of_its_own() -> None:
@@ -329,6 +354,38 @@ def test_scans_of_a_room_outvote_a_bent_path(device: ComputeDevice, scans: Judge
     (span,) = found.spans["c"]
     assert 22.5 <= span.from_s <= 24.0
     assert span.to_s == truth.stamps_s[-1]
+
+
+def test_what_a_path_drew_while_it_was_wrong_does_not_speak_against_it_elsewhere(
+    device: ComputeDevice,
+) -> None:
+    # Three rounds: a third path is wrong in the middle one, and the second, right, is told apart
+    # from the first one in the last. Its walls of the middle one are not asked there.
+    truth = circuit(216, 3.0)
+    scans = judged_scans(recorded(truth))
+    first, last = slice(72, 144), slice(180, 216)
+    a, b = (truth.poses.copy() for _ in range(2))
+    b[first, 0] += 0.5
+    a[last, 0] += 0.4
+    third = truth.poses.copy()
+    third[last, 0] -= 3.0
+    paths = {
+        name: Trajectory(truth.stamps_s, poses)
+        for name, poses in {"a": a, "b": b, "c": third}.items()
+    }
+    evidence = score_paths(scans, paths, device)
+    found = find_exclusions(evidence, device)
+    assert [span.ground for span in found.spans["b"]] == ["outvoted"]
+    assert [span.from_s for span in found.spans["a"]] == [pytest.approx(45.0, abs=0.5)]
+    # With them, the difference is smaller.
+    gaps = []
+    for device_or_none in (None, device):
+        left_out = np.zeros(len(scans), dtype=np.bool_)
+        left_out[first] = device_or_none is not None
+        scored = without_scans(evidence, ("a", "b"), left_out, device)
+        sums = [scored.scores[name].sums[last].sum() for name in "ab"]
+        gaps.append(sums[1] - sums[0])
+    assert gaps[1] > gaps[0]
 
 
 @pytest.mark.parametrize("count", [1, BEGINNINGS - 1, 40])
