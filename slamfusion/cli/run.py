@@ -243,8 +243,8 @@ def _tell(run: LogRun, *, debug: bool) -> None:
         notice(f"no verdict on the paths: {run.no_verdict}")
     if run.why_voted is not None:
         notice(f"the fused map is not drawn, the maps vote ({run.fused_mode}): {run.why_voted}")
-    if run.fused_path is not None and run.fused_path.not_weighed:
-        notice(f"all paths count alike in the fused path: {run.fused_path.not_weighed}")
+    if run.fused_path is not None and run.fused_path.refined is None:
+        notice(f"all paths count alike in the fused path: {run.no_verdict}")
 
 
 def _tell_warnings(run: LogRun) -> None:

@@ -4,7 +4,8 @@
 now, with beams, chunks and stamps that no path has a say in; ``with_path`` scores one more path
 beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart, and
 ``reach_verdict`` puts it into words. ``fuse_paths`` makes one path of several, each believed as far
-as the scans bear it out, and ``refine_path`` lays all scans of the drive on each other along it.
+as the scans bear it out, ``refine_path`` lays all scans of the drive on each other along it, and
+``refine_borne_out`` does so where the scans do not speak against what comes of it.
 ``find_exclusions`` says when a path has left the others and must not vote.
 """
 
@@ -26,6 +27,7 @@ from slamfusion.evidence.predictive import (
     with_path,
 )
 from slamfusion.evidence.refined_path import refine_path
+from slamfusion.evidence.refinement import RefinedPath, refine_borne_out
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
 from slamfusion.evidence.verdict import Verdict, reach_verdict
 
@@ -38,6 +40,7 @@ __all__ = [
     "JudgedScans",
     "PathEvidence",
     "PathScore",
+    "RefinedPath",
     "UndecidedSpan",
     "Verdict",
     "cover_stamps",
@@ -45,6 +48,7 @@ __all__ = [
     "fuse_paths",
     "judged_scans",
     "reach_verdict",
+    "refine_borne_out",
     "refine_path",
     "score_paths",
     "trust_in_paths",

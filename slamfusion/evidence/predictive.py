@@ -88,6 +88,7 @@ class PathScore:
             was not judged.
         beams: (N,) int64, judged hits of each scan, the same for all paths.
         seen: (N,) int64, of these, hits in places that other chunks have seen.
+        model: by which they are likely.
     """
 
     name: str
@@ -95,6 +96,7 @@ class PathScore:
     sums: F64
     beams: I64
     seen: I64
+    model: HitModel = DEFAULT_MODEL
 
     @property
     def consistency(self) -> float:
@@ -110,6 +112,16 @@ class PathScore:
     def seen_share(self) -> float:
         """Share of the judged hits that lie where other chunks have seen something."""
         return float(self.seen.sum() / self.beams.sum())
+
+    @property
+    def seen_consistency(self) -> float:
+        """Mean log-likelihood of a hit where other chunks have seen something; NaN for no hit.
+
+        Unlike ``consistency`` it does not fall with what is seen once, so that drives compare.
+        """
+        seen = int(self.seen.sum())
+        price = (self.beams_judged - seen) * np.log(self.model.unknown)
+        return float((self.sums.sum() - price) / seen) if seen else float("nan")
 
     def by_group(self, groups: I64, count: int) -> tuple[F64, I64]:
         """Return sums and judged hits of groups of scans.
@@ -345,6 +357,7 @@ def _score(
         sums=np.bincount(hit_scans, likelihoods, count).astype(np.float64),
         beams=np.bincount(hit_scans, minlength=count).astype(np.int64),
         seen=np.bincount(hit_scans[is_seen], minlength=count).astype(np.int64),
+        model=model,
     )
 
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, TypedDict
 
-__all__ = ["PathEvidenceJson", "PathSpanJson", "PathTimeJson", "PathVerdictJson", "UntoldSpanJson"]
+__all__ = [
+    "PathEvidenceJson",
+    "PathSpanJson",
+    "PathTimeJson",
+    "PathVerdictJson",
+    "RefinementJson",
+    "UntoldSpanJson",
+]
 
 
 class PathSpanJson(TypedDict):
@@ -57,6 +64,8 @@ class PathEvidenceJson(TypedDict):
     """Scans that they are of: those that every path has a pose for."""
     seen_share: float
     """Share of the hits that lie where other scans have seen something, by this path."""
+    seen_consistency: float | None
+    """Mean log-likelihood of these hits; null where there is none."""
     own_poses_share: float
     """Share of the log's scans that the path itself has a pose for."""
     covered_share: float
@@ -87,5 +96,22 @@ class PathVerdictJson(TypedDict):
     """The verdict in words."""
     sure: bool
     """Whether every other path is worse beyond chance."""
+    contradicted: bool
+    """Whether the scans contradict even the best path: what it draws is not what is there."""
     untold: Sequence[UntoldSpanJson]
     """Parts of the drive that hardly saw what any other part saw, by the best path."""
+
+
+class RefinementJson(TypedDict):
+    """What laying all scans on each other has made of a path."""
+
+    taken: bool
+    """Whether the refined path was taken: it is not where the scans say that it is worse."""
+    verdict: Literal["better", "worse", "cannot tell"]
+    """What the scans say of the refined path against the one before."""
+    difference: float
+    """Score of the refined path less that of the one before, log-likelihood of a hit."""
+    difference_95: tuple[float, float]
+    """Interval of that, 95 %."""
+    p_value: float
+    """Two-sided, of no difference."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
-from slamfusion.evidence import judged_scans, score_paths
+from slamfusion.evidence import Exclusions, PathEvidence, find_exclusions, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.surfaces import with_backs
@@ -18,6 +18,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
 from slamfusion.jobs.outputs import DRAWN
+from slamfusion.jobs.partial import Filling, Layers, draw_layers
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
@@ -28,6 +29,7 @@ __all__ = [
     "WeighedPaths",
     "draw_paths",
     "drawn_at",
+    "drive_layers",
     "path_errors",
     "thick",
     "thickened",
@@ -57,10 +59,27 @@ class WeighedPaths:
     Attributes:
         paths: of the producers, and the fused one where there is one, by name.
         choice: the producer whose path they bear out best; empty where they cannot tell.
+        evidence: what they say of the producers' paths; None where they cannot tell.
+        exclusions: when producers have no vote; None where they cannot tell.
     """
 
     paths: Mapping[str, Trajectory] = field(default_factory=dict)
     choice: str = ""
+    evidence: PathEvidence | None = None
+    exclusions: Exclusions | None = None
+
+    def without(self, name: str, device: ComputeDevice, notes: dict[str, str]) -> WeighedPaths:
+        """Return the paths of a drive on which a producer had no part.
+
+        Args:
+            name: of the producer.
+            device, notes: see ``weigh_paths``.
+        """
+        paths = {own: path for own, path in self.paths.items() if own not in {name, FUSED_PATH}}
+        if self.evidence is None or not paths:
+            return WeighedPaths(paths)
+        scores = {own: self.evidence.scores[own] for own in paths}
+        return _weigh(paths, replace(self.evidence, scores=scores), device, notes)
 
 
 def weigh_paths(
@@ -80,20 +99,60 @@ def weigh_paths(
     paths = {name: path for name, path in paths.items() if len(path)}
     if not paths:
         return WeighedPaths()
-    evidence, choice = None, ""
+    evidence = None
     try:
         evidence = score_paths(judged_scans(scans), paths, device)
-        choice = evidence.ranking()[0]
     except SlamFusionError as error:
         notes[CHOICE] = str(error)
+    return _weigh(paths, evidence, device, notes)
+
+
+def _weigh(
+    paths: Mapping[str, Trajectory],
+    evidence: PathEvidence | None,
+    device: ComputeDevice,
+    notes: dict[str, str],
+) -> WeighedPaths:
+    """Make one path of those of the producers; see ``weigh_paths``."""
+    exclusions = None if evidence is None else find_exclusions(evidence, device)
+    choice = "" if evidence is None else evidence.ranking()[0]
+    weighed = WeighedPaths(paths, choice, evidence, exclusions)
     if len(paths) < LEAST_FUSED:
-        return WeighedPaths(paths, choice)
+        return weighed
     try:
-        fused, _ = fuse_weighed_paths(paths, evidence)
+        fused = fuse_weighed_paths(paths, evidence, exclusions, device)
     except SlamFusionError as error:
         notes[FUSED_PATH] = str(error)
-        return WeighedPaths(paths, choice)
-    return WeighedPaths({**paths, FUSED_PATH: fused.trajectory}, choice)
+        return weighed
+    return replace(weighed, paths={**paths, FUSED_PATH: fused.trajectory})
+
+
+def drive_layers(
+    maps: Sequence[OccupancyGrid],
+    weighed: WeighedPaths,
+    recorded: Sequence[LogScan],
+    fed: Mapping[str, Sequence[LogScan]],
+    device: ComputeDevice,
+) -> Layers:
+    """Take out of producers' maps what they drew after they had left the others, as ``run`` does.
+
+    Args:
+        maps: of the producers; every one has a path.
+        weighed: the paths.
+        recorded: scans of the drive.
+        fed: what each producer was fed, by name.
+        device: draws.
+
+    Raises:
+        TrajectoryError: the scans of a producer are not those of its path.
+    """
+    paths = {grid.name: weighed.paths[grid.name] for grid in maps}
+    filling = None
+    if FUSED_PATH in weighed.paths:
+        filling = Filling(weighed.paths[FUSED_PATH], lambda: drawn_scans(recorded))
+    return draw_layers(
+        maps, paths, weighed.exclusions, lambda name: drawn_scans(fed[name]), device, filling
+    )
 
 
 def path_errors(

@@ -23,6 +23,7 @@ from slamfusion.experiments.drive_paths import (
     DRAWN,
     FUSED_PATH,
     draw_paths,
+    drive_layers,
     path_errors,
     weigh_paths,
 )
@@ -33,7 +34,6 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.jobs.inputs import Warn
-from slamfusion.jobs.partial import draw_layers_of_scans
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
@@ -329,11 +329,11 @@ def _compare_on_log(
     # The reference is drawn from scans as well: its walls have no backs either.
     vote = replace(config.fusion.vote, solid_walls=False)
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
-    layers = draw_layers_of_scans(made.grids, made.paths, scans, fed, device)
+    weighed = weigh_paths(scans, made.paths, device, notes)
+    layers = drive_layers(made.grids, weighed, scans, fed, device)
     fused = vote_every_way(layers, config, device, notes)
 
     del fused[BARE]  # here all votes are
-    weighed = weigh_paths(scans, made.paths, device, notes)
     errors = path_errors(weighed, trajectory, SAME_TIME_S)
     if FUSED_PATH in errors:
         errors[DRAWN] = errors[FUSED_PATH]

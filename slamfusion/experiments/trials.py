@@ -31,15 +31,21 @@ from slamfusion.config import RunConfig, to_mapping
 from slamfusion.cores import usable_cores
 from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import MapError
-from slamfusion.experiments.drive_paths import draw_paths, path_errors, thickened, weigh_paths
+from slamfusion.experiments.drive_paths import (
+    WeighedPaths,
+    draw_paths,
+    drive_layers,
+    path_errors,
+    thickened,
+    weigh_paths,
+)
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.records import TrialJson
 from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.io.atomic import AtomicFiles
-from slamfusion.jobs.fuse_drive import DriveMaps, produce_maps
-from slamfusion.jobs.partial import draw_layers_of_scans
+from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
@@ -187,8 +193,8 @@ def measure_trial(
     notes = dict(made.reasons)
     # What befalls all of them befalls the robot.
     seen = recording.scans if trial.harmed else faulty
-    fused = _fuse(trial, made, seen, fed, config, device, notes)
     weighed = weigh_paths(seen, made.paths, device, notes)
+    fused = _fuse(trial, made.grids, weighed, seen, fed, config, device, notes)
     if trial.draws:
         fused |= draw_paths(seen, weighed, recording.world.grid.resolution, config, device)
     truth = recording.world.grid
@@ -221,7 +227,8 @@ def _true_path(recording: Recording, scans: Sequence[LogScan]) -> Trajectory:
 
 def _fuse(
     trial: Trial,
-    made: DriveMaps,
+    grids: Sequence[OccupancyGrid],
+    weighed: WeighedPaths,
     seen: Sequence[LogScan],
     fed: Mapping[str, Sequence[LogScan]],
     config: RunConfig,
@@ -229,15 +236,15 @@ def _fuse(
     notes: dict[str, str],
 ) -> dict[str, OccupancyGrid | None]:
     """Fuse as ``run`` does: the plain vote decides who votes, then the same maps vote otherwise."""
-    grids, paths = made.grids, made.paths
     align = replace(config.fusion.align, step=None, deadline_s=PATIENCE_S)
     config = replace(config, fusion=replace(config.fusion, align=align))
-    layers = draw_layers_of_scans(grids, paths, seen, fed, device)
+    layers = drive_layers(grids, weighed, seen, fed, device)
     fused = vote_every_way(layers, config, device, notes)
     if trial.harmed:
         rest = [grid for grid in grids if grid.name != trial.harmed]
         own_notes: dict[str, str] = {}
-        layers = draw_layers_of_scans(rest, paths, seen, fed, device)
+        others_weighed = weighed.without(trial.harmed, device, own_notes)
+        layers = drive_layers(rest, others_weighed, seen, fed, device)
         others = vote_every_way(layers, config, device, own_notes)
         fused |= {alone(mode): others[mode] for mode in FUSIONS}
         notes |= {f"{name}, others alone": reason for name, reason in own_notes.items()}

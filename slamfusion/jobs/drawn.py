@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.evidence.drawn_fusion import fuse_with_drawn
+from slamfusion.evidence.drawn_map import DrawnScan
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.fuse_drive import DriveFusion
-from slamfusion.jobs.fused_path import DrivePath, draw_log_map
-from slamfusion.jobs.map_log import LogFiles
+from slamfusion.jobs.fused_path import DrivePath, draw_like
 
 __all__ = ["DRAWN_MODE", "DrawnRun", "draw_run", "is_drawn", "voting_config"]
 
@@ -52,7 +52,7 @@ def voting_config(config: RunConfig) -> RunConfig:
 
 
 def draw_run(
-    files: LogFiles,
+    scans: Callable[[], Sequence[DrawnScan]],
     path: DrivePath | None,
     fusion: DriveFusion,
     saved: Collection[str],
@@ -62,7 +62,7 @@ def draw_run(
     """Draw the map of a log at the fused path, as the fused map or beside it, as was asked for.
 
     Args:
-        files: the log, and what gives its scans their odometry.
+        scans: returns those of the log; called where something is drawn.
         path: the fused path; None where there is none.
         fusion: of the maps, by vote.
         saved: names of inputs that no producer made.
@@ -75,14 +75,7 @@ def draw_run(
     if path is None:
         return DrawnRun(fusion, why_voted=NO_PATH if is_mode else None)
     try:
-        layer = draw_log_map(
-            files.log,
-            path.trajectory,
-            config,
-            device,
-            fusion.result.fused,
-            scan_odometry=files.scan_odometry,
-        )
+        layer = draw_like(scans(), path.trajectory, device, fusion.result.fused)
         result = fusion.result
         if is_mode:
             result = fuse_with_drawn(result, layer, saved, config.fusion, device)

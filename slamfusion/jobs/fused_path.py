@@ -5,31 +5,31 @@ And the map that is drawn from all scans at it. Shared by ``run_log`` and what m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
 from slamfusion.evaluation import doubled_wall_share, wall_thickness
 from slamfusion.evidence import (
+    Exclusions,
     FusedPath,
     PathEvidence,
+    RefinedPath,
     fuse_paths,
-    refine_path,
+    refine_borne_out,
     trust_in_paths,
 )
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence.drawn_map import DrawnScan, draw_map
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import open_log
-from slamfusion.jobs.judge import score_log_paths
-from slamfusion.jobs.outputs import DRAWN
+from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.run_records import (
     DrawnMapJson,
     FusedPathJson,
@@ -38,7 +38,7 @@ from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["DrivePath", "draw_log_map", "drawn_document", "fuse_log_paths", "fuse_weighed_paths"]
+__all__ = ["DrivePath", "draw_like", "drawn_document", "fuse_weighed_paths"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +46,34 @@ class DrivePath:
     """The fused path of a drive.
 
     Attributes:
-        fused: the path, in the frame of the fused map where there is one.
+        fused: the path, in the frame of one of the producers' paths, or after ``in_fused_frame`` in
+            that of the fused map.
         trust: how much each producer's path was believed, by name, 0 to 1.
-        not_weighed: why the scans could not say how much; empty where they did.
+        excluded_share: share of each producer's poses that had no weight, by name, 0 to 1.
+        refined: what laying all scans on each other made of it; None where there was no evidence.
         measures: errors of the path.
     """
 
     fused: FusedPath
     trust: Mapping[str, float]
-    not_weighed: str = ""
+    excluded_share: Mapping[str, float]
+    refined: RefinedPath | None = None
     measures: Measures = field(default_factory=Measures)
 
     @property
     def trajectory(self) -> Trajectory:
         """The poses at the scans."""
         return self.fused.trajectory
+
+    def in_fused_frame(self, paths: Mapping[str, Trajectory], fusion: FusionResult) -> DrivePath:
+        """Return the path laid onto those of the producers that voted, as their maps lie.
+
+        Args:
+            paths: by producer, each in its map's frame.
+            fusion: of their maps.
+        """
+        laid = _in_fused_frame(self.trajectory, paths, fusion)
+        return replace(self, fused=replace(self.fused, trajectory=laid))
 
     def to_json(self, file: Path) -> FusedPathJson:
         """Return the path's record for a JSON document."""
@@ -69,98 +82,64 @@ class DrivePath:
             "file": str(file),
             "poses": len(self.trajectory),
             "trust": dict(self.trust),
+            "excluded_share": dict(self.excluded_share),
+            "refinement": None if self.refined is None else self.refined.to_json(),
         }
 
 
-def fuse_log_paths(
-    log: Path,
-    paths: Mapping[str, Trajectory],
-    config: RunConfig,
-    device: ComputeDevice,
-    *,
-    scan_odometry: Path | None = None,
-    fusion: FusionResult | None = None,
-    evidence: PathEvidence | None = None,
-) -> DrivePath:
-    """Make one path of those of several producers of a log, and lay all scans on each other by it.
-
-    Args:
-        log: the scans.
-        paths: by producer, each in its map's frame.
-        config: ``log`` is used.
-        device: scores the paths.
-        scan_odometry: what gives the scans their odometry instead of the log.
-        fusion: of the maps: the path is laid into its frame; None: it stays in that of a path.
-        evidence: what the scans say of these paths, where that is known; None: they are asked.
-
-    Raises:
-        TrajectoryError: the paths have no times in common.
-        GraphError: the equations cannot be solved.
-        OSError: the log cannot be opened.
-    """
-    why = ""
-    try:
-        if evidence is None or set(evidence.scores) != set(paths):
-            evidence = score_log_paths(log, paths, config, device, scan_odometry)
-    except SlamFusionError as error:
-        evidence, why = None, str(error)
-    fused, trust = fuse_weighed_paths(paths, evidence)
-    if fusion is not None:
-        fused = replace(fused, trajectory=_in_fused_frame(fused.trajectory, paths, fusion))
-    return DrivePath(fused, trust, why)
-
-
 def fuse_weighed_paths(
-    paths: Mapping[str, Trajectory], evidence: PathEvidence | None
-) -> tuple[FusedPath, dict[str, float]]:
+    paths: Mapping[str, Trajectory],
+    evidence: PathEvidence | None,
+    exclusions: Exclusions | None,
+    device: ComputeDevice,
+) -> DrivePath:
     """Make one path of several, each believed as far as the scans bear it out.
 
-    Then all scans are laid on each other along it.
+    Then all scans are laid on each other along it, where they do not speak against what comes.
 
     Args:
         paths: by producer; those that close no loops count as one over long spans.
         evidence: what the scans say of these paths; None: all count alike, and no scan is moved.
-
-    Returns:
-        The path, in the frame of one of them, and how much each was believed, by name.
+        exclusions: when each of them has no vote: these poses have no weight; None: all have.
+        device: scores the path.
 
     Raises:
         TrajectoryError: the paths have no times in common.
         GraphError: the equations cannot be solved.
     """
     trust = dict.fromkeys(paths, 1.0) if evidence is None else trust_in_paths(evidence)
+    votes = {
+        name: np.ones(len(path), dtype=np.bool_)
+        if exclusions is None
+        else exclusions.votes_at(name, path.stamps_s)
+        for name, path in paths.items()
+    }
+    weights: dict[str, npt.ArrayLike] = {name: trust[name] * votes[name] for name in paths}
     closers = loop_closers(paths)
     drifting = [name for name in paths if name not in closers]
-    fused = fuse_paths(paths, trust, sharing_fault=drifting)
+    fused = fuse_paths(paths, weights, sharing_fault=drifting, name=FUSED)
+    refined = None
     if evidence is not None:
-        fused = replace(fused, trajectory=refine_path(evidence.scans, fused.trajectory))
-    return fused, trust
+        refined = refine_borne_out(evidence, fused.trajectory, device)
+        fused = replace(fused, trajectory=refined.path)
+    shares = {name: float((~own).mean()) for name, own in votes.items()}
+    return DrivePath(fused, trust, shares, refined)
 
 
-def draw_log_map(
-    log: Path,
-    path: Trajectory,
-    config: RunConfig,
-    device: ComputeDevice,
-    like: OccupancyGrid,
-    *,
-    scan_odometry: Path | None = None,
+def draw_like(
+    scans: Sequence[DrawnScan], path: Trajectory, device: ComputeDevice, like: OccupancyGrid
 ) -> OccupancyGrid:
-    """Draw a map from all scans of a log at the poses of a path.
+    """Draw a map from scans at the poses of a path.
 
     Args:
-        log: the scans.
+        scans: of the drive.
         path: in the map frame of ``like``.
-        config: ``log`` is used.
         device: draws.
         like: the map is drawn on the lattice of this one, over all that was seen.
-        scan_odometry: what gives the scans their odometry instead of the log.
 
     Raises:
         TrajectoryError: no scan has a pose.
-        OSError: the log cannot be opened.
     """
-    scans = drawn_scans(open_log(log, config.log, scan_odometry))
     return draw_map(scans, path, device, resolution=like.resolution, origin=like.origin, name=DRAWN)
 
 

@@ -2,44 +2,38 @@
 
 A producer's map holds what it drew while it was wrong, and nothing in it says which cells these
 are. Its path and its scans do: where it has no vote for some time, its layer of the vote is drawn
-anew from its scans at its own path without that time. Its own map stays as it is.
+anew from its scans at its own path without that time. What was seen then is drawn at the fused
+path, where there is one: one of the votes would miss it, and of two every difference is a wall. Its
+own map stays as it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import (
-    ExcludedSpan,
-    PathEvidence,
-    UndecidedSpan,
-    find_exclusions,
-    judged_scans,
-    score_paths,
-)
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan
+from slamfusion.evidence.drawn_map import DrawnScan, draw_map
+from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import InputRecord
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import LogScan
 from slamfusion.jobs.fuse_drive import DriveFusion, fuse_drive
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.run_records import PartialVoteJson
 from slamfusion.trajectory import Trajectory
 
-__all__ = [
-    "LEAST_SHARE",
-    "Layers",
-    "PartialVote",
-    "draw_layers",
-    "draw_layers_of_scans",
-    "fuse_layers",
-]
+__all__ = ["LEAST_SHARE", "Filling", "Layers", "PartialVote", "draw_layers", "fuse_layers"]
+
+B8 = npt.NDArray[np.bool_]
+ScansOf = Callable[[str], Sequence[DrawnScan]]
 
 # A layer of a smaller share of the drive is left out: it shows too little of what the others show
 # to be laid on them by its walls. Of two maps none is left out: walls and paths decide.
@@ -55,19 +49,24 @@ class PartialVote:
         spans: the times in which it has none.
         excluded_share: share of the judged scans that lie in them, 0 to 1.
         left_out: why it has no vote at all; empty: its layer was drawn anew and takes part.
+        filled: whether its layer shows what was seen in these times, drawn at the fused path.
     """
 
     name: str
     spans: tuple[ExcludedSpan, ...]
     excluded_share: float
     left_out: str = ""
+    filled: bool = False
 
     def sentence(self) -> str:
         """Return in words when and why the producer has no vote."""
         words = f"{self.name} has no vote {_and([_span_words(span) for span in self.spans])}"
         if self.left_out:
             return f"{words}; {self.left_out}."
-        return f"{words}; its layer is drawn anew from its other scans."
+        drawn = f"{words}; its layer is drawn anew from its other scans"
+        if self.filled:
+            return f"{drawn}, and from those of that time at the fused path."
+        return f"{drawn}."
 
     def to_json(self) -> PartialVoteJson:
         """Return it for a JSON document."""
@@ -84,6 +83,7 @@ class PartialVote:
             ],
             "excluded_share": self.excluded_share,
             "left_out": self.left_out or None,
+            "filled": self.filled,
         }
 
 
@@ -120,79 +120,101 @@ class Layers:
         return tuple(words)
 
 
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """What layers show of the times in which their producers have no vote.
+
+    Attributes:
+        path: the fused path, in any frame.
+        scans: returns the scans of the drive; called where there is something to fill.
+    """
+
+    path: Trajectory
+    scans: Callable[[], Sequence[DrawnScan]]
+
+
 def draw_layers(
     maps: Sequence[OccupancyGrid],
     paths: Mapping[str, Trajectory],
-    evidence: PathEvidence | None,
-    scans_of: Callable[[str], Iterable[LogScan]],
+    exclusions: Exclusions | None,
+    scans_of: ScansOf,
     device: ComputeDevice,
+    filling: Filling | None = None,
 ) -> Layers:
     """Take out of the maps of a drive what their producers drew after they had left the others.
 
     Args:
         maps: of distinct names; those that have no path, the saved ones, stay as they are.
         paths: found with the producers' maps, by name.
-        evidence: what the scans say of these paths; None: nothing, and all vote.
+        exclusions: when these have no vote; None: nothing is known, and all vote.
         scans_of: returns the scans that a producer was fed; asked for those that are drawn anew.
         device: draws.
+        filling: what is drawn instead; None: nothing.
 
     Raises:
         TrajectoryError: the scans of a producer are not those of its path.
         OSError: they cannot be read.
     """
-    layers = {grid.name: grid for grid in maps}
-    scores = {
-        name: evidence.scores[name] for name in layers if evidence and name in evidence.scores
-    }
-    if evidence is None or not scores:
+    if exclusions is None:
         return Layers.as_made(maps, paths)
-    found = find_exclusions(replace(evidence, scores=scores))
+    layers = {grid.name: grid for grid in maps}
     kept, partial = dict(paths), []
     # Whoever was with the others least goes first.
-    for name in sorted(found.names, key=found.excluded_share, reverse=True):
-        share, left_out = found.excluded_share(name), ""
+    for name in sorted(exclusions.names, key=exclusions.excluded_share, reverse=True):
+        share, left_out, is_filled = exclusions.excluded_share(name), "", False
         if share > 1.0 - LEAST_SHARE:
             if len(layers) <= LEAST_FUSED:
                 continue
             left_out = f"less than {LEAST_SHARE:.0%} of the drive is left, too little for a layer"
             del layers[name]
         else:
-            votes = found.votes_at(name, paths[name].stamps_s)
+            votes = exclusions.votes_at(name, paths[name].stamps_s)
             path = Trajectory(paths[name].stamps_s[votes], paths[name].poses[votes], name)
-            own = layers[name]
+            own, scans, drawn = layers[name], scans_of(name), path
+            if filling is not None:
+                filled = _filled(path, exclusions, filling)
+                is_filled = len(filled) > len(path)
+                if is_filled:
+                    scans = _with_excluded(scans, filling.scans(), name, exclusions)
+                    drawn = filled
             layers[name] = draw_map(
-                drawn_scans(scans_of(name)), path, device,
-                resolution=own.resolution, origin=own.origin, name=name,
-            )  # fmt: skip
+                scans, drawn, device, resolution=own.resolution, origin=own.origin, name=name
+            )
             kept[name] = path
-        partial.append(PartialVote(name, found.spans[name], share, left_out))
-    return Layers(tuple(maps), tuple(layers.values()), kept, tuple(partial), found.undecided)
+        partial.append(PartialVote(name, exclusions.spans[name], share, left_out, is_filled))
+    return Layers(tuple(maps), tuple(layers.values()), kept, tuple(partial), exclusions.undecided)
 
 
-def draw_layers_of_scans(
-    maps: Sequence[OccupancyGrid],
-    paths: Mapping[str, Trajectory],
-    recorded: Sequence[LogScan],
-    fed: Mapping[str, Sequence[LogScan]],
-    device: ComputeDevice,
-) -> Layers:
-    """Do what ``draw_layers`` does for a drive in memory; where scans cannot be asked, all vote.
+def _filled(path: Trajectory, exclusions: Exclusions, filling: Filling) -> Trajectory:
+    """Return a path with the poses of the filling, laid on it, where its producer has no vote.
 
     Args:
-        maps, paths: see ``draw_layers``; every map has a path.
-        recorded: scans of the drive, which say who is right.
-        fed: what each producer was fed, by name.
-        device: scores and draws.
-
-    Raises:
-        TrajectoryError: the scans of a producer are not those of its path.
+        path: a producer's, named after it, where it has a vote.
+        exclusions: say when that is.
+        filling: has the other poses.
     """
-    kept = {grid.name: paths[grid.name] for grid in maps}
-    try:
-        evidence = score_paths(judged_scans(recorded), kept, device)
-    except SlamFusionError:
-        return Layers.as_made(maps, kept)
-    return draw_layers(maps, kept, evidence, fed.__getitem__, device)
+    near, meets = path.matches(filling.path.stamps_s)
+    if not meets.any():
+        return path
+    laid = moved_path(filling.path, fit_frame(filling.path.poses[meets], path.poses[near[meets]]))
+    excluded = ~exclusions.votes_at(path.name, laid.stamps_s) & ~meets
+    stamps_s = np.concatenate((path.stamps_s, laid.stamps_s[excluded]))
+    poses = np.concatenate((path.poses, laid.poses[excluded]))
+    order = np.argsort(stamps_s, kind="stable")
+    return Trajectory(stamps_s[order], poses[order], path.name)
+
+
+def _with_excluded(
+    own: Sequence[DrawnScan], recorded: Sequence[DrawnScan], name: str, exclusions: Exclusions
+) -> list[DrawnScan]:
+    """Return the scans that a producer was fed where it has a vote, and elsewhere the recorded."""
+
+    def votes(scans: Sequence[DrawnScan]) -> B8:
+        return exclusions.votes_at(name, np.array([scan.stamp_s for scan in scans]))
+
+    kept = [scan for scan, has_vote in zip(own, votes(own), strict=True) if has_vote]
+    kept += [scan for scan, has_vote in zip(recorded, votes(recorded), strict=True) if not has_vote]
+    return sorted(kept, key=lambda scan: scan.stamp_s)
 
 
 def fuse_layers(

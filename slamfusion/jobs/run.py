@@ -13,7 +13,7 @@ from pathlib import Path
 
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import Verdict
+from slamfusion.evidence import Verdict, find_exclusions
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
@@ -42,6 +42,7 @@ from slamfusion.jobs.run_stages import (
     fuse_maps,
     fuse_producer_paths,
     judge_drive_paths,
+    measure_fused_path,
     measure_producers,
     score_producer_paths,
     stage_timer,
@@ -216,18 +217,26 @@ def run_log(
     drive = Drive(files, config, outcomes, held, device, progress)
     with timed("evidence"):
         evidence, no_verdict = score_producer_paths(drive)
+        exclusions = None if evidence is None else find_exclusions(evidence, device)
+    with timed("path"):
+        fused_path = fuse_producer_paths(drive, evidence, exclusions)
     with timed("fusion"):
-        layers = draw_drive_layers(drive, grids, evidence)
+        layers = draw_drive_layers(drive, grids, exclusions, fused_path)
         fusion, failure = fuse_maps(drive, layers, len(maps), starts)
     usable = fusion.result if failure is None else None
     with timed("path"):
-        fused_path = None if usable is None else fuse_producer_paths(drive, usable, evidence)
+        if usable is None or fused_path is None:
+            fused_path = None
+        else:
+            fused_path = measure_fused_path(drive, fused_path, usable)
     with timed("evidence"):
         verdict = None if evidence is None else judge_drive_paths(drive, evidence, fused_path)
     drawn = DrawnRun(fusion)
     if usable is not None and is_drawn(config):
         with timed("drawing"):
-            drawn = draw_run(files, fused_path, fusion, saved_names, config, device)
+            drawn = draw_run(
+                lambda: drive.drawn_scans, fused_path, fusion, saved_names, config, device
+            )
         fusion = drawn.fusion
     with timed("errors"):
         doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)

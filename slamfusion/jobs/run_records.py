@@ -12,6 +12,7 @@ from slamfusion.evaluation.records import (
 from slamfusion.evidence.records import (
     PathEvidenceJson,
     PathVerdictJson,
+    RefinementJson,
 )
 from slamfusion.fusion.records import (
     PathGapJson,
@@ -132,6 +133,10 @@ class FusedPathJson(MeasuresJson):
     """Its file, a TUM trajectory in the frame of the fused map."""
     trust: Mapping[str, float]
     """How much each producer's path was believed by what the scans say of it, 0 to 1."""
+    excluded_share: Mapping[str, float]
+    """Share of each producer's poses that had no weight, as it had left the others, 0 to 1."""
+    refinement: RefinementJson | None
+    """What laying all scans on each other made of it; null where the scans could not be asked."""
 
 
 class DrawnMapJson(TypedDict):
@@ -169,6 +174,8 @@ class PartialVoteJson(TypedDict):
     """Share of the judged scans that lie in these times, 0 to 1."""
     left_out: str | None
     """Why it has no vote at all; null: its layer was drawn without these times and took part."""
+    filled: bool
+    """Whether its layer shows what was seen in these times, drawn at the fused path."""
 
 
 class RunFilesJson(LogFilesJson):

@@ -15,22 +15,23 @@ from functools import cached_property
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evidence import PathEvidence, Verdict, reach_verdict, with_path
+from slamfusion.evidence import Exclusions, PathEvidence, Verdict, reach_verdict
+from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import ScanLog, open_log
+from slamfusion.io import open_log
 from slamfusion.jobs.drawn import voting_config
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.fuse import AllRequiredError
 from slamfusion.jobs.fuse_drive import DriveFusion
-from slamfusion.jobs.fused_path import DrivePath, fuse_log_paths
+from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import Progress
 from slamfusion.jobs.judge import score_log_paths
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.outputs import FUSED
-from slamfusion.jobs.partial import Layers, draw_layers, fuse_layers
+from slamfusion.jobs.partial import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.produced import ProducerResult, measure_run
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.slam.common.runner import ProducerRun
@@ -44,6 +45,7 @@ __all__ = [
     "fuse_maps",
     "fuse_producer_paths",
     "judge_drive_paths",
+    "measure_fused_path",
     "measure_producers",
     "score_producer_paths",
     "stage_timer",
@@ -81,6 +83,12 @@ class Drive:
     def paths(self) -> Mapping[str, Trajectory]:
         """The paths of these, by name; one may have no pose."""
         return {name: run.trajectory for name, run in self.runs.items()}
+
+    @cached_property
+    def drawn_scans(self) -> Sequence[DrawnScan]:
+        """The scans of the log as they are drawn, read when they are first asked for."""
+        files = self.files
+        return drawn_scans(open_log(files.log, self.config.log, files.scan_odometry))
 
     @property
     def failed(self) -> tuple[Outcome, ...]:
@@ -140,22 +148,24 @@ def fuse_maps(
 
 
 def draw_drive_layers(
-    drive: Drive, maps: Sequence[OccupancyGrid], evidence: PathEvidence | None
+    drive: Drive,
+    maps: Sequence[OccupancyGrid],
+    exclusions: Exclusions | None,
+    path: DrivePath | None,
 ) -> Layers:
     """Take out of the maps what their producers drew after they had left the others.
 
     Args:
         drive: what the producers made; its troubles are told what cannot be done.
         maps: theirs, then the saved ones.
-        evidence: what the scans say of the paths; None: they could not be asked, and all vote.
+        exclusions: when producers have no vote; None: that is not known, and all vote.
+        path: the fused one, at which their layers are filled; None: nothing is filled.
     """
-    files = drive.files
-
-    def scans_of(_: str) -> ScanLog:
-        return open_log(files.log, drive.config.log, files.scan_odometry)
-
+    filling = None if path is None else Filling(path.trajectory, lambda: drive.drawn_scans)
     try:
-        return draw_layers(maps, drive.paths, evidence, scans_of, drive.device)
+        return draw_layers(
+            maps, drive.paths, exclusions, lambda _: drive.drawn_scans, drive.device, filling
+        )
     except SlamFusionError as error:
         drive.troubles.append(f"the layers of the vote: {error}")
         return Layers.as_made(maps, drive.paths)
@@ -163,12 +173,13 @@ def draw_drive_layers(
 
 def score_producer_paths(drive: Drive) -> tuple[PathEvidence | None, str | None]:
     """Ask the scans what they say of the producers' paths; else return why they cannot tell."""
-    if not drive.paths:
+    paths = {name: path for name, path in drive.paths.items() if len(path)}
+    if not paths:
         return None, "no producer has a path"
     files = drive.files
     try:
         evidence = score_log_paths(
-            files.log, drive.paths, drive.config, drive.device, files.scan_odometry
+            files.log, paths, drive.config, drive.device, files.scan_odometry
         )
     except SlamFusionError as error:
         return None, str(error)
@@ -176,35 +187,40 @@ def score_producer_paths(drive: Drive) -> tuple[PathEvidence | None, str | None]
 
 
 def fuse_producer_paths(
-    drive: Drive, fusion: FusionResult, evidence: PathEvidence | None
+    drive: Drive, evidence: PathEvidence | None, exclusions: Exclusions | None
 ) -> DrivePath | None:
-    """Fuse the producers' paths and measure what comes of it.
+    """Fuse the producers' paths.
 
     Args:
         drive: what the producers made; its troubles are told what cannot be done.
-        fusion: of the maps: the path is laid into its frame.
         evidence: what the scans say of the paths; None: they could not be asked.
+        exclusions: when producers have no vote; None: that is not known.
 
     Returns:
-        The path; None where fewer than two producers have one, or they cannot be fused.
+        The path, in the frame of one of them; None where fewer than two producers have one, or
+        they cannot be fused.
     """
     paths = {name: path for name, path in drive.paths.items() if len(path)}
     if len(paths) < LEAST_FUSED:
         return None
-    files, held = drive.files, drive.held
     try:
-        found = fuse_log_paths(
-            files.log,
-            paths,
-            drive.config,
-            drive.device,
-            scan_odometry=files.scan_odometry,
-            fusion=fusion,
-            evidence=evidence,
-        )
+        return fuse_weighed_paths(paths, evidence, exclusions, drive.device)
     except SlamFusionError as error:
         drive.troubles.append(f"the fused path: {error}")
         return None
+
+
+def measure_fused_path(drive: Drive, path: DrivePath, fusion: FusionResult) -> DrivePath:
+    """Lay the fused path into the frame of the fused map, and measure it.
+
+    Args:
+        drive: what the producers made; its troubles are told what cannot be measured.
+        path: the fused one.
+        fusion: of the maps.
+    """
+    held = drive.held
+    paths = {name: own for name, own in drive.paths.items() if len(own)}
+    found = path.in_fused_frame(paths, fusion)
     try:
         measures = measure_trajectory(
             found.trajectory,
@@ -224,8 +240,8 @@ def judge_drive_paths(
     drive: Drive, evidence: PathEvidence, fused_path: DrivePath | None
 ) -> Verdict:
     """Say which path the scans bear out: of the producers' paths and the fused one, if any."""
-    if fused_path is not None:
-        evidence = with_path(evidence, FUSED, fused_path.trajectory, drive.device)
+    if fused_path is not None and fused_path.refined is not None:
+        evidence = fused_path.refined.evidence
     return reach_verdict(evidence, tuple(drive.paths))
 
 

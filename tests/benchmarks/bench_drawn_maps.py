@@ -28,6 +28,7 @@ from slamfusion.experiments.drive_paths import (
     FUSED_PATH,
     draw_paths,
     drawn_at,
+    drive_layers,
     path_errors,
     weigh_paths,
 )
@@ -73,9 +74,10 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
         name: load_map(folder / f"{name}.yaml").with_name(name) for name in drive.paths
     }
     made = [grid for grid in maps.values() if grid is not None]
-    votes = vote_every_way(made, drive.paths, config, device, {})
-    maps |= {name: votes[name] for name in (BARE, RUN_VOTE)}
     weighed = weigh_paths(drive.scans, drive.paths, device, {})
+    layers = drive_layers(made, weighed, drive.scans, drive.fed(), device)
+    votes = vote_every_way(layers, config, device, {})
+    maps |= {name: votes[name] for name in (BARE, RUN_VOTE)}
     maps |= draw_paths(drive.scans, weighed, truth.resolution, config, device)
     errors = {name: against_truth(grid, truth, config, device) for name, grid in maps.items()}
     return errors, path_errors(weighed, drive.truth)

@@ -5,11 +5,13 @@
 
 Each producer in turn is made wrong from a part of the drive on: its path is turned, shifted, or
 stands still (its odometry is lost), and its map is that of all its scans at this path, drawn by
-``draw_map``. The maps are fused by consensus, with every map as it is and with the layer of
-whoever left the others drawn anew, and held against the true map beside the fusion of the three
-producers' own maps, which nothing befell. All have the frame of one reference, a producer that is
-not the harmed one: the lattice that the cells lie on changes the figures by up to 0.02. Precision
-and recall of walls are those of ``evaluate``: faces at 0.1 m, and walls as [F16] counts them.
+``draw_map``. The maps are fused by consensus, with every map as it is, with the layer of whoever
+left the others drawn anew without that time, and with that time filled at the fused path; each is
+held against the true map beside the fusion of the three producers' own maps, which nothing befell.
+Last, the map is drawn at the fused path, as ``run`` does, and held beside the one that is drawn
+without the fault. All have the frame of one reference, a producer that is not the harmed one: the
+lattice that the cells lie on changes the figures by up to 0.02. Precision and recall of walls are
+those of ``evaluate``: faces at 0.1 m, and walls as [F16] counts them.
 
 Paths are laid on the true one where they have a vote: of a path that breaks in the middle either
 half is right. Faulty seconds are those in which the harmed producer's path has left the true one by
@@ -32,16 +34,25 @@ import numpy.typing as npt
 from rich.table import Table
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.evidence import Exclusions, find_exclusions, judged_scans, score_paths
+from slamfusion.evidence import (
+    Exclusions,
+    JudgedScans,
+    find_exclusions,
+    judged_scans,
+    score_paths,
+)
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.exclusion import parted
 from slamfusion.evidence.path_frames import fit_frame, pose_distances
+from slamfusion.fusion.path_check import moved_path
+from slamfusion.fusion.surfaces import with_backs
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.evaluate import evaluate_maps
-from slamfusion.jobs.partial import Layers, draw_layers, fuse_layers
+from slamfusion.jobs.fused_path import draw_like, fuse_weighed_paths
+from slamfusion.jobs.partial import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.benchmarks.bench_evidence import moved_from
@@ -58,6 +69,9 @@ FACES_M = 0.1
 MOST_LOST = 0.01
 SECONDS = ("left", "left excluded", "after", "after excluded", "good", "good excluded")
 MEASURES = ("faces precision", "faces recall", "walls precision", "walls recall")
+# What becomes of the map: all maps vote as they are; layers without the excluded time, and filled,
+# vote; the map is drawn at the fused path.
+AS_MADE, WITHOUT, FILLED, DRAWN = WAYS = ("as made", "without", "filled", "drawn")
 
 
 def stood_still(path: Trajectory, share: float) -> Trajectory:
@@ -89,14 +103,17 @@ class Place:
         maps: the producers' own, by name.
         truth: the true map.
         drawn: the scans as they are drawn.
-        unharmed: measures of the fused map of the producers' own maps, by reference.
+        judged: the scans that say who is right.
+        unharmed: measures of the fused map of the producers' own maps, and of the drawn one, by
+            reference.
     """
 
     drive: Drive
     maps: dict[str, OccupancyGrid]
     truth: OccupancyGrid
     drawn: list[DrawnScan]
-    unharmed: dict[str, dict[str, float]]
+    judged: JudgedScans
+    unharmed: dict[str, dict[str, dict[str, float]]]
 
 
 @dataclass
@@ -105,9 +122,9 @@ class Cell:
 
     Attributes:
         place, harmed, percent, fault: what befell whom, and from where on.
-        unharmed, harmful, partial: measures of the fused map without the fault, with it, and with
-            the layers drawn anew.
-        accepted: inputs that voted in the last two.
+        unharmed: measures of the voted and of the drawn map without the fault.
+        found: the same with it, by way.
+        accepted: inputs that voted, by way.
         seconds: ``left``, in which the harmed producer's path had left the true one, ``after`` the
             fault, and ``good``, of all producers, in which a path had not; of each those excluded.
     """
@@ -116,15 +133,15 @@ class Cell:
     harmed: str
     percent: int
     fault: str
-    unharmed: dict[str, float]
-    harmful: dict[str, float]
-    partial: dict[str, float]
-    accepted: tuple[int, int]
+    unharmed: dict[str, dict[str, float]]
+    found: dict[str, dict[str, float]]
+    accepted: dict[str, int]
     seconds: dict[str, float]
 
-    def lost(self, measure: str, *, with_layers: bool) -> float:
+    def lost(self, measure: str, way: str) -> float:
         """Return by how much a measure is lower than without the fault."""
-        return self.unharmed[measure] - (self.partial if with_layers else self.harmful)[measure]
+        whole = self.unharmed[DRAWN if way == DRAWN else AS_MADE]
+        return whole[measure] - self.found[way][measure]
 
 
 def fused_measures(
@@ -141,13 +158,31 @@ def fused_measures(
     grid, voters = fusion.fallback or layers.grids[0], 0
     if fusion.result is not None:
         grid, voters = fusion.result.fused, len(fusion.result.accepted)
-    (found,) = evaluate_maps([grid], truth, config, device)
+    return measures_of(grid, truth, device), voters
+
+
+def measures_of(
+    grid: OccupancyGrid, truth: OccupancyGrid, device: ComputeDevice
+) -> dict[str, float]:
+    """Return precision and recall of a map."""
+    (found,) = evaluate_maps([grid], truth, RUN_DEFAULTS, device)
     faces = {item.tolerance_m: item for item in found.error.faces.agreements}[FACES_M]
     values = (
         *(faces.precision, faces.recall),
         *(found.error.wall_precision, found.error.wall_recall),
     )
-    return {name: value or 0.0 for name, value in zip(MEASURES, values, strict=True)}, voters
+    return {name: value or 0.0 for name, value in zip(MEASURES, values, strict=True)}
+
+
+def drawn_at(
+    fused: Trajectory, path: Trajectory, own: OccupancyGrid, scans: list[DrawnScan],
+    device: ComputeDevice,
+) -> OccupancyGrid:  # fmt: skip
+    """Return the map that scans draw at the fused path, on the lattice of a producer's map."""
+    near, meets = path.matches(fused.stamps_s)
+    laid = moved_path(fused, fit_frame(fused.poses[meets], path.poses[near[meets]]))
+    grid = draw_like(scans, laid, device, own)
+    return with_backs(grid, RUN_DEFAULTS.fusion.normalize)
 
 
 def read_place(folder: Path, device: ComputeDevice) -> Place:
@@ -156,19 +191,24 @@ def read_place(folder: Path, device: ComputeDevice) -> Place:
     maps = {name: load_map(folder / f"{name}.yaml").with_name(name) for name in drive.paths}
     truth = load_map(folder / "truth.yaml")
     grids = list(maps.values())
-    evidence = score_paths(judged_scans(drive.scans), drive.paths, device)
-    layers = draw_layers(grids, drive.paths, evidence, lambda _: drive.scans, device)
+    judged, scans = judged_scans(drive.scans), drawn_scans(drive.scans)
+    evidence = score_paths(judged, drive.paths, device)
+    exclusions = find_exclusions(evidence, device)
+    fused = fuse_weighed_paths(drive.paths, evidence, exclusions, device).trajectory
+    filling = Filling(fused, lambda: scans)
+    layers = draw_layers(grids, drive.paths, exclusions, lambda _: scans, device, filling)
     for words in layers.sentences():
         print(f"  {drive.key}, no fault: {words}")
     unharmed = {}
-    for name in maps:
-        unharmed[name] = fused_measures(layers, name, truth, device)[0]
-        print(f"{drive.key} in the frame of {name}: {_shown(unharmed[name])}")
-        if layers.partial:
-            as_made = Layers.as_made(grids, drive.paths)
-            found = fused_measures(as_made, name, truth, device)[0]
-            print(f"  all maps as they are: {_shown(found)}")
-    return Place(drive, maps, truth, drawn_scans(drive.scans), unharmed)
+    for name, grid in maps.items():
+        drawn = drawn_at(fused, drive.paths[name], grid, scans, device)
+        unharmed[name] = {
+            AS_MADE: fused_measures(layers, name, truth, device)[0],
+            DRAWN: measures_of(drawn, truth, device),
+        }
+        for way, found in unharmed[name].items():
+            print(f"{drive.key} in the frame of {name}, {way}: {_shown(found)}", flush=True)
+    return Place(drive, maps, truth, scans, judged, unharmed)
 
 
 def measure_fault(
@@ -184,22 +224,31 @@ def measure_fault(
     grids = [drawn if name == harmed else grid for name, grid in place.maps.items()]
     paths = {name: wrong if name == harmed else path for name, path in drive.paths.items()}
     reference = next(name for name in drive.paths if name != harmed)
-    as_made = Layers.as_made(grids, paths)
-    harmful, before = fused_measures(as_made, reference, place.truth, device)
-    evidence = score_paths(judged_scans(drive.scans), paths, device)
-    layers = draw_layers(grids, paths, evidence, lambda _: drive.scans, device)
-    partial, after = fused_measures(layers, reference, place.truth, device)
-    found = find_exclusions(evidence)
+    evidence = score_paths(place.judged, paths, device)
+    exclusions = find_exclusions(evidence, device)
+    fused = fuse_weighed_paths(paths, evidence, exclusions, device).trajectory
+    voting = {
+        AS_MADE: Layers.as_made(grids, paths),
+        WITHOUT: draw_layers(grids, paths, exclusions, lambda _: place.drawn, device),
+        FILLED: draw_layers(
+            grids, paths, exclusions, lambda _: place.drawn, device,
+            Filling(fused, lambda: place.drawn),
+        ),
+    }  # fmt: skip
+    found, accepted = {}, {}
+    for way, layers in voting.items():
+        found[way], accepted[way] = fused_measures(layers, reference, place.truth, device)
+    grid = drawn_at(fused, paths[reference], place.maps[reference], place.drawn, device)
+    found[DRAWN] = measures_of(grid, place.truth, device)
     return Cell(
         drive.key,
         harmed,
         percent,
         fault,
         place.unharmed[reference],
-        harmful,
-        partial,
-        (before, after),
-        excluded_seconds(drive.truth, paths, harmed, percent, found),
+        found,
+        accepted,
+        excluded_seconds(drive.truth, paths, harmed, percent, exclusions),
     )
 
 
@@ -246,7 +295,7 @@ def places(words: str, folder: Path, device: ComputeDevice, *, make: bool) -> It
 def cells_table(cells: Sequence[Cell]) -> Table:
     """Return what faults cost the fused map, with all maps as they are and with layers."""
     columns = ("fault", *MEASURES, "each within 0.01", "faulty s excluded", "good s excluded")
-    title = "Lost to a fault, mean (largest): all maps as they are > layers drawn anew"
+    title = f"Lost to a fault, mean (largest): {' > '.join(WAYS)}"
     table = Table(*columns, title=title)
     groups = {fault: [cell for cell in cells if cell.fault == fault] for fault in FAULTS}
     for percent in sorted({cell.percent for cell in cells}):
@@ -263,10 +312,7 @@ def cells_table(cells: Sequence[Cell]) -> Table:
 def _figures(cells: Sequence[Cell]) -> list[str]:
     """Return the losses of each measure, how often all are small, and the shares of seconds."""
     losses = np.array(
-        [
-            [[cell.lost(measure, with_layers=flag) for flag in (False, True)] for cell in cells]
-            for measure in MEASURES
-        ]
+        [[[cell.lost(measure, way) for way in WAYS] for cell in cells] for measure in MEASURES]
     )
     words = [
         " > ".join(f"{loss.mean():+.3f} ({loss.max():+.3f})" for loss in own.T) for own in losses
@@ -274,7 +320,8 @@ def _figures(cells: Sequence[Cell]) -> list[str]:
     small = (losses <= MOST_LOST).all(axis=0).mean(axis=0)
     total = {kind: sum(cell.seconds[kind] for cell in cells) for kind in SECONDS}
     shares = [total[f"{kind} excluded"] / max(total[kind], 1e-9) for kind in ("left", "good")]
-    return [*words, f"{small[0]:.0%} > {small[1]:.0%}", f"{shares[0]:.1%}", f"{shares[1]:.2%}"]
+    within = " > ".join(f"{share:.0%}" for share in small)
+    return [*words, within, f"{shares[0]:.1%}", f"{shares[1]:.2%}"]
 
 
 def main() -> None:
@@ -304,8 +351,7 @@ def main() -> None:
             cell = measure_fault(place, harmed, percent, fault, device)
             cells.append(cell)
             lost = ", ".join(
-                f"{name} {cell.lost(name, with_layers=False):+.3f} > "
-                f"{cell.lost(name, with_layers=True):+.3f}"
+                f"{name} {' > '.join(f'{cell.lost(name, way):+.3f}' for way in WAYS)}"
                 for name in MEASURES
             )
             seconds = ", ".join(f"{kind} {value:.1f}" for kind, value in cell.seconds.items())
@@ -316,7 +362,7 @@ def main() -> None:
             )
             if options.json:
                 options.json.write_text(json.dumps([asdict(item) for item in cells], indent=1))
-    console_for("partial", options.record, width=180).print(cells_table(cells))
+    console_for("partial", options.record, width=220).print(cells_table(cells))
 
 
 if __name__ == "__main__":

@@ -14,18 +14,18 @@ from scipy.spatial import KDTree
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import MatcherConfig
 from slamfusion.evaluation.cells import wall_centres
-from slamfusion.evidence import PathEvidence, judged_scans, score_paths
-from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.geometry import Pose2
+from slamfusion.evidence import PathEvidence, find_exclusions, judged_scans, score_paths
+from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
+from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import OccupancyGrid, trinary_cells
 from slamfusion.io import LogScan, load_map, write_carmen
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.partial import (
     LEAST_SHARE,
+    Filling,
     Layers,
     draw_layers,
-    draw_layers_of_scans,
     fuse_layers,
 )
 from slamfusion.jobs.run import run_log
@@ -53,6 +53,11 @@ def recorded() -> tuple[list[LogScan], Trajectory]:
     return scans, Trajectory(stamps_s, np.array([(p.x, p.y, p.yaw_rad) for p in truth]), "truth")
 
 
+@cache
+def drawn() -> list[DrawnScan]:
+    return drawn_scans(recorded()[0])
+
+
 def off_from(first: int, *motion: float) -> Trajectory:
     """The true path, moved by a motion in the frame of the map from one scan on."""
     _, truth = recorded()
@@ -74,9 +79,8 @@ def drawn_by(
 ) -> tuple[list[OccupancyGrid], PathEvidence]:
     """Return the map that each path draws, and what the scans say of the paths."""
     scans, _ = recorded()
-    drawn = drawn_scans(scans)
     maps = [
-        draw_map(drawn, path, device, resolution=RESOLUTION, origin=Pose2(0.01, 0.02), name=name)
+        draw_map(drawn(), path, device, resolution=RESOLUTION, origin=Pose2(0.01, 0.02), name=name)
         for name, path in paths.items()
     ]
     return maps, score_paths(judged_scans(scans), paths, device)
@@ -84,7 +88,7 @@ def drawn_by(
 
 def layers_of(paths: Mapping[str, Trajectory], device: ComputeDevice) -> Layers:
     maps, evidence = drawn_by(paths, device)
-    return draw_layers(maps, paths, evidence, lambda _: recorded()[0], device)
+    return draw_layers(maps, paths, find_exclusions(evidence), lambda _: drawn(), device)
 
 
 def far_share(grid: OccupancyGrid, like: OccupancyGrid) -> float:
@@ -104,12 +108,12 @@ def test_a_layer_is_drawn_anew_without_the_time_in_which_its_producer_had_left(
     maps, evidence = drawn_by(paths, device)
     asked: list[str] = []
 
-    def scans_of(name: str) -> Sequence[LogScan]:
+    def scans_of(name: str) -> Sequence[DrawnScan]:
         asked.append(name)
-        return recorded()[0]
+        return drawn()
 
     saved = maps[0].with_name("saved")
-    layers = draw_layers([*maps, saved], paths, evidence, scans_of, device)
+    layers = draw_layers([*maps, saved], paths, find_exclusions(evidence), scans_of, device)
     assert asked == ["c"]
     a, b, c, unchanged = layers.grids
     assert (a, b, unchanged) == (maps[0], maps[1], saved)
@@ -198,7 +202,8 @@ def test_where_nothing_tells_who_is_right_all_vote_and_it_is_said(device: Comput
     ]
     evidence = score_paths(judged_scans(scans), paths, device)
     maps = [OccupancyGrid(np.zeros((1, 1), dtype=np.int8), 0.05, Pose2(), name) for name in "ac"]
-    layers = draw_layers(maps, paths, evidence, lambda _: scans, device)
+    found = find_exclusions(evidence)
+    layers = draw_layers(maps, paths, found, lambda _: drawn_scans(scans), device)
     assert layers.grids == tuple(maps)
     assert layers.sentences() == (
         "The paths have parted from 18 to 19 s; nothing tells who is right: all vote.",
@@ -206,15 +211,44 @@ def test_where_nothing_tells_who_is_right_all_vote_and_it_is_said(device: Comput
 
 
 def test_without_evidence_all_vote(device: ComputeDevice) -> None:
-    scans, truth = recorded()
-    paths = {"a": truth, "c": off_from(70, 0.6, 0.4, 0.3)}
+    paths = {"a": recorded()[1], "c": off_from(70, 0.6, 0.4, 0.3)}
     maps, _ = drawn_by(paths, device)
-    layers = draw_layers(maps, paths, None, lambda _: scans, device)
+    layers = draw_layers(maps, paths, None, lambda _: drawn(), device)
     assert (layers.grids, layers.partial, layers.sentences()) == (tuple(maps), (), ())
-    few = draw_layers_of_scans(maps, paths, scans[:20], dict.fromkeys("ac", scans), device)
-    assert few.grids == tuple(maps)
-    told = draw_layers_of_scans(maps, paths, scans, dict.fromkeys("ac", scans), device)
-    assert [vote.name for vote in told.partial] == ["c"]
+
+
+def test_a_layer_shows_the_time_without_a_vote_at_the_fused_path(device: ComputeDevice) -> None:
+    _, truth = recorded()
+    paths = {"a": truth, "c": off_from(70, 0.6, 0.4, 0.3)}
+    maps, evidence = drawn_by(paths, device)
+    # In a frame of its own, and with scans that are its own: those of the first half are not asked.
+    turned = Trajectory(truth.stamps_s, compose_poses((5.0, -2.0, 0.7), truth.poses), "fused")
+    filling = Filling(turned, lambda: drawn()[60:])
+    found = find_exclusions(evidence)
+    bare = draw_layers(maps, paths, found, lambda _: drawn(), device)
+    layers = draw_layers(maps, paths, found, lambda _: drawn(), device, filling)
+    (vote,) = layers.partial
+    assert vote.filled
+    assert vote.to_json()["filled"]
+    assert not bare.partial[0].filled
+    assert vote.sentence().endswith("and from those of that time at the fused path.")
+    assert far_share(layers.grids[1], maps[0]) == 0.0
+    # It shows all that the true path draws, and the other one does not.
+    assert far_share(maps[0], layers.grids[1]) == 0.0
+    assert far_share(maps[0], bare.grids[1]) > 0.02
+    assert len(layers.paths["c"]) == 70, "its path is its own"
+
+
+def test_a_filling_that_meets_no_pose_of_a_layer_fills_nothing(device: ComputeDevice) -> None:
+    _, truth = recorded()
+    paths = {"a": truth, "c": off_from(70, 0.6, 0.4, 0.3)}
+    maps, evidence = drawn_by(paths, device)
+    late = Trajectory(truth.stamps_s + 1000.0, truth.poses, "fused")
+    found = find_exclusions(evidence)
+    layers = draw_layers(maps, paths, found, lambda _: drawn(), device, Filling(late, drawn))
+    bare = draw_layers(maps, paths, found, lambda _: drawn(), device)
+    assert not layers.partial[0].filled
+    assert np.array_equal(layers.grids[1].cells, bare.grids[1].cells)
 
 
 def test_the_main_job_on_a_drive_on_which_one_producer_goes_wrong(tmp_path: Path) -> None:

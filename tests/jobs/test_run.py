@@ -13,16 +13,16 @@ from slamfusion.compute import NumpyDevice
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.cells import wall_centres
 from slamfusion.evidence import FusedPath
+from slamfusion.evidence.drawn_map import drawn_scans
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.grid import trinary_cells
-from slamfusion.io import load_map, read_trajectory, save_map
+from slamfusion.io import load_map, open_log, read_trajectory, save_map
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.drawn import draw_run
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
-from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.run import LogRun, run_log
 from slamfusion.jobs.run_files import SavedRun, save_run
 from slamfusion.trajectory import Trajectory
@@ -49,7 +49,7 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "out")
     check_document(plain(saved.document), "run")
     assert saved.folder == tmp_path / "out"
-    wanted = ["producers", "evidence", "fusion", "path", "drawing", "errors", "report"]
+    wanted = ["producers", "evidence", "path", "fusion", "drawing", "errors", "report"]
     assert list(saved.stages) == wanted
     assert run.verdict is not None
     assert saved.document["verdict"] is not None
@@ -173,21 +173,21 @@ def assert_all_of_the_saved_map_is_there(run: LogRun) -> None:
 
 
 def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:
-    files = LogFiles(place / "flat.log")
+    scans = drawn_scans(open_log(place / "flat.log"))
     a_map = written_map("a", "|#..#|")
     vote = DriveFusion(fits(a_map, a_map.with_name("b")))
     late = Trajectory(np.array([1e6, 1e6 + 1.0]), np.zeros((2, 3)), "fused")
-    no_scan = DrivePath(FusedPath(late, ("a", "b"), np.zeros((2, 2))), {})
+    no_scan = DrivePath(FusedPath(late, ("a", "b"), np.zeros((2, 2))), {}, {})
     for path, why in (
         (None, "fewer than two producers have a path"),
         (no_scan, "give a path of this"),
     ):
-        made = draw_run(files, path, vote, (), RUN_DEFAULTS, NumpyDevice())
+        made = draw_run(lambda: scans, path, vote, (), RUN_DEFAULTS, NumpyDevice())
         assert (made.fusion, made.beside) == (vote, None)
         assert why in str(made.why_voted)
     voted = replace(RUN_DEFAULTS.fusion.vote, mode="majority")
     other = replace(RUN_DEFAULTS, fusion=replace(RUN_DEFAULTS.fusion, vote=voted))
-    assert draw_run(files, None, vote, (), other, NumpyDevice()).why_voted is None
+    assert draw_run(lambda: scans, None, vote, (), other, NumpyDevice()).why_voted is None
 
 
 def test_what_goes_wrong_while_preparing_ends_the_run(place: Path) -> None:
