@@ -18,6 +18,10 @@ __all__ = ["PathVerdict", "Verdict", "reach_verdict"]
 LITTLE_SEEN = 0.25
 # Parts that are named; of more, their share of the drive.
 MOST_NAMED = 4
+# Where the best path's mean log-likelihood of a hit in places seen at other times is below this,
+# the scans contradict all of them. In 82 simulated drives (people, glass, three lasers) that of the
+# true path is -0.46 and more, of 105 paths that were off by less than 0.1 m -0.54 and more.
+CONTRADICTED = -0.6
 # Less of the scans than this share was judged: worth a word.
 MOST_JUDGED = 0.95
 
@@ -50,6 +54,7 @@ class Verdict:
         best: the path that the scans bear out best.
         best_producer: the same among those that are a SLAM's own; None where there is none.
         sure: whether no other path is tied with the best.
+        contradicted: whether the scans contradict even the best path.
         sentence: all of it in words.
         paths: of each path, the best first.
         untold: (from, to) seconds since the first scan, where nothing can be told: parts of the
@@ -60,6 +65,7 @@ class Verdict:
     best: str
     best_producer: str | None
     sure: bool
+    contradicted: bool
     sentence: str
     paths: tuple[PathVerdict, ...]
     untold: tuple[tuple[float, float], ...]
@@ -71,6 +77,7 @@ class Verdict:
             "best_producer": self.best_producer,
             "sentence": self.sentence,
             "sure": self.sure,
+            "contradicted": self.contradicted,
             "untold": [{"from_s": from_s, "to_s": to_s} for from_s, to_s in self.untold],
         }
 
@@ -104,10 +111,17 @@ def reach_verdict(evidence: PathEvidence, producers: Collection[str] = ()) -> Ve
         best=best,
         best_producer=next((name for name in ranking if name in producers), None),
         sure=len(ranking) > 1 and len(tied) == 1,
+        contradicted=_is_contradicted(evidence, best),
         sentence=" ".join(_sentences(evidence, paths, untold)),
         paths=paths,
         untold=untold,
     )
+
+
+def _is_contradicted(evidence: PathEvidence, best: str) -> bool:
+    """Whether what the best path draws of other times contradicts what is seen there."""
+    # Not so where nothing was seen twice.
+    return evidence.scores[best].seen_consistency < CONTRADICTED
 
 
 def _untold(evidence: PathEvidence, best: str) -> tuple[tuple[float, float], ...]:
@@ -136,6 +150,8 @@ def _sentences(
     """Return the sentences of the verdict, the ranking first."""
     sentences = [_ranking_words(paths)]
     sentences += [words for path in paths[1:] if (words := _parting_words(path, paths[0].name))]
+    if _is_contradicted(evidence, paths[0].name):
+        sentences.append(_contradicted_words(evidence, paths[0].name))
     if untold:
         sentences.append(_untold_words(untold, evidence))
     if evidence.judged_share < MOST_JUDGED:
@@ -193,6 +209,16 @@ def _parting_words(path: PathVerdict, best: str) -> str:
     return f"{words}: {there[longest.verdict or 'cannot tell']}."
 
 
+def _contradicted_words(evidence: PathEvidence, best: str) -> str:
+    """Say that no path can be right."""
+    likely = math.exp(evidence.scores[best].seen_consistency)
+    return (
+        f"The scans contradict even {best}: of places seen twice, a hit is {likely:.0%} as likely "
+        f"as one on a wall, by right paths {math.exp(CONTRADICTED):.0%} or more; the map is not "
+        "what is there."
+    )
+
+
 def _untold_words(untold: tuple[tuple[float, float], ...], evidence: PathEvidence) -> str:
     """Say of which parts of the drive nothing can be told."""
     if len(untold) <= MOST_NAMED:
@@ -226,6 +252,7 @@ def _path_to_json(evidence: PathEvidence, path: PathVerdict) -> PathEvidenceJson
         "beams_judged": score.beams_judged,
         "scans_judged": int(evidence.is_judged.sum()),
         "seen_share": score.seen_share,
+        "seen_consistency": score.seen_consistency if score.seen.any() else None,
         "own_poses_share": score.path.own_share,
         "covered_share": score.path.covered_share,
         "over_time": [

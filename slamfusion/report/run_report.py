@@ -121,6 +121,8 @@ def _banner(report: RunReport) -> Banner:
         return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
     headline = f"{'Both' if total == 2 else f'All {total}'} maps were fused"
     verdict = report.verdict
+    if verdict is not None and verdict.contradicted:
+        return Banner("warn", f"{headline}, but the scans contradict even the best path", lines)
     tied = {} if verdict is None else {path.name: path.tied for path in verdict.paths}
     if verdict is None or FUSED_PATH not in tied:
         return Banner("warn" if report.warnings else "plain", headline, lines)

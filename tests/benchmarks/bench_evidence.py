@@ -30,7 +30,9 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence import (
     PathEvidence,
+    find_exclusions,
     judged_scans,
+    reach_verdict,
     score_paths,
 )
 from slamfusion.evidence.predictive import HitModel
@@ -85,6 +87,7 @@ class Found:
         condition, lidar, world, harmed: of it.
         scores: by path, the truth and the wrong ones among them.
         worse: verdict of each wrong path against the truth.
+        contradicted: the paths that the scans contradict, each judged alone.
         tied: the best of truth and producers, and what cannot be told from it.
         ate_m: by producer, and of the path fused of them.
         pairs: (better by evidence, of the two the nearer to the truth) of producers told apart.
@@ -98,6 +101,7 @@ class Found:
     harmed: str
     scores: dict[str, float]
     worse: dict[str, str]
+    contradicted: tuple[str, ...]
     tied: tuple[str, ...]
     ate_m: dict[str, float]
     pairs: list[tuple[str, str]] = field(default_factory=list)
@@ -150,7 +154,8 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         judged = judged_scans(scans)
         alone = score_paths(judged, parts, device, model)
         time_s = time.perf_counter() - began_s
-        fused = {FUSED: fuse_weighed_paths(parts, alone)[0].trajectory}
+        exclusions = find_exclusions(alone, device)
+        fused = {FUSED: fuse_weighed_paths(parts, alone, exclusions, device).trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
         contest = score_subset(evidence, (TRUTH, *parts))
         ate_m = {
@@ -164,6 +169,11 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
             drive.trial["harmed"],
             {name: score.consistency for name, score in evidence.scores.items()},
             {name: evidence.compare(name, TRUTH).verdict for name in WRONG},
+            tuple(
+                name
+                for name in evidence.scores
+                if reach_verdict(score_subset(evidence, (name,))).contradicted
+            ),
             contest.tied(),
             ate_m,
             time_s=time_s,
@@ -209,21 +219,29 @@ def ninetieth(ratios: F64) -> float:
 
 def print_validity(found: Sequence[Found], record: Path | None) -> None:
     """Print how often the truth is known, and how often which of two producers is nearer to it."""
-    table = Table("what", "so in", "told for sure", title="What the scans tell")
+    columns = ("what", "so in", "told for sure", "contradicted alone")
+    table = Table(*columns, title="What the scans tell")
     for name in WRONG:
         below = sum(item.scores[name] < item.scores[TRUTH] for item in found)
         told = sum(item.worse[name] == "worse" for item in found)
+        alone = sum(name in item.contradicted for item in found)
         what = f"true path, {name}, scores below the true path"
-        table.add_row(what, f"{below} of {len(found)}", f"{told} of {len(found)}")
+        table.add_row(what, *(f"{count} of {len(found)}" for count in (below, told, alone)))
     tied = sum(TRUTH in item.tied for item in found)
+    alone = sum(TRUTH in item.contradicted for item in found)
     what = "the true path is the best, or cannot be told from it"
-    table.add_row(what, f"{tied} of {len(found)}", "-")
+    table.add_row(what, f"{tied} of {len(found)}", "-", f"{alone} of {len(found)}")
+    own = [(item.ate_m[name], name in item.contradicted) for item in found for name in item.ate_m]
+    for low_m, high_m in itertools.pairwise((0.0, 0.1, 0.2, 0.5, math.inf)):
+        flags = [flag for ate_m, flag in own if low_m <= ate_m < high_m]
+        what = f"producers' and fused paths with an ATE of {low_m:g} to {high_m:g} m"
+        table.add_row(what, "-", "-", f"{sum(flags)} of {len(flags)}")
     whole = [item for item in found if item.condition != KIDNAPPING]
     pairs = [pair for item in whole for pair in item.pairs]
     total = sum(math.comb(len(item.candidates()), 2) for item in whole)
     right = sum(best == nearer for best, nearer in pairs)
     what = "pairs of producers told apart, rightly so (ATE); no kidnappings"
-    table.add_row(what, f"{right} of {len(pairs)}", f"{len(pairs)} of {total}")
+    table.add_row(what, f"{right} of {len(pairs)}", f"{len(pairs)} of {total}", "-")
     console = console_for("evidence-validity", record, width=110)
     console.print(table)
     for item in found:

@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence import JudgedScans, judged_scans, reach_verdict, score_paths
+from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.parting import PART_M, path_gap_m, path_spans
+from slamfusion.evidence.verdict import CONTRADICTED
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import bent, circuit, moved, recorded
+from tests.evidence.rooms import ROOM, bent, circuit, moved, recorded
 from tests.support.examples import examples
 
 TRUTH = circuit()
@@ -84,6 +86,45 @@ def test_where_nothing_can_be_told_is_said(device: ComputeDevice):
     known = reach_verdict(score_paths(scans, {"a": circuit(count, 3.0)}, device))
     assert known.untold == ()
     assert "Nothing can be told" not in known.sentence
+
+
+def test_paths_that_are_all_wrong_are_contradicted(device: ComputeDevice, scans: JudgedScans):
+    # Every part of the drive lies elsewhere, so that its walls stand in what others saw free.
+    paths = {}
+    for seed, name in enumerate("ab"):
+        off = np.random.default_rng(seed).normal(0.0, 2.0, (CHUNKS, 3))
+        off[:, 2] *= 0.1
+        paths[name] = Trajectory(TRUTH.stamps_s, TRUTH.poses + off[scans.chunks])
+    verdict = reach_verdict(score_paths(scans, paths, device))
+    assert verdict.contradicted
+    assert verdict.to_json()["contradicted"]
+    assert f"The scans contradict even {verdict.best}: of places seen twice" in verdict.sentence
+    best = verdict.paths_to_json()[0]["seen_consistency"]
+    assert best is not None
+    assert best < CONTRADICTED
+    # With one right path among them they are not, nor where nothing was seen twice.
+    right = reach_verdict(score_paths(scans, {**paths, "truth": TRUTH}, device))
+    assert (right.best, right.contradicted) == ("truth", False)
+    assert "contradict even" not in right.sentence
+    away = Trajectory(TRUTH.stamps_s, TRUTH.poses + np.outer(20.0 * np.arange(144), [1, 0, 0]))
+    alone = reach_verdict(score_paths(scans, {"away": away}, device))
+    assert not alone.contradicted
+    assert alone.evidence.scores["away"].seen_share < 0.2
+
+
+def test_what_is_seen_twice_is_scored_whatever_is_seen_once(device: ComputeDevice):
+    # The same drive, and one that then goes where it never comes again.
+    scores = []
+    for off in (0.0, 40.0):
+        poses = circuit(192, 2.0).poses.copy()
+        poses[144:, 0] += off
+        walls = np.concatenate((ROOM, ROOM + np.array([40.0, 0.0, 40.0, 0.0])))
+        path = Trajectory(0.25 * np.arange(192), poses)
+        scans = judged_scans(recorded(path, odometry=False, walls=walls))
+        scores.append(score_paths(scans, {"a": path}, device).scores["a"])
+    near, off = scores
+    assert off.consistency < near.consistency - 0.02
+    assert off.seen_consistency == pytest.approx(near.seen_consistency, abs=0.03)
 
 
 def test_scans_that_a_path_has_no_pose_for_are_said(device: ComputeDevice, scans: JudgedScans):
