@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     )
     from slamfusion.jobs.fuse import FusedMaps, fuse_maps, save_fused_maps
     from slamfusion.jobs.graph import OptimizedGraph, optimize_graph, save_optimized_graph
-    from slamfusion.jobs.judge import JudgedPaths, judge_paths
+    from slamfusion.jobs.judge import JudgedPaths, judge_paths, write_judgement
     from slamfusion.jobs.map_log import MappedLog, map_log, save_mapped_log
     from slamfusion.jobs.records import load_schema
     from slamfusion.jobs.run import LogRun, run_log
@@ -132,6 +132,7 @@ __all__ = [
     "save_simulated_drive",
     "simulate_course",
     "write_evaluation",
+    "write_judgement",
     "write_trajectory",
 ]
 
@@ -163,7 +164,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "jobs.evaluate": ("Evaluation", "evaluate_maps", "measure_distances", "write_evaluation"),
     "jobs.fuse": ("FusedMaps", "fuse_maps", "save_fused_maps"),
     "jobs.graph": ("OptimizedGraph", "optimize_graph", "save_optimized_graph"),
-    "jobs.judge": ("JudgedPaths", "judge_paths"),
+    "jobs.judge": ("JudgedPaths", "judge_paths", "write_judgement"),
     "jobs.map_log": ("MappedLog", "map_log", "save_mapped_log"),
     "jobs.records": ("load_schema",),
     "jobs.run": ("LogRun", "run_log"),

@@ -7,10 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, drive_files, file_option, with_config
+from slamfusion.cli.options import (
+    FILE,
+    common_options,
+    drive_files,
+    file_option,
+    report_option,
+    with_config,
+)
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evidence.verdict import PathVerdict, Verdict
@@ -26,22 +34,34 @@ __all__ = ["command", "print_verdict"]
     "--truth", "truth", "FILE", "The true trajectory: errors of the paths, ranked beside the scans."
 )
 @drive_files("paths")
+@report_option("report_dir")
 @with_config("log", "trajectory", "device", "")
 @common_options
 def command(
-    log: Path, paths: tuple[Path, ...], config: RunConfig, as_json: bool, **asked: Any
+    log: Path,
+    paths: tuple[Path, ...],
+    report_dir: Path | None,
+    config: RunConfig,
+    as_json: bool,
+    **asked: Any,
 ) -> int:
     """Rank paths of LOG by how well what was seen at other times predicts each scan.
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag; each PATH a file of poses that any SLAM made of
     it: TUM, 't x y theta' or CSV. No truth is needed. A path may be sparse: odometry fills it.
     """
-    from slamfusion.jobs.judge import judge_paths  # noqa: PLC0415
+    from slamfusion.jobs.judge import judge_paths, write_judgement  # noqa: PLC0415
 
     if asked["odometry"] is not None and asked["relations"] is None:
         message = "--odometry carries poses to the times of relations; give --relations FILE"
         raise click.UsageError(message)
+    if report_dir is not None:
+        import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+
+        check_writable(report_dir)
     found = judge_paths(log, paths, config, warn=notice, **asked)
+    if report_dir is not None:
+        write_judgement(found, report_dir)
     if as_json:
         print_json(found.to_json())
     else:

@@ -18,13 +18,14 @@ from slamfusion.evidence import (
     score_paths,
 )
 from slamfusion.io import open_log, read_trajectory
+from slamfusion.io.atomic import AtomicFiles
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.records import JudgeDocument, JudgedPathJson
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["JudgeFiles", "JudgedPaths", "judge_paths", "score_log_paths"]
+__all__ = ["JudgeFiles", "JudgedPaths", "judge_paths", "score_log_paths", "write_judgement"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -72,22 +73,30 @@ class JudgedPaths:
     not_measured: tuple[str, ...]
     device: str
 
-    def ranking_by_truth(self) -> tuple[str, ...]:
-        """Return the names of the paths that met the truth, that of the least ATE first."""
-        errors = {
+    def errors_by_truth_m(self) -> dict[str, float]:
+        """Return the ATE of the paths that met the truth, metres, by name."""
+        return {
             name: found.truth.ate.rmse
             for name, found in self.measures.items()
             if found.truth is not None
         }
-        return tuple(sorted(errors, key=errors.__getitem__))
 
-    def ranking_by_relations(self) -> tuple[str, ...]:
-        """Return the names of the paths that met the relations, the least mean error first."""
-        errors = {
+    def errors_by_relations_m(self) -> dict[str, float]:
+        """Return the mean error of the paths that met the relations, metres, by name."""
+        return {
             name: found.relations.translation.mean
             for name, found in self.measures.items()
             if found.relations is not None
         }
+
+    def ranking_by_truth(self) -> tuple[str, ...]:
+        """Return the names of the paths that met the truth, that of the least ATE first."""
+        errors = self.errors_by_truth_m()
+        return tuple(sorted(errors, key=errors.__getitem__))
+
+    def ranking_by_relations(self) -> tuple[str, ...]:
+        """Return the names of the paths that met the relations, the least mean error first."""
+        errors = self.errors_by_relations_m()
         return tuple(sorted(errors, key=errors.__getitem__))
 
     def to_json(self) -> JudgeDocument:
@@ -184,6 +193,36 @@ def judge_paths(
         except SlamFusionError as error:
             not_measured.append(f"{name}: {error}")
     return JudgedPaths(files, config, read, verdict, measures, tuple(not_measured), device.name)
+
+
+def write_judgement(
+    found: JudgedPaths, directory: str | Path, files: AtomicFiles | None = None
+) -> Path:
+    """Write the report of what the scans say of paths.
+
+    Args:
+        found: what they say.
+        directory: for ``report.html`` and its pictures.
+        files: the set of files to join; default: one of its own.
+
+    Returns:
+        The path of ``report.html``.
+
+    Raises:
+        SlamFusionError: matplotlib is missing, or the directory cannot be written.
+    """
+    from slamfusion.report import write_judge_report  # noqa: PLC0415  (an extra)
+
+    return write_judge_report(
+        found.verdict,
+        directory,
+        log=str(found.files.log),
+        config=found.config,
+        errors_m={"ATE": found.errors_by_truth_m(), "relations": found.errors_by_relations_m()},
+        not_measured=found.not_measured,
+        device=found.device,
+        files=files,
+    )
 
 
 def score_log_paths(

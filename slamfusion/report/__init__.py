@@ -16,6 +16,7 @@ except ImportError as _error:
 
 from slamfusion.report.evaluation_report import write_difference_image, write_evaluation_report
 from slamfusion.report.fusion_report import write_failure_report, write_fusion_report
+from slamfusion.report.judge_report import write_judge_report
 from slamfusion.report.page import Fact, Table
 from slamfusion.report.slam_report import write_slam_report
 from slamfusion.report.trajectory_report import write_trajectory_report
@@ -27,6 +28,7 @@ __all__ = [
     "write_evaluation_report",
     "write_failure_report",
     "write_fusion_report",
+    "write_judge_report",
     "write_slam_report",
     "write_trajectory_report",
 ]

@@ -41,7 +41,9 @@ def test_the_table_and_the_verdict_are_printed(drive: Path) -> None:
 
 def test_json_has_the_promised_keys(drive: Path) -> None:
     files = (drive / "drive.log", drive / "bent.tum", drive / "good.tum")
-    document = json_of(run("judge", *files, "--json"))
+    report = drive / "report"
+    document = json_of(run("judge", *files, "--json", "--report", report))
+    assert (report / "report.html").exists()
     assert document["verdict"]["best"] == "good"
     assert document["verdict"]["sure"] is True
     assert [item["name"] for item in document["path_evidence"]] == ["good", "bent"]

@@ -12,7 +12,7 @@ from slamfusion.errors import LogError, TrajectoryError
 from slamfusion.io import write_tum
 from slamfusion.io.carmen import write_carmen
 from slamfusion.jobs.documents import plain
-from slamfusion.jobs.judge import judge_paths
+from slamfusion.jobs.judge import judge_paths, write_judgement
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
 from tests.support.documents import check_document
@@ -73,6 +73,27 @@ def test_what_cannot_be_measured_does_not_take_the_verdict_along(
     assert found.verdict.best == "elsewhere"
     assert [words.split(":")[0] for words in found.not_measured] == ["bent", "elsewhere"]
     check_document(plain(found.to_json()), "judge")
+
+
+def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) -> None:
+    files = [drive / "bent.tum", drive / "elsewhere.tum"]
+    found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum")
+    page = write_judgement(found, tmp_path / "report")
+    assert page == tmp_path / "report" / "report.html"
+    assert (tmp_path / "report" / "01-evidence.png").exists()
+    text = page.read_text(encoding="utf-8")
+    assert found.verdict.sentence in text
+    assert "elsewhere is borne out best" in text
+    assert f"{found.errors_by_truth_m()['bent']:.4f}" in text
+    assert "relations, m" not in text, "there were none"
+    # A path alone, and two that are one.
+    alone = judge_paths(drive / "drive.log", files[:1])
+    text = write_judgement(alone, tmp_path / "report").read_text(encoding="utf-8")
+    assert "What the scans say of bent" in text
+    assert "Held against what is known" not in text
+    same = judge_paths(drive / "drive.log", [drive / "truth.tum", drive / "elsewhere.tum"])
+    text = write_judgement(same, tmp_path / "report").read_text(encoding="utf-8")
+    assert "2 of 2 paths cannot be told apart" in text
 
 
 def test_bad_input_is_one_line(drive: Path, tmp_path: Path) -> None:
