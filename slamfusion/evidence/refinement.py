@@ -27,12 +27,14 @@ class RefinedPath:
     """A path, and whether laying all scans on each other has bettered it.
 
     Attributes:
+        given: the path of before.
         path: the refined one where it was taken, else the given one.
         is_taken: whether it was.
         comparison: what the scans say of the refined path against the given one.
         evidence: what they say of the paths of before, and of ``path`` as the last one.
     """
 
+    given: Trajectory
     path: Trajectory
     is_taken: bool
     comparison: Comparison
@@ -68,7 +70,7 @@ def refine_borne_out(
     both = with_path(with_given, _REFINED, refined, device)
     found = both.compare(_REFINED, path.name)
     if found.verdict == "worse":
-        return RefinedPath(path, False, found, with_given)
+        return RefinedPath(path, path, False, found, with_given)
     scores = dict(both.scores)
     scores[path.name] = replace(scores.pop(_REFINED), name=path.name)
-    return RefinedPath(refined, True, found, replace(both, scores=scores))
+    return RefinedPath(path, refined, True, found, replace(both, scores=scores))
