@@ -76,10 +76,12 @@ class WeighedPaths:
             device, notes: see ``weigh_paths``.
         """
         paths = {own: path for own, path in self.paths.items() if own not in {name, FUSED_PATH}}
-        if self.evidence is None or not paths:
-            return WeighedPaths(paths)
-        scores = {own: self.evidence.scores[own] for own in paths}
-        return _weigh(paths, replace(self.evidence, scores=scores), device, notes)
+        if not paths:
+            return WeighedPaths()
+        evidence = self.evidence
+        if evidence is not None:
+            evidence = replace(evidence, scores={own: evidence.scores[own] for own in paths})
+        return _weigh(paths, evidence, device, notes)
 
 
 def weigh_paths(
