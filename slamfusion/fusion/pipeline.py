@@ -162,7 +162,7 @@ def _copies(
     if copies and len(grids) - len(copies) < LEAST_FUSED:
         message = (
             f"{', '.join(names)} are one map, given {len(grids)} times: nothing bears it out, so "
-            "nothing is fused; --keep-duplicates counts each as a voter"
+            "nothing is fused; keep_duplicates counts each as a voter"
         )
         raise AlignmentError(message)
     return copies
