@@ -169,9 +169,10 @@ def measure_trial(
     """Drive, run the producers, fuse their maps in every way, and measure all maps.
 
     Each map is laid on the truth where its [F16] error is smallest: in the frame that drive and
-    truth share, or at the best or next best place that the alignment search finds. Where no two
-    maps agree, what counts is what ``run`` then names: the fallback map alone. A producer
-    without a map, and a fusion of none, has the error of a map that knows nothing.
+    truth share, or at the best or next best place that the alignment search finds, turned by a
+    quarter at most. Where no two maps agree, what counts is what ``run`` then names: the fallback
+    map alone. A producer without a map, and a fusion of none, has the error of a map that knows
+    nothing.
 
     Args:
         trial: what to drive.
@@ -199,7 +200,7 @@ def measure_trial(
         fused |= draw_paths(seen, weighed, recording.world.grid.resolution, config, device)
     truth = recording.world.grid
     found = {
-        name: against_truth(grid, truth, config, device)
+        name: against_truth(grid, truth, config, device, same_heading=True)
         for name, grid in {**made.maps, **fused}.items()
     }
     measured = {**found, **thickened(made.maps, found, truth, config)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 from typing import get_args
@@ -15,6 +16,7 @@ from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.fusion.align import align_grids
 from slamfusion.fusion.pipeline import vote_again
 from slamfusion.fusion.records import FusionResult
+from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
 from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.partial import Layers, fuse_layers
@@ -28,6 +30,8 @@ PLAIN: VoteMode = "majority"
 BARE = f"{RUN_VOTE}, bare"
 # Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
 PATIENCE_S = 60.0
+# A map that is turned by more against the true one lies wrong where both head alike, radians.
+MOST_TURN_RAD = 0.5 * math.pi
 
 
 def vote_every_way(
@@ -88,7 +92,12 @@ def _voting(config: FusionConfig, mode: VoteMode) -> FusionConfig:
 
 
 def against_truth(
-    grid: OccupancyGrid | None, truth: OccupancyGrid, config: RunConfig, device: ComputeDevice
+    grid: OccupancyGrid | None,
+    truth: OccupancyGrid,
+    config: RunConfig,
+    device: ComputeDevice,
+    *,
+    same_heading: bool = False,
 ) -> MapError:
     """Measure a map where it lies best on the truth: in the truth's frame, or aligned to it.
 
@@ -99,6 +108,9 @@ def against_truth(
         truth: decides lattice and box.
         config: thresholds, search (never the fixed-step one) and tolerance.
         device: computes.
+        same_heading: both frames head nearly alike, as those of a simulated drive and of its world
+            do: an alignment that turns the map by more than a quarter is none. In a room that looks
+            nearly the same turned round, a wrong one can have the smaller error.
     """
     nothing = np.full((1, 1), UNKNOWN, dtype=np.int8)
     known = grid or OccupancyGrid(nothing, truth.resolution, truth.origin, "nothing")
@@ -112,6 +124,8 @@ def against_truth(
             # Of a map in two pieces each lies somewhere, and their scores are as good as equal.
             if found.runner_up is not None:
                 transforms.append(found.runner_up.transform)
+    if same_heading:
+        transforms = [item for item in transforms if abs(wrap_angle(item.yaw_rad)) <= MOST_TURN_RAD]
     errors = [
         compare_to_truth(
             known,

@@ -79,7 +79,10 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
     votes = vote_every_way(layers, config, device, {})
     maps |= {name: votes[name] for name in (BARE, RUN_VOTE)}
     maps |= draw_paths(drive.scans, weighed, truth.resolution, config, device)
-    errors = {name: against_truth(grid, truth, config, device) for name, grid in maps.items()}
+    errors = {
+        name: against_truth(grid, truth, config, device, same_heading=True)
+        for name, grid in maps.items()
+    }
     return errors, path_errors(weighed, drive.truth)
 
 

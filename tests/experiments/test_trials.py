@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamfusion.compute import open_device
 from slamfusion.config import (
     ExperimentConfig,
     FailuresConfig,
@@ -23,7 +24,8 @@ from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at, thic
 from slamfusion.experiments.failures import FAILURES
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.trials import Trial, TrialRecord, alone, run_trials
-from slamfusion.experiments.voting import BARE, FUSIONS, vote_every_way
+from slamfusion.experiments.voting import BARE, FUSIONS, against_truth, vote_every_way
+from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.partial import Layers
 from slamfusion.sim import COURSES, simulate
 from slamfusion.slam.registry import BUILT_IN, with_settings
@@ -260,3 +262,15 @@ def test_failing_courses_are_driven(name: str) -> None:
         recording = simulate(trial.course, module.open_device("auto"))
         assert recording.truth.path_length_m() > 30.0
         assert 200 < len(recording.scans) < 1500
+
+
+def test_a_map_is_not_turned_round_where_the_drive_heads_as_the_world_does() -> None:
+    device, config = open_device(), RunConfig()
+    truth = building(seed=3)
+    # What was mapped looks like the true map turned round, but for some walls.
+    turned = OccupancyGrid(truth.cells[::-1, ::-1].copy(), truth.resolution, truth.origin, "turned")
+    free = against_truth(turned, truth, config, device)
+    assert abs(free.transform.yaw_rad) == pytest.approx(math.pi, abs=0.02)
+    held = against_truth(turned, truth, config, device, same_heading=True)
+    assert abs(held.transform.yaw_rad) <= 0.5 * math.pi
+    assert held.error > free.error
