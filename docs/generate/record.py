@@ -56,6 +56,9 @@ class Recipe:
 RECIPES = {
     "speed": Recipe(("bench",), tables.speed),
     "ground-obstacle": Recipe(("experiment ground-obstacle -o {out}",), tables.ground_obstacle),
+    "ground-obstacle-drawn": Recipe(
+        ("experiment ground-obstacle --draw -o {out}",), tables.paths_and_faces
+    ),
     "failures": Recipe(
         tuple(
             f"experiment failures --repetitions 2 --first-world {world} -o {{out}}"

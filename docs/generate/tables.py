@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from slamfusion.experiments.drive_paths import DRAWN
 from slamfusion.experiments.drives import ATE, RELATIONS
 from slamfusion.experiments.real_logs import REFERENCE
 from slamfusion.experiments.table import p_text
@@ -20,6 +21,7 @@ __all__ = [
     "failures",
     "fused_path",
     "ground_obstacle",
+    "paths_and_faces",
     "real_logs",
     "repeated_runs",
     "speed",
@@ -66,6 +68,34 @@ def ground_obstacle(documents: Sequence[Document]) -> TableText:
         cells = [_interval(votes[name]) if name in votes else "" for name in methods]
         rows.append((f"against {best}, 95 %", *cells))
     return ("", *map(_shown, methods)), tuple(rows)
+
+
+def paths_and_faces(documents: Sequence[Document]) -> TableText:
+    """Return the fused path and the drawn map of an experiment with ``--draw`` beside all others.
+
+    Raises:
+        ValueError: the drives were not drawn.
+    """
+    document = _only(documents)
+    pairs = [
+        item for item in document["paths_and_faces"] if item["method"] in {"fused path", DRAWN}
+    ]
+    if not any(item["method"] == DRAWN for item in pairs):
+        message = "wanted drives of which maps were drawn; give --draw to the experiment"
+        raise ValueError(message)
+    names = {"ate_m": "ATE m", "faces_f1": "faces F1 at 0.1 m"}
+    against = list(dict.fromkeys(item["against"] for item in pairs))
+    rows = []
+    for condition, items in _by(pairs, "condition").items():
+        for measure, own in _by(items, "measure").items():
+            told = {
+                item["against"]: f"{item['against_mean']:.3f} (p {p_text(item['p_wilcoxon'])})"
+                for item in own
+            }
+            what = f"{condition}, {names[measure]}, {own[0]['method']}"
+            mean = f"{own[0]['mean']:.3f}"
+            rows.append((what, mean, *(told.get(name, "-") for name in against)))
+    return ("mean of", "", *map(_shown, against)), tuple(rows)
 
 
 def failures(documents: Sequence[Document]) -> TableText:

@@ -95,6 +95,26 @@ def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> N
     assert found["log-odds"] == "-10.0 to -10.0 %"
 
 
+def test_what_was_drawn_stands_beside_what_it_is_held_against() -> None:
+    pair = {
+        "condition": "obstacle", "measure": "faces_f1", "method": "drawn", "against": "tinyslam",
+        "drives": 2, "mean": 0.61, "against_mean": 0.5704, "p_paired_t_holm": 0.5,
+        "p_wilcoxon": 0.0123,
+    }  # fmt: skip
+    path = {**pair, "measure": "ate_m", "method": "fused path", "against": "graph", "mean": 0.1}
+    document = error_table({}, 2, "obstacle") | {"paths_and_faces": [path, pair]}
+    check_document(document, "experiment ground-obstacle")
+    assert tables.paths_and_faces([document]) == (
+        ("mean of", "", "graph", "tinySLAM"),
+        (
+            ("obstacle, ATE m, fused path", "0.100", "0.570 (p 0.012)", "-"),
+            ("obstacle, faces F1 at 0.1 m, drawn", "0.610", "-", "0.570 (p 0.012)"),
+        ),
+    )
+    with pytest.raises(ValueError, match="give --draw"):
+        tables.paths_and_faces([error_table({}, 2, "obstacle")])
+
+
 def test_worlds_stand_beside_each_other() -> None:
     documents = [
         error_table({"consensus": gain}, 1, "glass, kinect", "slip, kinect") for gain in (9.6, 19.2)
