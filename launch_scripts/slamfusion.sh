@@ -2,7 +2,7 @@
 # Start the ROS 2 nodes: three producers, the fusion and, with a log, the player. One Ctrl-C ends
 # them all; a node that dies is started again. Works with pip alone; a sourced ROS is left as it is.
 #
-# slamfusion.sh [LOG [-o DIR] [--rate X | --lockstep]] [--params FILE] [--producers NAMES]
+# slamfusion.sh [LOG [-o DIR] [--rate X | --lockstep]] [--params FILE] [--producers NAMES] [--page]
 #               [-- ROS ARGUMENTS FOR EVERY NODE]
 #
 #   LOG               play a log or bag (also: --log LOG); at its end everything ends, and DIR has
@@ -13,6 +13,7 @@
 #   --lockstep        play as fast as every producer can follow
 #   --params FILE     a YAML file of parameters for all nodes, as launch_scripts/slamfusion.yaml
 #   --producers NAMES which ones, by commas (also: --only); default: tinyslam,gmapping,graph
+#   --page            show everything in the browser while it happens; the fusion logs the address
 #
 # A node that ends soon after its start is started again later each time, up to 30 s; one that has
 # done so three times and never ran for longer cannot start at all, and everything ends.
@@ -32,7 +33,7 @@ LEAST_SHM_KB=327680
 # shellcheck source=launch_scripts/setup.sh
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
-log="" out="out/live" producers="tinyslam,gmapping,graph" params=""
+log="" out="out/live" producers="tinyslam,gmapping,graph" params="" page=""
 pace=(-p "rate:=1.0")
 while [ $# -gt 0 ]; do
     case "$1" in
@@ -47,6 +48,7 @@ while [ $# -gt 0 ]; do
             esac
             shift 2
             ;;
+        --page) page=yes && shift ;;
         --lockstep) pace=(-p lockstep:=true) && shift ;;
         -h | --help) sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//;p;}' "${BASH_SOURCE[0]}" && exit 0 ;;
         --) shift && break ;;
@@ -75,9 +77,9 @@ slamfusion="${SLAMFUSION:-}"
 if [ -z "$slamfusion" ]; then
     make_venv "$root/.venv"
     if [ -n "${ROS_DISTRO:-}" ]; then
-        install_into "$root/.venv" report "$root/launch_scripts/constraints-jazzy.txt"
+        install_into "$root/.venv" "report${page:+,page}" "$root/launch_scripts/constraints-jazzy.txt"
     else
-        install_into "$root/.venv" report,ros
+        install_into "$root/.venv" "report,ros${page:+,page}"
     fi
     slamfusion="$root/.venv/bin/slamfusion"
 fi
@@ -97,6 +99,12 @@ done
 threads=$(($(nproc) / nodes))
 export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$((threads > 1 ? threads : 1))}"
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+
+# A fusion that is started again knows the page that was opened before.
+if [ -n "$page" ]; then
+    SLAMFUSION_PAGE_TOKEN="${SLAMFUSION_PAGE_TOKEN:-$(od -An -N18 -tx1 /dev/urandom | tr -d ' \n')}"
+    export SLAMFUSION_PAGE_TOKEN
+fi
 
 # Maps go whole through shared memory, where that has room for all nodes and RViz.
 free_kb="$(df -k --output=avail /dev/shm 2>/dev/null | tail -n 1 || true)"
@@ -119,7 +127,7 @@ start() {
     case "$name" in
         fusion)
             arguments=(-p "inputs:=[$maps]" -p "state_path:=$session/fusion"
-                ${common[@]+"${common[@]}"})
+                ${page:+-p page:=true} ${common[@]+"${common[@]}"})
             ;;
         player)
             arguments+=(-p "file:=$log" -p "wait_for:=[$listed]" -p "maps:=[$maps,fused/map]"

@@ -114,6 +114,17 @@ class FusionNodeConfig(Checked):
         low=0.1,
         high=1e6,
     )
+    page: bool = option(
+        False, "show everything in the browser while it happens; its address is logged"
+    )
+    page_host: str = option(
+        "127.0.0.1",
+        "the page is served on this address; another one than this machine's own lets everybody "
+        "on the network look",
+    )
+    page_port: int = option(
+        8642, "the page is served on this port; 0: any that is free", low=0, high=65535
+    )
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from nav_msgs.msg import OccupancyGrid
 
 from slamfusion import grid as grids
@@ -22,6 +24,7 @@ class FusedOutput:
         base: the node.
         settings: of the node.
         outbox: where fused maps wait.
+        sent: told every map that was published.
 
     Attributes:
         settings: may be replaced.
@@ -29,8 +32,15 @@ class FusedOutput:
             the first.
     """
 
-    def __init__(self, base: NodeBase, settings: FusionNodeConfig, outbox: Outbox) -> None:
+    def __init__(
+        self,
+        base: NodeBase,
+        settings: FusionNodeConfig,
+        outbox: Outbox,
+        sent: Callable[[Fused], None] = lambda _: None,
+    ) -> None:
         self.settings = settings
+        self._sent = sent
         self.published: tuple[OccupancyGrid, grids.OccupancyGrid] | None = None
         self._outbox = outbox
         self._map_topic = base.publisher(OccupancyGrid, MAP_TOPIC, qos.MAP)
@@ -48,6 +58,7 @@ class FusedOutput:
             self.published = message, fused.grid
             self._map_topic.publish(message)
             self._outbox.count(fused)
+            self._sent(fused)
         if with_agreement and self._outbox.has_agreement and self.is_heard():
             self._publish_agreement()
 

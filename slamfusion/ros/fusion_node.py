@@ -28,6 +28,7 @@ from slamfusion.ros.fused_output import MAP_TOPIC, FusedOutput
 from slamfusion.ros.fusion_ports import FusionPorts
 from slamfusion.ros.fusion_services import FusionServices
 from slamfusion.ros.fusion_status import fusion_status, input_status
+from slamfusion.ros.live_page import LivePage
 from slamfusion.ros.map_source import MapSource, input_names, load_saved
 from slamfusion.ros.parameters import declare, declare_names, declare_starts, parameter_names
 from slamfusion.ros.stamps import Stamps
@@ -40,8 +41,9 @@ __all__ = ["FusionNode", "make_node"]
 
 DEFAULT_INPUTS = tuple(f"{name}/map" for name in BUILT_IN)
 CHANGEABLE = ("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s")
-# How often the node looks whether a fused map may go out, at frames, and who publishes its inputs.
-TURN_S, LOOK_S, LOOK_AROUND_S = 0.02, 0.1, 1.0
+# How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
+# and shows itself on the page.
+TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.02, 0.1, 1.0, 0.5
 SHOWN_S = 10.0
 
 
@@ -118,7 +120,15 @@ class FusionNode(NodeBase):
         warm_up(config, self._device)
 
         self._outbox = Outbox(self.settings.max_publish_rate_hz)
-        self._output = FusedOutput(self, self.settings, self._outbox)
+        self._services = FusionServices(self, self)
+        page = None
+        if self.settings.page:
+            page = LivePage(self, self.settings, self._services.carry_out)
+            page.put_saved(self._saved)
+        self._page = page
+        self._output = FusedOutput(
+            self, self.settings, self._outbox, *([] if page is None else [page.put_fused])
+        )
         self._frames = FusedFrames(self, self.settings)
         self._writers = Writers(self, MAP_TOPIC)
         self._stamps = Stamps(self.clock_s)
@@ -137,12 +147,13 @@ class FusionNode(NodeBase):
             if name not in self._saved
         }
         self._frames.watch(self._sources)
-        self._ports = FusionPorts(self, self._sources, self._saved, self._output)
-        self._services = FusionServices(self, self)
+        heard = [] if page is None else [page.put_heard]
+        self._ports = FusionPorts(self, self._sources, self._saved, self._output, *heard)
         for name, grid in self._saved.items():
             fusion.put(name, grid, time.monotonic(), is_saved=True)
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
+        self.timer(SHOW_S, self._show)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
             f"fuses {', '.join(entries.values())} on {self._device.name}; the fused map is on "
@@ -162,6 +173,8 @@ class FusionNode(NodeBase):
             self._session.hear(source.name, messages.stamp_s(heard.stamp), heard.pose)
         self._frames.believed = self._session.snapshot.believed
         self._frames.on_pose(source)
+        if self._page is not None:
+            self._page.put_pose(source)
 
     def _look_turn(self) -> None:
         """Wake the worker for what had to wait for its turn, or for somebody who listens."""
@@ -181,6 +194,15 @@ class FusionNode(NodeBase):
         if snapshot.votes != self._told_votes:  # who votes is said at once, not within the second
             self._told_votes = snapshot.votes
             self.publish_diagnostics()
+            self._show()
+        if self._page is not None:
+            self._page.look()
+
+    def _show(self) -> None:
+        """Show how the inputs are on the page."""
+        if self._page is not None:
+            believed = self._session.snapshot.believed
+            self._page.show(self.statuses(), believed, self._sources.values())
 
     def _look_around(self) -> None:
         """See who publishes the inputs and the fused map, and let ages be looked at."""
@@ -277,4 +299,6 @@ class FusionNode(NodeBase):
 
     def close(self) -> None:
         """End the worker; the map that is being fused is fused to its end, and the state kept."""
+        if self._page is not None:
+            self._page.close()
         self._memory.close(is_whole=self._worker.close())

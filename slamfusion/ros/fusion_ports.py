@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live import LiveInput
@@ -27,6 +27,7 @@ class FusionPorts:
         sources: its inputs by name, but the saved maps.
         saved: names of the saved maps.
         output: publishes.
+        heard: told every map that was taken.
     """
 
     def __init__(
@@ -35,16 +36,21 @@ class FusionPorts:
         sources: Mapping[str, MapSource],
         saved: Collection[str],
         output: FusedOutput,
+        heard: Callable[[Arrived], None] = lambda _: None,
     ) -> None:
         self._base = base
         self._sources = sources
         self._saved = saved
         self._output = output
+        self._heard = heard
 
     def take(self) -> list[Arrived]:
         """Return the newest map of each input that sent one, converted; see ``Ports``."""
         taken = [self._take(source) for source in self._sources.values()]
-        return [item for item in taken if item is not None]
+        arrived = [item for item in taken if item is not None]
+        for item in arrived:
+            self._heard(item)
+        return arrived
 
     def _take(self, source: MapSource) -> Arrived | None:
         """Convert the newest map of an input; None where it sent none."""

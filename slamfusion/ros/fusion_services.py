@@ -64,6 +64,12 @@ class FusionServices:
         node.create_service(Trigger, "save_map", self._serve(self._save_map))
         node.create_service(Trigger, "reset", self._serve(self._reset))
 
+    def carry_out(self, name: str) -> tuple[bool, str]:
+        """Do what the service ``save`` or ``reset`` does, and return its answer."""
+        answer = {"save": self._save_map, "reset": self._reset}[name]
+        response = self._serve(answer)(None, Trigger.Response())
+        return bool(response.success), str(response.message)
+
     def _serve(self, answer: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
         """Return a service's callback that cannot bring the node down."""
 

@@ -9,7 +9,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.ros.base import Level, Status
 from slamfusion.ros.map_source import MapSource
 
-__all__ = ["fusion_status", "input_status"]
+__all__ = ["PREFIX", "fusion_status", "input_status"]
 
 PREFIX = "input "
 

@@ -1,0 +1,65 @@
+"""``Feed``: hands maps to a scene in a thread of its own, of each map only the newest."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from slamfusion.grid import OccupancyGrid
+from slamfusion.page.scene import Kind, Scene
+
+__all__ = ["Feed"]
+
+_LOG = logging.getLogger(__name__)
+
+
+class Feed:
+    """Keeps whoever has a map from waiting: ``put`` returns at once, cutting it comes later.
+
+    As many maps wait as there are names. While nobody looks they are not cut.
+
+    Args:
+        scene: what they are put into.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._changed = threading.Condition()
+        self._waiting: dict[str, tuple[OccupancyGrid, Kind]] = {}
+        self._viewers = 0
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="page feed", daemon=True)
+        self._thread.start()
+
+    def put(self, name: str, grid: OccupancyGrid, kind: Kind) -> None:
+        """Let a map wait, in the place of an older one of that name; its cells must stay."""
+        with self._changed:
+            self._waiting[name] = grid, kind
+            self._changed.notify_all()
+
+    def count_viewers(self, number: int) -> None:
+        """Take how many look."""
+        with self._changed:
+            self._viewers = number
+            self._changed.notify_all()
+
+    def close(self, timeout_s: float = 5.0) -> None:
+        """End the thread; what waits is dropped."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._is_closed or (self._waiting and self._viewers))
+                if self._is_closed:
+                    return
+                # Those that have not changed for longest first.
+                name = next(iter(self._waiting))
+                grid, kind = self._waiting.pop(name)
+            try:
+                self._scene.put_map(name, grid, kind)
+            except Exception:  # noqa: BLE001 - the page goes on; a map that cannot be shown is named
+                _LOG.exception("the map %r cannot be shown", name)

@@ -1,0 +1,208 @@
+"""``Scene``: the newest state of all that is shown, and what of it is newer than a number."""
+
+from __future__ import annotations
+
+import math
+import secrets
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.page.protocol import TILE, encode_tile, to_text
+from slamfusion.page.tiles import Lattice, Place, TiledLayer
+from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
+
+__all__ = ["Kind", "Scene"]
+
+# An input's map, the fused one, or the share of votes for the winner (0 to 100).
+Kind = Literal["input", "fused", "agreement"]
+Message = str | bytes
+
+EVENTS = 500
+# Points of a path, each this far from the one before, metres: 20 km of driving.
+POINTS, STEP_M = 200_000, 0.1
+
+
+@dataclass
+class _Layer:
+    """A map that was put.
+
+    Attributes:
+        kind, index, epoch: see ``Scene``; the epoch counts the lattices that it had.
+        tiled: its tiles.
+        seq: when its description changed last.
+        sent: of every tile ever sent in this epoch, when it changed last and its bytes.
+        size: height and width of the newest state, cells.
+    """
+
+    kind: Kind
+    index: int
+    tiled: TiledLayer = field(default_factory=TiledLayer)
+    epoch: int = 0
+    seq: int = 0
+    sent: dict[Place, tuple[int, bytes]] = field(default_factory=dict)
+    size: tuple[int, int] = (0, 0)
+
+
+class Scene:
+    """What pages are told. Any thread may put and ask; maps come from one thread at a time.
+
+    Everything that is put gets a number, ``seq``, that only grows. A page that has everything up to
+    a number is told what is newer, each thing once and in its newest state, however much came in
+    between.
+
+    Args:
+        title: of the page.
+        is_live: whether more is to come.
+        clock: seconds since 1970.
+
+    Attributes:
+        id: of this scene's life; the numbers of another one mean nothing here.
+        title, is_live: as given.
+        on_change: called, in whatever thread, after something was put.
+    """
+
+    def __init__(
+        self, title: str, *, is_live: bool, clock: Callable[[], float] = time.time
+    ) -> None:
+        self.id = secrets.token_hex(8)
+        self.title = title
+        self.is_live = is_live
+        self.on_change: Callable[[], None] = lambda: None
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._seq = 0
+        self._layers: dict[str, _Layer] = {}
+        self._status: tuple[int, Mapping[str, Any]] | None = None
+        self._votes: dict[str, tuple[bool, str]] = {}
+        self._events: deque[tuple[int, Mapping[str, Any]]] = deque(maxlen=EVENTS)
+        self._trails: dict[str, deque[tuple[int, float, float]]] = {}
+
+    # -- what comes -------------------------------------------------------------------------------
+
+    def put_map(self, name: str, grid: OccupancyGrid, kind: Kind) -> int:
+        """Take the newest state of a map, and return how many tiles of it have changed."""
+        layer = self._layers.get(name)
+        if layer is None:
+            index = sum(item.kind == "input" for item in self._layers.values())
+            layer = _Layer(kind, index)
+        is_new, changed = layer.tiled.put(grid)
+        stamp_s = self._clock()
+        empty = np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
+        sent = {
+            place: encode_tile(name, *place, stamp_s, layer.tiled.tiles.get(place, empty))
+            for place in changed
+        }
+        with self._lock:
+            if is_new:
+                layer.epoch += 1
+                layer.sent.clear()
+            if is_new or layer.size != grid.cells.shape:
+                layer.seq = self._next()
+            layer.size = grid.height, grid.width
+            layer.sent |= {place: (self._next(), data) for place, data in sent.items()}
+            self._layers[name] = layer
+        if is_new or changed:
+            self.on_change()
+        return len(changed)
+
+    def put_status(self, inputs: Sequence[Mapping[str, Any]], **figures: Any) -> None:
+        """Take how the inputs are; an input that got or lost its vote becomes an event.
+
+        Args:
+            inputs: of each ``name``, ``votes``, ``reason``, ``transform`` (x, y in metres and yaw
+                in radians of its map frame in the fused one; None without), ``score``.
+            figures: whatever else the page shows.
+        """
+        for item in inputs:
+            name, now = item["name"], (bool(item["votes"]), str(item["reason"]))
+            before = self._votes.get(name)
+            self._votes[name] = now
+            if before is None or before[0] != now[0]:
+                verb = "votes" if now[0] else "does not vote"
+                self.put_event("ok" if now[0] else "warn", f"{name} {verb}: {now[1]}")
+        status = {"inputs": list(inputs), **figures, "stamp_s": self._clock()}
+        with self._lock:
+            self._status = self._next(), status
+        self.on_change()
+
+    def put_event(self, level: Literal["ok", "warn", "error"], text: str) -> None:
+        """Take something for the log of events."""
+        with self._lock:
+            event = {"stamp_s": self._clock(), "level": level, "text": text}
+            self._events.append((self._next(), event))
+        self.on_change()
+
+    def put_point(self, name: str, x_m: float, y_m: float) -> None:
+        """Take where a path goes on, in the frame of the map of that name; small steps are left."""
+        with self._lock:
+            trail = self._trails.setdefault(name, deque(maxlen=POINTS))
+            if trail and math.dist(trail[-1][1:], (x_m, y_m)) < STEP_M:
+                return
+            trail.append((self._next(), x_m, y_m))
+        self.on_change()
+
+    def _next(self) -> int:
+        self._seq += 1
+        return self._seq
+
+    # -- what pages are told ----------------------------------------------------------------------
+
+    def since(self, seq: int) -> tuple[list[Message], int]:
+        """Return everything newer than a number, maps last, and the number of the newest."""
+        with self._lock:
+            texts: list[Message] = []
+            if self._status is not None and self._status[0] > seq:
+                texts.append(to_text("status", self._status[1]))
+            texts += [to_text("event", event) for number, event in self._events if number > seq]
+            for name, trail in self._trails.items():
+                points = _newer(trail, seq)
+                if points:
+                    texts.append(to_text("trail", {"name": name, "points": points}))
+            texts += [
+                to_text("layer", _described(name, layer))
+                for name, layer in self._layers.items()
+                if layer.seq > seq
+            ]
+            tiles = sorted(
+                (number, data)
+                for layer in self._layers.values()
+                for number, data in layer.sent.values()
+                if number > seq
+            )
+            return [*texts, *(data for _, data in tiles)], self._seq
+
+
+def _newer(trail: deque[tuple[int, float, float]], seq: int) -> list[tuple[float, float]]:
+    """Return the points of a path after a number, in order; they stand at its end."""
+    points = []
+    for number, x_m, y_m in reversed(trail):
+        if number <= seq:
+            break
+        points.append((round(x_m, 3), round(y_m, 3)))
+    return points[::-1]
+
+
+def _described(name: str, layer: _Layer) -> dict[str, Any]:
+    """Return what a page needs to place and colour a map's tiles."""
+    lattice = layer.tiled.lattice or Lattice(1.0, Pose2())
+    colours: dict[str, Rgb] = {"unknown": UNKNOWN_RGB, "free": FREE_RGB, "wall": WALL_RGB}
+    if layer.kind == "input":
+        colours["wall"] = INPUT_COLOURS[layer.index % len(INPUT_COLOURS)]
+    return {
+        "name": name,
+        "kind": layer.kind,
+        "epoch": layer.epoch,
+        "resolution": lattice.resolution,
+        "anchor": [lattice.anchor.x, lattice.anchor.y, lattice.anchor.yaw_rad],
+        "size": list(layer.size),
+        "tile": TILE,
+        "colours": colours,
+    }

@@ -1,0 +1,307 @@
+"""``PageServer``: the front end's files and the sockets of those who look, in one thread."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib.resources
+import secrets
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import PurePath
+
+try:
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.requests import HTTPConnection, Request
+    from starlette.responses import PlainTextResponse, Response
+    from starlette.routing import Route, WebSocketRoute
+    from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+except ImportError as missing:  # starlette, uvicorn
+    message = f"the page needs {missing.name}; pip install 'slamfusion[page]'"
+    raise ImportError(message, name=missing.name) from None
+
+from slamfusion.errors import ConfigError
+from slamfusion.page.feed import Feed
+from slamfusion.page.guard import is_own_origin, may_ask, may_command
+from slamfusion.page.protocol import (
+    MESSAGE_BYTES,
+    Command,
+    Hello,
+    PageMessageError,
+    Seen,
+    parse_message,
+    to_text,
+)
+from slamfusion.page.scene import Scene
+
+__all__ = ["Answer", "PageServer"]
+
+# Whether a command was carried out, and what to say.
+Answer = tuple[bool, str]
+
+MOST_VIEWERS = 16
+# A page says hello this soon, and has taken a batch this soon, or is cut off; seconds.
+HELLO_S, SEEN_S = 10.0, 60.0
+# Between two batches to one page; and when nothing is new, a sign of life, seconds.
+PAUSE_S, ALIVE_S = 0.1, 2.0
+COMMAND_S = 20.0
+START_S, END_S = 20.0, 5.0
+
+# Codes of closed sockets (RFC 6455): refused by policy; come again later.
+REFUSED, BUSY = 1008, 1013
+
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+}
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+        "connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class _Viewer:
+    """One page that looks.
+
+    Attributes:
+        has_news: set when something was put.
+        seen: the number up to which it has taken everything.
+        has_seen: set when that has grown.
+    """
+
+    def __init__(self) -> None:
+        self.has_news = asyncio.Event()
+        self.seen = 0
+        self.has_seen = asyncio.Event()
+
+
+class PageServer:
+    """Serves a scene until it is closed.
+
+    Args:
+        scene: what is shown.
+        host, port: where to listen; port 0 takes a free one.
+        command: carries out a command of a page that has the token, in some thread; None where
+            there is nothing to command.
+        token: what lets a page command; empty: a new one.
+
+    Attributes:
+        url: with the token in its fragment, which no browser sends anywhere.
+        feed: takes maps for the scene.
+
+    Raises:
+        ConfigError: it cannot listen there.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        command: Callable[[str], Answer] | None = None,
+        token: str = "",
+    ) -> None:
+        self._scene = scene
+        self._host = host
+        self._command = command
+        self._token = token or secrets.token_urlsafe(24)
+        self._files = _front_end()
+        self._viewers: set[_Viewer] = set()
+        self._socket = _listen(host, port)
+        self.port = int(self._socket.getsockname()[1])
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.port}/#token={self._token}"
+        self.feed = Feed(scene)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        app = Starlette(
+            routes=[
+                Route("/{name:path}", self._file, methods=["GET", "HEAD"]),
+                WebSocketRoute("/ws", self._look),
+            ]
+        )
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                ws_max_size=MESSAGE_BYTES,
+                # Tiles are small already.
+                ws_per_message_deflate=False,
+                lifespan="off",
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._thread = threading.Thread(target=self._run, name="page server", daemon=True)
+        self._thread.start()
+        scene.on_change = self._tell_viewers
+
+    def close(self) -> None:
+        """Cut everybody off and end the threads."""
+        self._scene.on_change = lambda: None
+        self._server.should_exit = True
+        self._thread.join(END_S)
+        self.feed.close()
+        self._socket.close()
+
+    def _run(self) -> None:
+        async def serve() -> None:
+            self._loop = asyncio.get_running_loop()
+            await self._server.serve(sockets=[self._socket])
+
+        asyncio.run(serve())
+
+    def _tell_viewers(self) -> None:
+        """Wake those who look, from any thread."""
+        loop = self._loop
+        if loop is not None and self._viewers:
+            with contextlib.suppress(RuntimeError):  # it is closed
+                loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        for viewer in self._viewers:
+            viewer.has_news.set()
+
+    # -- in the server's thread -------------------------------------------------------------------
+
+    def _may_ask(self, connection: HTTPConnection) -> bool:
+        return may_ask(connection.headers.get("host", ""), self._host)
+
+    async def _file(self, request: Request) -> Response:
+        """Answer with a file of the front end."""
+        host = request.headers.get("host", "")
+        if not self._may_ask(request):
+            return PlainTextResponse("this page answers for its own address alone\n", 403)
+        found = self._files.get(request.path_params["name"] or "index.html")
+        if found is None:
+            return PlainTextResponse("there is no such page\n", 404)
+        content, kind = found
+        headers = {name: value.replace("{host}", host) for name, value in HEADERS.items()}
+        return Response(content, headers=headers, media_type=kind)
+
+    async def _look(self, ws: WebSocket) -> None:
+        """Show the scene to one page until it goes."""
+        origin, host = ws.headers.get("origin", ""), ws.headers.get("host", "")
+        if not self._may_ask(ws) or not is_own_origin(origin, host):
+            await ws.close(REFUSED)  # before it is accepted: HTTP 403
+            return
+        await ws.accept()
+        if len(self._viewers) >= MOST_VIEWERS:
+            await ws.close(BUSY, f"{MOST_VIEWERS} pages look already")
+            return
+        viewer = _Viewer()
+        self._viewers.add(viewer)
+        self.feed.count_viewers(len(self._viewers))
+        try:
+            await self._serve(ws, viewer)
+        except (WebSocketDisconnect, asyncio.TimeoutError, PageMessageError, KeyError):
+            pass  # it went, fell silent, or is no page of ours
+        finally:
+            self._viewers.discard(viewer)
+            self.feed.count_viewers(len(self._viewers))
+            if ws.application_state is not WebSocketState.DISCONNECTED:
+                with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+                    await ws.close(REFUSED)
+
+    async def _serve(self, ws: WebSocket, viewer: _Viewer) -> None:
+        hello = parse_message(await asyncio.wait_for(ws.receive_text(), HELLO_S))
+        if not isinstance(hello, Hello):
+            return
+        may = self._command is not None and may_command(hello.token, self._token)
+        scene = self._scene
+        viewer.seen = hello.seq if hello.scene == scene.id else 0
+        greeting = {"scene": scene.id, "title": scene.title, "is_live": scene.is_live}
+        await ws.send_text(to_text("hello", {**greeting, "may_command": may}))
+        tasks = [
+            asyncio.create_task(self._send(ws, viewer)),
+            asyncio.create_task(self._hear(ws, viewer, may_command=may)),
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _send(self, ws: WebSocket, viewer: _Viewer) -> None:
+        """Send what is new, and wait until the page has taken it."""
+        while True:
+            viewer.has_news.clear()
+            viewer.has_seen.clear()
+            messages, seq = self._scene.since(viewer.seen)
+            for message in messages:
+                await (
+                    ws.send_text(message) if isinstance(message, str) else ws.send_bytes(message)
+                )
+            await ws.send_text(to_text("end", {"seq": seq}))
+            is_taken = False
+            while not is_taken:
+                await asyncio.wait_for(viewer.has_seen.wait(), SEEN_S)
+                viewer.has_seen.clear()
+                is_taken = viewer.seen >= seq
+            await asyncio.sleep(PAUSE_S)
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(viewer.has_news.wait(), ALIVE_S)
+
+    async def _hear(self, ws: WebSocket, viewer: _Viewer, *, may_command: bool) -> None:
+        """Take what the page says."""
+        while True:
+            said = parse_message(await ws.receive_text())
+            if isinstance(said, Seen):
+                viewer.seen = max(viewer.seen, said.seq)
+                viewer.has_seen.set()
+            elif isinstance(said, Command):
+                success, text = await self._obey(said, may_command=may_command)
+                answer = {"id": said.id, "success": success, "message": text}
+                await ws.send_text(to_text("answer", answer))
+
+    async def _obey(self, said: Command, *, may_command: bool) -> Answer:
+        """Carry out a command, where the page may command."""
+        if not may_command or self._command is None:
+            return False, "this page may only look: open the address with its token"
+        try:
+            return await asyncio.wait_for(asyncio.to_thread(self._command, said.name), COMMAND_S)
+        except asyncio.TimeoutError:
+            return False, f"no answer in {COMMAND_S:g} s"
+
+
+def _front_end() -> Mapping[str, tuple[bytes, str]]:
+    """Return the files of the front end by name, with their types; nothing else is served."""
+    folder = importlib.resources.files("slamfusion.page") / "static"
+    return {
+        item.name: (item.read_bytes(), TYPES[PurePath(item.name).suffix])
+        for item in folder.iterdir()
+        if PurePath(item.name).suffix in TYPES
+    }
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens.
+
+    Raises:
+        ConfigError: the address is not of this machine, or the port is taken.
+    """
+    try:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(family)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+        listening.listen()
+    except OSError as error:
+        text = f"page: cannot listen on {host} port {port}: {error.strerror}; choose another port"
+        raise ConfigError(text) from error
+    return listening

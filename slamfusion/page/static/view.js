@@ -1,0 +1,305 @@
+// The canvas: maps over each other in the fused frame, paths, the robot; moved by hand and keys.
+
+import { BOTH, ONLY_FIRST, ONLY_SECOND, PAPER, css } from "./colours.js";
+import { isKnown, isWall } from "./maps.js";
+
+export const compose = (a, b) => [
+  a[0] + Math.cos(a[2]) * b[0] - Math.sin(a[2]) * b[1],
+  a[1] + Math.sin(a[2]) * b[0] + Math.cos(a[2]) * b[1],
+  a[2] + b[2],
+];
+
+export class View {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {() => object} scene gives what to draw: layers (bottom first; each name, layer, raster,
+   *     place in the fused frame), trails, robots, difference
+   * @param {(place: number[] | null) => void} onPoint told the metres under the pointer
+   */
+  constructor(canvas, scene, onPoint) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.scene = scene;
+    this.onPoint = onPoint;
+    this.centre = [0, 0];
+    this.scale = 40; // device pixels per metre
+    this.isFitted = true; // until somebody moves it
+    this.isAsked = false;
+    this.pointers = new Map();
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    canvas.addEventListener("pointerdown", (event) => this.press(event));
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    for (const name of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    }
+    canvas.addEventListener("pointerleave", () => this.onPoint(null));
+    canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    canvas.addEventListener("keydown", (event) => this.pressKey(event));
+    canvas.view = this; // for whoever looks at the page from its console
+  }
+
+  resize() {
+    const ratio = window.devicePixelRatio || 1;
+    this.canvas.width = Math.max(1, Math.round(this.canvas.clientWidth * ratio));
+    this.canvas.height = Math.max(1, Math.round(this.canvas.clientHeight * ratio));
+    this.drawSoon();
+  }
+
+  drawSoon() {
+    if (this.isAsked) return;
+    this.isAsked = true;
+    requestAnimationFrame(() => {
+      this.isAsked = false;
+      this.draw();
+    });
+  }
+
+  // -- between metres of the fused frame and device pixels --------------------------------------
+
+  toPixel([x, y]) {
+    return [
+      this.canvas.width / 2 + (x - this.centre[0]) * this.scale,
+      this.canvas.height / 2 - (y - this.centre[1]) * this.scale,
+    ];
+  }
+
+  toPlace([px, py]) {
+    return [
+      this.centre[0] + (px - this.canvas.width / 2) / this.scale,
+      this.centre[1] - (py - this.canvas.height / 2) / this.scale,
+    ];
+  }
+
+  /** The pixel in which a cell's centre lies. */
+  pixelOf(name, row, column) {
+    const { layer, place } = this.scene().layers.find((item) => item.name === name);
+    const [x, y] = compose(place, [(column + 0.5) * layer.resolution, (row + 0.5) * layer.resolution, 0]);
+    return this.toPixel([x, y]).map(Math.floor);
+  }
+
+  // -- what one sees -----------------------------------------------------------------------------
+
+  /** Show everything there is. */
+  fit() {
+    const corners = this.scene().layers.flatMap(({ layer, raster, place }) =>
+      this.corners(layer, raster, place),
+    );
+    this.isFitted = true;
+    if (corners.length === 0) return;
+    const xs = corners.map((corner) => corner[0]);
+    const ys = corners.map((corner) => corner[1]);
+    const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    this.centre = [(left + right) / 2, (low + high) / 2];
+    const room = 0.94;
+    this.scale = Math.min(
+      (room * this.canvas.width) / Math.max(right - left, 1e-6),
+      (room * this.canvas.height) / Math.max(high - low, 1e-6),
+    );
+    this.drawSoon();
+  }
+
+  corners(layer, raster, place) {
+    let [bottom, left, top, right] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const box of raster.boxes.values()) {
+      [bottom, left] = [Math.min(bottom, box[0]), Math.min(left, box[1])];
+      [top, right] = [Math.max(top, box[2]), Math.max(right, box[3])];
+    }
+    if (top < bottom) return []; // nothing is known
+    const step = layer.resolution;
+    return [[left, bottom], [left, top], [right, bottom], [right, top]].map(([column, row]) =>
+      compose(place, [column * step, row * step, 0]),
+    );
+  }
+
+  /** A device pixel for a cell of a map, cells on pixels. */
+  oneToOne(name) {
+    const found = this.scene().layers.find((item) => item.name === name) ?? this.scene().layers[0];
+    if (found === undefined) return;
+    this.fit();
+    this.isFitted = false;
+    this.scale = 1 / found.layer.resolution;
+    const [px, py] = this.toPixel(found.place);
+    this.centre = this.toPlace([
+      this.canvas.width / 2 + px - Math.round(px),
+      this.canvas.height / 2 + py - Math.round(py),
+    ]);
+    this.drawSoon();
+  }
+
+  zoom(factor, at = [this.canvas.width / 2, this.canvas.height / 2]) {
+    const before = this.toPlace(at);
+    this.scale = Math.min(Math.max(this.scale * factor, 0.05), 20000);
+    const after = this.toPlace(at);
+    this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
+    this.isFitted = false;
+    this.drawSoon();
+  }
+
+  pan(dx, dy) {
+    this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
+    this.isFitted = false;
+    this.drawSoon();
+  }
+
+  // -- hands -------------------------------------------------------------------------------------
+
+  at(event) {
+    const ratio = window.devicePixelRatio || 1;
+    const box = this.canvas.getBoundingClientRect();
+    return [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
+  }
+
+  press(event) {
+    this.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, this.at(event));
+  }
+
+  move(event) {
+    const now = this.at(event);
+    this.onPoint(this.toPlace(now));
+    const before = this.pointers.get(event.pointerId);
+    if (before === undefined) return;
+    if (this.pointers.size === 2) {
+      const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+      const span = (a, b) => Math.max(1, Math.hypot(a[0] - b[0], a[1] - b[1]));
+      this.zoom(span(now, other) / span(before, other), other);
+    } else {
+      this.pan(now[0] - before[0], now[1] - before[1]);
+    }
+    this.pointers.set(event.pointerId, now);
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    this.zoom(Math.exp(-event.deltaY / 400), this.at(event));
+  }
+
+  pressKey(event) {
+    const step = 60;
+    const moves = { ArrowLeft: [step, 0], ArrowRight: [-step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] };
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key in moves) this.pan(...moves[event.key]);
+    else if (event.key === "+" || event.key === "=") this.zoom(1.3);
+    else if (event.key === "-") this.zoom(1 / 1.3);
+    else if (event.key === "0") this.fit();
+    else if (event.key === "1") this.oneToOne("fused");
+    else return;
+    event.preventDefault();
+  }
+
+  // -- drawing -----------------------------------------------------------------------------------
+
+  draw() {
+    const { context, canvas } = this;
+    const scene = this.scene();
+    if (this.isFitted) this.fit();
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    context.imageSmoothingEnabled = false;
+    for (const item of scene.layers) if (item.isShown) this.drawLayer(item);
+    if (scene.difference !== null) this.drawDifference(...scene.difference);
+    context.globalAlpha = 1;
+    for (const { points, place, rgb } of scene.trails) this.drawTrail(points, place, rgb);
+    for (const { pose, rgb } of scene.robots) this.drawRobot(pose, rgb);
+  }
+
+  drawLayer({ layer, raster, place, opacity }) {
+    const { context, scale } = this;
+    const step = scale * layer.resolution;
+    const [cos, sin] = [Math.cos(place[2]), Math.sin(place[2])];
+    context.globalAlpha = opacity;
+    for (const chunk of raster.chunks.values()) {
+      const size = chunk.canvas.width;
+      const [column, row] = [chunk.column * layer.tile, chunk.row * layer.tile + size];
+      const corner = compose(place, [column * layer.resolution, row * layer.resolution, 0]);
+      const [px, py] = this.toPixel(corner);
+      context.setTransform(step * cos, -step * sin, step * sin, step * cos, px, py);
+      // Coarser than the screen: walls of one cell must not fall between pixels.
+      context.imageSmoothingEnabled = step < 1;
+      context.drawImage(chunk.canvas, 0, 0);
+    }
+    context.setTransform(1, 0, 0, 1, 0, 0);
+  }
+
+  /** Compare two maps pixel by pixel, whatever their lattices. */
+  drawDifference(first, second) {
+    const { width, height } = this.canvas;
+    const image = new ImageData(width, height);
+    const steps = [first, second].map(({ layer, place }) => {
+      const [cos, sin] = [Math.cos(place[2]), Math.sin(place[2])];
+      const origin = this.toPlace([0.5, 0.5]);
+      const [x, y] = [origin[0] - place[0], origin[1] - place[1]];
+      const per = 1 / (layer.resolution * this.scale);
+      return {
+        column: (cos * x + sin * y) / layer.resolution,
+        row: (-sin * x + cos * y) / layer.resolution,
+        right: [cos * per, -sin * per],
+        down: [-sin * per, -cos * per],
+      };
+    });
+    const values = [0, 0];
+    for (let py = 0; py < height; py += 1) {
+      for (let px = 0; px < width; px += 1) {
+        for (let index = 0; index < 2; index += 1) {
+          const { column, row, right, down } = steps[index];
+          const raster = index === 0 ? first.raster : second.raster;
+          values[index] = raster.at(
+            Math.floor(row + px * right[1] + py * down[1]),
+            Math.floor(column + px * right[0] + py * down[0]),
+          );
+        }
+        const [rgb, alpha] = compared(values[0], values[1]);
+        const at = 4 * (py * width + px);
+        image.data[at] = rgb[0];
+        image.data[at + 1] = rgb[1];
+        image.data[at + 2] = rgb[2];
+        image.data[at + 3] = alpha;
+      }
+    }
+    const sheet = new OffscreenCanvas(width, height);
+    sheet.getContext("2d").putImageData(image, 0, 0);
+    this.context.globalAlpha = 1;
+    this.context.drawImage(sheet, 0, 0);
+  }
+
+  drawTrail(points, place, rgb) {
+    const { context } = this;
+    context.strokeStyle = css(rgb);
+    context.lineWidth = 2 * (window.devicePixelRatio || 1);
+    context.beginPath();
+    for (const [index, point] of points.entries()) {
+      const [px, py] = this.toPixel(compose(place, [...point, 0]));
+      if (index === 0) context.moveTo(px, py);
+      else context.lineTo(px, py);
+    }
+    context.stroke();
+  }
+
+  drawRobot(pose, rgb) {
+    const { context } = this;
+    const [px, py] = this.toPixel(pose);
+    const size = 9 * (window.devicePixelRatio || 1);
+    context.setTransform(Math.cos(pose[2]), -Math.sin(pose[2]), Math.sin(pose[2]), Math.cos(pose[2]), px, py);
+    context.beginPath();
+    context.moveTo(1.3 * size, 0);
+    context.lineTo(-size, 0.8 * size);
+    context.lineTo(-0.5 * size, 0);
+    context.lineTo(-size, -0.8 * size);
+    context.closePath();
+    context.fillStyle = css(rgb);
+    context.strokeStyle = "white";
+    context.lineWidth = 2;
+    context.fill();
+    context.stroke();
+    context.setTransform(1, 0, 0, 1, 0, 0);
+  }
+}
+
+function compared(one, two) {
+  if (isWall(one) && isWall(two)) return [BOTH, 255];
+  if (isWall(one)) return [ONLY_FIRST, 255];
+  if (isWall(two)) return [ONLY_SECOND, 255];
+  if (isKnown(one) && !isKnown(two)) return [ONLY_FIRST, 60];
+  if (isKnown(two) && !isKnown(one)) return [ONLY_SECOND, 60];
+  return [PAPER, isKnown(one) ? 200 : 0];
+}

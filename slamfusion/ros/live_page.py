@@ -1,0 +1,170 @@
+"""``LivePage``: what a fusion node hears and makes, on the page in the browser."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
+
+from slamfusion.config import FusionNodeConfig
+from slamfusion.errors import ConfigError
+from slamfusion.fusion.live.outbox import Fused
+from slamfusion.fusion.live.records import LiveInput
+from slamfusion.fusion.live.session import Arrived, Believed
+from slamfusion.grid import OccupancyGrid
+from slamfusion.ros.base import Level, NodeBase, Status
+from slamfusion.ros.fusion_status import PREFIX
+from slamfusion.ros.map_source import MapSource
+
+__all__ = ["LivePage"]
+
+LEVELS = {Level.OK: "good", Level.WARN: "warn", Level.ERROR: "bad", Level.STALE: "warn"}
+# Holds the token of the page where that is to outlive the node.
+PAGE_TOKEN = "SLAMFUSION_PAGE_TOKEN"  # noqa: S105 - its name
+TOKEN = re.compile(r"[A-Za-z0-9_-]{24,}")
+# Commands that wait; more are refused.
+WAITING = 8
+
+
+class LivePage:
+    """Hands a page's server what the node has, and the node what pages ask for.
+
+    Nothing here waits: maps are cut into tiles in a thread of the server, and commands wait until
+    ``look`` is called.
+
+    Args:
+        base: the node; its log gets the address.
+        settings: where to listen.
+        command: carries out ``save`` or ``reset`` in the node's own thread.
+
+    Raises:
+        ConfigError: it cannot listen there, or the extra ``page`` is not installed.
+    """
+
+    def __init__(
+        self,
+        base: NodeBase,
+        settings: FusionNodeConfig,
+        command: Callable[[str], tuple[bool, str]],
+    ) -> None:
+        # Nobody else needs what it stands on.
+        try:
+            from slamfusion.page.scene import Scene  # noqa: PLC0415
+            from slamfusion.page.server import PageServer  # noqa: PLC0415
+        except ImportError as error:
+            raise ConfigError(str(error)) from error
+
+        self._command = command
+        self._lock = threading.Lock()
+        self._asked: deque[tuple[str, Future[tuple[bool, str]]]] = deque()
+        self._scene = Scene(f"SLAMfusion: {base.name}", is_live=True)
+        token = os.environ.get(PAGE_TOKEN, "")
+        if token and not TOKEN.fullmatch(token):
+            message = f"{PAGE_TOKEN}: wanted 24 or more of A-Z, a-z, 0-9, - and _"
+            raise ConfigError(message)
+        self._server = PageServer(
+            self._scene,
+            host=settings.page_host,
+            port=settings.page_port,
+            command=self._ask,
+            token=token,
+        )
+        base.log.info(f"the live page: {self._server.url}")
+
+    # -- in the worker's thread -------------------------------------------------------------------
+
+    def put_heard(self, arrived: Arrived) -> None:
+        """Show the newest map of an input."""
+        if arrived.grid is not None:
+            self._server.feed.put(arrived.name, arrived.grid, "input")
+        else:
+            self._scene.put_event("warn", f"a map of {arrived.name}: {arrived.problem}")
+
+    def put_fused(self, fused: Fused) -> None:
+        """Show a fused map that was published, and where its voters agree."""
+        self._server.feed.put("fused", fused.grid, "fused")
+        self._server.feed.put("agreement", fused.agreement, "agreement")
+
+    # -- in the node's thread ---------------------------------------------------------------------
+
+    def put_saved(self, maps: Mapping[str, OccupancyGrid]) -> None:
+        """Show the saved maps."""
+        for name, grid in maps.items():
+            self._server.feed.put(name, grid, "input")
+
+    def look(self) -> None:
+        """Carry out what pages asked for."""
+        with self._lock:
+            asked = list(self._asked)
+            self._asked.clear()
+        for name, future in asked:
+            answer = self._command(name)
+            self._scene.put_event("ok" if answer[0] else "error", f"{name}: {answer[1]}")
+            future.set_result(answer)
+
+    def put_pose(self, source: MapSource) -> None:
+        """Let the path of an input go on."""
+        if source.pose is not None:
+            self._scene.put_point(source.name, source.pose.pose.x, source.pose.pose.y)
+
+    def show(
+        self, lines: Sequence[Status], believed: Believed, sources: Iterable[MapSource]
+    ) -> None:
+        """Show how the inputs are.
+
+        Args:
+            lines: of the diagnostics, the fusion's first.
+            believed: by the last fusion.
+            sources: of the inputs, whose poses are drawn.
+        """
+        fusion, *others = lines
+        poses = []
+        for source in sources:
+            transform = believed.transform(source.name)
+            if transform is not None and source.pose is not None:
+                pose = transform.compose(source.pose.pose)
+                poses.append({"name": source.name, "pose": [pose.x, pose.y, pose.yaw_rad]})
+        self._scene.put_status(
+            [_shown(line, believed.inputs.get(line.name.removeprefix(PREFIX))) for line in others],
+            poses=poses,
+            headline=fusion.message,
+            level=LEVELS[fusion.level],
+            figures={name: _words(value) for name, value in fusion.values.items()},
+        )
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.close()
+
+    # -- in the server's threads ------------------------------------------------------------------
+
+    def _ask(self, name: str) -> tuple[bool, str]:
+        """Let a command wait for the node's thread, and return what came of it."""
+        future: Future[tuple[bool, str]] = Future()
+        with self._lock:
+            if len(self._asked) >= WAITING:
+                return False, "too much is asked at once"
+            self._asked.append((name, future))
+        return future.result()
+
+
+def _shown(line: Status, record: LiveInput | None) -> dict[str, object]:
+    """Return an input as the page shows it."""
+    transform = None if record is None else record.transform
+    return {
+        "name": line.name.removeprefix(PREFIX),
+        "votes": record is not None and record.accepted,
+        "reason": line.message,
+        "score": None if record is None else round(record.score, 4),
+        "transform": None if transform is None else [transform.x, transform.y, transform.yaw_rad],
+    }
+
+
+def _words(value: object) -> str:
+    """Return a figure as text."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "-" if value is None else str(value)

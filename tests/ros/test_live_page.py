@@ -1,0 +1,120 @@
+"""The live page in a real browser against real nodes that map a log."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from nav_msgs.msg import OccupancyGrid
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB
+from slamfusion.ros import messages, qos
+from tests.ros.browser import browser_page
+from tests.ros.drives import write_log
+from tests.ros.live import Observer, Process, Processes
+
+pytestmark = [pytest.mark.ros, pytest.mark.once]
+
+PRODUCERS = ("tinyslam", "graph")
+# The picture of the fused map alone, cell by cell, rows from the lowest.
+READ_CELLS = """([height, width]) => {
+  const canvas = document.querySelector("#map");
+  const [left, top] = canvas.view.pixelOf("fused", height - 1, 0);
+  const { data } = canvas.getContext("2d").getImageData(left, top, width, height);
+  return Array.from(data);
+}"""
+
+
+def address(node: Process, observer: Observer) -> str:
+    """Return the page's address, which the node logs."""
+
+    def said() -> str | None:
+        found = re.search(r"the live page: (http://\S+)", node.text())
+        return found and found[1]
+
+    return str(observer.wait(said, what="the page's address"))
+
+
+def votes(page: Any, name: str, wanted: str, timeout_s: float) -> None:
+    selector = f'#inputs li[data-name="{name}"][data-votes="{wanted}"]'
+    page.wait_for_selector(selector, timeout=1e3 * timeout_s)
+
+
+def test_the_page_shows_what_the_nodes_publish(
+    processes: Processes, observer: Observer, tmp_path: Path
+) -> None:
+    inputs = [f"{name}/map" for name in PRODUCERS]
+    (tmp_path / "saved").mkdir()
+    fusion = processes.node(
+        "fusion",
+        inputs=inputs,
+        page=True,
+        page_port=0,
+        live__stale_after_s=1000.0,
+        save_path=str(tmp_path / "saved" / "lab"),
+    )
+    nodes = {name: processes.node(name, use_sim_time=True) for name in PRODUCERS}
+    log = write_log(tmp_path, 30)
+    processes.node("player", file=str(log), lockstep=True, wait_for=list(PRODUCERS))
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    url = address(fusion, observer)
+
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(url.partition("/#")[0].replace("http", "ws") + "/ws", origin="http://evil.example")
+
+    with browser_page() as page:
+        page.goto(url)
+        for name in PRODUCERS:
+            votes(page, name, "true", 40.0)
+        observer.listen(2.0)  # the log has ended, and the last maps have come
+        assert_same_pixels(page, maps[-1])
+
+        page.click("#save")
+        page.wait_for_selector("#answer.good", timeout=1e4)
+        assert (tmp_path / "saved" / "lab.yaml").exists()
+
+        killed_s = time.monotonic()
+        nodes["tinyslam"].kill()
+        votes(page, "tinyslam", "false", 4.0)
+        assert time.monotonic() - killed_s < 4.0
+        assert "tinyslam does not vote" in page.text_content("#events li >> nth=0")
+
+        page.goto("about:blank")
+        page.goto(url.partition("#")[0])
+        votes(page, "graph", "true", 10.0)
+        assert page.is_hidden("#commands"), "without the token one only looks"
+    assert fusion.interrupt() == 0
+    assert "Traceback" not in fusion.text()
+
+
+def assert_same_pixels(page: Any, message: OccupancyGrid) -> None:
+    """The map on the page is the one that was published, cell by cell."""
+    grid = messages.grid_from_message(message, "fused")
+    assert grid.height < 700, "the map has to fit into the window"
+    for name in PRODUCERS:
+        page.uncheck(f'#layers li[data-name="{name}"] input[type=checkbox]')
+    page.uncheck("#paths")
+    page.click("#pixels")
+    wanted = np.empty((*grid.cells.shape, 3), dtype=np.uint8)
+    for value, rgb in ((-1, UNKNOWN_RGB), (0, FREE_RGB), (100, WALL_RGB)):
+        wanted[grid.cells == value] = rgb
+    until_s = time.monotonic() + 5.0
+    while True:
+        data = page.evaluate(READ_CELLS, [grid.height, grid.width])
+        found = np.array(data, dtype=np.uint8).reshape(grid.height, grid.width, 4)[::-1]
+        known = found[..., 3] == 255
+        shown = np.where(known[..., None], found[..., :3], np.uint8(UNKNOWN_RGB))
+        if np.array_equal(shown, wanted):
+            break
+        assert time.monotonic() < until_s, f"{(shown != wanted).any(-1).mean():.1%} cells differ"
+        page.wait_for_timeout(200)
+    assert (grid.cells == 100).sum() > 100
