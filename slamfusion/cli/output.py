@@ -103,4 +103,4 @@ class _Lines:
         now_s = time.monotonic()
         if now_s - self._told_s >= TOLD_EVERY_S:
             self._told_s = now_s
-            notice(f"{stage}: {done} of {total}")
+            notice(f"{stage}: {100 * done // max(total, 1)} %")

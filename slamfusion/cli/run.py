@@ -134,7 +134,8 @@ class _ManyInputs(click.Command):
     required=True,
     type=FILE,
     metavar="DIR",
-    help="Write here: each producer's map, path and record, the fused map, and report/.",
+    help="Write here: each producer's map, path and record, the fused map and path, the record of "
+    "the run (fused.json), and report/.",
 )
 @click.option(
     "--inputs",
@@ -278,7 +279,8 @@ def _print(run: LogRun, saved: SavedRun) -> None:
         print_verdict(run.verdict)
     if run.usable is not None:
         page = saved.folder / REPORT / PAGE
-        print_next_steps(saved.folder / f"{FUSED}.yaml", [f"open {page} in a browser"])
+        steps = [f"open {page} in a browser", f"slamfusion show {saved.folder}"]
+        print_next_steps(saved.folder / f"{FUSED}.yaml", steps)
 
 
 def _print_alignments(run: LogRun) -> None:

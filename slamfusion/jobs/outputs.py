@@ -21,6 +21,7 @@ __all__ = [
     "PAGE",
     "PROBABILITY",
     "REPORT",
+    "RUN_RECORD",
     "SUFFIXES",
     "earlier_results",
     "failure_folder",
@@ -47,6 +48,8 @@ AGREEMENT = FUSED + AGREEMENT_END
 DRAWN = "drawn"
 # The file of the fused path.
 FUSED_PATH = FUSED + ".tum"
+# The record of a run that made a fused map: its JSON document.
+RUN_RECORD = FUSED + ".json"
 PAGE, PICTURES = "report.html", "[0-9][0-9]-*.png"
 
 
@@ -86,7 +89,7 @@ def possible_outputs(folder: Path) -> list[Path]:
     names = producer_names()
     files = [path for name in names for path in output_files(folder / name, probabilities=True)]
     files += [path for name in (FUSED, AGREEMENT, DRAWN) for path in map_files(folder / name)]
-    return [*files, folder / FUSED_PATH]
+    return [*files, folder / FUSED_PATH, folder / RUN_RECORD]
 
 
 def group_stem(stem: Path, number: int) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamfusion.io import AtomicFiles, save_map, write_tum
-from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.fuse import failure_document, fusion_document
 from slamfusion.jobs.fused_path import drawn_document
 from slamfusion.jobs.outputs import (
@@ -19,6 +19,7 @@ from slamfusion.jobs.outputs import (
     FUSED,
     FUSED_PATH,
     REPORT,
+    RUN_RECORD,
     earlier_results,
     failure_folder,
     map_files,
@@ -51,8 +52,8 @@ class SavedRun:
     Attributes:
         folder: of the files: the one asked for, or ``failed`` in it, where a run without a fused
             map must not replace earlier results.
-        files: of each producer, of the fused map, of the agreement, of the fused path and of the
-            report, by name.
+        files: of each producer, of the fused map, of the agreement, of the fused path, of the
+            run's record and of the report, by name.
         stages: wall time of each stage in order, the report among them, seconds.
         document: what ``slamfusion run`` prints as JSON.
     """
@@ -100,6 +101,10 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
         began_s = time.perf_counter()
         written[REPORT] = [_add_report(files, run, target / REPORT)]
         stages = {**run.stages, "report": time.perf_counter() - began_s}
+        document = run_document(run, written, stages, time.perf_counter() - run.begun_s)
+        if run.usable is not None:
+            files.add(target / RUN_RECORD, record_bytes(document))
+            written[RUN_RECORD] = [target / RUN_RECORD]
         kept = {path for paths in written.values() for path in paths}
         kept |= set(report_files(target / REPORT))
         for path in earlier_results([target] if run.usable is None else [wanted, wanted / FAILED]):
@@ -107,7 +112,6 @@ def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) ->
                 files.remove(path)
     if run.usable is not None:
         remove_empty(wanted / FAILED / REPORT, wanted / FAILED)
-    document = run_document(run, written, stages, time.perf_counter() - run.begun_s)
     return SavedRun(target, written, stages, document)
 
 

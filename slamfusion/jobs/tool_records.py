@@ -23,6 +23,7 @@ __all__ = [
     "GraphOptimizeDocument",
     "OdometryEndErrorJson",
     "SelfTestJson",
+    "ShowDocument",
     "SimulateDocument",
     "SimulatedDriveJson",
     "SimulatedWorldJson",
@@ -171,6 +172,15 @@ class BenchDocument(BenchResultsJson):
     """What was measured, in words."""
     versions: Mapping[str, str | None]
     """Versions of Python, of this package and of those it stands on; null: not installed."""
+
+
+class ShowDocument(TypedDict):
+    """What ``slamfusion show`` prints when it has begun."""
+
+    url: str
+    """Address of the page."""
+    maps: list[str]
+    """Names of the maps that it shows."""
 
 
 class DevicesDocument(TypedDict):

@@ -97,7 +97,8 @@ class PageServer:
         token: what lets a page command; empty: a new one.
 
     Attributes:
-        url: with the token in its fragment, which no browser sends anywhere.
+        url: with the token, where there are commands, in its fragment, which no browser sends
+            anywhere.
         feed: takes maps for the scene.
 
     Raises:
@@ -122,7 +123,8 @@ class PageServer:
         self._socket = _listen(host, port)
         self.port = int(self._socket.getsockname()[1])
         shown = f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self.port}/#token={self._token}"
+        fragment = "" if command is None else f"#token={self._token}"
+        self.url = f"http://{shown}:{self.port}/{fragment}"
         self.feed = Feed(scene)
         self._loop: asyncio.AbstractEventLoop | None = None
         app = Starlette(

@@ -72,7 +72,7 @@ def run(
 def _without_progress(
     done: subprocess.CompletedProcess[str],
 ) -> subprocess.CompletedProcess[str]:
-    done.stderr = re.sub(r"^slamfusion: [^:\n]+: \d+ of \d+\n", "", done.stderr, flags=re.MULTILINE)
+    done.stderr = re.sub(r"^slamfusion: [^:\n]+: \d+ %\n", "", done.stderr, flags=re.MULTILINE)
     return done
 
 

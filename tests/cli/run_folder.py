@@ -9,7 +9,7 @@ from pathlib import Path
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 MAPS_OF_FUSION = {
     f"{name}{end}" for name in ("fused", "fused_agreement") for end in (".yaml", ".pgm")
-} | {"fused.tum"}
+} | {"fused.tum", "fused.json"}
 
 
 def files_of(*names: str) -> set[str]:

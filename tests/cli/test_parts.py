@@ -161,9 +161,9 @@ def test_progress_of_long_work_is_told_in_lines_where_nobody_watches(
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.setattr("slamfusion.cli.output.time.monotonic", lambda: next(now))
     with progress_bar() as progress:
-        for done in range(4):
+        for done in range(1, 5):
             progress("graph", done, 4)
-    assert stream.getvalue() == "slamfusion: graph: 1 of 4\nslamfusion: graph: 3 of 4\n"
+    assert stream.getvalue() == "slamfusion: graph: 50 %\nslamfusion: graph: 100 %\n"
 
 
 def test_a_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,6 +56,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "judge": (jobs.JudgeDocument,),
     "graph optimize": (tools.GraphOptimizeDocument,),
     "devices": (tools.DevicesDocument,),
+    "show": (tools.ShowDocument,),
     "doctor": (tools.DoctorDocument,),
     "bench": (tools.BenchDocument,),
 }

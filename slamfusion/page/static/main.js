@@ -83,7 +83,7 @@ const HANDLERS = {
   hello(message) {
     document.title = byId("headline").dataset.title = message.title;
     byId("commands").hidden = !message.may_command;
-    document.body.dataset.live = String(message.is_live);
+    byId("time").hidden = !message.is_live;
     if (!message.isAnother) return;
     maps.clear();
     [statuses, trails, past] = [[], new Map(), null];
@@ -98,7 +98,6 @@ const HANDLERS = {
     statuses.push(message);
     if (statuses.length > MOST_STATUSES) statuses.shift();
     inputs.remember(message);
-    if (past === null) showStatus(message);
   },
   trail(message) {
     const points = trails.get(message.name) ?? [];
@@ -110,6 +109,7 @@ const HANDLERS = {
   },
   end() {
     document.body.dataset.batches = String(Number(document.body.dataset.batches ?? 0) + 1);
+    if (past === null && statuses.length > 0) showStatus(newest());
     showTime();
     view.drawSoon();
   },

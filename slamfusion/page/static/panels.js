@@ -31,7 +31,9 @@ export class Inputs {
       row.reason.textContent = item.reason;
       row.name.style.borderBottom = `3px solid ${colourOf(item.name)}`;
       row.canvas.title = `score ${item.score ?? "-"}`;
-      this.draw(row.canvas, this.scores.get(item.name));
+      const scores = this.scores.get(item.name) ?? [];
+      row.canvas.hidden = scores.length < 2;
+      this.draw(row.canvas, scores);
     }
   }
 
@@ -63,7 +65,7 @@ export class Inputs {
   }
 
   /** Scores from 0 to 1; grey below where it did not vote. */
-  draw(canvas, scores = []) {
+  draw(canvas, scores) {
     const width = (canvas.width = 320);
     const height = (canvas.height = 26);
     const context = canvas.getContext("2d");
@@ -105,9 +107,10 @@ export class Layers {
       if (this.names.size === 0) this.list.replaceChildren();
       this.names.add(name);
       this.add(name, layer);
+      if (layer.kind === "agreement") continue;
       for (const [index, select] of this.selects.entries()) {
         select.append(new Option(name, name));
-        if (this.names.size === index + 1) select.value = name;
+        if (select.length === index + 1) select.value = name;
       }
     }
   }
