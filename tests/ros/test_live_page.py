@@ -18,9 +18,9 @@ from websockets.sync.client import connect
 
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.ros import messages, qos
-from tests.ros.browser import browser_page
 from tests.ros.drives import write_log
 from tests.ros.live import Observer, Process, Processes
+from tests.support.browser import browser_page
 
 pytestmark = [pytest.mark.ros, pytest.mark.once]
 

@@ -70,9 +70,11 @@ export class View {
     ];
   }
 
-  /** The pixel in which a cell's centre lies. */
+  /** The pixel in which a cell's centre lies; null for a map that is not there. */
   pixelOf(name, row, column) {
-    const { layer, place } = this.scene().layers.find((item) => item.name === name);
+    const found = this.scene().layers.find((item) => item.name === name);
+    if (found === undefined) return null;
+    const { layer, place } = found;
     const [x, y] = compose(place, [(column + 0.5) * layer.resolution, (row + 0.5) * layer.resolution, 0]);
     return this.toPixel([x, y]).map(Math.floor);
   }

@@ -1,0 +1,111 @@
+"""The page itself in headless Chromium, on a server without ROS."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.page.scene import Scene
+from slamfusion.page.server import PageServer
+from slamfusion.palette import FREE_RGB, INPUT_COLOURS, WALL_RGB
+from tests.support.browser import browser_page
+
+pytestmark = pytest.mark.once
+
+TOKEN = "0123456789abcdef01234567"  # noqa: S105 - of this test
+PIXEL = """([name, row, column]) => {
+  const canvas = document.querySelector("#map");
+  const at = canvas.view.pixelOf(name, row, column);
+  if (at === null) return [];
+  const [x, y] = at;
+  return Array.from(canvas.getContext("2d").getImageData(x, y, 1, 1).data);
+}"""
+WALL, FREE = (*WALL_RGB, 255), (*FREE_RGB, 255)
+
+
+def room(wall_row: int, *, name: str = "fused", x: float = 0.0) -> OccupancyGrid:
+    """A free room of 60 x 90 cells with one wall."""
+    cells = np.zeros((60, 90), dtype=np.int8)
+    cells[wall_row : wall_row + 4] = 100
+    return OccupancyGrid(cells, 0.05, Pose2(x, 0.0, 0.0), name)
+
+
+def status(scene: Scene, **inputs: tuple[bool, list[float] | None]) -> None:
+    told = [
+        {"name": name, "votes": votes, "reason": "", "score": 0.5, "transform": place}
+        for name, (votes, place) in inputs.items()
+    ]
+    scene.put_status(told, poses=[], headline="as told", level="good", figures={})
+
+
+def becomes(page: Any, colour: tuple[int, ...], name: str, row: int, column: int) -> None:
+    """Wait until a cell has a colour."""
+    until_s = time.monotonic() + 10.0
+    while (found := tuple(page.evaluate(PIXEL, [name, row, column]))) != colour:
+        assert time.monotonic() < until_s, f"{name} {row} {column} is {found}, not {colour}"
+        page.wait_for_timeout(50)
+
+
+def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
+    scene = Scene("first", is_live=True)
+    server = PageServer(scene, token=TOKEN, command=lambda name: (True, f"{name}: done"))
+    with browser_page() as page:
+        page.goto(server.url)
+        server.feed.put("fused", room(10), "fused")
+        page.wait_for_selector('#layers li[data-name="fused"]')
+        page.click("#pixels")
+        becomes(page, WALL, "fused", 12, 5)
+        becomes(page, FREE, "fused", 40, 5)
+
+        # What moves is drawn; the slider goes back to what was, and to now again.
+        page.wait_for_timeout(300)
+        server.feed.put("fused", room(38), "fused")
+        becomes(page, WALL, "fused", 40, 5)
+        page.evaluate(
+            """() => {
+              const slider = document.querySelector("#slider");
+              slider.value = slider.min;
+              slider.dispatchEvent(new Event("input"));
+            }"""
+        )
+        becomes(page, WALL, "fused", 12, 5)
+        becomes(page, FREE, "fused", 40, 5)
+        page.click("#now")
+        becomes(page, WALL, "fused", 40, 5)
+
+        # An input lies where its transform says, in its colour; a cell names who says what.
+        server.feed.put("a", room(20, name="a", x=7.0), "input")
+        status(scene, a=(True, [-7.0, 0.0, 0.0]))
+        page.wait_for_selector('#inputs li[data-name="a"][data-votes="true"]')
+        page.fill('#layers li[data-name="a"] input[type=range]', "1")
+        becomes(page, (*INPUT_COLOURS[0], 255), "a", 22, 50)
+        page.check("#difference")
+        page.select_option("#first", "fused")
+        page.select_option("#second", "a")
+        becomes(page, (*INPUT_COLOURS[0], 255), "fused", 39, 5)
+        becomes(page, (*INPUT_COLOURS[1], 255), "a", 22, 5)
+        page.uncheck("#difference")
+
+        page.click("#save")
+        page.wait_for_selector("#answer.good")
+        assert page.text_content("#answer") == "✓ save: done"
+
+        # The server dies and begins again: another scene, the same page and token.
+        server.close()
+        page.wait_for_selector("body[data-connected=false]")
+        again = Scene("second", is_live=True)
+        other = PageServer(again, port=server.port, token=TOKEN, command=lambda _: (True, "again"))
+        other.feed.put("fused", room(5), "fused")
+        page.wait_for_selector("body[data-connected=true]", timeout=15_000)
+        becomes(page, WALL, "fused", 6, 5)
+        becomes(page, FREE, "fused", 40, 5)
+        assert page.locator('#layers li[data-name="a"]').count() == 0
+        page.click("#save")
+        page.wait_for_selector("#answer.good")
+        assert page.text_content("#answer") == "✓ again"
+        other.close()
