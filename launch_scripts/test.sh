@@ -39,7 +39,7 @@ install_all() {
         if can_install_packages && apt_install chromium; then
             return
         fi
-        say "no chromium: the test that looks at the report in a browser is skipped"
+        say "no chromium: the tests of the live page fail without it"
     fi
 }
 

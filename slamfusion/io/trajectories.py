@@ -115,7 +115,12 @@ def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
     to_row = _COLUMNS.get(len(first))
     if to_row is None or not (has_header or _is_number(first[0])):
         shown = " ".join(header)[:60]
-        message = f"{where}: wanted {_WANTED}, found {_printable(shown)!r}; check the file"
+        columns = f"{len(first)} column{'s' if len(first) > 1 else ''}"
+        cause = "" if to_row is None else ", the first of them no time"
+        message = (
+            f"{where}: wanted {_WANTED}, found {columns}{cause}: {_printable(shown)!r} in the "
+            "first line; check the file"
+        )
         raise TrajectoryError(message)
     last_s = -math.inf
     lines = TextLines(where, kept_bytes=ROW_BYTES, if_cut_off=TrajectoryError)
@@ -132,7 +137,12 @@ def _rows(where: Path, first: list[bytes]) -> Iterator[Row]:
         values = _floats(fields, where, number)
         row = to_row(values)
         if not all(map(math.isfinite, row)):
-            message = f"{where}: line {number}: not a finite pose; mend or remove the line"
+            wrong = [i for i, value in enumerate(values, 1) if not math.isfinite(value)]
+            which = f"column {wrong[0]}" if wrong else "the quaternion of columns 5 to 8"
+            message = (
+                f"{where}: line {number}, {which} of {len(fields)}: not a finite pose; mend or "
+                "remove the line"
+            )
             raise TrajectoryError(message)
         if to_row is _tum_row:
             _check_tum(where, number, values, last_s)
@@ -161,8 +171,12 @@ def _floats(fields: list[bytes], where: Path, number: int) -> list[float]:
     try:
         return [float(item) for item in fields]
     except ValueError:
-        shown = _printable(b" ".join(fields)[:60].decode("ascii", "replace"))
-        message = f"{where}: line {number}: wanted numbers, found {shown!r}; mend or remove it"
+        wrong = next(index for index, item in enumerate(fields) if not _is_number(item))
+        shown = _printable(fields[wrong][:60].decode("ascii", "replace"))
+        message = (
+            f"{where}: line {number}, column {wrong + 1} of {len(fields)}: wanted a number, found "
+            f"{shown!r}; mend or remove the line"
+        )
         raise TrajectoryError(message) from None
 
 
