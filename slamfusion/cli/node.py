@@ -12,7 +12,7 @@ import click
 from slamfusion.cli.output import one_line
 from slamfusion.errors import SlamFusionError
 
-__all__ = ["NODES", "command"]
+__all__ = ["NODES", "command", "import_rclpy"]
 
 # The nodes that are no producer's, and their modules, which have ``make_node(kind) -> NodeBase``.
 NODES = {"fusion": "slamfusion.ros.fusion_node", "player": "slamfusion.ros.player_node"}
@@ -71,13 +71,13 @@ def command(name: str, ros_arguments: tuple[str, ...]) -> int:
     if ros_arguments and "--ros-args" not in ros_arguments:
         message = f"{ros_arguments[0]!r}: a node's options stand after --ros-args"
         raise click.UsageError(message)
-    _import_rclpy()
+    import_rclpy()
     module = importlib.import_module(NODES.get(name, PRODUCER_NODE))
     base = importlib.import_module("slamfusion.ros.base")
     return int(base.run_node(lambda: module.make_node(name), ros_arguments))
 
 
-def _import_rclpy() -> None:
+def import_rclpy() -> None:
     """Import rclpy, or say how to get it.
 
     A sourced ROS brings its own environment, which is left alone. The wheels of the package index

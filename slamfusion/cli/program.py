@@ -26,6 +26,7 @@ from slamfusion.cli import (
     fuse,
     graph,
     judge,
+    live,
     node,
     run,
     show,
@@ -55,6 +56,7 @@ COMMANDS: tuple[click.Command, ...] = (
     doctor.command,
     bench.command,
     node.command,
+    live.command,
 )
 
 EXIT_FAILURE = 1

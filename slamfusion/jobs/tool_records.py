@@ -21,6 +21,9 @@ __all__ = [
     "DevicesDocument",
     "DoctorDocument",
     "GraphOptimizeDocument",
+    "LiveAnswerDocument",
+    "LiveLineJson",
+    "LiveStatusDocument",
     "OdometryEndErrorJson",
     "SelfTestJson",
     "ShowDocument",
@@ -181,6 +184,39 @@ class ShowDocument(TypedDict):
     """Address of the page."""
     maps: list[str]
     """Names of the maps that it shows."""
+
+
+class LiveLineJson(TypedDict):
+    """What a running node says of itself or of an input; a line of its diagnostics."""
+
+    name: str
+    """Of the input, or fusion."""
+    level: str
+    """ok, warn, error or stale."""
+    message: str
+    """Why, for people."""
+    figures: Mapping[str, str]
+    """Figures by name, with their units, as the node writes them."""
+
+
+class LiveStatusDocument(TypedDict):
+    """``slamfusion live status``."""
+
+    node: str
+    """The node that answered, with its namespace."""
+    fusion: LiveLineJson
+    """What it says of the fusion."""
+    inputs: Sequence[LiveLineJson]
+    """What it says of each input."""
+
+
+class LiveAnswerDocument(TypedDict):
+    """``slamfusion live save``, ``reset`` and ``set``."""
+
+    success: bool
+    """Whether it was done."""
+    message: str
+    """What was done, or why not; of ``save`` the file."""
 
 
 class DevicesDocument(TypedDict):

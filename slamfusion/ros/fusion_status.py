@@ -9,9 +9,9 @@ from slamfusion.geometry import Pose2
 from slamfusion.ros.base import Level, Status
 from slamfusion.ros.map_source import MapSource
 
-__all__ = ["PREFIX", "fusion_status", "input_status"]
+__all__ = ["FUSION", "PREFIX", "fusion_status", "input_status"]
 
-PREFIX = "input "
+FUSION, PREFIX = "fusion", "input "
 
 
 def fusion_status(
@@ -42,7 +42,7 @@ def fusion_status(
     else:
         words = f"all {voters} inputs vote"
     said = "; ".join(filter(None, (words, message)))
-    return Status("fusion", level, said, {"inputs": len(lines), "voters": voters, **values})
+    return Status(FUSION, level, said, {"inputs": len(lines), "voters": voters, **values})
 
 
 def input_status(

@@ -40,6 +40,7 @@ COMMANDS: dict[str, list[str]] = {
     "fuse": ["fuse", *MAPS[:2], "-o", "out/fused", *NUMPY],
     "judge": ["judge", "d.log", "d.tum", "d.tum"],
     "node": ["node", "--help"],
+    "live": ["live", "--help"],
     "run": ["run", "--help"],
     "show": ["show", str(ROOT / "data" / "sample")],
     "simulate": ["simulate", "f16", "-o", "out", *NUMPY],

@@ -14,7 +14,7 @@ from slamfusion.jobs.records import load_schema
 __all__ = ["check_document", "command_of"]
 
 # Commands whose first argument is part of their name.
-GROUPS = {"graph", "experiment"}
+GROUPS = {"graph", "experiment", "live"}
 FAILURE = "FailureDocument"
 
 

@@ -57,6 +57,11 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "graph optimize": (tools.GraphOptimizeDocument,),
     "devices": (tools.DevicesDocument,),
     "show": (tools.ShowDocument,),
+    "live status": (tools.LiveStatusDocument,),
+    "live watch": (tools.LiveLineJson,),
+    "live save": (tools.LiveAnswerDocument,),
+    "live reset": (tools.LiveAnswerDocument,),
+    "live set": (tools.LiveAnswerDocument,),
     "doctor": (tools.DoctorDocument,),
     "bench": (tools.BenchDocument,),
 }

@@ -1,0 +1,152 @@
+"""``slamfusion live``: speaks to a running fusion node, from pip alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slamfusion.cli.node import import_rclpy
+from slamfusion.cli.options import common_options
+from slamfusion.cli.output import one_line, print_json, print_table
+from slamfusion.errors import SlamFusionError
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.tool_records import (
+        LiveAnswerDocument,
+        LiveLineJson,
+        LiveStatusDocument,
+    )
+    from slamfusion.ros.live_client import LiveClient
+
+__all__ = ["command"]
+
+# Of an input's figures, those that the table has, and their heads.
+SHOWN = {"score": "score", "overlap": "overlap", "age [s]": "age s", "rate [Hz]": "rate Hz"}
+
+
+@click.group("live")
+def command() -> None:
+    """Ask a running fusion node how it is, and let it save, reset or change a setting."""
+
+
+def _node_options(function: Callable[..., int]) -> Callable[..., int]:
+    """Give a command ``--node`` and ``--timeout``; it gets the client."""
+    node = click.option(
+        "--node",
+        default="fusion",
+        metavar="NAME",
+        help="The fusion node, with its namespace: robot1/fusion. [default: fusion]",
+    )
+    timeout = click.option(
+        "--timeout",
+        "timeout_s",
+        type=click.FloatRange(0.1, 3600.0),
+        default=10.0,
+        metavar="S",
+        help="Wait for it this long. [default: 10 s]",
+    )
+
+    def wrapper(node: str, timeout_s: float, **given: Any) -> int:
+        import_rclpy()
+        from slamfusion.ros.live_client import LiveClient  # noqa: PLC0415
+
+        with LiveClient(node, timeout_s) as client:
+            return function(client, **given)
+
+    wrapper.__doc__ = function.__doc__
+    return node(timeout(common_options(wrapper)))
+
+
+@command.command("status")
+@_node_options
+def status_command(client: LiveClient, as_json: bool) -> int:
+    """Say who votes, who does not and why."""
+    found = client.status()
+    if as_json:
+        print_json(found)
+    else:
+        _print(found)
+    return 0
+
+
+@command.command("watch")
+@_node_options
+def watch_command(client: LiveClient, as_json: bool) -> int:
+    """Say so each time a vote or a warning changes, until Ctrl-C; with --json a line for each."""
+    told: dict[str, tuple[str, str]] = {}
+    try:
+        while True:
+            found = client.status()
+            for line in (found["fusion"], *found["inputs"]):
+                # Figures within the words change all the time.
+                now = line["level"], "".join(c for c in line["message"] if not c.isdigit())
+                if told.get(line["name"]) != now:
+                    told[line["name"]] = now
+                    print(json.dumps(line) if as_json else _words(line), flush=True)
+    except KeyboardInterrupt:
+        return 0
+
+
+def _words(line: LiveLineJson) -> str:
+    """Return a line of the diagnostics as text."""
+    mark = "" if line["level"] == "ok" else f"{line['level'].upper()} "
+    return one_line(f"{line['name']}: {mark}{line['message']}")
+
+
+@command.command("save")
+@_node_options
+def save_command(client: LiveClient, as_json: bool) -> int:
+    """Save the fused map where the node's save_path says."""
+    return _tell(client.call("save_map"), as_json)
+
+
+@command.command("reset")
+@_node_options
+def reset_command(client: LiveClient, as_json: bool) -> int:
+    """Begin a new fused frame with the newest maps."""
+    return _tell(client.call("reset"), as_json)
+
+
+# A value may be negative.
+@command.command("set", context_settings={"ignore_unknown_options": True})
+@click.argument("parameter", metavar="PARAMETER")
+@click.argument("value", metavar="VALUE")
+@_node_options
+def set_command(client: LiveClient, parameter: str, value: str, as_json: bool) -> int:
+    """Set a parameter that may be changed while the node runs, such as max_publish_rate_hz."""
+    return _tell(client.set(parameter, value), as_json)
+
+
+def _tell(answer: LiveAnswerDocument, as_json: bool) -> int:
+    """Print an answer; a refusal is an error."""
+    if as_json:
+        print_json(answer)
+    if not answer["success"]:
+        raise SlamFusionError(answer["message"])
+    if not as_json:
+        print(answer["message"])
+    return 0
+
+
+def _print(found: LiveStatusDocument) -> None:
+    """Print the inputs as a table, and the fusion in words."""
+    inputs = found["inputs"]
+    rows = [
+        [
+            line["name"],
+            "yes" if line["figures"].get("accepted") == "yes" else "NO",
+            *(line["figures"].get(key, "-") for key in SHOWN),
+        ]
+        for line in inputs
+    ]
+    print_table(
+        ("input ", "votes ", *SHOWN.values()),
+        rows,
+        notes=[line["message"] for line in inputs],
+        title=f"{found['node']}: {found['fusion']['message']}",
+    )
+    figures = found["fusion"]["figures"]
+    print(", ".join(f"{key} {figures[key]}" for key in ("maps published", "map [cells]")))

@@ -1,0 +1,137 @@
+"""``LiveClient``: asks a running fusion node from outside, as ``ros2 service`` and ``param`` do."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.tool_records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
+from slamfusion.ros import qos
+from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
+from slamfusion.ros.fusion_status import FUSION, PREFIX
+
+__all__ = ["LiveClient", "LiveNodeError"]
+
+SPIN_S = 0.1
+
+
+class LiveNodeError(SlamFusionError):
+    """A node that is not there, or does not answer."""
+
+
+class LiveClient:
+    """A node of its own that asks; to be used in a ``with``.
+
+    Args:
+        node: name of the fusion node, with its namespace where it has one.
+        timeout_s: how long to wait for it, each time.
+
+    Raises:
+        LiveNodeError: of every method: it did not answer in that time.
+    """
+
+    def __init__(self, node: str, timeout_s: float) -> None:
+        self._target = "/" + node.strip("/")
+        self._timeout_s = timeout_s
+        self._context = Context()
+        self._diagnostics: Any = None
+        self._heard: list[Any] = []
+
+    def __enter__(self) -> LiveClient:  # noqa: PYI034  (Self is newer than Python 3.10)
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        name = f"slamfusion_live_{os.getpid()}"
+        self._node = rclpy.create_node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def status(self) -> LiveStatusDocument:
+        """Return what the node says next of itself and its inputs."""
+        if self._diagnostics is None:
+            self._diagnostics = self._node.create_subscription(
+                DiagnosticArray, DIAGNOSTICS_TOPIC, self._keep, qos.STREAM
+            )
+        self._heard.clear()
+        self._wait(lambda: bool(self._heard), "diagnostics")
+        own = {status.name.partition(": ")[2]: status for status in self._heard[-1].status}
+        inputs = [
+            _line(name.removeprefix(PREFIX), status)
+            for name, status in own.items()
+            if name.startswith(PREFIX)
+        ]
+        return {"node": self._target, "fusion": _line(FUSION, own[FUSION]), "inputs": inputs}
+
+    def call(self, service: str) -> LiveAnswerDocument:
+        """Call ``save_map`` or ``reset`` and return the answer."""
+        folder = self._target.rpartition("/")[0]
+        client = self._node.create_client(Trigger, f"{folder}/{service}")
+        self._wait(client.service_is_ready, f"the service {folder}/{service}")
+        future = client.call_async(Trigger.Request())
+        self._wait(future.done, f"an answer of {folder}/{service}")
+        response = future.result()
+        return {"success": bool(response.success), "message": str(response.message)}
+
+    def set(self, name: str, value: str) -> LiveAnswerDocument:
+        """Set a parameter to a value as YAML writes it, and return the answer."""
+        client = AsyncParameterClient(self._node, self._target)
+        self._wait(client.services_are_ready, "its parameters")
+        try:
+            parameter = Parameter(name, value=yaml.safe_load(value))
+        except (TypeError, yaml.YAMLError) as error:
+            message = f"{name}: {value!r} is no value of a parameter; wanted 1.5, true or a text"
+            raise LiveNodeError(message) from error
+        future = client.set_parameters([parameter])
+        self._wait(future.done, "an answer")
+        (result,) = future.result().results
+        said = str(result.reason) or f"{name} is {parameter.value!r} now"
+        return {"success": bool(result.successful), "message": said}
+
+    def _keep(self, message: Any) -> None:
+        wanted = f"{self._target.lstrip('/')}: {FUSION}"
+        if any(status.name == wanted for status in message.status):
+            self._heard.append(message)
+
+    def _wait(self, is_done: Callable[[], bool], what: str) -> None:
+        until_s = time.monotonic() + self._timeout_s
+        while not is_done():
+            if time.monotonic() > until_s:
+                names = sorted(
+                    f"{folder.rstrip('/')}/{name}"
+                    for name, folder in self._node.get_node_names_and_namespaces()
+                    if name != self._node.get_name()
+                )
+                message = (
+                    f"{self._target}: heard no {what} in {self._timeout_s:g} s; nodes that are "
+                    f"there: {', '.join(names) or 'none'} (ROS_DOMAIN_ID "
+                    f"{os.environ.get('ROS_DOMAIN_ID', '0')}); name it with --node"
+                )
+                raise LiveNodeError(message)
+            self._executor.spin_once(timeout_sec=SPIN_S)
+
+
+def _line(name: str, status: DiagnosticStatus) -> LiveLineJson:
+    """Return a line of the diagnostics."""
+    return {
+        "name": name,
+        "level": Level(status.level[0]).name.lower(),
+        "message": str(status.message),
+        "figures": {item.key: item.value for item in status.values},
+    }
