@@ -66,9 +66,9 @@ RATE = 1.0
 # Maps that are bent explain less of their common ground; pieces count at least this much.
 SHARE_FLOOR = 0.6
 # Where this share of all walls of both maps meets within 0.15 m, and this share of the common
-# ground fits whole (``WallPieces.whole``), neither is bent: what stays unexplained was moved, or
-# belongs to another building with these outer walls. Pieces count by the odds of what is explained,
-# as one at these: 0.2 where five eighths are.
+# ground fits whole (``WallPieces.whole``), neither map is bent: what stays unexplained was moved,
+# or belongs to another building with these outer walls. Pieces count by the odds of what is
+# explained, as one at these: 0.2 where five eighths are.
 SHARP_MATCH, SHARP_WHOLE, ODDS_SHARP = 0.45, 0.4, 8.0
 # Good maps explain nearly all of it. At these odds of what is explained against what is not (92 %)
 # a piece counts as one, by the square of the odds, as two at most (from 94 % on): where a fifth is

@@ -118,3 +118,22 @@ def assert_right(
     assert shift <= cells, found
     assert turn <= degrees, found
     assert alignment.accepted, found
+
+
+def building_parts(
+    seed: int, share: float, yaw_rad: float
+) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
+    """Two parts of a drawn building that share so much of each; one turned, with a frame its own.
+
+    Returns:
+        The western part, the eastern one as another SLAM would save it, and the pose of its frame
+        in that of the first.
+    """
+    whole = building(seed, 16.0, 8.0, 0.05)
+    each = round(whole.width / (2.0 - share))
+    west = whole.crop(CellBox(0, 0, whole.height, each))
+    east = whole.crop(CellBox(0, whole.width - each, whole.height, whole.width))
+    moved, pose = degraded(
+        east, seed, yaw_rad=yaw_rad, shift_share=(0.3, -0.2), flip_share=0.01, speckle_share=0.02
+    )
+    return west.with_name("west"), moved, pose

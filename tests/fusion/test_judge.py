@@ -17,9 +17,11 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.rivals import is_distinct
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.sim import draw_building
 from tests.fusion.drawings import (
     assert_right,
     building,
+    building_parts,
     degraded,
     draw,
     features_of,
@@ -102,6 +104,48 @@ def test_thick_walls_are_not_taken_for_a_bent_map(device: ComputeDevice) -> None
     found = align_grids(truth, moving, QUICK, device)
     assert record_of(found)["share"] == pytest.approx(0.34, abs=0.05)
     assert_right(found, moving, pose, cells=0.3, degrees=0.2)
+
+
+@pytest.mark.parametrize("seed", [18, 22, 78, 90, 134, 213])
+def test_outer_walls_of_one_size_do_not_make_two_buildings_one_place(
+    device: ComputeDevice, seed: int
+) -> None:
+    """Half of the walls and more meet within 0.15 m, and nothing else comes near; rooms differ."""
+    one, other = (
+        draw_building(np.random.default_rng([seed, which]), 12.0, 10.0, 0.1) for which in range(2)
+    )
+    found = align_grids(one, other, QUICK, device)
+    assert not found.accepted, found.reason
+    assert record_of(found)["sharp_maps"]
+    assert record_of(found)["better"] > 9.0
+
+
+@pytest.mark.parametrize("seed", [4, 7])
+def test_a_small_common_ground_that_fits_is_believed_beside_a_large_one_that_does_not(
+    device: ComputeDevice, seed: int
+) -> None:
+    """What fits badly over many walls gives twice the evidence; of good maps it counts for less."""
+    west, east, pose = building_parts(seed, 0.2, yaw_rad=1.2)
+    found = align_grids(west, east, QUICK, device)
+    assert_right(found, east, pose, cells=1.5, degrees=0.5)
+    assert record_of(found)["good_maps"]
+
+
+@pytest.mark.parametrize("share", [0.5, 0.35])
+def test_maps_of_noise_are_refused_and_the_reason_says_what_was_not_searched(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    grids = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        cells = np.where(rng.random((240, 240)) < share, 100, 0).astype(np.int8)
+        grids.append(OccupancyGrid(cells, 0.05, name=f"noise {seed}"))
+    monkeypatch.setattr("slamfusion.fusion.search.LEVEL_WORK_MAX", 1e8)
+    found = align_grids(*grids, QUICK, device)
+    assert not found.accepted
+    assert found.reason.endswith(
+        "walls fill the cells that were searched, and finer ones would take too long"
+    )
 
 
 @pytest.mark.parametrize("seed", [3, 5])

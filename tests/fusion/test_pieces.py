@@ -56,6 +56,15 @@ def test_a_rival_that_is_better_counts_as_it_is() -> None:
     assert nothing.against(1) == nothing.better(0, 1) == pytest.approx(2.0)
 
 
+def test_sharp_maps_fit_whole_or_not_at_all() -> None:
+    """The same share: of one motion in half of the pieces, of the other in part everywhere."""
+    evidence = np.array([[3.0, 3.0, -0.2, -0.2], [1.4, 1.4, 1.4, 1.4], [1.4, 2.2, 0.0, 0.0]])
+    most = np.array([[3.0, 3.0, 3.0, 3.0], [3.0, 3.0, 3.0, 3.0], [2.0, 4.0, 0.0, 4.0]])
+    pieces = WallPieces(evidence, most, np.ones(3))
+    assert pieces.share()[0] == pytest.approx(pieces.share()[1])
+    assert [pieces.whole(k) for k in range(3)] == pytest.approx([0.5, 0.0, 0.2])
+
+
 def some_motions(ref: GridFeatures, seed: int, count: int = 6) -> np.ndarray:
     """Motions that land the moving centre within a quarter of the reference from its middle."""
     rng = np.random.default_rng(seed)

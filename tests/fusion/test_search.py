@@ -28,13 +28,13 @@ from slamfusion.fusion.search import (
     search,
     wall_widths,
 )
-from slamfusion.fusion.shifts import COARSE_TOP, score_shifts
-from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.fusion.shifts import COARSE_TOP, score_shifts, shift_work
+from slamfusion.grid import OccupancyGrid
 from tests.fusion.definitions import evidence_of, level_side, side_of
 from tests.fusion.drawings import (
     assert_right,
     building,
+    building_parts,
     degraded,
     features_of,
     random_cells,
@@ -258,29 +258,12 @@ def test_the_twins_find_the_same_answer(device: ComputeDevice, twins: ComputeDev
     assert answers[0][2][0] == pytest.approx(answers[1][2][0], rel=2e-3)
 
 
-def parts(seed: int, share: float, yaw_rad: float) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:
-    """Two parts of a drawn building that share so much of each; one turned, with a frame its own.
-
-    Returns:
-        The western part, the eastern one as another SLAM would save it, and the pose of its frame
-        in that of the first.
-    """
-    whole = building(seed, 16.0, 8.0, 0.05)
-    each = round(whole.width / (2.0 - share))
-    west = whole.crop(CellBox(0, 0, whole.height, each))
-    east = whole.crop(CellBox(0, whole.width - each, whole.height, whole.width))
-    moved, pose = degraded(
-        east, seed, yaw_rad=yaw_rad, shift_share=(0.3, -0.2), flip_share=0.01, speckle_share=0.02
-    )
-    return west.with_name("west"), moved, pose
-
-
 @pytest.mark.parametrize("cells", [72, 28])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_motion_with_an_overlap_of_a_third_is_found(
     device: ComputeDevice, seed: int, cells: int
 ) -> None:
-    west, east, pose = parts(seed, 0.3, yaw_rad=1.9 * seed - 4.0)
+    west, east, pose = building_parts(seed, 0.3, yaw_rad=1.9 * seed - 4.0)
     ref, mov = features_of(west, device), features_of(east, device)
     wanted = motion_of(ref, mov, pose)
     config = AlignConfig(coarse_cells=cells, prove=False)
@@ -300,7 +283,7 @@ def test_a_small_common_ground_is_found_beside_a_large_one_that_fits_badly(
     device: ComputeDevice,
 ) -> None:
     """Eight motions have more evidence than the right one, all of them with more unexplained."""
-    west, east, pose = parts(4, 0.15, yaw_rad=1.2)
+    west, east, pose = building_parts(4, 0.15, yaw_rad=1.2)
     ref, mov = features_of(west, device), features_of(east, device)
     _, motions, evidence = search(ref, mov, CONFIG, OPEN, device)
     away = [displacement(motion, motion_of(ref, mov, pose))[0] for motion in motions]
@@ -381,3 +364,21 @@ def test_spread_sample_takes_every_part_of_the_points() -> None:
     assert len(sample) == 64
     assert np.diff(sample[:, 0]).max() <= math.ceil(1000 / 64)
     assert spread_sample(points, 1000) is points
+
+
+def test_a_level_that_takes_too_long_is_not_searched(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a map of noise walls are everywhere, on each level."""
+    noise = np.where(np.random.default_rng(1).random((200, 200)) < 0.4, 100, 0).astype(np.int8)
+    grid = features_of(OccupancyGrid(noise, 0.1), device)
+    finest, coarsest = (math.ceil(200 / cells) for cells in (4 * 20, 20))
+    assert coarse_step(grid, grid, 20, OPEN) == finest
+    monkeypatch.setattr("slamfusion.fusion.search.LEVEL_WORK_MAX", shift_work(grid, grid, 5, OPEN))
+    step = coarse_step(grid, grid, 20, OPEN)
+    assert finest < step < coarsest
+    assert shift_work(grid, grid, step, OPEN) <= shift_work(grid, grid, 5, OPEN)
+    coarse = coarse_search(grid, grid, replace(CONFIG, coarse_cells=20), OPEN, device)
+    assert (coarse.step, coarse.is_cut) == (step, True)
+    plain = features_of(building(1), device)
+    assert not coarse_search(plain, plain, CONFIG, OPEN, device).is_cut

@@ -16,6 +16,7 @@ from slamfusion.fusion.shifts import (
     ShiftScores,
     score_shifts,
     shift_range,
+    shift_work,
 )
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 from tests.fusion.definitions import Side, evidence_of, level_side, side_of
@@ -157,3 +158,16 @@ def test_the_twins_score_the_same(device: ComputeDevice, twins: ComputeDevice, s
         found.append(score_shifts(ref, mov, step, window, on_device))
     for name in ("yaws", "evidence", "rows", "cols", "work"):
         assert np.array_equal(getattr(found[0], name), getattr(found[1], name)), name
+
+
+@pytest.mark.parametrize("window", [SearchWindow(), SearchWindow((9.0, 7.0, 0.3), 12.0, 0.4)])
+def test_the_work_of_a_level_is_known_before_it_is_done(
+    device: ComputeDevice, window: SearchWindow
+) -> None:
+    """But for rows that are filled up to whole lanes: here not by more than as much again."""
+    ref, mov = (features_of(random_grid(seed, 60, 90), device) for seed in (21, 22))
+    most = [shift_work(ref, mov, step, window) for step in (1, 2, 4)]
+    done = [score_shifts(ref, mov, step, window, device).work for step in (1, 2, 4)]
+    for known, work in zip(most, done, strict=True):
+        assert work <= 2.0 * known
+    assert most[0] > 4.0 * most[1] > 16.0 * most[2]
