@@ -40,6 +40,7 @@ __all__ = [
     "decide",
     "decide_mirrored",
     "expected_wrong",
+    "piece_weight",
     "wrong_in_job",
 ]
 
@@ -197,15 +198,26 @@ def expected_wrong(
     Args:
         better, share, pairs, prior, is_plain, is_sharp, gap: see ``Evidence``.
     """
-    odds = share / max(1.0 - share, 1e-9)
-    weight = max(share, SHARE_FLOOR)
-    if is_plain:
-        weight = min((odds / ODDS_ONE) ** 2, WEIGHT_MOST)
-    elif is_sharp:
-        weight = min(odds / ODDS_SHARP, weight)
+    weight = piece_weight(share, is_plain=is_plain, is_sharp=is_sharp)
     counted = min(better * weight, COUNTED_MAX)
     trials = TRIALS * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
     return pairs * prior * trials * math.exp(-RATE * max(counted, -COUNTED_MAX))
+
+
+def piece_weight(
+    share: float, *, is_plain: bool = False, is_sharp: bool = False, odds_one: float = ODDS_ONE
+) -> float:
+    """Return what a piece of wall that speaks for an answer counts.
+
+    Args:
+        share, is_plain, is_sharp: see ``Evidence``.
+        odds_one: odds of what is explained at which a piece of good maps counts as one.
+    """
+    odds = share / max(1.0 - share, 1e-9)
+    if is_plain:
+        return min((odds / odds_one) ** 2, WEIGHT_MOST)
+    bent = max(share, SHARE_FLOOR)
+    return min(odds / ODDS_SHARP, bent) if is_sharp else bent
 
 
 def decide(evidence: Evidence) -> Decision:

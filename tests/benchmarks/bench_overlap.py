@@ -2,6 +2,7 @@
 
     python -m tests.benchmarks.bench_overlap --processes 2 --jsonl out/overlap.jsonl
     python -m tests.benchmarks.bench_overlap --limit 3 --only one-map --only cross-slam
+    python -m tests.benchmarks.bench_overlap --cross-validate out/overlap.jsonl
 
 Of pairs with a right answer each cell of the table counts: accepted and right / accepted and wrong
 / rejected, though the best candidate is right / rejected and not found, of how many. Of the others
@@ -34,6 +35,7 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.records import AlignmentJson
 from slamfusion.grid import OccupancyGrid
+from tests.benchmarks.overlap_folds import load_counted, print_folds
 from tests.benchmarks.record import add_record_option, console_for
 from tests.support.datasets import ABSENT, MAPS
 from tests.support.overlap import (
@@ -285,8 +287,18 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--prove", action="store_true")
+    parser.add_argument(
+        "--cross-validate",
+        type=Path,
+        nargs="+",
+        metavar="JSONL",
+        help="align nothing: decide records of half of the places with odds fitted on the other",
+    )
     add_record_option(parser)
     arguments = parser.parse_args()
+    if arguments.cross_validate:
+        print_folds(load_counted(arguments.cross_validate), Console(width=160))
+        return
     names = arguments.only or tuple(SETS)
     if not MAPS.is_dir() and set(names) != {"simulated"}:
         parser.error(ABSENT + ", or ask for --only simulated")

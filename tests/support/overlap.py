@@ -62,6 +62,7 @@ __all__ = [
     "half_pairs",
     "load_source",
     "mirrored",
+    "place_of",
     "scaled",
     "simulated",
 ]
