@@ -18,6 +18,8 @@ from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 
 __all__ = ["added_doubled_share", "doubled_wall_cells", "doubled_wall_share"]
 
+F32 = npt.NDArray[np.float32]
+
 _DEFAULT_NORMALIZE = NormalizeConfig()
 _GRADIENT_SIGMA_CELLS = 1.0
 _WINDOW_SIGMA_CELLS = 2.5
@@ -85,7 +87,8 @@ def added_doubled_share(
         walls = np.zeros(window.shape, dtype=np.bool_)
         own = walls[box.row0 - row :, box.col0 - col :]
         own[: cells.shape[0], : cells.shape[1]] = cells == 1
-        window &= ~ndimage.binary_dilation(doubled_wall_cells(walls), iterations=2)
+        asked = ndimage.binary_dilation(window, iterations=2)
+        window &= ~ndimage.binary_dilation(doubled_wall_cells(walls, where=asked), iterations=2)
     return int(np.count_nonzero(doubled)) / considered
 
 
@@ -95,6 +98,7 @@ def doubled_wall_cells(
     far: float = 8.0,
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
+    where: npt.NDArray[np.bool_] | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Mark the wall cells that have a parallel wall ``near`` to ``far`` cells away.
 
@@ -113,6 +117,7 @@ def doubled_wall_cells(
             2, which leaves one cell between them.
         far: most cells likewise.
         normalize: the thresholds of a grid.
+        where: (H, W) bool, the cells that are asked about; None: all.
 
     Returns:
         (H, W) bool.
@@ -135,21 +140,25 @@ def doubled_wall_cells(
     border = 2 * int(np.ceil(far)) + 3
     row0, col0 = int(rows.min()), int(cols.min())
     padded = np.pad(walls[row0 : int(rows.max()) + 1, col0 : int(cols.max()) + 1], border)
-    normal_x, normal_y, coherence = _orientation(padded)
+    tensor = _structure_tensor(padded)
     padded_rows, padded_cols = rows - row0 + border, cols - col0 + border
     x, y = padded_cols.astype(np.float64), padded_rows.astype(np.float64)
-    nx, ny = normal_x[padded_rows, padded_cols], normal_y[padded_rows, padded_cols]
-    has_normal = coherence[padded_rows, padded_cols] >= _MIN_COHERENCE
+    nx, ny, coherence = _orientation(tensor, padded_rows, padded_cols)
+    asked = coherence >= _MIN_COHERENCE
+    if where is not None:
+        asked &= where[rows, cols]
+    rows, cols, x, y = rows[asked], cols[asked], x[asked], y[asked]
+    nx, ny = nx[asked], ny[asked]
 
     for side in (1.0, -1.0):
         hit_t, hit = _next_wall(padded, (x, y), (side * nx, side * ny), near, far)
         # Half a cell further the ray is inside the other wall.
         hit_cols = np.rint(x + (hit_t + 0.5) * side * nx).astype(np.int64)
         hit_rows = np.rint(y + (hit_t + 0.5) * side * ny).astype(np.int64)
-        cos = normal_x[hit_rows, hit_cols] * nx + normal_y[hit_rows, hit_cols] * ny
-        is_parallel = np.abs(cos) >= _PARALLEL_COS
-        is_wall_like = coherence[hit_rows, hit_cols] >= _MIN_COHERENCE
-        doubled[rows, cols] |= has_normal & hit & is_parallel & is_wall_like
+        hit_nx, hit_ny, coherence = _orientation(tensor, hit_rows, hit_cols)
+        is_parallel = np.abs(hit_nx * nx + hit_ny * ny) >= _PARALLEL_COS
+        is_wall_like = coherence >= _MIN_COHERENCE
+        doubled[rows, cols] |= hit & is_parallel & is_wall_like
     return doubled
 
 
@@ -170,20 +179,27 @@ def _without_specks(walls: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return np.asarray(is_wall[labels], dtype=np.bool_)
 
 
+def _structure_tensor(walls: npt.NDArray[np.bool_]) -> tuple[F32, F32, F32]:
+    """Return the structure tensor around each cell: xx, yy and xy, x along columns; (H, W) each."""
+    smooth = cv2.GaussianBlur(walls.astype(np.float32), (0, 0), _GRADIENT_SIGMA_CELLS)
+    gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
+    gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
+    jxx, jyy, jxy = (
+        np.asarray(cv2.GaussianBlur(product, (0, 0), _WINDOW_SIGMA_CELLS), dtype=np.float32)
+        for product in (gx * gx, gy * gy, gx * gy)
+    )
+    return jxx, jyy, jxy
+
+
 def _orientation(
-    walls: npt.NDArray[np.bool_],
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return the unit normal (x along columns, y along rows) and the coherence around each cell.
+    tensor: tuple[F32, F32, F32], rows: npt.NDArray[np.intp], cols: npt.NDArray[np.intp]
+) -> tuple[F32, F32, F32]:
+    """Return the unit normal (x along columns, y along rows) and the coherence at cells, (N,) each.
 
     Coherence is (l1 - l2) / (l1 + l2) of the structure tensor's eigenvalues: 1 along a straight
     wall, 0 where all directions are equal.
     """
-    smooth = cv2.GaussianBlur(walls.astype(np.float32), (0, 0), _GRADIENT_SIGMA_CELLS)
-    gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
-    gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    jxx = np.asarray(cv2.GaussianBlur(gx * gx, (0, 0), _WINDOW_SIGMA_CELLS), dtype=np.float32)
-    jyy = np.asarray(cv2.GaussianBlur(gy * gy, (0, 0), _WINDOW_SIGMA_CELLS), dtype=np.float32)
-    jxy = np.asarray(cv2.GaussianBlur(gx * gy, (0, 0), _WINDOW_SIGMA_CELLS), dtype=np.float32)
+    jxx, jyy, jxy = (part[rows, cols] for part in tensor)
     angle = 0.5 * np.arctan2(2.0 * jxy, jxx - jyy)
     energy = jxx + jyy
     coherence = np.hypot(jxx - jyy, 2.0 * jxy) / np.maximum(energy, np.float32(1e-12))
@@ -212,14 +228,14 @@ def _next_wall(
         there is one.
     """
     (x, y), (nx, ny) = start, direction
-    level = walls.astype(np.float32)
+    level, corners = walls.astype(np.float32), _corner_counts(walls)
     own_end = np.zeros(x.shape)
     hit_at = np.zeros(x.shape)
     hit = np.zeros(x.shape, dtype=np.bool_)
     active = np.arange(x.size)
     for step in range(1, int(2 * far / _STEP_CELLS) + 1):
         t = step * _STEP_CELLS
-        on_wall = _sample(level, x[active] + t * nx[active], y[active] + t * ny[active])
+        on_wall = _sample(level, corners, x[active] + t * nx[active], y[active] + t * ny[active])
         width = t - own_end[active]
         is_own = on_wall & (width < near - 1.0)
         is_other = on_wall & ~is_own & (width <= far - 1.0)
@@ -233,13 +249,37 @@ def _next_wall(
     return hit_at, hit
 
 
+def _corner_counts(walls: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Return how many of a cell and its next ones in x, in y and in both are walls, (H, W)."""
+    counts = walls.astype(np.uint8)
+    counts[:, :-1] += walls[:, 1:]
+    counts[:-1] += walls[1:]
+    counts[:-1, :-1] += walls[1:, 1:]
+    return counts
+
+
 def _sample(
-    level: npt.NDArray[np.float32], x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
+    level: npt.NDArray[np.float32],
+    corners: npt.NDArray[np.uint8],
+    x: npt.NDArray[np.float64],
+    y: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.bool_]:
-    """Return whether the bilinear value at (x, y), in cells, counts as wall."""
-    col, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    u, v = x - col, y - row
-    value = (1.0 - v) * ((1.0 - u) * level[row, col] + u * level[row, col + 1]) + v * (
-        (1.0 - u) * level[row + 1, col] + u * level[row + 1, col + 1]
+    """Return whether the bilinear value at (x, y), in cells and not negative, counts as wall.
+
+    Args:
+        level: (H, W), 1 at a wall.
+        corners: see ``_corner_counts``: between four cells that are alike nothing is interpolated.
+        x, y: (N,).
+    """
+    index = y.astype(np.int64) * level.shape[1] + x.astype(np.int64)
+    count = corners.ravel()[index]
+    is_wall: npt.NDArray[np.bool_] = count == 4
+    some = np.flatnonzero((count > 0) & (count < 4))
+    x, y, index = x[some], y[some], index[some]
+    u, v = x - np.floor(x), y - np.floor(y)
+    values, width = level.ravel(), level.shape[1]
+    value = (1.0 - v) * ((1.0 - u) * values[index] + u * values[index + 1]) + v * (
+        (1.0 - u) * values[index + width] + u * values[index + width + 1]
     )
-    return np.asarray(value >= _WALL_LEVEL, dtype=np.bool_)
+    is_wall[some] = value >= _WALL_LEVEL
+    return is_wall

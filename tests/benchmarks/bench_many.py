@@ -1,0 +1,130 @@
+"""Fuse many maps of a simulated site, and count how many lie in their places, and how long it took.
+
+    python -m tests.benchmarks.bench_many --maps 10,20 --seeds 1
+    python -m tests.benchmarks.bench_many --maps 10,20,40,80 --seeds 1,2 --record
+
+Maps of 700 x 700 cells at any turn, neighbours 20 to 60 % overlapping, bent by 1.5 cells, one cell
+of a hundred wrong; every fifth is of another building (``tests.support.sites``). A map is right
+where it lies within 0.5 m of its place in the frame of its group's reference, and wrong where it
+was fused and does not; a map that shares ground with others and was not fused is lost. Times are of
+``fuse_maps`` in this process, wall clock and processor time; the first fusion compiles the kernels
+and is not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from dataclasses import dataclass, replace
+
+from rich.table import Table
+
+from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.config import RunConfig, VoteConfig
+from slamfusion.fusion.records import FusionResult
+from slamfusion.jobs.fuse import fuse_maps
+from tests.benchmarks.record import add_record_option, console_for
+from tests.support.sites import ManyMaps, many_maps
+
+RIGHT_M = 0.5
+CONFIG = replace(
+    RunConfig(), fusion=replace(RunConfig().fusion, vote=VoteConfig("consensus", extent="union"))
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one site.
+
+    Attributes:
+        maps, seed: of the site.
+        right, wrong, lost: maps, see the module's text; lone ones that were left out are right.
+        worst_m: the largest error of a right map.
+        searched: pairs that were searched in full.
+        wall_s, cpu_s: of the fusion.
+        peak_mib: of the process so far, mebibytes.
+    """
+
+    maps: int
+    seed: int
+    right: int
+    wrong: int
+    lost: int
+    worst_m: float
+    searched: int
+    wall_s: float
+    cpu_s: float
+    peak_mib: float
+
+
+def measure(count: int, seed: int, cells: int, device: ComputeDevice) -> Row:
+    """Fuse the maps of one site."""
+    site = many_maps(count, seed, cells)
+    began, began_cpu = time.perf_counter(), time.process_time()
+    result = fuse_maps(list(site.grids), CONFIG, device).result
+    wall_s, cpu_s = time.perf_counter() - began, time.process_time() - began_cpu
+    errors: dict[str, float] = {}
+    for group in (result, *result.others):
+        errors |= _errors(site, group)
+    is_lone = {
+        grid.name: site.buildings.count(building) == 1
+        for grid, building in zip(site.grids, site.buildings, strict=True)
+    }
+    right = [error for error in errors.values() if error <= RIGHT_M]
+    left_out = [grid.name for grid in site.grids if grid.name not in errors]
+    lone = sum(is_lone[name] for name in left_out)
+    return Row(
+        count,
+        seed,
+        len(right) + lone,
+        len(errors) - len(right),
+        len(left_out) - lone,
+        max(right, default=0.0),
+        sum(not pair.reason.startswith("tracked") for pair in result.pairs),
+        wall_s,
+        cpu_s,
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    )
+
+
+def _errors(site: ManyMaps, group: FusionResult) -> dict[str, float]:
+    transforms = {
+        record.name: record.alignment.transform
+        for record in group.accepted
+        if record.alignment is not None
+    }
+    return site.errors_m(group.reference, transforms)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--maps", default="10,20", help="numbers of maps")
+    parser.add_argument("--seeds", default="1", help="seeds of the sites")
+    parser.add_argument("--cells", type=int, default=700, help="cells on a side of a map")
+    parser.add_argument("--device", default="auto")
+    add_record_option(parser)
+    asked = parser.parse_args()
+    device = open_device(asked.device)
+    measure(7, 0, 200, device)
+    table = Table(title=f"Many maps of {asked.cells} x {asked.cells} cells")
+    columns = ("maps", "seed", "right", "wrong", "lost", "worst m", "searches")
+    for name in (*columns, "wall s", "CPU s", "peak MiB"):
+        table.add_column(name, justify="right")
+    console = console_for("many", asked.record)
+    for count in map(int, asked.maps.split(",")):
+        for seed in map(int, asked.seeds.split(",")):
+            row = measure(count, seed, asked.cells, device)
+            table.add_row(
+                *(str(value) for value in (row.maps, row.seed, row.right, row.wrong, row.lost)),
+                f"{row.worst_m:.2f}",
+                str(row.searched),
+                *(f"{value:.1f}" for value in (row.wall_s, row.cpu_s)),
+                f"{row.peak_mib:.0f}",
+            )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
