@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -19,12 +20,24 @@ if TYPE_CHECKING:
         LiveLineJson,
         LiveStatusDocument,
     )
-    from slamfusion.ros.live_client import LiveClient
 
 __all__ = ["command"]
 
 # Of an input's figures, those that the table has, and their heads.
 SHOWN = {"score": "score", "overlap": "overlap", "age [s]": "age s", "rate [Hz]": "rate Hz"}
+
+
+class _Client(Protocol):
+    """What is asked; see ``slamfusion.ros.live_client.LiveClient``."""
+
+    def status(self) -> LiveStatusDocument:
+        """Return what the node says next."""
+
+    def call(self, service: str) -> LiveAnswerDocument:
+        """Call a service."""
+
+    def set(self, name: str, value: str) -> LiveAnswerDocument:
+        """Set a parameter."""
 
 
 @click.group("live")
@@ -51,9 +64,9 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
 
     def wrapper(node: str, timeout_s: float, **given: Any) -> int:
         import_rclpy()
-        from slamfusion.ros.live_client import LiveClient  # noqa: PLC0415
-
-        with LiveClient(node, timeout_s) as client:
+        # By its name: rclpy is an extra.
+        ros = importlib.import_module("slamfusion.ros.live_client")
+        with ros.LiveClient(node, timeout_s) as client:
             return function(client, **given)
 
     wrapper.__doc__ = function.__doc__
@@ -62,7 +75,7 @@ def _node_options(function: Callable[..., int]) -> Callable[..., int]:
 
 @command.command("status")
 @_node_options
-def status_command(client: LiveClient, as_json: bool) -> int:
+def status_command(client: _Client, as_json: bool) -> int:
     """Say who votes, who does not and why."""
     found = client.status()
     if as_json:
@@ -74,7 +87,7 @@ def status_command(client: LiveClient, as_json: bool) -> int:
 
 @command.command("watch")
 @_node_options
-def watch_command(client: LiveClient, as_json: bool) -> int:
+def watch_command(client: _Client, as_json: bool) -> int:
     """Say so each time a vote or a warning changes, until Ctrl-C; with --json a line for each."""
     told: dict[str, tuple[str, str]] = {}
     try:
@@ -98,14 +111,14 @@ def _words(line: LiveLineJson) -> str:
 
 @command.command("save")
 @_node_options
-def save_command(client: LiveClient, as_json: bool) -> int:
+def save_command(client: _Client, as_json: bool) -> int:
     """Save the fused map where the node's save_path says."""
     return _tell(client.call("save_map"), as_json)
 
 
 @command.command("reset")
 @_node_options
-def reset_command(client: LiveClient, as_json: bool) -> int:
+def reset_command(client: _Client, as_json: bool) -> int:
     """Begin a new fused frame with the newest maps."""
     return _tell(client.call("reset"), as_json)
 
@@ -115,7 +128,7 @@ def reset_command(client: LiveClient, as_json: bool) -> int:
 @click.argument("parameter", metavar="PARAMETER")
 @click.argument("value", metavar="VALUE")
 @_node_options
-def set_command(client: LiveClient, parameter: str, value: str, as_json: bool) -> int:
+def set_command(client: _Client, parameter: str, value: str, as_json: bool) -> int:
     """Set a parameter that may be changed while the node runs, such as max_publish_rate_hz."""
     return _tell(client.set(parameter, value), as_json)
 

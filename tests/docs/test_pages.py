@@ -153,7 +153,7 @@ def parse(command: click.Command, words: list[str]) -> None:
     Raises:
         click.UsageError: an option or a subcommand is not there, or has a wrong value.
     """
-    if words[0] == "node":
+    if words[:1] == ["node"]:
         words = words[: words.index("--ros-args")] if "--ros-args" in words else words
     context = command.make_context(command.name, list(words))
     if isinstance(command, click.Group):
