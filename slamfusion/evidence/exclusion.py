@@ -59,7 +59,8 @@ SURE = 0.01
 # With fewer blocks of scans than this, the scans are not asked about a time.
 LEAST_BLOCKS = 4
 # And where their difference is greater than this, log-likelihood of a hit: what scan matchers fit
-# explains the scans of a place a little better than the true path does.
+# explains the scans of a place a little better than the true path does, by less than this in 98 %
+# of 1440 parts of 40 simulated drives.
 LEAST_DIFFERENCE = 0.03
 # And not for a path that somewhere travels less than this share of the way that most travel, where
 # that is so many metres, from second to second: steps of single scans are noise.
@@ -369,7 +370,8 @@ class _Drive:
             a, b: of the paths.
             left_out: (M,) bool, scans that are neither drawn nor judged.
         """
-        if self.device is None or not left_out.any() or left_out.all():
+        beams = next(iter(self.evidence.scores.values())).beams[self.judged]
+        if self.device is None or not left_out.any() or not beams[~left_out].any():
             return self.evidence
         scans = np.zeros(len(self.evidence.scans), dtype=np.bool_)
         scans[self.judged[left_out]] = True

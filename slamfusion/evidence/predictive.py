@@ -271,16 +271,14 @@ def without_scans(
     names: Collection[str],
     left_out: B8,
     device: ComputeDevice,
-    model: HitModel = DEFAULT_MODEL,
 ) -> PathEvidence:
-    """Score some paths of a drive on fewer scans.
+    """Score some paths of a drive on fewer scans, by the same model.
 
     Args:
-        evidence: of these paths and of others, by the same model.
+        evidence: of these paths and of others.
         names: the paths.
         left_out: (N,) bool, scans that neither draw nor are judged.
         device: draws and looks up.
-        model: how likely a hit is.
 
     Returns:
         Scores of these paths.
@@ -292,10 +290,10 @@ def without_scans(
     if not is_judged[scans.hit_scans].any():
         message = "every scan is left out; leave some to score the paths on"
         raise TrajectoryError(message)
-    scores = {
-        name: _score(name, evidence.scores[name].path, scans, is_judged, device, model)
-        for name in names
-    }
+    scores = {}
+    for name in names:
+        old = evidence.scores[name]
+        scores[name] = _score(name, old.path, scans, is_judged, device, old.model)
     return PathEvidence(scans, is_judged, scores)
 
 
