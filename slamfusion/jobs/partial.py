@@ -116,7 +116,9 @@ class Layers:
         words = [vote.sentence() for vote in self.partial]
         if self.undecided:
             times = _and([_times(span) for span in self.undecided])
-            words.append(f"The paths have parted {times}; nothing tells who is right: all vote.")
+            words.append(
+                f"The paths have parted {times}; of those that vote nothing tells who is right."
+            )
         return tuple(words)
 
 

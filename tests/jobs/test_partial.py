@@ -206,7 +206,7 @@ def test_where_nothing_tells_who_is_right_all_vote_and_it_is_said(device: Comput
     layers = draw_layers(maps, paths, found, lambda _: drawn_scans(scans), device)
     assert layers.grids == tuple(maps)
     assert layers.sentences() == (
-        "The paths have parted from 18 to 19 s; nothing tells who is right: all vote.",
+        "The paths have parted from 18 to 19 s; of those that vote nothing tells who is right.",
     )
 
 
