@@ -94,7 +94,7 @@ def machine() -> str:
 
 
 def command() -> str:
-    """Return the command line that this process was started with, without the folder."""
+    """Return the command line that this process was started with, without its folders."""
     spec = getattr(sys.modules["__main__"], "__spec__", None)
     start = ["python", "-m", spec.name] if spec is not None else [Path(sys.argv[0]).name]
     words = [re.sub("^--record=.*", "--record", word) for word in sys.argv[1:]]
@@ -103,6 +103,8 @@ def command() -> str:
         for before, word in itertools.pairwise(["", *sys.argv[1:]])
     ]
     kept = [word for word, leave in zip(words, is_folder, strict=True) if not leave]
+    # Where things lie on this machine is nothing to keep.
+    kept = ["DIR" if Path(word).is_absolute() else word for word in kept]
     return shlex.join([*start, *kept])
 
 

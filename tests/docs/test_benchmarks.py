@@ -183,6 +183,7 @@ def test_without_a_folder_nothing_is_kept():
         (["--record"], "--record"),
         (["--record", "somewhere", "--seeds", "5"], "--record --seeds 5"),
         (["--record=somewhere", "one drive"], "--record 'one drive'"),
+        (["--drives", "/somewhere/drives", "--record"], "--drives DIR --record"),
     ],
 )
 def test_a_command_is_kept_without_the_folder(
