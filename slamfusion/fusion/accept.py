@@ -15,11 +15,10 @@ the common ground could give, since a chance fit leaves much of it unexplained:
     expected_wrong = pairs * prior * TRIALS * (1 + UNPROVEN * gap) * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
-``EXPECTED_WRONG_MAX``. Of 2500 pairs of recorded maps that show different buildings, halves that
-share nothing, or one map mirrored or scaled, those weighed as good maps reach n = 4.9, 3.5 and 3.5
-at most; TRIALS and RATE accept from 5.3. A proof that was asked for and not finished (gap) leaves
-poses in which a better rival may be. A start that was given makes the poses near it as much more
-probable as they are fewer than all poses.
+``EXPECTED_WRONG_MAX``: TRIALS and RATE accept from n = 5.3. A proof that was asked for and not
+finished (gap) leaves poses in which a better rival may be, and so does a search that was cut. A
+start that was given makes the poses near it as much more probable as they are fewer than all poses;
+of maps that may be bent there are more where there is more ground.
 
 A mirror image and a map of another scale may match better than anything else does and are looked
 for on their own; a map that is bent may stand roughly where it belongs, with most of its walls
@@ -71,6 +70,11 @@ SHARE_FLOOR = 0.6
 # or belongs to another building with these outer walls. Pieces count by the odds of what is
 # explained, as one at these: 0.2 where five eighths are.
 SHARP_MATCH, SHARP_WHOLE, ODDS_SHARP = 0.45, 0.4, 8.0
+# Ground on which the middle of the moving map may lie, in square metres, at which TRIALS is what it
+# is: two maps of 30 m. On more there are as many more places that may look right by chance, of maps
+# that are bent: halves of a place 150 m long, one drawn 1.1 times as large, count 7.2. Of good maps
+# wrong ones were not seen to count more on more ground.
+GROUND_ONE_M2 = 5000.0
 # Good maps explain nearly all of it. At these odds of what is explained against what is not (92 %)
 # a piece counts as one, by the square of the odds, as two at most (from 94 % on): where a fifth is
 # unexplained, wrong answers have up to ten pieces for them.
@@ -140,7 +144,8 @@ class Evidence:
         ratio: the evidence for the best answer elsewhere over that for this one.
         rival: where that lies, for the reason; None without one.
         pairs: pairs of maps in the job.
-        prior: how much fewer the poses near a given start are than all; 1 without a start.
+        prior: how much fewer the poses near a given start are than all; of maps that may be bent
+            above 1 where there are more than on ``GROUND_ONE_M2``.
         statistics: see ``align.measure``.
         search: what stands behind it: ``full`` (all yaws and shifts), ``window``,
             ``fixed step``, or ``tracked`` (a known transform was only refined).

@@ -13,6 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.accept import (
     EXPECTED_WRONG_MAX,
+    GROUND_ONE_M2,
     SHARE_MIN,
     SHARP_MATCH,
     SHARP_WHOLE,
@@ -46,7 +47,7 @@ from slamfusion.fusion.search import (
 )
 from slamfusion.geometry import Pose2, wrap_angle
 
-__all__ = ["judge", "prior_within", "rejected_alignment"]
+__all__ = ["ground_prior", "judge", "prior_within", "rejected_alignment"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -110,6 +111,8 @@ def judge(
         and _near_start(reference, moving, transform, start)
     ):
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
+    if found.coarse is not None and not stand.is_plain:
+        prior *= ground_prior(reference, moving)
     evidence = _evidence(
         reference, moving, stand, runner_up, statistics,
         found=found, pairs=pairs, prior=prior,
@@ -305,10 +308,21 @@ def prior_within(
     reference: GridFeatures, moving: GridFeatures, cells: float, yaw_rad: float
 ) -> float:
     """Return how much fewer the poses within these distances are than all that could overlap."""
-    reach = math.hypot(*moving.shape)
-    everywhere = (reference.shape[0] + reach) * (reference.shape[1] + reach) * 2.0 * math.pi
+    everywhere = _ground(reference, moving) * 2.0 * math.pi
     here = (2.0 * max(cells, 1.0)) ** 2 * 2.0 * max(min(yaw_rad, math.pi), YAW_RAD_MIN)
     return min(1.0, here / everywhere)
+
+
+def _ground(reference: GridFeatures, moving: GridFeatures) -> float:
+    """Return the cells on which the moving centre may lie where both maps could overlap."""
+    reach = math.hypot(*moving.shape)
+    return (reference.shape[0] + reach) * (reference.shape[1] + reach)
+
+
+def ground_prior(reference: GridFeatures, moving: GridFeatures) -> float:
+    """Return how many more places two maps that may be bent have than ``GROUND_ONE_M2``, or 1."""
+    ground_m2 = _ground(reference, moving) * reference.grid.grid.resolution**2
+    return max(1.0, ground_m2 / GROUND_ONE_M2)
 
 
 def _near_start(

@@ -34,6 +34,7 @@ from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fusion.accept import Evidence, decide
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.judge import ground_prior
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.grid import OccupancyGrid
@@ -103,7 +104,7 @@ class Recorder:
             ratio=match.rival_ratio,
             rival=None if alignment.runner_up is None else "elsewhere",
             pairs=1,
-            prior=1.0,
+            prior=1.0 if match.good_maps else ground_prior(reference, moving),
             statistics=alignment.statistics,
             search="full",
             mirrored=match.mirrored,

@@ -100,6 +100,9 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"share": 0.6, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 60%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 30%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "walls do not match: 30%"),
+    # Half of a place 150 m long, drawn 1.1 times as large (recorded): 13 times the ground.
+    ({"share": 0.418, "better": 11.96, "prior": 13.0}, "different place", "(0.02 wrong ones"),
+    ({"share": 0.418, "better": 11.96}, "accepted", "walls match: 42%"),
     # Good maps: by the square of the odds of what is explained, one at 11 to 1 and two at most.
     (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 + 1e-6}, "accepted", "walls match: 100%"),
     (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 - 1e-6}, "ambiguous", "explains 40% of it"),

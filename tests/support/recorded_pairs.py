@@ -84,6 +84,7 @@ def row_of(pair: RecordedPair) -> dict[str, str]:
         "decision": pair.decision,
         "good_maps": "yes" if pair.evidence.is_plain else "no",
         "sharp_maps": "yes" if pair.evidence.is_sharp else "no",
+        "prior": f"{pair.evidence.prior:.6g}",
     }
     for column in COLUMNS:
         value = value_of(pair.evidence, column)
@@ -108,7 +109,7 @@ def _pair(row: dict[str, str]) -> RecordedPair:
         ratio=float(row["ratio"]),
         rival="elsewhere",
         pairs=1,
-        prior=1.0,
+        prior=float(row["prior"]),
         statistics={name: float(row[name]) for name in STATISTICS},
         search="full",
         mirrored=float(row["mirrored"]) if row["mirrored"] else None,
