@@ -41,13 +41,13 @@ BENT_CELLS = 60.0
 # Less of what the common ground could give than this, and one of the maps is bent: a wider width of
 # a wall may tell more, and the fit is spread over the whole map.
 PLAIN_SHARE = 0.75
-# Where an answer gives more, both maps may be good ones: then so many times what an answer leaves
-# unexplained speaks against it. With 1 a large common ground that fits badly holds a small right
-# one back (of 90 halves that share a fifth 60 are believed, with 2 and with 3 about 70); the
+# Less than this, and its fits a metre or two apart are one answer.
+BENT_SHARE = 0.5
+# Where an answer gives PLAIN_SHARE, both maps may be good ones: then so many times what an answer
+# leaves unexplained speaks against it. With 1 a large common ground that fits badly holds a small
+# right one back (of 90 halves that share a fifth 60 are believed, with 2 and with 3 about 70); the
 # highest counts of 156 wrong answers between recorded maps were 0.9, 1.8 and 3.5.
 GOOD_DOUBT = 2.0
-# So much less, and its fits a metre or two apart are one answer.
-BENT_SHARE = 0.5
 # Of the answers that give this much of the most evidence the one with the highest share may be
 # right.
 NOTED_RATIO = 0.7
@@ -112,11 +112,9 @@ class Standing:
         """Pieces that say that the answer is better than any other, and than none."""
         return self._better_than(self.others)
 
-    def wrong(self, pairs: int = 1, prior: float = 1.0, gap: float = 0.0) -> float:
+    def wrong(self, pairs: int = 1, prior: float = 1.0) -> float:
         """Return the wrong answers to be expected to look as good; see ``expected_wrong``."""
-        return expected_wrong(
-            self.better, self.share, pairs, prior, is_plain=self.is_plain, gap=gap
-        )
+        return expected_wrong(self.better, self.share, pairs, prior, is_plain=self.is_plain)
 
     def _better_than(self, others: list[int]) -> float:
         """Return the pieces for the answer against the best of some others, or against none."""
