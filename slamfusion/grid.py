@@ -32,6 +32,8 @@ FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
 IDENTITY = Pose2()
+# Cells that are looked up in a table at once.
+LOOKED_UP = 1 << 20
 
 # Metres per cell that a map may have: finer than any sensor measures, coarser than any room.
 RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
@@ -124,7 +126,12 @@ def trinary_cells(cells: npt.NDArray[np.int8], thresholds: NormalizeConfig) -> n
     table = np.full(256, UNKNOWN, dtype=np.int8)
     table[(percent >= 0) & (percent <= thresholds.free_percent)] = 0
     table[(percent >= 0) & (percent >= thresholds.occupied_percent)] = 1
-    return np.asarray(table[cells.view(np.uint8)])
+    codes, classes = cells.view(np.uint8).ravel(), np.empty(cells.size, dtype=np.int8)
+    # Indexing makes eight bytes of each cell, so a large map is looked up in parts.
+    for first in range(0, cells.size, LOOKED_UP):
+        part = slice(first, first + LOOKED_UP)
+        np.take(table, codes[part], out=classes[part])
+    return classes.reshape(cells.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +204,8 @@ class OccupancyGrid:
         Args:
             box: half-open; may reach beyond the grid, also to negative rows and columns.
         """
+        if box == CellBox(0, 0, self.height, self.width):
+            return self
         cells = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
         row0, col0 = max(box.row0, 0), max(box.col0, 0)
         row1, col1 = min(box.row1, self.height), min(box.col1, self.width)

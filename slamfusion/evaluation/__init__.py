@@ -13,9 +13,9 @@ from slamfusion.evaluation.distances import (
     load_distances,
 )
 from slamfusion.evaluation.doubled_walls import (
-    added_doubled_share,
     doubled_wall_cells,
     doubled_wall_share,
+    fused_doubled_shares,
 )
 from slamfusion.evaluation.map_error import (
     AGREE_FREE,
@@ -106,7 +106,6 @@ __all__ = [
     "WallDistance",
     "WallFaces",
     "WallThickness",
-    "added_doubled_share",
     "associate",
     "compare_distances",
     "compare_faces",
@@ -118,6 +117,7 @@ __all__ = [
     "doubled_wall_share",
     "errors_at_scans",
     "face_cells",
+    "fused_doubled_shares",
     "load_distances",
     "match_odometry",
     "mean_interval",

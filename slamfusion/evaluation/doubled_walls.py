@@ -6,7 +6,8 @@ plans through the gap. The share of doubled walls needs no truth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
@@ -16,9 +17,11 @@ from scipy import ndimage
 from slamfusion.config import NormalizeConfig
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
 
-__all__ = ["added_doubled_share", "doubled_wall_cells", "doubled_wall_share"]
+__all__ = ["doubled_wall_cells", "doubled_wall_share", "fused_doubled_shares"]
 
 F32 = npt.NDArray[np.float32]
+# Rows and columns of a part of an array.
+Window = tuple[slice, slice]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
 _GRADIENT_SIGMA_CELLS = 1.0
@@ -30,8 +33,11 @@ _STEP_CELLS = 0.5
 # Between the centres of two diagonal neighbours the interpolated wall falls to 0.5; a ray that
 # samples every half cell still meets 0.4 there, so that it cannot slip through a diagonal wall.
 _WALL_LEVEL = 0.4
-# Cells around a part of a map that decide what is doubled in it: a ray, and the filters' windows.
-REACH_CELLS = 24
+# Cells around a part of a map that decide what is doubled in it: rays of twice 8 cells, windows of
+# the filters at their ends, and specks.
+REACH_CELLS, FILTERS_CELLS, SPECK_CELLS = 48, 32, 8
+# A map with longer sides is looked at in tiles of this side: its filters would not fit into memory.
+WHOLE_CELLS, TILE_CELLS = 2048, 1024
 
 
 def doubled_wall_share(
@@ -59,10 +65,12 @@ def doubled_wall_share(
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
-def added_doubled_share(
+def fused_doubled_shares(
     fused: npt.NDArray[np.int8], inputs: Iterable[tuple[npt.NDArray[np.int8], CellBox]]
-) -> float:
-    """Return the share of fused wall cells that are doubled in no input: what a slip would make.
+) -> tuple[float, float]:
+    """Return the shares of fused wall cells that are doubled, and doubled in no input.
+
+    The second is what a slip would make.
 
     A place may have parallel walls close together, and a map that knows little of it shows few of
     them; so the fused map's share alone cannot tell a slip from a narrow passage. Here a doubled
@@ -74,13 +82,14 @@ def added_doubled_share(
             fused lattice that it covers.
 
     Returns:
-        0..1; 0 for a map without walls.
+        0..1 each; 0 for a map without walls.
     """
     walls = _without_specks(fused == 1)
     considered = int(np.count_nonzero(walls))
     if not considered:
-        return 0.0
+        return 0.0, 0.0
     doubled = doubled_wall_cells(fused == 1)
+    share = int(np.count_nonzero(doubled)) / considered
     for cells, box in inputs:
         row, col = max(box.row0 - REACH_CELLS, 0), max(box.col0 - REACH_CELLS, 0)
         window = doubled[row : box.row1 + REACH_CELLS, col : box.col1 + REACH_CELLS]
@@ -89,7 +98,7 @@ def added_doubled_share(
         own[: cells.shape[0], : cells.shape[1]] = cells == 1
         asked = ndimage.binary_dilation(window, iterations=2)
         window &= ~ndimage.binary_dilation(doubled_wall_cells(walls, where=asked), iterations=2)
-    return int(np.count_nonzero(doubled)) / considered
+    return share, int(np.count_nonzero(doubled)) / considered
 
 
 def doubled_wall_cells(
@@ -130,8 +139,47 @@ def doubled_wall_cells(
     if not 2.0 <= near <= far:
         message = f"near and far must satisfy 2 <= near <= far cells, found {near:g} and {far:g}"
         raise ValueError(message)
-    walls = _without_specks(_walls(grid, normalize))
+    walls = _walls(grid, normalize)
     doubled = np.zeros(walls.shape, dtype=np.bool_)
+    for tile, wide, inner in _tiles(walls.shape, 2 * math.ceil(far) + FILTERS_CELLS):
+        asked = None if where is None else where[wide]
+        doubled[tile] = _doubled_in(walls[wide], near, far, asked)[inner]
+    return doubled
+
+
+def _tiles(shape: tuple[int, ...], reach: int) -> Iterator[tuple[Window, Window, Window]]:
+    """Yield tiles that together are all of an array of a shape.
+
+    Args:
+        shape: rows and columns.
+        reach: cells around a tile that decide what is found in it.
+
+    Yields:
+        The tile, the same with the cells around it, and where in these the tile lies.
+    """
+    side = TILE_CELLS if max(shape) > WHOLE_CELLS else WHOLE_CELLS
+    for row in range(0, shape[0], side):
+        for col in range(0, shape[1], side):
+            tile = slice(row, min(row + side, shape[0])), slice(col, min(col + side, shape[1]))
+            first = max(row - reach, 0), max(col - reach, 0)
+            wide = slice(first[0], tile[0].stop + reach), slice(first[1], tile[1].stop + reach)
+            rows, cols = (
+                slice(part.start - at, part.stop - at) for part, at in zip(tile, first, strict=True)
+            )
+            yield tile, wide, (rows, cols)
+
+
+def _doubled_in(
+    walls: npt.NDArray[np.bool_],
+    near: float,
+    far: float,
+    where: npt.NDArray[np.bool_] | None,
+) -> npt.NDArray[np.bool_]:
+    """Return the doubled cells of a map that is looked at as a whole; see above."""
+    doubled = np.zeros(walls.shape, dtype=np.bool_)
+    if not walls.any() or (where is not None and not (where & walls).any()):
+        return doubled
+    walls = _without_specks(walls)
     rows, cols = np.nonzero(walls)
     if rows.size == 0:
         return doubled
@@ -173,6 +221,14 @@ def _walls(
 
 def _without_specks(walls: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Return the walls without groups of fewer than five 8-connected cells."""
+    kept = np.zeros(walls.shape, dtype=np.bool_)
+    for tile, wide, inner in _tiles(walls.shape, SPECK_CELLS):
+        kept[tile] = _without_specks_in(walls[wide])[inner]
+    return kept
+
+
+def _without_specks_in(walls: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Do the same for a part of a map; groups that its edge cuts are no specks that reach in."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(walls.astype(np.uint8), connectivity=8)
     is_wall = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= _MIN_COMPONENT_CELLS
     is_wall[0] = False

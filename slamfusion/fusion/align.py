@@ -43,7 +43,9 @@ NEIGHBOURHOOD_CELLS = 8
 NEIGHBOURHOOD_YAW_RAD = math.radians(2.0)
 PROOF_ROUNDS = 3
 RIVALS = 8
-PLANE_CELLS_MAX = 1 << 28
+# Cells of the field that a proof reads. It holds several such fields, and of larger ones it ends at
+# its deadline long before it has bounded anything.
+PLANE_CELLS_MAX = 1 << 25
 
 
 def align_grids(

@@ -38,6 +38,8 @@ __all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
+# Cells that are counted at once.
+COUNTED_CELLS = 1 << 20
 # The score that is told: a byte serves single lookups.
 FINE_TABLE = score_table(3.0, base=64, span=191)
 
@@ -227,9 +229,13 @@ class GridFeatures:
             check_cancelled(cancel)
             known = self.device.download(level.free).copy()
             known[self.device.download(level.wall) != 0] = FIELD_ONE
-            distance2 = self.device.download(level.distance2).ravel()
-            counts = np.bincount(distance2, weights=known.ravel())
-            self._known_distances[step] = np.asarray(counts / FIELD_ONE, dtype=np.float64)
+            distance2 = self.device.download(level.distance2)
+            counts = np.zeros(int(distance2.max(initial=0)) + 1)
+            # Counting takes sixteen bytes of each cell, so a large level is counted in parts.
+            for rows in np.array_split(np.arange(len(known)), 1 + known.size // COUNTED_CELLS):
+                part, weights = distance2[rows].ravel(), known[rows].ravel()
+                counts += np.bincount(part, weights=weights, minlength=len(counts))
+            self._known_distances[step] = counts / FIELD_ONE
         return self._known_distances[step]
 
     def pieces(

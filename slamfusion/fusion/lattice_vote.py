@@ -16,7 +16,7 @@ from slamfusion.config import FusionConfig
 from slamfusion.fusion.boxes import grown_inside, hull, overlap, padded, slices
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
-from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
+from slamfusion.fusion.records import OUTVOTED, FusionResult, InputRecord, VotedLayer, voted_cells
 from slamfusion.fusion.vote import (
     agreement_weights,
     double_reach_cells,
@@ -27,7 +27,7 @@ from slamfusion.fusion.vote import (
     vote_reach_cells,
 )
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 
 __all__ = ["Lattices", "vote_on_lattice", "warp_onto"]
 
@@ -108,7 +108,9 @@ def vote_on_lattice(
         ballot.vote_on(tile)
     frame = base.grid.origin.transform(np.array([box.col0, box.row0]) * base.grid.resolution)
     origin = Pose2(float(frame[0]), float(frame[1]), base.grid.origin.yaw_rad)
-    cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.int8)[ballot.fused + 1]
+    cells = np.where(ballot.fused == 1, np.int8(OCCUPIED), ballot.fused)
+    # What is read-only is not copied once more.
+    cells.flags.writeable = ballot.agreement.flags.writeable = False
     records = []
     for given in grids:
         pair = group.alignments.get(given.name)
@@ -136,12 +138,13 @@ class _Laid:
 
     Attributes:
         box: cells that it may know, counted from the first fused cell; may be empty.
-        cells: (h, w) int8 of the box, in {-1, 0, 1}.
+        codes: (h, w) int8 of the box, in {-1, 0, 1}; outvoted where it is so far, see
+            ``VotedLayer``.
         percents: the same in percent, where these vote.
     """
 
     box: CellBox
-    cells: I8
+    codes: I8
     percents: I8 | None
 
 
@@ -173,7 +176,6 @@ class _Ballot:
         self.double_reach = double_reach_cells(config.vote, resolution)
         self.fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
         self.agreement = np.full_like(self.fused, UNKNOWN)
-        self.dissent = {name: np.zeros(item.cells.shape, np.bool_) for name, item in layers.items()}
         self.phantom_cells = 0
 
     def vote_on(self, tile: CellBox) -> None:
@@ -218,14 +220,13 @@ class _Ballot:
                 continue
             box = self.layers[name].box
             bits = voted.dissent[slices(own, wide.row0, wide.col0)]
-            self.dissent[name][slices(own, box.row0, box.col0)] = (
-                bits >> np.array(index, bits.dtype)
-            ) & 1 != 0
+            is_outvoted = (bits >> np.array(index, bits.dtype)) & 1 != 0
+            self.layers[name].codes[slices(own, box.row0, box.col0)][is_outvoted] += OUTVOTED
 
     def voted(self, name: str) -> VotedLayer:
         """Return what became of an input."""
         layer, shape = self.layers[name], (self.whole.height, self.whole.width)
-        return VotedLayer(shape, layer.box, layer.cells, np.packbits(self.dissent.pop(name)))
+        return VotedLayer(shape, layer.box, layer.codes)
 
     def _has_a_say(self, name: str, wide: CellBox) -> bool:
         if self.vote.mode == "weighted" and len(self.layers) <= MOST_INPUTS:
@@ -234,15 +235,12 @@ class _Ballot:
 
     def _on(self, layer: _Laid, wide: CellBox, *, in_percent: bool = False) -> I8:
         """Return an input's cells on a box of the lattice, unknown outside of its own."""
-        cells = layer.percents if in_percent and layer.percents is not None else layer.cells
-        if layer.box == wide:
-            return cells
-        out = np.full((wide.height, wide.width), UNKNOWN, dtype=np.int8)
+        cells = layer.percents if in_percent and layer.percents is not None else layer.codes
         own = overlap(layer.box, wide)
+        out = np.full((wide.height, wide.width), UNKNOWN, dtype=np.int8)
         if own is not None:
-            out[slices(own, wide.row0, wide.col0)] = cells[
-                slices(own, layer.box.row0, layer.box.col0)
-            ]
+            part = cells[slices(own, layer.box.row0, layer.box.col0)]
+            out[slices(own, wide.row0, wide.col0)] = part if in_percent else voted_cells(part)
         return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ from slamfusion.io.memory import check_memory
 __all__ = [
     "NormalizedGrid",
     "check_resampling",
+    "coarsening",
     "common_resolution",
     "lattice_box",
     "normalize_grid",
@@ -28,8 +30,11 @@ __all__ = [
 
 # Resolutions this close are one resolution: 0.05 and 0.050000001 need no resampling.
 SAME_RESOLUTION = 1e-4
-# What preparing, aligning and voting hold at once for each cell of an input.
-BYTES_PER_CELL = 24
+# What preparing and aligning hold at once for each cell of an input that they look at, and what
+# voting does.
+BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
+# Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
+ALIGNED_CELLS = 3000
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,29 @@ def check_resampling(grids: Sequence[OccupancyGrid], config: NormalizeConfig, wh
             f", the cell size of {finest.name}, to which this map's {largest.resolution:g} m is "
             "brought (is it right? fusion.normalize.resolution sets another),"
         )
-    check_memory(sum(own_cells) * BYTES_PER_CELL, said, largest.name)
+    factor = coarsening(grids, resolution)
+    per_cell = BYTES_PER_CELL
+    if factor > 1:
+        per_cell = VOTED_BYTES_PER_CELL + BYTES_PER_CELL // factor**2
+    check_memory(sum(own_cells) * per_cell, said, largest.name)
+
+
+def coarsening(grids: Sequence[OccupancyGrid], resolution: float) -> int:
+    """Return how many times coarser the cells are on which grids are aligned than those fused.
+
+    1 but for maps so large that their fields would not fit into memory. Alignments are told in
+    metres and are finer than a cell, so a coarser copy costs less than one fused cell.
+
+    Args:
+        grids: one or more.
+        resolution: of the fused cells, metres.
+    """
+    sides = [
+        max(box.height, box.width) * grid.resolution
+        for grid in grids
+        if (box := grid.known_box()) is not None
+    ]
+    return max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
 
 
 def _cells_at(grid: OccupancyGrid, resolution: float) -> int:
@@ -130,7 +157,7 @@ def normalize_grid(
     grid = grid.crop(given)
     cells = trinary_cells(grid.cells, config)
     check_cancelled(cancel)
-    solid = device.download(device.solid_walls(device.upload(cells))).astype(np.int8)
+    solid = device.download(device.solid_walls(device.upload(cells))).view(np.int8)
     check_cancelled(cancel)
     resampled = _resample(grid, resolution, config, device)
     if resampled is not grid:
@@ -179,10 +206,14 @@ def _resample(
 
 def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
     """Return one cell a block (H, n, W, n): any wall wins, else the mean if half is known."""
-    highest = blocks.max(axis=(1, 3))
-    known = blocks >= 0
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, 0).sum(axis=(1, 3), dtype=np.int32)
+    # Part by part: sums over two axes of a large map take long and several times its memory.
+    parts = [blocks[:, row, :, col] for row, col in np.ndindex(blocks.shape[1], blocks.shape[3])]
+    highest = parts[0].copy()
+    count, total = (np.zeros(highest.shape, dtype=np.int32) for _ in range(2))
+    for part in parts:
+        np.maximum(highest, part, out=highest)
+        count += part >= 0
+        total += np.maximum(part, 0)
     mean = (total / np.maximum(count, 1)).round().astype(np.int8)
     per_block = blocks.shape[1] * blocks.shape[3]
     out = np.where(2 * count >= per_block, mean, np.int8(UNKNOWN))

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.errors import AlignmentError, ConfigError, GridError
+from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fusion.duplicates import copy_words, find_copies
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
     Members,
@@ -19,12 +18,8 @@ from slamfusion.fusion.groups import (
     align_group,
 )
 from slamfusion.fusion.lattice_vote import vote_on_lattice
-from slamfusion.fusion.normalize import (
-    NormalizedGrid,
-    check_resampling,
-    common_resolution,
-    normalize_grid,
-)
+from slamfusion.fusion.normalize import common_resolution, normalize_grid
+from slamfusion.fusion.prepared import PreparedInputs
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.resolutions import odd_resolutions
 from slamfusion.fusion.start import Starts, named_input
@@ -70,20 +65,14 @@ def fuse_grids(
     odd = odd_resolutions({grid.name: grid.resolution for grid in grids})
     copies = _copies(grids, config, starts)
     voters = [grid for grid in grids if grid.name not in copies and grid.name not in odd]
-    check_resampling(voters, config.normalize, "fusing")
-    resolution = common_resolution(voters, config.normalize)
+    prepared = PreparedInputs(voters, config, device)
     reasons = {name: reason for name, reason in odd.items() if name not in copies}
-    normalized: dict[str, NormalizedGrid] = {}
-    for grid in voters:
-        try:
-            normalized[grid.name] = normalize_grid(grid, resolution, config.normalize, device)
-        except GridError as error:
-            reasons[grid.name] = str(error)
-    features = {name: GridFeatures(grid, device) for name, grid in normalized.items()}
+    reasons |= prepared.reasons
     names = [grid.name for grid in grids]
     group = align_group(
-        features, reasons, config, device, names, progress, second_look, starts, in_part
+        prepared.features, reasons, config, device, names, progress, second_look, starts, in_part
     )
+    prepared.release()
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     for number, members in enumerate(group.others, start=2):
         for name in members.alignments:
@@ -102,7 +91,7 @@ def fuse_grids(
     def vote(
         of: Sequence[OccupancyGrid], members: Members, rest: Mapping[str, InputRecord]
     ) -> FusionResult:
-        return vote_on_lattice(of, members, normalized.__getitem__, rest, config, device)
+        return vote_on_lattice(of, members, prepared.lattice, rest, config, device)
 
     result = vote(grids, group, others)
     further = tuple(

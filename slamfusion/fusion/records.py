@@ -15,6 +15,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
 
 __all__ = [
+    "OUTVOTED",
     "Alignment",
     "AlignmentJson",
     "FusionResult",
@@ -26,6 +27,7 @@ __all__ = [
     "RunnerUpJson",
     "VoteResult",
     "VotedLayer",
+    "voted_cells",
 ]
 
 Cell = TypeVar("Cell", np.int8, np.bool_)
@@ -265,6 +267,15 @@ class Alignment:
         }
 
 
+# Added to the cell of an input where it voted and was outvoted.
+OUTVOTED = np.int8(4)
+
+
+def voted_cells(codes: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
+    """Return the cells, in {-1, 0, 1}, of the codes of a ``VotedLayer``."""
+    return np.where(codes > 1, codes - OUTVOTED, codes)
+
+
 @dataclass(frozen=True, eq=False)
 class VotedLayer:
     """What one input says on the fused lattice: cells of a box, nothing outside.
@@ -272,21 +283,25 @@ class VotedLayer:
     Attributes:
         shape: rows and columns of the fused lattice.
         box: cells of it that the input may know.
-        cells: (h, w) int8 in {-1, 0, 1} of the box.
-        outvoted: bits of the box in raster order, set where the input voted and was outvoted.
+        codes: (h, w) int8 of the box, cells in {-1, 0, 1}, and these plus ``OUTVOTED`` where the
+            input voted and was outvoted: one byte a cell, of which large maps have many.
     """
 
     shape: tuple[int, int]
     box: CellBox
-    cells: npt.NDArray[np.int8]
-    outvoted: npt.NDArray[np.uint8]
+    codes: npt.NDArray[np.int8]
 
     @classmethod
     def of(cls, aligned: npt.NDArray[np.int8], dissent: npt.NDArray[np.bool_]) -> VotedLayer:
         """Take what an input says of all cells, and where it was outvoted; both (H, W)."""
         height, width = aligned.shape
         box = CellBox(0, 0, height, width)
-        return cls((height, width), box, aligned, np.packbits(dissent))
+        return cls((height, width), box, aligned + OUTVOTED * dissent.view(np.int8))
+
+    @property
+    def cells(self) -> npt.NDArray[np.int8]:
+        """(h, w) int8 in {-1, 0, 1} of the box."""
+        return voted_cells(self.codes)
 
     def aligned(self) -> npt.NDArray[np.int8]:
         """Return what it says of all cells, (H, W) int8 in {-1, 0, 1}."""
@@ -294,8 +309,7 @@ class VotedLayer:
 
     def dissent(self) -> npt.NDArray[np.bool_]:
         """Return where it was outvoted, (H, W) bool."""
-        bits = np.unpackbits(self.outvoted, count=self.box.area).view(np.bool_)
-        return self._whole(bits.reshape(self.cells.shape), np.False_)
+        return self._whole(self.codes > 1, np.False_)
 
     def _whole(self, cells: npt.NDArray[Cell], outside: Cell) -> npt.NDArray[Cell]:
         if cells.shape == self.shape:

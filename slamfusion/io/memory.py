@@ -6,6 +6,7 @@ own limit leave, so that large work is refused with numbers before anything is a
 
 from __future__ import annotations
 
+import ctypes
 import resource
 from pathlib import Path
 
@@ -13,7 +14,13 @@ import psutil
 
 from slamfusion.errors import MemoryBudgetError
 
-__all__ = ["available_memory", "check_memory", "format_bytes", "map_memory_needed"]
+__all__ = [
+    "available_memory",
+    "check_memory",
+    "format_bytes",
+    "map_memory_needed",
+    "return_freed_memory",
+]
 
 # What rows in flight, the encoder and the interpreter take beside the map itself.
 WORKING_BYTES = 64 * 2**20
@@ -60,6 +67,17 @@ def check_memory(bytes_needed: int, what: str, where: str) -> None:
             f"{format_bytes(available)} is available; free memory, crop it or use a coarser cell"
         )
         raise MemoryBudgetError(message)
+
+
+def return_freed_memory() -> None:
+    """Give memory that was freed back to the system, where the C library can (glibc).
+
+    Arrays of some megabytes come from a heap that otherwise keeps them: after fields of three maps
+    of 8000 x 8000 cells some 600 MB.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 def format_bytes(count: int) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evaluation import added_doubled_share, doubled_wall_share
+from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
@@ -102,14 +102,13 @@ class DoubledWalls:
     def of(cls, result: FusionResult, config: RunConfig) -> DoubledWalls:
         """Measure a fusion."""
         normalize = config.fusion.normalize
-        return cls(
-            {
-                record.name: doubled_wall_share(record.grid, normalize=normalize)
-                for record in result.inputs
-            },
-            doubled_wall_share(result.fused, normalize=normalize),
-            _added_doubled(result),
-        )
+        shares = {
+            record.name: doubled_wall_share(record.grid, normalize=normalize)
+            for record in result.inputs
+        }
+        layers = (record.layer for record in result.accepted if record.layer is not None)
+        aligned = ((layer.cells, layer.box) for layer in layers)
+        return cls(shares, *fused_doubled_shares(np.sign(result.fused.cells), aligned))
 
     def to_json(self) -> DoubledWallsJson:
         """Return the shares for a JSON document."""
@@ -455,14 +454,6 @@ def _input(record: InputRecord, reference: str | None) -> AlignmentJson | Unalig
         "accepted": record.accepted,
         "reason": record.reason,
     }
-
-
-def _added_doubled(result: FusionResult) -> float:
-    """Return the share of fused wall cells that are doubled in no input."""
-    cells = result.fused.cells
-    layers = [record.layer for record in result.accepted if record.layer is not None]
-    aligned = ((layer.cells, layer.box) for layer in layers)
-    return added_doubled_share(np.sign(cells).astype(np.int8), aligned)
 
 
 def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:

@@ -9,7 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.evaluation import added_doubled_share, doubled_wall_cells, doubled_wall_share
+from slamfusion.evaluation import (
+    doubled_wall_cells,
+    doubled_wall_share,
+    doubled_walls,
+    fused_doubled_shares,
+)
 from slamfusion.grid import CellBox, OccupancyGrid
 
 Line = tuple[tuple[int, int], tuple[int, int]]
@@ -153,14 +158,30 @@ def test_a_slip_is_added_by_the_fusion_and_a_narrow_passage_is_not():
     passage = np.zeros((40, 60), dtype=np.int8)
     passage[10, 5:55] = passage[16, 5:55] = 1
     whole = CellBox(0, 0, 40, 60)
-    assert added_doubled_share(passage, [(passage, whole)] * 2) == 0.0
+    wanted = doubled_wall_share(passage == 1)
+    assert fused_doubled_shares(passage, [(passage, whole)] * 2) == (wanted, 0.0)
     # A map of a part of the place.
     part = CellBox(4, 3, 30, 57)
-    assert added_doubled_share(passage, [(passage[4:30, 3:57], part)]) == 0.0
-    assert added_doubled_share(passage, [(passage[4:30, 3:30], CellBox(4, 3, 30, 30))]) > 0.3
+    assert fused_doubled_shares(passage, [(passage[4:30, 3:57], part)])[1] == 0.0
+    assert fused_doubled_shares(passage, [(passage[4:30, 3:30], CellBox(4, 3, 30, 30))])[1] > 0.3
     single, slipped = np.zeros_like(passage), np.zeros_like(passage)
     single[10, 5:55] = slipped[15, 5:55] = 1
-    assert (
-        added_doubled_share(np.maximum(single, slipped), [(single, whole), (slipped, whole)]) > 0.8
-    )
-    assert added_doubled_share(np.zeros_like(passage), [(passage, whole)]) == 0.0
+    both = [(single, whole), (slipped, whole)]
+    assert fused_doubled_shares(np.maximum(single, slipped), both)[1] > 0.8
+    assert fused_doubled_shares(np.zeros_like(passage), [(passage, whole)])[1] == 0.0
+
+
+def test_a_large_map_is_looked_at_in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Walls across the edges of tiles, doubled or not, and specks at them."""
+    walls = np.zeros((150, 190), dtype=np.bool_)
+    for row in range(3, 145, 23):
+        walls[row, 4:180] = True
+        walls[row + 5 : row + 7, 4:90] = True
+    walls[10:140, 63:65] = walls[10:140, 70] = True
+    walls[np.random.default_rng(1).random(walls.shape) < 0.01] = True
+    wanted = doubled_wall_cells(walls)
+    assert wanted.sum() > 100
+    for side in (33, 64, 100):
+        monkeypatch.setattr(doubled_walls, "WHOLE_CELLS", 1)
+        monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
+        assert np.array_equal(doubled_wall_cells(walls), wanted)

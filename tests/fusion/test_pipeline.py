@@ -518,6 +518,25 @@ def test_memory_is_asked_for_at_the_common_resolution(
     assert sum(asked) >= normalize.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
 
 
+def test_coarser_copies_of_large_maps_are_aligned_and_all_their_cells_vote(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = building(1, 18.0, 14.0, 0.05)
+    made = [degraded(truth, n, name, yaw_rad=0.7 * n) for n, name in enumerate("abc")]
+    grids, poses = [grid for grid, _ in made], [pose for _, pose in made]
+    wanted = fuse_grids(grids, QUICK, device)
+    monkeypatch.setattr(normalize, "ALIGNED_CELLS", 250)
+    assert normalize.coarsening(grids, 0.05) == 2
+    result = fuse_grids(grids, QUICK, device)
+    assert result.reference == wanted.reference
+    assert result.fused.cells.shape == wanted.fused.cells.shape
+    base = poses["abc".index(result.reference)]
+    for record, grid, pose in zip(result.inputs, grids, poses, strict=True):
+        assert record.alignment is not None
+        assert_right(record.alignment, grid, base.inverse().compose(pose))
+    assert (result.fused.cells != wanted.fused.cells).mean() < 0.01
+
+
 def test_maps_of_three_resolutions_fuse_at_the_finest(device: ComputeDevice) -> None:
     truth = building(1, 11.0, 9.0, 0.05)
     made = [

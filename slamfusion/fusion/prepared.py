@@ -1,0 +1,75 @@
+"""Inputs brought to one resolution: the cells that vote, and the copies that are aligned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import FusionConfig
+from slamfusion.errors import GridError
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.normalize import (
+    NormalizedGrid,
+    check_resampling,
+    coarsening,
+    common_resolution,
+    normalize_grid,
+)
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io.memory import return_freed_memory
+
+__all__ = ["PreparedInputs"]
+
+
+class PreparedInputs:
+    """Inputs at the common resolution; of large ones coarser copies are aligned.
+
+    Attributes:
+        features: of the inputs that can be aligned, by name. ``release`` empties it.
+        reasons: why the others cannot, by name.
+    """
+
+    def __init__(
+        self, grids: Sequence[OccupancyGrid], config: FusionConfig, device: ComputeDevice
+    ) -> None:
+        """Normalise every input.
+
+        Args:
+            grids: one or more.
+            config: ``normalize`` is used.
+            device: computes.
+
+        Raises:
+            MemoryBudgetError: the grids are too large for the memory that is free.
+        """
+        check_resampling(grids, config.normalize, "fusing")
+        self._grids = {grid.name: grid for grid in grids}
+        self._config, self._device = config.normalize, device
+        self._resolution = common_resolution(list(grids), config.normalize)
+        self._factor = coarsening(grids, self._resolution)
+        self._normalized: dict[str, NormalizedGrid] = {}
+        self.reasons: dict[str, str] = {}
+        for grid in grids:
+            try:
+                self._normalized[grid.name] = self._at(grid, self._factor)
+            except GridError as error:
+                self.reasons[grid.name] = str(error)
+        self.features = {
+            name: GridFeatures(grid, device) for name, grid in self._normalized.items()
+        }
+
+    def release(self) -> None:
+        """Let go of what alignments look at: several times the memory of the maps."""
+        self.features.clear()
+        if self._factor > 1:
+            self._normalized.clear()
+            return_freed_memory()
+
+    def lattice(self, name: str) -> NormalizedGrid:
+        """Return an input with the cells that vote; a large one is laid out for each call."""
+        if self._factor == 1:
+            return self._normalized[name]
+        return self._at(self._grids[name], 1)
+
+    def _at(self, grid: OccupancyGrid, factor: int) -> NormalizedGrid:
+        return normalize_grid(grid, factor * self._resolution, self._config, self._device)
