@@ -42,7 +42,7 @@ TRIES = 3
 # Below this ratio of the best place to the best one elsewhere nothing is promising.
 RATIO_MIN = 1.05
 # Loops over each link of the trees, and links of each map, that are looked for.
-LOOPS, LINKS = 2, 2
+LOOPS, LINKS = 3, 4
 # Points on each side of a map at which common ground is looked for.
 GROUND_POINTS = 24
 # Alignments in a triangle that may each be off by a share of what it may be.
@@ -103,6 +103,8 @@ def align_many(
     search.grow()
     search.close_loops()
     while search.graph.drop_false():
+        # What was said of contradictions is of other trees.
+        search.words.clear()
         search.grow()
         search.close_loops()
     groups = [search.solved(group) for group in search.graph.groups()]
@@ -183,8 +185,12 @@ class _Search:
 
     def told(self) -> list[Alignment]:
         """Return every pair that was looked at, as it is believed in the end."""
-        words = {**self.words, **self.graph.false}
         pairs = {**self.found, **self.graph.links}
+        unused = [
+            key for key, pair in pairs.items() if pair.accepted and key not in self.graph.links
+        ]
+        words = dict.fromkeys(unused, "taken back: loops over other maps put it elsewhere")
+        words |= self.words | self.graph.false
         return [
             pair
             if key not in words

@@ -32,8 +32,11 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 C64 = npt.NDArray[np.complex64]
 
-# Cells on the longest side of a map of median size, and the most that the largest map may have.
-CELLS, LARGEST_CELLS = 64, 256
+# Cells on the longest side of the larger map of a pair, and on each side of its spectra, where a
+# turned map must fit: beyond half of them shifts of little common ground are taken for others.
+CELLS, SIZE = 64, 128
+# Steps of coarse levels grow by this factor, so that pairs of like sizes share them.
+STEP_GROWTH = 1.25
 FIELD_TOP = 255
 # Directions of walls, degrees; a wall has none beyond 180. Histogram of one degree.
 DIRECTIONS = 180
@@ -54,7 +57,9 @@ class RankedPair:
 
     Attributes:
         a, b: indices of the maps, the lower one first.
-        lead: evidence for the best place above that for the best one elsewhere, nats.
+        lead: evidence for the best place above that for the best one elsewhere, in square roots of
+            the latter: so chance grows with the walls that two maps have, and large and small maps
+            are compared.
         ratio: evidence for the best place over that for the best one elsewhere, at least 1.
     """
 
@@ -72,27 +77,36 @@ def rank_pairs(maps: Sequence[GridFeatures], device: ComputeDevice) -> list[Rank
         device: computed the maps.
     """
     able = [index for index, item in enumerate(maps) if len(item.wall_points)]
-    sides = sorted(max(maps[index].shape) for index in able)
-    if len(able) < 2:
-        return []
-    median = sides[len(sides) // 2]
-    step = max(1, math.ceil(median / CELLS), math.ceil(sides[-1] / LARGEST_CELLS))
-    size = scipy.fft.next_fast_len(2 * math.ceil(sides[-1] / step), real=True)
-    coarse = {index: _CoarseMap(maps[index], step, size, device) for index in able}
-    pairs = [_ranked(a, coarse[a], b, coarse[b]) for a, b in itertools.combinations(able, 2)]
+    walls = {index: wall_directions(maps[index].grid.solid) for index in able}
+    coarse: dict[tuple[int, int], _CoarseMap] = {}
+    pairs = []
+    for a, b in itertools.combinations(able, 2):
+        step = _step(max(*maps[a].shape, *maps[b].shape))
+        for index in (a, b):
+            if (index, step) not in coarse:
+                coarse[index, step] = _CoarseMap(maps[index], step, walls[index], device)
+        pairs.append(_ranked(a, coarse[a, step], b, coarse[b, step]))
     return sorted(pairs, key=lambda pair: (-pair.lead, pair.a, pair.b))
+
+
+def _step(side: int) -> int:
+    """Return the fine cells per coarse cell for maps of this side."""
+    power = math.ceil(math.log(max(1.0, side / CELLS), STEP_GROWTH) - 1e-9)
+    return math.ceil(STEP_GROWTH**power)
 
 
 class _CoarseMap:
     """A map on coarse cells, and its spectra at the yaws that were asked for."""
 
-    def __init__(self, features: GridFeatures, step: int, size: int, device: ComputeDevice) -> None:
+    def __init__(
+        self, features: GridFeatures, step: int, directions: F64, device: ComputeDevice
+    ) -> None:
         """Take evidence and walls of one level.
 
         Args:
             features: of the map.
             step: fine cells per coarse cell.
-            size: of the spectra, coarse cells on each side.
+            directions: of its walls, see ``wall_directions``.
             device: computed the map.
         """
         level = features.level(step)
@@ -101,8 +115,7 @@ class _CoarseMap:
         self._evidence: F32 = (field - np.float32(table.base)) * np.float32(table.unit)
         rows, cols = np.nonzero(device.download(level.wall))
         self._walls = np.column_stack((cols, rows)).astype(np.float64)
-        self._size = size
-        self.directions = wall_directions(features.grid.solid)
+        self.directions = directions
         folded = self.directions[: DIRECTIONS // 2] + self.directions[DIRECTIONS // 2 :]
         # The direction of most walls, to which the grid is turned first, degrees.
         self.main_deg = int(folded.argmax())
@@ -120,12 +133,10 @@ class _CoarseMap:
         cos, sin = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
         centre = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
         turn = np.array([[cos, -sin], [sin, cos]])
-        shift = (self._size - 1) / 2.0 - turn @ centre
-        evidence = cv2.warpAffine(
-            self._evidence, np.column_stack((turn, shift)), (self._size, self._size)
-        )
-        cols, rows = np.rint(self._walls @ turn.T + shift).astype(np.int64).T % self._size
-        walls = np.zeros((self._size, self._size), dtype=np.float32)
+        shift = (SIZE - 1) / 2.0 - turn @ centre
+        evidence = cv2.warpAffine(self._evidence, np.column_stack((turn, shift)), (SIZE, SIZE))
+        cols, rows = np.rint(self._walls @ turn.T + shift).astype(np.int64).T % SIZE
+        walls = np.zeros((SIZE, SIZE), dtype=np.float32)
         np.add.at(walls, (rows, cols), np.float32(1.0))
         spectra: C64 = scipy.fft.rfft2(np.stack((evidence, walls))).astype(np.complex64, copy=False)
         return spectra[0], spectra[1]
@@ -185,12 +196,11 @@ def _ranked(a: int, reference: _CoarseMap, b: int, moving: _CoarseMap) -> Ranked
         for half_turn in (0, 180):
             evidence, walls = moving.spectra(turned + half_turn)
             products.append(still * np.conj(walls) + np.conj(evidence) * still_walls)
-    size = reference._size  # noqa: SLF001 - of one family
-    scores = scipy.fft.irfft2(np.stack(products), s=(size, size))
+    scores = scipy.fft.irfft2(np.stack(products), s=(SIZE, SIZE))
     best = int(scores.argmax())
     index, row, col = (int(value) for value in np.unravel_index(best, scores.shape))
     top = float(scores[index, row, col])
     around = np.arange(-SAME_PLACE_CELLS, SAME_PLACE_CELLS + 1)
-    scores[index][np.ix_((row + around) % size, (col + around) % size)] = -np.inf
-    second = max(float(scores.max()), 1e-6)
-    return RankedPair(a, b, top - second, top / second)
+    scores[index][np.ix_((row + around) % SIZE, (col + around) % SIZE)] = -np.inf
+    second = max(float(scores.max()), 1.0)
+    return RankedPair(a, b, (top - second) / math.sqrt(second), top / second)

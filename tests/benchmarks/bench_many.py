@@ -5,8 +5,8 @@
 
 Maps of 700 x 700 cells at any turn, neighbours 20 to 60 % overlapping, bent by 1.5 cells, one cell
 of a hundred wrong; every fifth is of another building (``tests.support.sites``). A map is right
-where it lies within 0.5 m of its place in the frame of its group's reference, and wrong where it
-was fused and does not; a map that shares ground with others and was not fused is lost. Times are of
+where it lies within 0.5 m of its place (``ManyMaps.errors_m``), and wrong where it was fused and
+does not; a map that shares ground with others and was not fused is lost. Times are of
 ``fuse_maps`` in this process, wall clock and processor time; the first fusion compiles the kernels
 and is not counted.
 """

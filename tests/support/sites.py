@@ -55,24 +55,38 @@ class ManyMaps:
     def errors_m(self, reference: str, transforms: Mapping[str, Pose2]) -> dict[str, float]:
         """Return how far the middle of each map is from its place, metres; inf in another building.
 
+        Of three maps or more the places are laid on the true ones as well as they fit: a site of
+        many maps turns by a little about the map whose frame it has.
+
         Args:
             reference: the map in whose frame the transforms are.
             transforms: of map frames into the reference's, by the maps' names.
         """
         number = {grid.name: index for index, grid in enumerate(self.grids)}
         still = number[reference]
-        errors = {}
-        for name, found in transforms.items():
-            moved = number[name]
-            if self.buildings[moved] != self.buildings[still]:
+        errors, names, found, wanted = {}, [], [], []
+        for name, transform in transforms.items():
+            index = number[name]
+            if self.buildings[index] != self.buildings[still]:
                 errors[name] = math.inf
                 continue
-            wanted = self.poses[still].inverse().compose(self.poses[moved])
-            grid = self.grids[moved]
+            grid = self.grids[index]
             half = np.array([grid.width, grid.height]) / 2.0 * grid.resolution
             middle = grid.origin.transform(half)
-            errors[name] = math.dist(found.transform(middle), wanted.transform(middle))
-        return errors
+            names.append(name)
+            found.append(transform.transform(middle))
+            wanted.append(self.poses[still].inverse().compose(self.poses[index]).transform(middle))
+        places, true = np.array(found), np.array(wanted)
+        if len(names) > 2:
+            places = _laid_on(places, true)
+        return errors | dict(zip(names, np.hypot(*(places - true).T).tolist(), strict=True))
+
+
+def _laid_on(places: F64, true: F64) -> F64:
+    """Return places (N, 2) turned and shifted so that they fit the true ones best."""
+    a, b = places - places.mean(axis=0), true - true.mean(axis=0)
+    yaw = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
+    return np.asarray(Pose2(0.0, 0.0, yaw).transform(a) + true.mean(axis=0))
 
 
 def draw_site(rng: np.random.Generator, width_m: float, height_m: float) -> OccupancyGrid:
