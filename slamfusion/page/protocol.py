@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.documents import plain
 
 __all__ = [
     "COMMANDS",
@@ -132,8 +133,8 @@ def _count(found: Mapping[str, Any], key: str) -> int:
 
 
 def to_text(kind: str, content: Mapping[str, Any]) -> str:
-    """Return a JSON text of the server; NaN and infinity must not be in it."""
-    return json.dumps({"type": kind, **content}, allow_nan=False, separators=(",", ":"))
+    """Return a JSON text of the server; NaN and infinity become null."""
+    return json.dumps(plain({"type": kind, **content}), allow_nan=False, separators=(",", ":"))
 
 
 def encode_tile(

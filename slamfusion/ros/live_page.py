@@ -27,6 +27,7 @@ PAGE_TOKEN = "SLAMFUSION_PAGE_TOKEN"  # noqa: S105 - its name
 TOKEN = re.compile(r"[A-Za-z0-9_-]{24,}")
 # Commands that wait; more are refused.
 WAITING = 8
+ENDS = "the node ends"
 
 
 class LivePage:
@@ -60,6 +61,7 @@ class LivePage:
         self._command = command
         self._lock = threading.Lock()
         self._asked: deque[tuple[str, Future[tuple[bool, str]]]] = deque()
+        self._is_closed = False
         self._scene = Scene(f"SLAMfusion: {base.name}", is_live=True)
         token = os.environ.get(PAGE_TOKEN, "")
         if token and not TOKEN.fullmatch(token):
@@ -136,7 +138,12 @@ class LivePage:
         )
 
     def close(self) -> None:
-        """End the server."""
+        """End the server; who still waits for a command is told."""
+        with self._lock:
+            self._is_closed = True
+            waiting = [future for _, future in self._asked]
+        for future in waiting:
+            future.set_result((False, ENDS))
         self._server.close()
 
     # -- in the server's threads ------------------------------------------------------------------
@@ -145,6 +152,8 @@ class LivePage:
         """Let a command wait for the node's thread, and return what came of it."""
         future: Future[tuple[bool, str]] = Future()
         with self._lock:
+            if self._is_closed:
+                return False, ENDS
             if len(self._asked) >= WAITING:
                 return False, "too much is asked at once"
             self._asked.append((name, future))

@@ -99,6 +99,12 @@ def test_a_vote_that_changes_is_an_event(scene: Scene) -> None:
     assert said == ["a votes: fits", "a does not vote: lost"]
 
 
+def test_a_figure_that_is_no_number_is_told_as_unknown(scene: Scene) -> None:
+    item = {"name": "a", "votes": True, "reason": "", "transform": None, "score": float("nan")}
+    scene.put_status([item])
+    assert texts(scene.since(0)[0], "status")[0]["inputs"][0]["score"] is None
+
+
 def test_a_path_goes_on_where_it_was(scene: Scene) -> None:
     for x_m in (0.0, 0.01, 1.0):
         scene.put_point("a", x_m, 0.0)

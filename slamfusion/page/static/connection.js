@@ -40,7 +40,10 @@ export class Connection {
     };
     socket.onmessage = (event) => {
       this.heard = performance.now();
-      work = work.then(() => this.take(socket, event.data));
+      work = work.then(() => this.take(socket, event.data)).catch((error) => {
+        console.error(error);
+        this.lose(socket); // what is missing comes again
+      });
     };
     socket.onclose = () => this.lose(socket);
   }

@@ -6,7 +6,7 @@ import { Maps, said } from "./maps.js";
 import { Inputs, Layers, addEvent, clock, showFigures } from "./panels.js";
 import { View, compose } from "./view.js";
 
-const MOST_STATUSES = 20000;
+const MOST_STATUSES = 7200; // an hour
 const ORIGIN = [0, 0, 0];
 
 const byId = (id) => document.getElementById(id);
