@@ -10,6 +10,7 @@ import click
 
 from slamfusion.cli.options import FILE, common_options, map_resolution_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable, device_for, load_maps
 
@@ -58,6 +59,7 @@ __all__ = ["command", "print_evaluations"]
 @map_resolution_option
 @with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "device", "")
 @common_options
+@table_option
 def command(
     maps: tuple[Path, ...],
     truth_path: Path | None,

@@ -22,6 +22,7 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import notice, print_json, progress_bar
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
+from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
@@ -98,6 +99,7 @@ class _Outputs:
     "",
 )
 @common_options
+@table_option
 def command(
     maps: tuple[Path, ...],
     out: Path,

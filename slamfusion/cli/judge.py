@@ -16,6 +16,7 @@ from slamfusion.cli.options import (
     with_config,
 )
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.inputs import check_writable
@@ -37,6 +38,7 @@ __all__ = ["command", "print_verdict"]
 @report_option("report_dir")
 @with_config("log", "trajectory", "device", "")
 @common_options
+@table_option
 def command(
     log: Path,
     paths: tuple[Path, ...],

@@ -35,11 +35,18 @@ TOLD_EVERY_S = 10.0
 
 @dataclass
 class Settings:
-    """What the common options of a run say; the error handler reads them."""
+    """What the common options of a run say; the error handler reads them.
+
+    Attributes:
+        debug, json: as asked.
+        printed: whether the JSON document was.
+        tables: where tables that are printed are kept, too; None: nowhere.
+    """
 
     debug: bool = False
     json: bool = False
     printed: bool = False
+    tables: list[Table] | None = None
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -65,6 +72,10 @@ def print_table(
 ) -> None:
     """Print a table to stdout, fitted to a terminal or tab-separated; see ``Table``."""
     table = Table(columns, rows, notes, title, has_head=header)
+    context = click.get_current_context(silent=True)
+    kept = None if context is None else context.ensure_object(Settings).tables
+    if kept is not None and header:
+        kept.append(table)
     if not sys.stdout.isatty():
         lines = table.tabbed()
     else:

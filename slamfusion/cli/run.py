@@ -31,6 +31,7 @@ from slamfusion.cli.output import (
     progress_bar,
 )
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
+from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.defaults import RUN_DEFAULTS
@@ -170,6 +171,7 @@ class _ManyInputs(click.Command):
     base=RUN_DEFAULTS,
 )
 @common_options
+@table_option
 def command(
     log: Path, out: Path, starts: GivenStarts, config: RunConfig, as_json: bool, **asked: Any
 ) -> int:

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-__all__ = ["Table", "one_line"]
+__all__ = ["NOTHING", "Table", "one_line"]
 
 # Between columns of a terminal, and before each of them.
 GAP, INDENT = "  ", " "

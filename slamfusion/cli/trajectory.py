@@ -10,6 +10,7 @@ import click
 
 from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.inputs import check_writable
 
@@ -69,6 +70,7 @@ __all__ = ["command", "print_errors", "print_measures"]
 )
 @with_config("trajectory", "log", "map_files")
 @common_options
+@table_option
 def command(
     estimate: Path,
     relations_path: Path | None,
