@@ -109,7 +109,7 @@ def test_the_document_has_the_keys_of_slam_and_of_fuse(made: tuple[Path, dict[st
     assert document["error"] is None
     assert document["seed"] == 3
     stages = document["stages_s"]
-    wanted = ["producers", "evidence", "fusion", "path", "drawing", "errors", "report"]
+    wanted = ["producers", "evidence", "path", "fusion", "drawing", "errors", "report"]
     assert list(stages) == wanted
     assert (document["fused_mode"], document["why_voted"]) == ("drawn", None)
     assert sum(stages.values()) <= document["time_s"]
