@@ -35,6 +35,13 @@ function transformOf(name) {
   return statusNow().inputs.find((item) => item.name === name)?.transform ?? null;
 }
 
+/** A path as far as it went at the time that is shown. */
+function pointsOf({ points, stamps }) {
+  if (past === null) return points;
+  const after = stamps.findIndex((stamp) => stamp > past.stamp);
+  return after < 0 ? points : points.slice(0, after);
+}
+
 function drawn(name) {
   const layer = maps.layers.get(name);
   if (layer === undefined) return null;
@@ -53,8 +60,8 @@ function scene() {
   return {
     layers: names.map(drawn).filter((item) => item !== null),
     difference: byId("difference").checked && !pair.includes(null) ? pair : null,
-    trails: !showsPaths || past !== null ? [] : [...trails]
-      .map(([name, points]) => ({ points, place: transformOf(name), rgb: colourOf(name) }))
+    trails: !showsPaths ? [] : [...trails]
+      .map(([name, trail]) => ({ points: pointsOf(trail), place: transformOf(name), rgb: colourOf(name) }))
       .filter((trail) => trail.place !== null),
     robots: !showsPaths ? [] : (statusNow().poses ?? []).map(({ name, pose }) => ({ pose, rgb: colourOf(name) })),
   };
@@ -100,9 +107,12 @@ const HANDLERS = {
     inputs.remember(message);
   },
   trail(message) {
-    const points = trails.get(message.name) ?? [];
-    points.push(...message.points);
-    trails.set(message.name, points);
+    const trail = trails.get(message.name) ?? { points: [], stamps: [] };
+    for (const point of message.points) {
+      trail.points.push(point);
+      trail.stamps.push(newest().stamp_s ?? 0);
+    }
+    trails.set(message.name, trail);
   },
   event(message) {
     addEvent(byId("events"), message);
