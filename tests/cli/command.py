@@ -72,8 +72,13 @@ def run(
 def _without_progress(
     done: subprocess.CompletedProcess[str],
 ) -> subprocess.CompletedProcess[str]:
-    done.stderr = re.sub(r"^slamfusion: [^:\n]+: \d+ %\n", "", done.stderr, flags=re.MULTILINE)
+    done.stderr = without_progress(done.stderr)
     return done
+
+
+def without_progress(text: str) -> str:
+    """Return what was said on stderr without the lines of progress."""
+    return re.sub(r"^slamfusion: [^:\n]+: \d+ %\n", "", text, flags=re.MULTILINE)
 
 
 @functools.cache

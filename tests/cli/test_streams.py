@@ -17,7 +17,7 @@ from slamfusion.cli.program import COMMANDS as ALL
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.side_by_side import interrupts_held
 from slamfusion.trajectory import Trajectory
-from tests.cli.command import INSTALLED, MAPS, ROOT, TRUTH, server
+from tests.cli.command import INSTALLED, MAPS, ROOT, TRUTH, server, without_progress
 from tests.slam.drives import drive
 
 pytestmark = pytest.mark.once
@@ -63,7 +63,7 @@ def run_with(arguments: list[str], folder: Path, out: int) -> tuple[int, str]:
         files = [nothing.fileno(), out, errors.fileno()]
         code = server().start(arguments, os.environ, folder, files).wait(120)
         errors.seek(0)
-        return code, errors.read()
+        return code, without_progress(errors.read())
 
 
 def test_every_command_is_here() -> None:
