@@ -112,9 +112,15 @@ def test_other_commands_say_the_same(tmp_path: Path, command: str) -> None:
     assert done.stdout == ""
 
 
-@pytest.mark.parametrize("command", ["align", "evaluate", "fuse"])
-def test_cell_sizes_that_differ_too_much_are_refused_by_the_memory_they_need(
-    tmp_path: Path, command: str
+IN_MEMORY = ("map_a: ", "at 0.0001 m", "the cell size of map,", "is brought", "GiB of memory")
+IN_UNITS = ("500 times finer than those of the others (0.05 m)", "in other units than metres?")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"), [("align", IN_MEMORY), ("evaluate", IN_MEMORY), ("fuse", IN_UNITS)]
+)
+def test_cell_sizes_that_differ_too_much_are_refused(
+    tmp_path: Path, command: str, words: tuple[str, ...]
 ) -> None:
     """The finest cell decides: another map of 15 m would have 2e10 cells."""
     fine = with_line("resolution", "0.0001")(tmp_path)
@@ -126,9 +132,7 @@ def test_cell_sizes_that_differ_too_much_are_refused_by_the_memory_they_need(
     }
     limits = {resource.RLIMIT_AS: 4 * 2**30}
     done = run(command, *arguments[command], "--device", "numpy", limits=limits)
-    assert_one_line_failure(
-        done, "map_a: ", "at 0.0001 m", "the cell size of map,", "is brought", "GiB of memory"
-    )
+    assert_one_line_failure(done, *words)
     assert not (tmp_path / "out.yaml").exists()
 
 
