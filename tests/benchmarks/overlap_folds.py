@@ -90,8 +90,8 @@ def fold_of(pair: Counted) -> int | None:
 
 
 def fitted_odds(pairs: Sequence[Counted]) -> float:
-    """Return the least odds by which no wrong answer among the pairs counts more than it may."""
-    wrong = [pair for pair in pairs if not pair.is_right]
+    """Return the least odds by which no pair without a right answer counts more than it may."""
+    wrong = [pair for pair in pairs if pair.overlap is None]
     for odds in ODDS:
         if all(pair.count(float(odds)) <= WRONG_MOST for pair in wrong):
             return float(odds)

@@ -45,11 +45,11 @@ def test_what_is_needed_is_what_the_decision_needs(better: float) -> None:
 
 
 def test_the_odds_are_the_least_that_leave_no_wrong_answer_near() -> None:
-    wrong = pair(is_right=False, accepted=False, share=0.8)
+    wrong = pair(is_right=False, accepted=False, share=0.8, overlap=None)
     # 10 pieces by the square of 4 / odds are half of what is needed, or less.
     least = 4.0 * math.sqrt(10.0 / (NEEDED / 2.0))
     assert fitted_odds([pair(), wrong]) == math.ceil(2.0 * least) / 2.0
-    assert fitted_odds([pair(), pair(share=0.8)]) == 2.0, "right answers have no say"
+    assert fitted_odds([pair(), pair(share=0.8)]) == 2.0, "halves have no say"
 
 
 def test_with_higher_odds_less_is_believed_but_for_what_does_not_rest_on_them() -> None:
