@@ -52,8 +52,9 @@ F64 = npt.NDArray[np.float64]
 # Where a search found nothing to believe, one that takes longer does so sooner.
 COARSE_CHANCE_MAX, FINER_CHANCE_MAX = 0.8, 0.55
 FINEST_FACTOR = 4
-# ... nor one on which more field values would be added than this: 1 s of one core.
-LEVEL_WORK_MAX = 6e10
+# ... nor one on which more field values would be added than this: 1.5 s of one core. Noisy copies
+# of a map of 145 m need 7e10.
+LEVEL_WORK_MAX = 1e11
 # Motions that go down from one level to the next, and walls of each map that judge them there.
 DESCENT = ((2304, 256), (384, 768), (96, 1536))
 # Two good maps of one place leave little of what they have in common unexplained. A small common
