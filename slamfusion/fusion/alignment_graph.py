@@ -133,15 +133,10 @@ class AlignmentGraph:
         limit = NEARLY_AS_STRONG * max(0.0, min(strength.values()))
         for key in blamed:
             if strength[key] <= limit:
-                self._drop(key, most)
+                self.links.pop(key, None)
+                self.false[key] = "taken back: loops over other maps do not close with it"
         self._rebuild()
         return True
-
-    def _drop(self, key: Key, count: int) -> None:
-        self.links.pop(key, None)
-        self.against.pop(key, None)
-        loops = "a loop" if count == 1 else f"{count} loops"
-        self.false[key] = f"taken back: {loops} over other maps do not close with it"
 
     def _rebuild(self) -> None:
         """Lay the trees out anew; contradictions are of the trees before."""
