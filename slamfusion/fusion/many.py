@@ -26,7 +26,7 @@ from slamfusion.fusion.alignment_graph import AlignmentGraph, Key, key_of
 from slamfusion.fusion.consistency import CLOSURE_CELLS, CLOSURE_YAW_RAD
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.implied import MUCH_GROUND, ImpliedPairs
+from slamfusion.fusion.implied import ImpliedPairs
 from slamfusion.fusion.motions import displacement
 from slamfusion.fusion.placement import solve_poses
 from slamfusion.fusion.records import Alignment
@@ -41,6 +41,9 @@ AlignPair = Callable[[str, str], Alignment]
 TRIES = 3
 # Below this ratio of the best place to the best one elsewhere nothing is promising.
 RATIO_MIN = 1.05
+# Ground in common, as a share of the smaller map's, on which walls may close a loop. They speak
+# against one on much of it alone (``implied``).
+LOOP_GROUND = 0.12
 # Loops over each link of the trees, and links of each map, that are looked for.
 LOOPS, LINKS = 3, 4
 # Points on each side of a map at which common ground is looked for.
@@ -162,7 +165,7 @@ class _Search:
             for pair in self.graph.links_inside(group):
                 links.update((pair.reference, pair.moving))
             for (a, b), share in sorted(shares.items(), key=lambda item: -item[1]):
-                if share < MUCH_GROUND:
+                if share < LOOP_GROUND:
                     break
                 key = frozenset((a, b))
                 if key in self.graph.links or key in self.graph.false:
