@@ -183,6 +183,7 @@ def test_a_key_without_a_text_makes_no_schema() -> None:
         make_schema._described(NamelessJson)
 
 
+LIVE = ("status", "watch", "save", "reset")
 FAILURES: dict[str, tuple[str, ...]] = {
     "run": ("run", "absent.log", "-o", "out"),
     "fuse": ("fuse", "absent.yaml", "other.yaml", "-o", "out"),
@@ -206,6 +207,10 @@ FAILURES: dict[str, tuple[str, ...]] = {
     "judge": ("judge", "absent.log", "absent.tum", "--device", "numpy"),
     "graph optimize": ("graph", "optimize", "absent.g2o"),
     "bench": ("bench", "--device", "abacus"),
+    "show": ("show", "absent"),
+    # There is no such node, or no ROS.
+    **{f"live {name}": ("live", name, "--timeout", "0.1") for name in LIVE},
+    "live set": ("live", "set", "max_publish_rate_hz", "1.0", "--timeout", "0.1"),
 }
 
 
