@@ -12,9 +12,9 @@ venv="$root/.venv"
 jazzy="$root/.venv-jazzy"
 constraints="$root/launch_scripts/constraints-jazzy.txt"
 
-# Three test processes, since those with nodes mostly wait, and PoCL threads that share the cores.
+# Four test processes, since those with nodes mostly wait, and PoCL threads that share the cores.
 cores="$(nproc)"
-workers=$((cores < 2 ? 1 : 3))
+workers=$((cores < 2 ? 1 : 4))
 threads=$((cores < workers ? 1 : cores / workers))
 export POCL_MAX_PTHREAD_COUNT="${POCL_MAX_PTHREAD_COUNT:-$threads}"
 # Hundreds of tests start a command, which would compile the whole package each time.
@@ -64,7 +64,11 @@ suite() {
 install_all
 check "ruff check" "$venv/bin/ruff" check .
 check "ruff format" "$venv/bin/ruff" format --check .
+# mypy takes one core; on another one the modules of the tests are compiled meanwhile, once for both
+# legs and all their processes.
+"$jazzy/bin/python" -m pytest --collect-only -q >/dev/null 2>&1 &
 check "mypy" "$venv/bin/mypy"
+wait "$!" || say "the tests cannot all be collected, as will be said below"
 # The Jazzy leg is about NumPy and OpenCV: few sets of parameters of each test, and few examples.
 # Recorded maps are looked at once, in the last leg.
 check "tests under the Jazzy constraints" \
