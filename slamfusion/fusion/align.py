@@ -134,6 +134,10 @@ def align_features(
     is_cut = found.coarse is not None and found.coarse.is_cut
     found = replace(found, looks_at_image=is_thorough and not (has_finer or is_cut))
     pair = judge(reference, moving, config, device, found, expected, pairs, began, cancel)
+    if not thorough and found.search == "full" and pair.decision == "ambiguous" and not is_cut:
+        # Of a mirrored map two places often are alike; which of both it is has to be told.
+        found = replace(found, looks_at_image=True)
+        return judge(reference, moving, config, device, found, expected, pairs, began, cancel)
     if pair.accepted or not has_finer:
         return pair
     found = _searched_finer(reference, moving, config, window, device, found, cancel)

@@ -118,10 +118,7 @@ def judge(
         found=found, pairs=pairs, prior=prior,
     )  # fmt: skip
     decision = decide(evidence)
-    # Of two places alike the mirror image may be the reason, where it is not searched everywhere.
-    may_be_image = decision.kind == "ambiguous" and not found.looks_at_image
-    is_near = decision.accepted or decision.kind == "bent" or may_be_image
-    if found.search in {"full", "window"} and is_near:
+    if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
             evidence, reference, moving, config, device, stand, narrow, cancel
         )
