@@ -71,10 +71,11 @@ SHARE_FLOOR = 0.6
 # explained, as one at these: 0.2 where five eighths are.
 SHARP_MATCH, SHARP_WHOLE, ODDS_SHARP = 0.45, 0.4, 8.0
 # Ground on which the middle of the moving map may lie, in square metres, at which TRIALS is what it
-# is: two maps of 30 m. On more there are as many more places that may look right by chance, of maps
-# that are bent: halves of a place 150 m long, one drawn 1.1 times as large, count 7.2. Of good maps
-# wrong ones were not seen to count more on more ground.
-GROUND_ONE_M2 = 5000.0
+# is: two maps of 30 m. On more there are as many more places that may look right by chance: halves
+# of a place 150 m long, one drawn 1.1 times as large, count 7.2 of the 5.3 that are needed, and a
+# room of 9 m in one of the many rooms there 5.8. The latter are good maps, of which more has to fit
+# at a place: there are half as many.
+GROUND_ONE_M2, GROUND_ONE_GOOD_M2 = 5000.0, 10000.0
 # Good maps explain nearly all of it. At these odds of what is explained against what is not (92 %)
 # a piece counts as one, by the square of the odds, as two at most (from 94 % on): where a fifth is
 # unexplained, wrong answers have up to ten pieces for them.
@@ -144,8 +145,8 @@ class Evidence:
         ratio: the evidence for the best answer elsewhere over that for this one.
         rival: where that lies, for the reason; None without one.
         pairs: pairs of maps in the job.
-        prior: how much fewer the poses near a given start are than all; of maps that may be bent
-            above 1 where there are more than on ``GROUND_ONE_M2``.
+        prior: how much fewer the poses near a given start are than all; above 1 where there are
+            more than on ``GROUND_ONE_M2``, of good maps ``GROUND_ONE_GOOD_M2``.
         statistics: see ``align.measure``.
         search: what stands behind it: ``full`` (all yaws and shifts), ``window``,
             ``fixed step``, or ``tracked`` (a known transform was only refined).

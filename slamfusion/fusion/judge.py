@@ -13,6 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.accept import (
     EXPECTED_WRONG_MAX,
+    GROUND_ONE_GOOD_M2,
     GROUND_ONE_M2,
     SHARE_MIN,
     SHARP_MATCH,
@@ -111,8 +112,8 @@ def judge(
         and _near_start(reference, moving, transform, start)
     ):
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
-    if found.coarse is not None and not stand.is_plain:
-        prior *= ground_prior(reference, moving)
+    if found.coarse is not None:
+        prior *= ground_prior(reference, moving, is_plain=stand.is_plain)
     evidence = _evidence(
         reference, moving, stand, runner_up, statistics,
         found=found, pairs=pairs, prior=prior,
@@ -319,10 +320,10 @@ def _ground(reference: GridFeatures, moving: GridFeatures) -> float:
     return (reference.shape[0] + reach) * (reference.shape[1] + reach)
 
 
-def ground_prior(reference: GridFeatures, moving: GridFeatures) -> float:
-    """Return how many more places two maps that may be bent have than ``GROUND_ONE_M2``, or 1."""
+def ground_prior(reference: GridFeatures, moving: GridFeatures, *, is_plain: bool) -> float:
+    """Return how many times more places two maps have than on the ground of ``accept``, or 1."""
     ground_m2 = _ground(reference, moving) * reference.grid.grid.resolution**2
-    return max(1.0, ground_m2 / GROUND_ONE_M2)
+    return max(1.0, ground_m2 / (GROUND_ONE_GOOD_M2 if is_plain else GROUND_ONE_M2))
 
 
 def _near_start(

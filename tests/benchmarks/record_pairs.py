@@ -104,7 +104,7 @@ class Recorder:
             ratio=match.rival_ratio,
             rival=None if alignment.runner_up is None else "elsewhere",
             pairs=1,
-            prior=1.0 if match.good_maps else ground_prior(reference, moving),
+            prior=ground_prior(reference, moving, is_plain=match.good_maps),
             statistics=alignment.statistics,
             search="full",
             mirrored=match.mirrored,

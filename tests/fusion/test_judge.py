@@ -106,29 +106,29 @@ def test_thick_walls_are_not_taken_for_a_bent_map(device: ComputeDevice) -> None
     assert_right(found, moving, pose, cells=0.3, degrees=0.2)
 
 
-def test_maps_that_may_be_bent_need_more_where_there_is_more_ground(
+def test_more_is_needed_where_there_is_more_ground(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As many more as there is ground; of good maps, and of small ones, no more."""
+    """As many more as there is ground, of good maps too; on little no fewer."""
     low, high = building(0, 14.0, 11.0, 0.05), building(1, 14.0, 11.0, 0.05)
     bent, _ = degraded(low, 0, yaw_rad=0.4, bend_cells=30.0)
     good, _ = degraded(high, 1, yaw_rad=0.4)
     pairs = (low, bent), (high, good)
     small = [align_grids(*pair, QUICK, device).evidence for pair in pairs]
     monkeypatch.setattr("slamfusion.fusion.judge.GROUND_ONE_M2", 50.0)
+    monkeypatch.setattr("slamfusion.fusion.judge.GROUND_ONE_GOOD_M2", 100.0)
     large = [align_grids(*pair, QUICK, device).evidence for pair in pairs]
-    for before, after in zip(small, large, strict=True):
+    for pair, before, after, one_m2 in zip(pairs, small, large, (50.0, 100.0), strict=True):
         assert before is not None
         assert after is not None
         assert (before.good_maps, before.better) == (after.good_maps, after.better)
-    assert small[1] == large[1]
-    assert not small[0].good_maps
-    ref, mov = features_of(low, device), features_of(bent, device)
-    reach = math.hypot(*mov.shape)
-    ground_m2 = (ref.shape[0] + reach) * (ref.shape[1] + reach) * 0.05**2
-    assert 50.0 < ground_m2 < 5000.0
-    wanted = small[0].expected_wrong * ground_m2 / 50.0
-    assert large[0].expected_wrong == pytest.approx(wanted)
+        ref, mov = (features_of(grid, device) for grid in pair)
+        reach = math.hypot(*mov.shape)
+        ground_m2 = (ref.shape[0] + reach) * (ref.shape[1] + reach) * 0.05**2
+        assert one_m2 < ground_m2 < 5000.0
+        wanted = before.expected_wrong * ground_m2 / one_m2
+        assert after.expected_wrong == pytest.approx(wanted)
+    assert [item.good_maps for item in small if item is not None] == [False, True]
 
 
 @pytest.mark.parametrize("seed", [18, 22, 78, 90, 134, 213])
