@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig, FusionConfig
+from slamfusion.fusion.accept import DECISIONS, DecisionKind
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.fixed_step import fixed_step_search
@@ -92,6 +94,7 @@ def align_features(
     pairs: int = 1,
     *,
     thorough: bool = True,
+    image_after: Collection[DecisionKind] | None = None,
 ) -> Alignment:
     """Align two prepared grids; see ``align_grids``.
 
@@ -99,7 +102,9 @@ def align_features(
         reference, moving, config, device, start: as there.
         cancel: asked before each operation.
         pairs: pairs of maps in the job: the more there are, the more an answer has to show.
-        thorough: search a pair that is refused once more on a finer level, and as a mirror image.
+        thorough: search a pair that is refused once more on a finer level.
+        image_after: kinds of refusals after which the mirror image is searched too; None: all where
+            the search is thorough, else none.
 
     Raises:
         CancelledSearchError: ``cancel`` says so; what was computed of the grids is kept.
@@ -127,21 +132,22 @@ def align_features(
     if start is None and config.shared_frame:
         start = Pose2()
     expected = pose_of(start)
-    is_thorough = thorough and found.search == "full"
-    has_finer = is_thorough and _has_finer(reference, moving, config, window, found, cancel)
+    if image_after is None:
+        image_after = DECISIONS if thorough else ()
+    has_finer = (
+        thorough
+        and found.search == "full"
+        and _has_finer(reference, moving, config, window, found, cancel)
+    )
     # Where a finer level may yet bear the pair out, the image waits for it; among walls everywhere
     # an image fits as anything does.
     is_cut = found.coarse is not None and found.coarse.is_cut
-    found = replace(found, looks_at_image=is_thorough and not (has_finer or is_cut))
+    found = replace(found, image_after=() if has_finer or is_cut else image_after)
     pair = judge(reference, moving, config, device, found, expected, pairs, began, cancel)
-    if not thorough and found.search == "full" and pair.decision == "ambiguous" and not is_cut:
-        # Of a mirrored map two places often are alike; which of both it is has to be told.
-        found = replace(found, looks_at_image=True)
-        return judge(reference, moving, config, device, found, expected, pairs, began, cancel)
     if pair.accepted or not has_finer:
         return pair
     found = _searched_finer(reference, moving, config, window, device, found, cancel)
-    found = replace(found, looks_at_image=True)
+    found = replace(found, image_after=image_after)
     return judge(reference, moving, config, device, found, expected, pairs, began, cancel)
 
 

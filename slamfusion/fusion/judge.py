@@ -124,7 +124,7 @@ def judge(
             evidence, reference, moving, config, device, stand, narrow, cancel
         )
         decision = decide(evidence)
-    elif found.search == "full" and found.looks_at_image:
+    elif found.search == "full" and decision.kind in found.image_after:
         evidence = _looked_at_image(
             evidence, reference, moving, config, device, stand, pairs, cancel
         )

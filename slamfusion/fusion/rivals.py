@@ -8,13 +8,19 @@ of which one is bent any answer leaves much, and only what is explained counts.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.accept import EXPECTED_WRONG_MAX, SHARE_MIN, expected_wrong
+from slamfusion.fusion.accept import (
+    EXPECTED_WRONG_MAX,
+    SHARE_MIN,
+    DecisionKind,
+    expected_wrong,
+)
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import displacement
@@ -67,7 +73,7 @@ class Found:
         prior: see ``Evidence.prior``.
         candidates: how many of the motions, the first, may be the answer; None: all. The others are
             rivals only.
-        looks_at_image: whether what is refused is searched once more as a mirror image.
+        image_after: kinds of refusals after which the mirror image is searched.
     """
 
     motions: F64
@@ -76,7 +82,12 @@ class Found:
     search: str
     prior: float = 1.0
     candidates: int | None = None
-    looks_at_image: bool = False
+    image_after: Collection[DecisionKind] = ()
+
+    @property
+    def looks_at_image(self) -> bool:
+        """Whether any refusal is searched once more as a mirror image."""
+        return bool(self.image_after)
 
 
 @dataclass(frozen=True, eq=False)

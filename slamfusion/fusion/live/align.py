@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.accept import decide_mirrored
+from slamfusion.fusion.accept import DecisionKind, decide_mirrored
 from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
 from slamfusion.fusion.features import GridFeatures
@@ -29,6 +29,8 @@ __all__ = ["Aligner", "Held"]
 MIRROR_SHARE = 0.9
 # Messages, besides, after which an unchanged map that jumped is looked at once more.
 CONFIRM_MAPS = 2
+# Of a mirrored map two places often are alike; which of both it is has to be told.
+MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous",)
 # Seconds of a first search for which maps of others wait; each that is given up doubles them.
 PATIENCE_S = 1.0
 # A search longer than that which found nothing is followed by a pause this many times as long.
@@ -254,13 +256,15 @@ class Aligner:
             if is_swapped:
                 back = None if start is None else start.inverse()
                 pair = align_features(
-                    own, held.features, config, device, back, cancel, thorough=False
-                )
+                    own, held.features, config, device, back, cancel,
+                    thorough=False, image_after=MAY_BE_IMAGE,
+                )  # fmt: skip
                 pair = replace(pair, transform=pair.transform.inverse())
             else:
                 pair = align_features(
-                    held.features, own, config, device, start, cancel, thorough=False
-                )
+                    held.features, own, config, device, start, cancel,
+                    thorough=False, image_after=MAY_BE_IMAGE,
+                )  # fmt: skip
         except CancelledSearchError:
             track.patience_s *= 2.0
             track.searches -= 1

@@ -6,6 +6,7 @@ only the search over cells is left out, and the clock that measures it.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ import pytest
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
+from slamfusion.fusion.accept import DecisionKind
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.live import align
 from slamfusion.fusion.live.align import Aligner
@@ -101,10 +103,12 @@ class Script:
         cancel: CancelToken | None = None,
         *,
         thorough: bool = True,
+        image_after: Collection[DecisionKind] | None = None,
     ) -> Alignment:
         del config, device
         # Maps that grow are searched often: what is refused now may not be soon.
         assert not thorough
+        assert image_after == align.MAY_BE_IMAGE
         asked = self._ask("search", reference, moving, start, cancel)
         self.now_s += self.takes_s
         if cancel is not None:
