@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
 
-__all__ = ["SAME_STAMP_S", "Trajectory", "nearest_stamps"]
+__all__ = ["SAME_STAMP_S", "Trajectory", "flag_runs", "nearest_stamps"]
 
 # Times that differ by no more are one, seconds: files round them to milliseconds.
 SAME_STAMP_S = 1e-3
@@ -32,6 +33,13 @@ def nearest_stamps(
     after = np.minimum(after, last)
     later_is_nearer = stamps_s[after] - wanted < wanted - stamps_s[before]
     return np.asarray(np.where(later_is_nearer, after, before), dtype=np.int64)
+
+
+def flag_runs(flags: npt.NDArray[np.bool_]) -> Iterator[slice]:
+    """Yield where flags, (N,), are set without a break, in their order."""
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        yield slice(start, stop)
 
 
 @dataclass(frozen=True, eq=False)

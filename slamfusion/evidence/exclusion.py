@@ -17,8 +17,9 @@ for a path that stands still for some time while the robot drives does not count
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -27,11 +28,11 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
 from slamfusion.evidence.comparison import BLOCKS, compare_sums
-from slamfusion.evidence.parting import LEAST_S, PART_M, flag_runs
+from slamfusion.evidence.parting import PART_M, long_runs
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence, without_scans
 from slamfusion.geometry import compose_poses, fit_motion, with_levers
-from slamfusion.trajectory import nearest_stamps
+from slamfusion.trajectory import flag_runs, nearest_stamps
 
 __all__ = [
     "ExcludedSpan",
@@ -197,16 +198,9 @@ def parted(gap_m: F64, stamps_s: F64) -> B8:
         stamps_s: (M,) seconds.
     """
     away = np.zeros(len(gap_m), dtype=np.bool_)
-    for here in _spans(gap_m > NEAR_SHARE * PART_M, stamps_s):
+    for here in long_runs(gap_m > NEAR_SHARE * PART_M, stamps_s):
         away[here] = gap_m[here].max() > PART_M
     return away
-
-
-def _spans(flags: B8, stamps_s: F64) -> Iterator[slice]:
-    """Yield where flags are set without a break, for ``LEAST_S`` at least."""
-    for here in flag_runs(flags):
-        if stamps_s[min(here.stop, len(stamps_s) - 1)] - stamps_s[here.start] >= LEAST_S:
-            yield here
 
 
 def _in_largest_group(apart: B8) -> B8:
@@ -269,15 +263,19 @@ class _Drive:
         """(M,) times of the judged scans, seconds."""
         return np.asarray(self.evidence.scans.stamps_s[self.judged])
 
+    @property
+    def beams(self) -> I64:
+        """(M,) judged hits of each scan, the same for all paths."""
+        return np.asarray(next(iter(self.evidence.scores.values())).beams[self.judged])
+
     def judge(self) -> Exclusions:
         """Take the vote of whoever left the others."""
-        standing = self._standing()
         grounds = np.zeros(self.in_majority.shape, dtype=np.int8)
-        unsettled = self._judge_minorities(standing, grounds)
-        unsettled += self._judge_rivals(standing, grounds)
+        unsettled = self._judge_minorities(grounds)
+        unsettled += self._judge_rivals(grounds)
         is_open = self._still_open(unsettled, grounds)
         undecided = tuple(
-            UndecidedSpan(*self._times(here)) for here in _spans(is_open, self.stamps_s)
+            UndecidedSpan(*self._times(here)) for here in long_runs(is_open, self.stamps_s)
         )
         names = tuple(self.evidence.scores)
         return Exclusions(
@@ -287,13 +285,10 @@ class _Drive:
             undecided,
         )
 
-    def _judge_minorities(
-        self, standing: Collection[int], grounds: npt.NDArray[np.int8]
-    ) -> list[_Unsettled]:
+    def _judge_minorities(self, grounds: npt.NDArray[np.int8]) -> list[_Unsettled]:
         """Take the vote of whoever is in no largest group, or of those in it whom it belies.
 
         Args:
-            standing: paths for which what the scans say does not count.
             grounds: (K, M), is told who has no vote.
 
         Returns:
@@ -301,33 +296,29 @@ class _Drive:
             than one of it.
         """
         sums = np.stack([score.sums[self.judged] for score in self.evidence.scores.values()])
-        beams = next(iter(self.evidence.scores.values())).beams[self.judged]
         members = self.in_majority.sum(axis=0)
         of_group = np.where(self.in_majority, sums, 0.0).sum(axis=0) / members
         unsettled = []
         for row, own in enumerate(sums):
-            for here in _spans(~self.in_majority[row], self.stamps_s):
+            for here in long_runs(~self.in_majority[row], self.stamps_s):
                 group = np.flatnonzero(self.in_majority[:, here].any(axis=1)).tolist()
                 is_best = bool((own[here].sum() > sums[group, here].sum(axis=1)).all())
-                if row in standing or not (
-                    is_best and self._is_better(own, of_group, beams, here, 0.0)
+                if row in self.standing or not (
+                    is_best and self._is_better(own, of_group, self.beams, here, 0.0)
                 ):
                     grounds[row, here] = _OUTVOTED
                     continue
                 for other in group:
-                    if self._is_better(own, sums[other], beams, here):
+                    if self._is_better(own, sums[other], self.beams, here):
                         grounds[other, here][self.in_majority[other, here]] = _CONTRADICTED
                     else:
                         unsettled.append((row, other, here))
         return unsettled
 
-    def _judge_rivals(
-        self, standing: Collection[int], grounds: npt.NDArray[np.int8]
-    ) -> list[_Unsettled]:
+    def _judge_rivals(self, grounds: npt.NDArray[np.int8]) -> list[_Unsettled]:
         """Let the scans decide between paths of equal groups that have parted.
 
         Args:
-            standing: paths for which what the scans say does not count.
             grounds: (K, M), is told who has no vote.
 
         Returns:
@@ -337,7 +328,7 @@ class _Drive:
         names, decided = tuple(self.evidence.scores), grounds > 0
         for a, b in itertools.combinations(range(len(names)), 2):
             are_rivals = self.apart[a, b] & self.in_majority[a] & self.in_majority[b]
-            spans = list(_spans(are_rivals, self.stamps_s))
+            spans = list(long_runs(are_rivals, self.stamps_s))
             if not spans:
                 continue
             evidence = self._without(a, b, decided[a] | decided[b])
@@ -345,9 +336,9 @@ class _Drive:
             first, second = (score.sums[self.judged] for score in scores)
             beams = scores[0].beams[self.judged]
             for here in spans:
-                if a not in standing and self._is_better(first, second, beams, here):
+                if a not in self.standing and self._is_better(first, second, beams, here):
                     grounds[b, here] = _CONTRADICTED
-                elif b not in standing and self._is_better(second, first, beams, here):
+                elif b not in self.standing and self._is_better(second, first, beams, here):
                     grounds[a, here] = _CONTRADICTED
                 else:
                     unsettled.append((a, b, here))
@@ -370,8 +361,7 @@ class _Drive:
             a, b: of the paths.
             left_out: (M,) bool, scans that are neither drawn nor judged.
         """
-        beams = next(iter(self.evidence.scores.values())).beams[self.judged]
-        if self.device is None or not left_out.any() or not beams[~left_out].any():
+        if self.device is None or not left_out.any() or not self.beams[~left_out].any():
             return self.evidence
         scans = np.zeros(len(self.evidence.scans), dtype=np.bool_)
         scans[self.judged[left_out]] = True
@@ -398,8 +388,12 @@ class _Drive:
         found = compare_sums(first, second, beams, inside, blocks)
         return found.difference > least and found.p_value < SURE
 
-    def _standing(self) -> frozenset[int]:
-        """Return the paths that stand still somewhere while most drive, the odometry among them."""
+    @cached_property
+    def standing(self) -> frozenset[int]:
+        """Paths that stand still somewhere while most drive; what the scans say does not count.
+
+        The odometry is one of those that drive.
+        """
         seconds = np.floor(self.stamps_s / STEP_S)
         picked = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0)
         paths = [score.path.poses for score in self.evidence.scores.values()]

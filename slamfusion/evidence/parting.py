@@ -16,8 +16,9 @@ import numpy.typing as npt
 from slamfusion.evidence.comparison import compare_sums
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import compose_poses, fit_motion, with_levers
+from slamfusion.trajectory import flag_runs
 
-__all__ = ["Span", "flag_runs", "path_gap_m", "path_spans"]
+__all__ = ["Span", "long_runs", "path_gap_m", "path_spans"]
 
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
@@ -115,11 +116,16 @@ def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
     return np.asarray(left, dtype=np.float64)
 
 
-def flag_runs(flags: B8) -> Iterator[slice]:
-    """Yield where flags, (N,), are set without a break, in their order."""
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
-    for start, stop in edges.reshape(-1, 2).tolist():
-        yield slice(start, stop)
+def long_runs(flags: B8, stamps_s: F64) -> Iterator[slice]:
+    """Yield where flags, (N,), are set without a break for ``LEAST_S`` at least.
+
+    Args:
+        flags: in the order of time.
+        stamps_s: (N,) seconds; a run lasts until the first time after it.
+    """
+    for here in flag_runs(flags):
+        if stamps_s[min(here.stop, len(stamps_s) - 1)] - stamps_s[here.start] >= LEAST_S:
+            yield here
 
 
 def _parted(gap_m: F64, since_s: F64) -> B8:
@@ -128,8 +134,8 @@ def _parted(gap_m: F64, since_s: F64) -> B8:
     # The last scan that is wide or near decides; before the first such scan, nothing has parted.
     decided = np.where(wide, 1, np.where(near, -1, 0))
     last = np.maximum.accumulate(np.where(decided != 0, np.arange(len(gap_m)), -1))
-    apart = np.where(last >= 0, decided[np.maximum(last, 0)] > 0, False)
-    for here in flag_runs(apart):
-        if since_s[min(here.stop, len(since_s) - 1)] - since_s[here.start] < LEAST_S:
-            apart[here] = False
-    return np.asarray(apart, dtype=np.bool_)
+    wide_last = np.where(last >= 0, decided[np.maximum(last, 0)] > 0, False)
+    apart = np.zeros(len(gap_m), dtype=np.bool_)
+    for here in long_runs(wide_last, since_s):
+        apart[here] = True
+    return apart

@@ -7,7 +7,7 @@ frames are fitted robustly, with the weights of poses falling with what is left 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,15 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2, compose_poses, fit_motion, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
-__all__ = ["TURN_M", "LaidPaths", "fit_frame", "geman_mcclure", "lay_paths", "pose_distances"]
+__all__ = [
+    "TURN_M",
+    "LaidPaths",
+    "fit_frame",
+    "fit_onto",
+    "geman_mcclure",
+    "lay_paths",
+    "pose_distances",
+]
 
 F64 = npt.NDArray[np.float64]
 
@@ -105,6 +113,23 @@ def geman_mcclure(distance: F64) -> F64:
         52, 1987.
     """
     return np.asarray(1.0 / (1.0 + distance**2) ** 2)
+
+
+def fit_onto(path: Trajectory, others: Iterable[Trajectory]) -> Pose2 | None:
+    """Return the motion that lays most of a path on others; None where no times meet.
+
+    Args:
+        path: may be sparse.
+        others: all in one frame, of at least one pose each, on the clock of the path.
+    """
+    moving, still = [np.empty((0, 3))], [np.empty((0, 3))]
+    for other in others:
+        near, meets = other.matches(path.stamps_s)
+        moving.append(path.poses[meets])
+        still.append(other.poses[near[meets]])
+    if not sum(map(len, moving)):
+        return None
+    return fit_frame(np.concatenate(moving), np.concatenate(still))
 
 
 def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:

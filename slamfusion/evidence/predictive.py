@@ -17,7 +17,7 @@ Efficient continuous-time SLAM for 3D lidar-based online mapping, ICRA 2018, mea
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -154,6 +154,10 @@ class PathEvidence:
         """Share of the scans that were judged."""
         return float(self.is_judged.mean())
 
+    def of_paths(self, names: Collection[str]) -> PathEvidence:
+        """Return what was said of some of the paths, in the order of the names."""
+        return replace(self, scores={name: self.scores[name] for name in names})
+
     def ranking(self) -> tuple[str, ...]:
         """Return the names, the best path first; of equals the first given."""
         return tuple(sorted(self.scores, key=lambda name: -self.scores[name].consistency))
@@ -239,16 +243,14 @@ def with_path(
     name: str,
     path: Trajectory,
     device: ComputeDevice,
-    model: HitModel = DEFAULT_MODEL,
 ) -> PathEvidence:
     """Score one more path of a drive; the same as if all were scored together.
 
     Args:
-        evidence: of the other paths, by the same model.
+        evidence: of the other paths, one at least.
         name: of the path; no other one has it.
         path: in a frame of its own, on the clock of the scans; may be sparse.
         device: draws and looks up.
-        model: how likely a hit is.
 
     Returns:
         Scores of all paths, this one last. The others are scored again only where it has no pose
@@ -258,6 +260,7 @@ def with_path(
         TrajectoryError: see ``score_paths``.
     """
     scans, is_judged = evidence.scans, evidence.is_judged
+    model = next(iter(evidence.scores.values())).model
     own = _covered(name, path, scans)
     if own.is_covered[is_judged].all():
         score = _score(name, own, scans, is_judged, device, model)

@@ -106,13 +106,14 @@ def reach_verdict(evidence: PathEvidence, producers: Collection[str] = ()) -> Ve
         for name in ranking
     )
     untold = _untold(evidence, best)
+    contradicted = _is_contradicted(evidence, best)
     return Verdict(
         evidence=evidence,
         best=best,
         best_producer=next((name for name in ranking if name in producers), None),
         sure=len(ranking) > 1 and len(tied) == 1,
-        contradicted=_is_contradicted(evidence, best),
-        sentence=" ".join(_sentences(evidence, paths, untold)),
+        contradicted=contradicted,
+        sentence=" ".join(_sentences(evidence, paths, untold, is_contradicted=contradicted)),
         paths=paths,
         untold=untold,
     )
@@ -146,11 +147,13 @@ def _sentences(
     evidence: PathEvidence,
     paths: tuple[PathVerdict, ...],
     untold: tuple[tuple[float, float], ...],
+    *,
+    is_contradicted: bool,
 ) -> list[str]:
     """Return the sentences of the verdict, the ranking first."""
     sentences = [_ranking_words(paths)]
     sentences += [words for path in paths[1:] if (words := _parting_words(path, paths[0].name))]
-    if _is_contradicted(evidence, paths[0].name):
+    if is_contradicted:
         sentences.append(_contradicted_words(evidence, paths[0].name))
     if untold:
         sentences.append(_untold_words(untold, evidence))

@@ -80,7 +80,7 @@ class WeighedPaths:
             return WeighedPaths()
         evidence = self.evidence
         if evidence is not None:
-            evidence = replace(evidence, scores={own: evidence.scores[own] for own in paths})
+            evidence = evidence.of_paths(paths)
         return _weigh(paths, evidence, device, notes)
 
 

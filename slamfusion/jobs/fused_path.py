@@ -25,7 +25,7 @@ from slamfusion.evidence import (
     trust_in_paths,
 )
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map
-from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import OccupancyGrid
@@ -164,16 +164,12 @@ def _in_fused_frame(
     path: Trajectory, paths: Mapping[str, Trajectory], fusion: FusionResult
 ) -> Trajectory:
     """Lay a path onto those of the producers that voted, as their maps lie in the fused one."""
-    moving, still = [], []
-    for record in fusion.accepted:
-        if record.name not in paths:
-            continue
-        own = paths[record.name]
-        if record.alignment is not None:
-            own = moved_path(own, record.alignment.transform)
-        near, meets = own.matches(path.stamps_s)
-        moving.append(path.poses[meets])
-        still.append(own.poses[near[meets]])
-    if not sum(map(len, moving)):
-        return path
-    return moved_path(path, fit_frame(np.concatenate(moving), np.concatenate(still)))
+    placed = [
+        paths[record.name]
+        if record.alignment is None
+        else moved_path(paths[record.name], record.alignment.transform)
+        for record in fusion.accepted
+        if record.name in paths
+    ]
+    motion = fit_onto(path, placed)
+    return path if motion is None else moved_path(path, motion)

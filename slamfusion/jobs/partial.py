@@ -19,7 +19,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map
-from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import InputRecord
@@ -195,10 +195,11 @@ def _filled(path: Trajectory, exclusions: Exclusions, filling: Filling) -> Traje
         exclusions: say when that is.
         filling: has the other poses.
     """
-    near, meets = path.matches(filling.path.stamps_s)
-    if not meets.any():
+    motion = fit_onto(filling.path, [path])
+    if motion is None:
         return path
-    laid = moved_path(filling.path, fit_frame(filling.path.poses[meets], path.poses[near[meets]]))
+    laid = moved_path(filling.path, motion)
+    _, meets = path.matches(laid.stamps_s)
     excluded = ~exclusions.votes_at(path.name, laid.stamps_s) & ~meets
     stamps_s = np.concatenate((path.stamps_s, laid.stamps_s[excluded]))
     poses = np.concatenate((path.poses, laid.poses[excluded]))

@@ -84,6 +84,11 @@ class Drive:
         """The paths of these, by name; one may have no pose."""
         return {name: run.trajectory for name, run in self.runs.items()}
 
+    @property
+    def posed_paths(self) -> Mapping[str, Trajectory]:
+        """Those of the paths that have a pose."""
+        return {name: path for name, path in self.paths.items() if len(path)}
+
     @cached_property
     def drawn_scans(self) -> Sequence[DrawnScan]:
         """The scans of the log as they are drawn, read when they are first asked for."""
@@ -173,7 +178,7 @@ def draw_drive_layers(
 
 def score_producer_paths(drive: Drive) -> tuple[PathEvidence | None, str | None]:
     """Ask the scans what they say of the producers' paths; else return why they cannot tell."""
-    paths = {name: path for name, path in drive.paths.items() if len(path)}
+    paths = drive.posed_paths
     if not paths:
         return None, "no producer has a path"
     files = drive.files
@@ -200,7 +205,7 @@ def fuse_producer_paths(
         The path, in the frame of one of them; None where fewer than two producers have one, or
         they cannot be fused.
     """
-    paths = {name: path for name, path in drive.paths.items() if len(path)}
+    paths = drive.posed_paths
     if len(paths) < LEAST_FUSED:
         return None
     try:
@@ -219,7 +224,7 @@ def measure_fused_path(drive: Drive, path: DrivePath, fusion: FusionResult) -> D
         fusion: of the maps.
     """
     held = drive.held
-    paths = {name: own for name, own in drive.paths.items() if len(own)}
+    paths = drive.posed_paths
     found = path.in_fused_frame(paths, fusion)
     try:
         measures = measure_trajectory(

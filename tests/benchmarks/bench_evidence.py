@@ -29,7 +29,6 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence import (
-    PathEvidence,
     find_exclusions,
     judged_scans,
     reach_verdict,
@@ -157,7 +156,7 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         exclusions = find_exclusions(alone, device)
         fused = {FUSED: fuse_weighed_paths(parts, alone, exclusions, device).trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
-        contest = score_subset(evidence, (TRUTH, *parts))
+        contest = evidence.of_paths((TRUTH, *parts))
         ate_m = {
             name: trajectory_errors(path, truth).ate.rmse for name, path in (parts | fused).items()
         }
@@ -172,7 +171,7 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
             tuple(
                 name
                 for name in evidence.scores
-                if reach_verdict(score_subset(evidence, (name,))).contradicted
+                if reach_verdict(evidence.of_paths((name,))).contradicted
             ),
             contest.tied(),
             ate_m,
@@ -186,12 +185,6 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
                     best = a if verdict == "better" else b
                     found.pairs.append((best, min((a, b), key=ate_m.__getitem__)))
         yield found
-
-
-def score_subset(evidence: PathEvidence, names: Sequence[str]) -> PathEvidence:
-    """Return the evidence of some of the paths."""
-    kept = {name: evidence.scores[name] for name in names}
-    return PathEvidence(evidence.scans, evidence.is_judged, kept)
 
 
 def clustered(ratios: F64, clusters: Sequence[str], statistic: Callable[[F64], float]) -> str:

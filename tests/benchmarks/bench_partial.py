@@ -43,7 +43,7 @@ from slamfusion.evidence import (
 )
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.exclusion import parted
-from slamfusion.evidence.path_frames import fit_frame, pose_distances
+from slamfusion.evidence.path_frames import fit_frame, fit_onto, pose_distances
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.surfaces import with_backs
 from slamfusion.geometry import compose_poses
@@ -179,9 +179,9 @@ def drawn_at(
     device: ComputeDevice,
 ) -> OccupancyGrid:  # fmt: skip
     """Return the map that scans draw at the fused path, on the lattice of a producer's map."""
-    near, meets = path.matches(fused.stamps_s)
-    laid = moved_path(fused, fit_frame(fused.poses[meets], path.poses[near[meets]]))
-    grid = draw_like(scans, laid, device, own)
+    motion = fit_onto(fused, [path])
+    assert motion is not None
+    grid = draw_like(scans, moved_path(fused, motion), device, own)
     return with_backs(grid, RUN_DEFAULTS.fusion.normalize)
 
 

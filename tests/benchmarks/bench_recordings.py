@@ -129,11 +129,12 @@ def judge(name: str, datasets: Path, runs: Path, device: ComputeDevice) -> Itera
     even, odd = scans[::2], scans[1::2]
     found, even_scores = candidates(paths, even, device)
     chosen = max(even_scores, key=even_scores.__getitem__)
-    held = Yardsticks.read(config, relations=datasets / recording.relations)
+    held = Yardsticks.read(
+        config,
+        relations=datasets / recording.relations,
+        odometry=datasets / recording.odometry if recording.odometry else None,
+    )
     wheels = judged_scans(scans).odometry_path()
-    if recording.odometry:
-        odometry = datasets / recording.odometry
-        held = Yardsticks.read(config, relations=datasets / recording.relations, odometry=odometry)
     odd_scans, drawn = judged_scans(odd), drawn_scans(odd)
     odd_scores = score_paths(odd_scans, found, device).scores
     for candidate, path in found.items():

@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.geometry import Pose2
+from slamfusion.geometry import Pose2, fit_motion
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from slamfusion.sim import Degradation, degrade_map, draw_building
 
@@ -78,15 +78,13 @@ class ManyMaps:
             wanted.append(self.poses[still].inverse().compose(self.poses[index]).transform(middle))
         places, true = np.array(found), np.array(wanted)
         if len(names) > 2:
-            places = _laid_on(places, true)
+            places = fit_motion(_poses(places), _poses(true)).transform(places)
         return errors | dict(zip(names, np.hypot(*(places - true).T).tolist(), strict=True))
 
 
-def _laid_on(places: F64, true: F64) -> F64:
-    """Return places (N, 2) turned and shifted so that they fit the true ones best."""
-    a, b = places - places.mean(axis=0), true - true.mean(axis=0)
-    yaw = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
-    return np.asarray(Pose2(0.0, 0.0, yaw).transform(a) + true.mean(axis=0))
+def _poses(places: F64) -> F64:
+    """Return poses (N, 3) at places (N, 2); they all head the same way."""
+    return np.column_stack((places, np.zeros(len(places))))
 
 
 def draw_site(rng: np.random.Generator, width_m: float, height_m: float) -> OccupancyGrid:

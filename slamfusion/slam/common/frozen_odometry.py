@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamfusion.trajectory import Trajectory
+from slamfusion.trajectory import Trajectory, flag_runs
 
 __all__ = ["frozen_span"]
 
@@ -25,11 +25,10 @@ def frozen_span(odometry: Trajectory, path: Trajectory) -> tuple[float, float] |
     Returns:
         (from, to), seconds of their stamps; None where the odometry goes along.
     """
-    stands = (np.abs(np.diff(odometry.poses, axis=0)) < STANDS).all(axis=1)
-    edges = np.diff(np.concatenate(([0], stands.astype(np.int8), [0])))
+    stands = np.asarray((np.abs(np.diff(odometry.poses, axis=0)) < STANDS).all(axis=1))
     longest: tuple[float, float] | None = None
-    for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        from_s, to_s = float(odometry.stamps_s[first]), float(odometry.stamps_s[last])
+    for here in flag_runs(stands):
+        from_s, to_s = float(odometry.stamps_s[here.start]), float(odometry.stamps_s[here.stop])
         if longest is not None and to_s - from_s <= longest[1] - longest[0]:
             continue
         during = (path.stamps_s >= from_s) & (path.stamps_s <= to_s)
