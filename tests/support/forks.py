@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import gc
 import importlib
 import json
@@ -23,6 +24,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -233,7 +235,29 @@ def _become(script: str, request: dict[str, Any], files: list[int]) -> None:
         os.environ.pop(name, None)
     os.environ.update(request["env"])
     sys.argv = [script, *request["arguments"]]
-    runpy.run_path(script, run_name="__main__")
+    try:
+        runpy.run_path(script, run_name="__main__")
+    except SystemExit as ended:
+        if ended.code is not None and not isinstance(ended.code, int):
+            raise
+        _end(ended.code or 0)
+
+
+def _end(code: int) -> None:
+    """End this process in the order in which Python does, but take no object apart.
+
+    That would copy the memory of all libraries: 0.11 s of processor time for a fork, not 0.01 s.
+    The ends of the drivers' libraries are run.
+    """
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for all but daemons
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            code = 120  # as Python says it
+    ctypes.PyDLL(None).exit(code)  # no other thread of Python runs meanwhile
 
 
 if __name__ == "__main__":
