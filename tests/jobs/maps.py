@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
-from slamfusion.compute import NumpyDevice
+from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.drawings import building, degraded, fusion_config
 
-DEVICE = NumpyDevice()
 CONFIG = replace(RunConfig(), fusion=fusion_config())
+
+
+@cache
+def device() -> ComputeDevice:
+    """The device that a user gets: PoCL where there is no other."""
+    return open_device()
 
 
 def moved(seed: int = 3) -> tuple[OccupancyGrid, OccupancyGrid, Pose2]:

@@ -14,40 +14,42 @@ from slamfusion.io import save_map
 from slamfusion.jobs.align import align_document, align_maps
 from slamfusion.jobs.documents import plain
 from tests.fusion.drawings import fusion_config
-from tests.jobs.maps import CONFIG, DEVICE, moved
+from tests.jobs.maps import CONFIG, device, moved
 from tests.support.documents import check_document
 
 
 def test_maps_in_memory_and_in_files_are_aligned_alike(tmp_path: Path) -> None:
     truth, grid, pose = moved()
-    in_memory = align_maps(truth, grid, CONFIG, DEVICE)
+    in_memory = align_maps(truth, grid, CONFIG, device())
     assert in_memory.accepted
     assert in_memory.transform.x == pytest.approx(pose.x, abs=0.05)
     assert in_memory.transform.yaw_rad == pytest.approx(pose.yaw_rad, abs=0.01)
     save_map(truth, tmp_path / "truth")
     save_map(grid, tmp_path / "moving")
-    from_files = align_maps(tmp_path / "truth.yaml", str(tmp_path / "moving.yaml"), CONFIG, DEVICE)
+    from_files = align_maps(
+        tmp_path / "truth.yaml", str(tmp_path / "moving.yaml"), CONFIG, device()
+    )
     assert (from_files.reference, from_files.moving) == ("truth", "moving")
     assert from_files.transform == in_memory.transform
-    check_document(plain(align_document(from_files, CONFIG, DEVICE.name)), "align")
+    check_document(plain(align_document(from_files, CONFIG, device().name)), "align")
     with pytest.raises(MapFileError, match="absent"):
-        align_maps(truth, tmp_path / "absent.yaml", CONFIG, DEVICE)
+        align_maps(truth, tmp_path / "absent.yaml", CONFIG, device())
 
 
 def test_the_start_of_the_search_is_where_it_begins() -> None:
     truth, grid, pose = moved()
     near = replace(CONFIG, fusion=fusion_config(window_m=0.2, window_yaw_rad=0.05))
-    assert align_maps(truth, grid, near, DEVICE, start=pose).accepted
-    assert not align_maps(truth, grid, near, DEVICE, start=Pose2(9.0, 9.0, 2.0)).accepted
+    assert align_maps(truth, grid, near, device(), start=pose).accepted
+    assert not align_maps(truth, grid, near, device(), start=Pose2(9.0, 9.0, 2.0)).accepted
 
 
 def test_a_start_with_tolerances_is_searched_there_alone() -> None:
     truth, grid, pose = moved()
     away = pose.compose(Pose2(3.0, 3.0, 1.0))
-    assert align_maps(truth, grid, CONFIG, DEVICE, start=StartPose(pose, 0.2, 0.05)).accepted
-    assert not align_maps(truth, grid, CONFIG, DEVICE, start=StartPose(away)).accepted
+    assert align_maps(truth, grid, CONFIG, device(), start=StartPose(pose, 0.2, 0.05)).accepted
+    assert not align_maps(truth, grid, CONFIG, device(), start=StartPose(away)).accepted
     # A bare pose limits nothing without windows.
-    assert align_maps(truth, grid, CONFIG, DEVICE, start=away).accepted
+    assert align_maps(truth, grid, CONFIG, device(), start=away).accepted
 
 
 def test_starts_in_the_settings_go_by_the_names_of_the_maps() -> None:
@@ -56,7 +58,7 @@ def test_starts_in_the_settings_go_by_the_names_of_the_maps() -> None:
 
     def with_start(**named: tuple[float, ...]) -> bool:
         start = {name.replace("_", " "): given for name, given in named.items()}
-        return align_maps(truth, grid, replace(CONFIG, start=start), DEVICE).accepted
+        return align_maps(truth, grid, replace(CONFIG, start=start), device()).accepted
 
     assert (truth.name, grid.name) == ("building 3", "moving")
     assert with_start(moving=values)
@@ -78,8 +80,8 @@ def test_windows_stand_for_the_tolerances_that_a_start_does_not_have() -> None:
     near = replace(CONFIG, fusion=fusion_config(window_m=0.3, window_yaw_rad=0.1))
     off = (pose.x + 1.0, pose.y, pose.yaw_rad)
     for start, is_found in ((off, False), ((*off, 2.0, 0.35), True)):
-        assert align_maps(truth, grid, replace(near, start={"moving": start}), DEVICE).accepted is (
-            is_found
-        )
+        assert align_maps(
+            truth, grid, replace(near, start={"moving": start}), device()
+        ).accepted is (is_found)
     # Without windows the defaults hold.
-    assert align_maps(truth, grid, replace(CONFIG, start={"moving": off}), DEVICE).accepted
+    assert align_maps(truth, grid, replace(CONFIG, start={"moving": off}), device()).accepted

@@ -19,7 +19,7 @@ from slamfusion.jobs.evaluate import (
     write_evaluation,
 )
 from tests.fusion.drawings import fusion_config
-from tests.jobs.maps import CONFIG, DEVICE, files, moved
+from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document
 
 
@@ -27,9 +27,9 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
     truth, grid, _ = moved()
     told: list[tuple[str, int, int]] = []
     aligned, itself = evaluate_maps(
-        [grid, truth], truth, CONFIG, DEVICE, progress=lambda *words: told.append(words)
+        [grid, truth], truth, CONFIG, device(), progress=lambda *words: told.append(words)
     )
-    (as_it_lies,) = evaluate_maps([grid], truth, CONFIG, DEVICE, align=False)
+    (as_it_lies,) = evaluate_maps([grid], truth, CONFIG, device(), align=False)
     assert aligned.is_aligned
     assert as_it_lies.alignment is None
     assert itself.error.error == 0.0
@@ -40,7 +40,7 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
         [aligned, itself], CONFIG, report=tmp_path / "report", image=tmp_path / "image.png"
     )
     assert {"report/report.html", "image_moving.png", "image_building 3.png"} <= files(tmp_path)
-    document = evaluate_document([aligned], [], CONFIG, truth=Path("t.yaml"), device=DEVICE.name)
+    document = evaluate_document([aligned], [], CONFIG, truth=Path("t.yaml"), device=device().name)
     check_document(plain(document), "evaluate")
     assert document["maps"][0]["error"] == aligned.error.error
 
@@ -48,8 +48,8 @@ def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
 def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
     truth, grid, _ = moved()
     stepped = replace(CONFIG, fusion=fusion_config(step=8))
-    (plain_search,) = evaluate_maps([grid], truth, CONFIG, DEVICE)
-    (with_step,) = evaluate_maps([grid], truth, stepped, DEVICE)
+    (plain_search,) = evaluate_maps([grid], truth, CONFIG, device())
+    (with_step,) = evaluate_maps([grid], truth, stepped, device())
     assert with_step.alignment is not None
     assert plain_search.alignment is not None
     assert with_step.alignment.transform == plain_search.alignment.transform
@@ -59,7 +59,7 @@ def test_the_fixed_step_search_never_lays_a_map_onto_the_truth() -> None:
 
 def test_an_evaluation_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     truth, *_ = moved()
-    found = evaluate_maps([truth], truth, CONFIG, DEVICE)
+    found = evaluate_maps([truth], truth, CONFIG, device())
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(MapFileError, match=r"folder\.png: cannot write"):
         write_evaluation(found, CONFIG, report=tmp_path / "report", image=tmp_path / "folder.png")

@@ -26,7 +26,7 @@ from slamfusion.jobs.fuse import (
     write_failed_fusion,
 )
 from tests.fusion.drawings import building, degraded
-from tests.jobs.maps import CONFIG, DEVICE, files, moved
+from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document
 
 pytestmark = pytest.mark.once
@@ -39,7 +39,7 @@ def test_maps_are_fused_measured_and_written(tmp_path: Path) -> None:
     fused = fuse_maps(
         [truth, grid, other],
         CONFIG,
-        DEVICE,
+        device(),
         truth=truth,
         progress=lambda *words: told.append(words[0]),
     )
@@ -60,7 +60,7 @@ def test_maps_are_fused_measured_and_written(tmp_path: Path) -> None:
 
 def test_files_of_a_caller_are_joined_and_stay_out_where_it_fails(tmp_path: Path) -> None:
     truth, grid, _ = moved()
-    fused = fuse_maps([truth, grid], CONFIG, DEVICE)
+    fused = fuse_maps([truth, grid], CONFIG, device())
     (tmp_path / "taken.pgm").mkdir()
 
     def save_both() -> None:
@@ -76,25 +76,25 @@ def test_files_of_a_caller_are_joined_and_stay_out_where_it_fails(tmp_path: Path
 def test_maps_that_do_not_fit_are_refused_with_what_was_tried(tmp_path: Path) -> None:
     grids = [building(3), building(4)]
     with pytest.raises(AlignmentError) as caught:
-        fuse_maps(grids, CONFIG, DEVICE)
+        fuse_maps(grids, CONFIG, device())
     assert len(caught.value.pairs) == 1
-    document = failed_fuse_document(caught.value, grids, CONFIG, DEVICE.name)
+    document = failed_fuse_document(caught.value, grids, CONFIG, device().name)
     check_document(plain(document), "fuse", failed=True)
     assert document["fused"] is None
-    first = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=DEVICE.name)
+    first = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=device().name)
     assert first == tmp_path / "report.html"
     # An earlier report is not replaced.
-    again = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=DEVICE.name)
+    again = write_failed_fusion(caught.value, grids, CONFIG, tmp_path, device=device().name)
     assert again == tmp_path / "failed" / "report.html"
 
 
 def test_all_of_them_may_be_required() -> None:
     truth, grid, _ = moved()
     maps = [truth, grid, building(4)]
-    assert len(fuse_maps(maps, CONFIG, DEVICE).result.rejected) == 1
+    assert len(fuse_maps(maps, CONFIG, device()).result.rejected) == 1
     strict = replace(CONFIG, fusion=replace(CONFIG.fusion, require_all=True))
     with pytest.raises(AllRequiredError, match=r"building 4 .*nothing was fused") as caught:
-        fuse_maps(maps, strict, DEVICE)
+        fuse_maps(maps, strict, device())
     assert len(caught.value.result.accepted) == 2
 
 
@@ -103,7 +103,7 @@ def test_maps_of_two_buildings_become_two_maps(tmp_path: Path) -> None:
     other = building(4)
     again, _ = degraded(other, 5, "again", yaw_rad=0.7)
     third, _ = degraded(truth, 2, "third", yaw_rad=-0.4)
-    fused = fuse_maps([other, truth, grid, again, third], CONFIG, DEVICE)
+    fused = fuse_maps([other, truth, grid, again, third], CONFIG, device())
     assert [record.name for record in fused.result.accepted] == [truth.name, "moving", "third"]
     (second,) = fused.result.others
     assert [record.name for record in second.inputs] == [other.name, "again"]
@@ -125,13 +125,13 @@ def test_maps_of_two_buildings_become_two_maps(tmp_path: Path) -> None:
 @pytest.mark.parametrize("maps", [[], [building(3)]])
 def test_one_map_alone_is_no_fusion(maps: list[OccupancyGrid]) -> None:
     with pytest.raises(SlamFusionError, match="fuse needs at least two"):
-        fuse_maps(maps, CONFIG, DEVICE)
+        fuse_maps(maps, CONFIG, device())
 
 
 def test_maps_alone_are_not_drawn() -> None:
     drawn = replace(CONFIG.fusion, vote=VoteConfig(mode="drawn"))
     with pytest.raises(ConfigError, match=r"here are maps alone; take majority, .* or log-odds"):
-        fuse_maps([building(3), building(4)], replace(CONFIG, fusion=drawn), DEVICE)
+        fuse_maps([building(3), building(4)], replace(CONFIG, fusion=drawn), device())
 
 
 def test_maps_with_starts_are_searched_there_and_the_truth_everywhere() -> None:
@@ -141,12 +141,12 @@ def test_maps_with_starts_are_searched_there_and_the_truth_everywhere() -> None:
         "moving": (pose.x, pose.y, pose.yaw_rad),
         "other": (other_pose.x, other_pose.y, other_pose.yaw_rad, 1.0, 0.2),
     }
-    fused = fuse_maps([grid, other], replace(CONFIG, start=starts), DEVICE, truth=truth)
+    fused = fuse_maps([grid, other], replace(CONFIG, start=starts), device(), truth=truth)
     assert len(fused.result.accepted) == 2
     assert all(item.is_aligned for item in fused.evaluations)
     wrong = {**starts, "other": (other_pose.x, other_pose.y + 9.0, other_pose.yaw_rad, 1.0, 0.2)}
     with pytest.raises(AlignmentError, match="no two of the inputs"):
-        fuse_maps([grid, other], replace(CONFIG, start=wrong), DEVICE)
+        fuse_maps([grid, other], replace(CONFIG, start=wrong), device())
 
 
 def test_a_start_that_names_no_map_or_says_nothing_is_refused() -> None:
@@ -157,8 +157,8 @@ def test_a_start_that_names_no_map_or_says_nothing_is_refused() -> None:
         ({"moving": (0.0, 0.0, 0.0)}, "'moving' alone says nothing"),
     ):
         with pytest.raises(StartError, match=words):
-            fuse_maps(maps, replace(CONFIG, start=start), DEVICE)
+            fuse_maps(maps, replace(CONFIG, start=start), device())
     named = replace(CONFIG, fusion=replace(CONFIG.fusion, reference="again"))
     with pytest.raises(AlignmentError, match="no two of the inputs"):
         # In the frame of the reference: of the three pairs it limits one.
-        fuse_maps([grid, maps[2]], replace(named, start={"moving": (50.0, 0.0, 0.0)}), DEVICE)
+        fuse_maps([grid, maps[2]], replace(named, start={"moving": (50.0, 0.0, 0.0)}), device())
