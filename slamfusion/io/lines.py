@@ -29,6 +29,8 @@ ROW_BYTES = 600
 GZIP_MAGIC = b"\x1f\x8b"
 _DAMAGE = (EOFError, gzip.BadGzipFile, zlib.error)
 _BUFFER_BYTES = 1 << 16
+# Of zlib, 0 to 9: a log of 14 MB takes 0.6 s and 5.10 MB, by 9 2.3 s and 5.00 MB.
+PACKING = 5
 # A scan of 100 000 beams takes about 1 MB; what is longer than this is no text.
 _LINE_BYTES = 1 << 24
 # How often memory is looked at where lines are kept.
@@ -138,7 +140,9 @@ def packed_by_name(path: Path, data: bytes) -> bytes:
     if not path.name.lower().endswith(".gz"):
         return data
     packed = io.BytesIO()
-    with gzip.GzipFile(filename="", mode="wb", fileobj=packed, mtime=0) as file:
+    with gzip.GzipFile(
+        filename="", mode="wb", compresslevel=PACKING, fileobj=packed, mtime=0
+    ) as file:
         file.write(data)
     return packed.getvalue()
 

@@ -305,7 +305,7 @@ class _Driver:
     def _is_free(self, command: _Command) -> bool:
         """Whether the robot keeps its radius in the next step."""
         x, y, _ = self.robot.after(command)
-        room = float(self.space.clearance_m((x, y)))
+        room = self.space.clearance_at(x, y)
         return room >= self.drive.radius_m
 
     def _towards(self, wanted: float) -> float:
