@@ -12,7 +12,8 @@ venv="$root/.venv"
 jazzy="$root/.venv-jazzy"
 constraints="$root/launch_scripts/constraints-jazzy.txt"
 
-# Four test processes, since those with nodes mostly wait, and PoCL threads that share the cores.
+# Four test processes, since those with nodes mostly wait, and PoCL threads that share the cores;
+# one for each core in the leg without nodes, for each reads all tests anew.
 cores="$(nproc)"
 workers=$((cores < 2 ? 1 : 4))
 threads=$((cores < workers ? 1 : cores / workers))
@@ -55,10 +56,10 @@ check() {
 
 # The suite runs in parallel where test processes do not fight over one core.
 suite() {
-    local python="$1/bin/python"
-    shift
+    local python="$1/bin/python" processes="$2"
+    shift 2
     # In the order of tests/conftest.py, not by the number of tests in a file.
-    "$python" -m pytest -n "$workers" --dist loadfile --no-loadscope-reorder "$@"
+    "$python" -m pytest -n "$processes" --dist loadfile --no-loadscope-reorder "$@"
 }
 
 install_all
@@ -72,12 +73,12 @@ wait "$!" || say "the tests cannot all be collected, as will be said below"
 # The Jazzy leg is about NumPy and OpenCV: few sets of parameters of each test, and few examples.
 # Recorded maps are looked at once, in the last leg.
 check "tests under the Jazzy constraints" \
-    suite "$jazzy" -m "jazzy or not (ros or datasets or once)" -p no:cacheprovider \
+    suite "$jazzy" "$((workers < cores ? workers : cores))" -m "jazzy or not (ros or datasets or once)" -p no:cacheprovider \
     --few-each --hypothesis-profile=brief "$@"
 if [ ${#failed[@]} -gt 0 ]; then
     say "failed so far: ${failed[*]}"
 fi
-check "tests" suite "$venv" "$@"
+check "tests" suite "$venv" "$workers" "$@"
 for option in "$@"; do
     if [ "$option" = --full ]; then
         check "mutants of what decides" "$venv/bin/python" -m tests.mutation --at-least 0.9 --show

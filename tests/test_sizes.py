@@ -5,6 +5,10 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.once
+
 PACKAGE = Path(__file__).resolve().parents[1] / "slamfusion"
 CLASS_LINES = 250
 MODULE_LINES = 500

@@ -9,6 +9,8 @@ import pytest
 
 from tests.cli.command import assert_one_line_failure, json_of, run
 
+pytestmark = pytest.mark.once
+
 SQUARE = """VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 1.1 0 1.5
 VERTEX_SE2 2 1 1.2 3.1

@@ -19,7 +19,6 @@ from tests.support.producers import room_drive
 
 pytestmark = pytest.mark.once
 
-NUMPY = ("--device", "numpy")
 SUFFIXES = (".json", ".pgm", ".tum", ".yaml")
 CSAIL = DATASETS / "mit-csail"
 
@@ -69,9 +68,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
 def test_a_truth_of_another_time_loses_no_map(tmp_path: Path) -> None:
     log = write_log(tmp_path / "room.log", room_drive(4))
     (tmp_path / "late.tum").write_text("9e9 0 0 0 0 0 0 1\n9.1e9 1 0 0 0 0 0 1\n", encoding="utf-8")
-    done = run(
-        "slam", "tinyslam", log, "-o", tmp_path / "m", "--truth", tmp_path / "late.tum", *NUMPY
-    )
+    done = run("slam", "tinyslam", log, "-o", tmp_path / "m", "--truth", tmp_path / "late.tum")
     assert_one_line_failure(done, "the map and the path were written all the same")
     for suffix in SUFFIXES:
         assert (tmp_path / f"m{suffix}").stat().st_size > 0
@@ -125,7 +122,7 @@ def test_report_shows_the_run(made: tuple[Path, dict]) -> None:
 def test_one_seed_gives_the_same_bytes(made: tuple[Path, dict], tmp_path: Path) -> None:
     folder, _ = made
     log = folder / "room.log.gz"
-    done = run("slam", "tinyslam", log, *NUMPY, "--seed", "3", "-o", tmp_path / "again")
+    done = run("slam", "tinyslam", log, "--seed", "3", "-o", tmp_path / "again")
     assert done.returncode == 0, done.stderr
     for suffix in (".pgm", ".tum"):
         first = (folder / "plain" / f"room{suffix}").read_bytes()
@@ -138,7 +135,7 @@ def test_the_graph_s_path_as_first_reported_is_measured_too(
     folder, document = made
     assert "as_first_reported" not in document["producers"][0]
     asked = ("--relations", folder / "room.relations", "--truth", folder / "truth.tum")
-    arguments = ("slam", "graph", folder / "room.log.gz", *NUMPY, *asked, "-o", tmp_path / "room")
+    arguments = ("slam", "graph", folder / "room.log.gz", *asked, "-o", tmp_path / "room")
     (record,) = json_of(run(*arguments, "--json"))["producers"]
     online = record["as_first_reported"]
     for figures in (record, online):
@@ -156,7 +153,7 @@ def test_odometry_of_scans_replaces_the_poses_of_the_log(tmp_path: Path) -> None
     rows = [f"{k},{0.06 * k},1.5,0.0" for k in range(12)]
     table = tmp_path / "room.odom.csv"
     table.write_text("\n".join(["index,odom_x,odom_y,odom_theta", *rows]), encoding="ascii")
-    arguments = ("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map", "--scan-odometry")
+    arguments = ("slam", "tinyslam", log, "-o", tmp_path / "map", "--scan-odometry")
     document = json_of(run(*arguments, table, "--json"))
     assert document["scan_odometry"] == str(table)
     (record,) = document["producers"]
@@ -177,7 +174,7 @@ def test_the_table_says_what_was_left_out(tmp_path: Path) -> None:
     log = write_log(tmp_path / "room.log", scans)
     lines = log.read_bytes().splitlines(keepends=True)
     log.write_bytes(b"".join([*lines, b"ROBOTLASER1 0 -1.57 3.14\n"]))
-    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert done.returncode == 0, done.stderr
     assert "12, 11 of them used" in done.stdout
     assert "left out by tinyslam: 1 x no reading within the usable range (scan 5)" in done.stdout
@@ -190,7 +187,7 @@ def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
     scans[6:] = [unseeing(item) for item in scans[6:]]
     log = write_log(tmp_path / "room.log", scans)
     done = run(
-        "slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map",
+        "slam", "tinyslam", log, "-o", tmp_path / "map",
         "--report", tmp_path / "report", "--json",
     )  # fmt: skip
     assert done.returncode == 0
@@ -204,7 +201,7 @@ def test_a_doubtful_run_is_said_everywhere(tmp_path: Path) -> None:
 
 def test_one_scan_makes_a_map(tmp_path: Path) -> None:
     log = write_log(tmp_path / "one.log", room_drive(1))
-    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert done.returncode == 0, done.stderr
     assert (load_map(tmp_path / "map.yaml").cells == 100).any()
     assert len(read_trajectory(tmp_path / "map.tum")) == 1
@@ -212,7 +209,7 @@ def test_one_scan_makes_a_map(tmp_path: Path) -> None:
 
 def test_scans_that_see_nothing_make_no_map_and_no_file(tmp_path: Path) -> None:
     log = write_log(tmp_path / "blind.log", [unseeing(item) for item in room_drive(3)])
-    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "blind.log", "none of 3 scans", "3 x no reading")
     assert set(tree(tmp_path)) == {"blind.log"}
 
@@ -222,7 +219,7 @@ def test_a_failed_run_leaves_old_files_as_they_were(tmp_path: Path) -> None:
     for suffix in SUFFIXES:
         (tmp_path / f"map{suffix}").write_text("old", encoding="utf-8")
     before = tree(tmp_path)
-    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "none of 3 scans")
     assert tree(tmp_path) == before
 
@@ -231,7 +228,7 @@ def test_relations_of_another_time_lose_no_map(tmp_path: Path) -> None:
     log = write_log(tmp_path / "room.log", room_drive(3))
     (tmp_path / "far.relations").write_text("900 901 0 0 0 0 0 0\n", encoding="utf-8")
     done = run(
-        "slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map",
+        "slam", "tinyslam", log, "-o", tmp_path / "map",
         "--relations", tmp_path / "far.relations",
     )  # fmt: skip
     assert_one_line_failure(done, "none of the 1 relations", "written all the same")
@@ -241,7 +238,7 @@ def test_relations_of_another_time_lose_no_map(tmp_path: Path) -> None:
 def test_files_that_cannot_all_be_written_are_not_written(tmp_path: Path) -> None:
     log = write_log(tmp_path / "room.log", room_drive(3))
     (tmp_path / "map.tum").mkdir()
-    done = run("slam", "tinyslam", log, *NUMPY, "-o", tmp_path / "map")
+    done = run("slam", "tinyslam", log, "-o", tmp_path / "map")
     assert_one_line_failure(done, "map.tum", "a folder")
     assert set(tree(tmp_path)) == {"room.log", "map.tum"}
 

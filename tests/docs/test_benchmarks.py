@@ -26,6 +26,8 @@ from docs.generate.marks import pages
 from tests.benchmarks import bench_vote, record
 from tests.cli.command import ROOT
 
+pytestmark = pytest.mark.once
+
 MEASURED = Measurement(
     name="speed",
     date="2026-02-28",

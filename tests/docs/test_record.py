@@ -25,6 +25,8 @@ from tests.docs.test_pages import parse
 from tests.experiments.drives import room
 from tests.support.documents import check_document
 
+pytestmark = pytest.mark.once
+
 HERE = circumstances(RunConfig(), "a device")
 MADE = ("--commit", "0123abc", "--date", "2026-02-28")
 

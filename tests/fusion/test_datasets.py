@@ -122,7 +122,9 @@ def test_the_home_comes_together_from_any_turn(
     assert_home(fuse_grids(grids, QUICK, device), tuple(grids), frames)
 
 
-@pytest.mark.parametrize("angles", [(0.3, -1.2, 2.6), (-3.0, 1.7, 0.9)])
+@pytest.mark.parametrize(
+    "angles", [(0.3, -1.2, 2.6), pytest.param((-3.0, 1.7, 0.9), marks=pytest.mark.full)]
+)
 def test_the_home_comes_together_from_other_frames(
     device: ComputeDevice, angles: tuple[float, float, float]
 ) -> None:

@@ -11,6 +11,8 @@ from slamfusion.errors import ConfigError, MapFileError
 from slamfusion.io.regular import SMALL_BYTES
 from slamfusion.io.yaml_file import DEPTH_MAX, VALUES_MAX, read_yaml
 
+pytestmark = pytest.mark.once
+
 
 def nine_levels(width: int = 9) -> str:
     """Return ten lines that stand for 9 ** 10 values."""

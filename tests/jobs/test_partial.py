@@ -35,6 +35,8 @@ from slamfusion.trajectory import Trajectory
 from tests.slam.drives import drive
 from tests.support.documents import check_document
 
+pytestmark = pytest.mark.once
+
 COUNT = 120
 RESOLUTION = 0.05
 VOTE = replace(RUN_DEFAULTS.fusion.vote, mode="consensus")

@@ -21,6 +21,8 @@ from slamfusion.compute.device import NO_DEVICE, choose_device
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import POCL, SIMULATOR, WHEELS_EXIST
 
+pytestmark = pytest.mark.once
+
 GPU, CPU = cl.device_type.GPU, cl.device_type.CPU
 needs_wheels = pytest.mark.skipif(not WHEELS_EXIST, reason="no PoCL or Oclgrind wheel here")
 

@@ -17,6 +17,8 @@ from slamfusion.compute.opencl import OpenCLDevice
 from slamfusion.compute.program import kernel_folder
 from slamfusion.compute.self_test import CHECKS
 
+pytestmark = pytest.mark.once
+
 PACKAGE = Path(inspect.getfile(layout)).parents[1]
 SOURCES = {path.name: path.read_text(encoding="utf-8") for path in kernel_folder().iterdir()}
 # Numbers that one kernel alone knows; no twin and no host code does.

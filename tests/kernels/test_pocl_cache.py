@@ -14,6 +14,8 @@ from slamfusion.compute import open_device, pocl_cache
 from slamfusion.errors import DeviceError
 from tests.cli.command import MAPS, json_of, run
 
+pytestmark = pytest.mark.once
+
 FULL = os.strerror(28)
 
 

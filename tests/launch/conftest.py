@@ -43,7 +43,7 @@ def colcon() -> Path:
     return COLCON / "bin" / "colcon"
 
 
-@pytest.fixture(scope="module", params=["copied", "linked"])
+@pytest.fixture(scope="module", params=["copied", pytest.param("linked", marks=pytest.mark.full)])
 def workspace(
     request: pytest.FixtureRequest, colcon: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Path]:

@@ -13,6 +13,8 @@ import pytest
 
 from tests.support.mutants import mutants_of
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

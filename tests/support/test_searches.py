@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from slamfusion.compute import NumpyDevice
+from slamfusion.compute import open_device
 from slamfusion.fusion.search import SearchWindow, search
 from tests.fusion.drawings import building, features_of, fusion_config
 from tests.support.searches import RememberedSearches
 
+pytestmark = pytest.mark.once
+
 
 def test_the_same_question_is_asked_once_and_another_one_anew() -> None:
-    device, config = NumpyDevice(), fusion_config().align
+    device, config = open_device(), fusion_config().align
     a, b, other = (features_of(building(seed, 7.0, 6.0), device) for seed in (3, 3, 4))
     remembered = RememberedSearches()
     for made, question in ((1, (a, b)), (1, (b, a)), (2, (a, other)), (3, (other, a))):

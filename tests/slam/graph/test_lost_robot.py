@@ -142,7 +142,7 @@ def back_to_a() -> Drive:
     return carried(draw_building(), there, [*IN_A[1:], *IN_A, *OUT_OF_A])
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
 def test_a_robot_that_is_carried_to_another_room_is_found_there(device: ComputeDevice, seed: int):
     """Its odometry has not noticed: by it the robot is still in B."""
     drive = back_to_a()
@@ -292,7 +292,7 @@ def test_odometry_that_jumps_loses_no_robot(device: ComputeDevice, jump: Pose2):
     assert on_truth(slam.grid(), drive.cells)[0] > 0.98
 
 
-@pytest.mark.parametrize("first", [45, 120])
+@pytest.mark.parametrize("first", [45, pytest.param(120, marks=pytest.mark.full)])
 def test_a_log_that_starts_in_the_middle_of_a_loop(device: ComputeDevice, first: int):
     """The loop closes where the log began, in the odometry's frame of then."""
     log, truth = ring()
@@ -309,7 +309,7 @@ def test_a_log_that_starts_in_the_middle_of_a_loop(device: ComputeDevice, first:
 # -- rooms that look the same ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("room", [0, 1])
+@pytest.mark.parametrize("room", [0, pytest.param(1, marks=pytest.mark.full)])
 def test_a_robot_carried_into_one_of_two_equal_rooms_is_never_put_into_the_other(
     device: ComputeDevice, room: int
 ):
