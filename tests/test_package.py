@@ -35,6 +35,7 @@ def test_the_wheel_carries_every_kernel(tmp_path: Path):
     assert sources
     assert sources <= inside
     assert {"slamfusion/py.typed", "slamfusion/jobs/schema.json"} <= inside
+    assert {"slamfusion/viewer/static/stage.js", "slamfusion/page/static/index.html"} <= inside
     assert not any(name.startswith("tests/") for name in inside)
 
 

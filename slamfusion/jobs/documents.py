@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from slamfusion.config import RunConfig, to_mapping
+from slamfusion.io.json_values import plain
 
 if TYPE_CHECKING:
     from slamfusion.jobs.records import CircumstancesJson, SettingsJson
@@ -28,19 +27,6 @@ __all__ = [
 ]
 
 DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "pyopencl", "PyYAML", "click", "rich")
-
-
-def plain(value: Any) -> Any:
-    """Return nested values as JSON has them: no NumPy, no paths, no NaN, no infinity."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value
 
 
 def record_bytes(document: Mapping[str, Any]) -> bytes:

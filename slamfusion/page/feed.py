@@ -6,7 +6,7 @@ import logging
 import threading
 
 from slamfusion.grid import OccupancyGrid
-from slamfusion.page.scene import Kind, Scene
+from slamfusion.viewer.scene import Kind, Scene
 
 __all__ = ["Feed"]
 

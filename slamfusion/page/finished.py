@@ -13,7 +13,7 @@ from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
 from slamfusion.jobs.outputs import AGREEMENT, FUSED, RUN_RECORD
 from slamfusion.page.feed import Feed
-from slamfusion.page.scene import Kind, Scene
+from slamfusion.viewer.scene import Kind, Scene
 
 __all__ = ["Finished", "read_finished"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.resources
 import secrets
 import socket
 import threading
@@ -32,9 +31,10 @@ from slamfusion.page.protocol import (
     PageMessageError,
     Seen,
     parse_message,
-    to_text,
 )
-from slamfusion.page.scene import Scene
+from slamfusion.viewer.front import front_end, with_fragments
+from slamfusion.viewer.messages import to_text
+from slamfusion.viewer.scene import Scene
 
 __all__ = ["Answer", "PageServer"]
 
@@ -283,11 +283,12 @@ class PageServer:
 
 def _front_end() -> Mapping[str, tuple[bytes, str]]:
     """Return the files of the front end by name, with their types; nothing else is served."""
-    folder = importlib.resources.files("slamfusion.page") / "static"
+    files = front_end() | front_end("slamfusion.page")
+    files["index.html"] = with_fragments(files["index.html"])
     return {
-        item.name: (item.read_bytes(), TYPES[PurePath(item.name).suffix])
-        for item in folder.iterdir()
-        if PurePath(item.name).suffix in TYPES
+        name: (text.encode(), TYPES[PurePath(name).suffix])
+        for name, text in files.items()
+        if PurePath(name).suffix in TYPES
     }
 
 

@@ -53,8 +53,8 @@ class LivePage:
     ) -> None:
         # Nobody else needs what it stands on.
         try:
-            from slamfusion.page.scene import Scene  # noqa: PLC0415
             from slamfusion.page.server import PageServer  # noqa: PLC0415
+            from slamfusion.viewer.scene import Scene  # noqa: PLC0415
         except ImportError as error:
             raise ConfigError(str(error)) from error
 

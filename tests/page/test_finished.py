@@ -14,9 +14,9 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map, write_tum
 from slamfusion.page.finished import read_finished
-from slamfusion.page.scene import Scene
 from slamfusion.trajectory import Trajectory
-from tests.page.maps import texts
+from slamfusion.viewer.scene import Scene
+from tests.viewer.maps import texts
 
 pytestmark = pytest.mark.once
 

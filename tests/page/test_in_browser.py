@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from typing import Any
-
 import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.page.scene import Scene
 from slamfusion.page.server import PageServer
 from slamfusion.palette import FREE_RGB, INPUT_COLOURS, WALL_RGB
-from tests.support.browser import browser_page
+from slamfusion.viewer.scene import Scene
+from tests.support.browser import becomes, browser_page
 
 pytestmark = pytest.mark.once
 
 TOKEN = "0123456789abcdef01234567"  # noqa: S105 - of this test
-PIXEL = """([name, row, column]) => {
-  const canvas = document.querySelector("#map");
-  const at = canvas.view.pixelOf(name, row, column);
-  if (at === null) return [];
-  const [x, y] = at;
-  return Array.from(canvas.getContext("2d").getImageData(x, y, 1, 1).data);
-}"""
 WALL, FREE = (*WALL_RGB, 255), (*FREE_RGB, 255)
 
 
@@ -41,14 +31,6 @@ def status(scene: Scene, **inputs: tuple[bool, list[float] | None]) -> None:
         for name, (votes, place) in inputs.items()
     ]
     scene.put_status(told, poses=[], headline="as told", level="good", figures={})
-
-
-def becomes(page: Any, colour: tuple[int, ...], name: str, row: int, column: int) -> None:
-    """Wait until a cell has a colour."""
-    until_s = time.monotonic() + 10.0
-    while (found := tuple(page.evaluate(PIXEL, [name, row, column]))) != colour:
-        assert time.monotonic() < until_s, f"{name} {row} {column} is {found}, not {colour}"
-        page.wait_for_timeout(50)
 
 
 def test_the_page_follows_looks_back_compares_and_comes_back() -> None:

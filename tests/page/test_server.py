@@ -19,9 +19,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from slamfusion.errors import ConfigError
 from slamfusion.page.protocol import MESSAGE_BYTES
-from slamfusion.page.scene import Scene
 from slamfusion.page.server import MOST_VIEWERS, PageServer
-from tests.page.maps import noise, painted, texts, tiles
+from slamfusion.viewer.scene import Scene
+from tests.viewer.maps import noise, painted, texts, tiles
 
 pytestmark = pytest.mark.once
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,6 +12,14 @@ from typing import Any
 from playwright.sync_api import sync_playwright
 
 NAMES = ("chromium", "google-chrome", "chromium-browser")
+# The colour, [red, green, blue, alpha], of a cell of a map on the stage; empty for none.
+PIXEL = """([name, row, column]) => {
+  const canvas = document.querySelector("#map");
+  const at = canvas.view.pixelOf(name, row, column);
+  if (at === null) return [];
+  const [x, y] = at;
+  return Array.from(canvas.getContext("2d").getImageData(x, y, 1, 1).data);
+}"""
 
 
 @contextmanager
@@ -32,3 +41,11 @@ def browser_page(width: int = 1280, height: int = 860) -> Iterator[Any]:
         finally:
             browser.close()
         assert not wrong
+
+
+def becomes(page: Any, colour: tuple[int, ...], name: str, row: int, column: int) -> None:
+    """Wait until a cell of a map has a colour."""
+    until_s = time.monotonic() + 10.0
+    while (found := tuple(page.evaluate(PIXEL, [name, row, column]))) != colour:
+        assert time.monotonic() < until_s, f"{name} {row} {column} is {found}, not {colour}"
+        page.wait_for_timeout(50)

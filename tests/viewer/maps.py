@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.page.protocol import TILE, decode_tile
+from slamfusion.viewer.messages import TILE, decode_tile
 
 
 def noise(height: int, width: int, *, seed: int = 0, x: float = 0.0, y: float = 0.0) -> Any:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.page.protocol import TILE
+from slamfusion.viewer.messages import TILE
 
 __all__ = ["Lattice", "TiledLayer"]
 

@@ -7,10 +7,10 @@ import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.page.protocol import TILE, encode_tile
-from slamfusion.page.scene import Scene
-from slamfusion.page.tiles import TiledLayer
-from tests.page.maps import noise, painted, texts, tiles
+from slamfusion.viewer.messages import TILE, encode_tile
+from slamfusion.viewer.scene import Scene
+from slamfusion.viewer.tiles import TiledLayer
+from tests.viewer.maps import noise, painted, texts, tiles
 
 pytestmark = pytest.mark.once
 

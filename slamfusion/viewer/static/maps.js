@@ -107,7 +107,7 @@ export class Maps {
     const { name } = message;
     let layer = this.layers.get(name);
     if (layer === undefined) {
-      layer = { isShown: message.kind !== "agreement", opacity: message.kind === "fused" ? 1 : 0.85 };
+      layer = { isShown: message.is_shown, opacity: message.kind === "fused" ? 1 : 0.85 };
       this.layers.set(name, layer);
     }
     const isNew = layer.epoch !== message.epoch;

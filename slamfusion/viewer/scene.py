@@ -15,19 +15,27 @@ import numpy as np
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.page.protocol import TILE, encode_tile, to_text
-from slamfusion.page.tiles import Lattice, Place, TiledLayer
 from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.viewer.messages import FASTEST, TILE, encode_tile, to_text
+from slamfusion.viewer.tiles import Lattice, Place, TiledLayer
 
-__all__ = ["Kind", "Scene"]
+__all__ = ["AGREEMENT", "FUSED", "Kind", "Scene", "layer_name"]
 
 # An input's map, the fused one, or the share of votes for the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]
 Message = str | bytes
 
+# What the front end calls the two maps that are no input's.
+FUSED, AGREEMENT = "fused", "agreement"
+
 EVENTS = 500
 # Points of a path, each this far from the one before, metres: 20 km of driving.
 POINTS, STEP_M = 200_000, 0.1
+
+
+def layer_name(name: str) -> str:
+    """Return what an input is called beside the fused map and the agreement, whatever its name."""
+    return f"{name} (input)" if name in {FUSED, AGREEMENT} else name
 
 
 @dataclass
@@ -36,6 +44,7 @@ class _Layer:
 
     Attributes:
         kind, index, epoch: see ``Scene``; the epoch counts the lattices that it had.
+        is_shown: whether one sees it at first.
         tiled: its tiles.
         seq: when its description changed last.
         sent: of every tile ever sent in this epoch, when it changed last and its bytes.
@@ -44,6 +53,7 @@ class _Layer:
 
     kind: Kind
     index: int
+    is_shown: bool
     tiled: TiledLayer = field(default_factory=TiledLayer)
     epoch: int = 0
     seq: int = 0
@@ -62,6 +72,7 @@ class Scene:
         title: of the page.
         is_live: whether more is to come.
         clock: seconds since 1970.
+        level: how hard tiles are packed, 1 to 9.
 
     Attributes:
         id: of this scene's life; the numbers of another one mean nothing here.
@@ -70,13 +81,19 @@ class Scene:
     """
 
     def __init__(
-        self, title: str, *, is_live: bool, clock: Callable[[], float] = time.time
+        self,
+        title: str,
+        *,
+        is_live: bool,
+        clock: Callable[[], float] = time.time,
+        level: int = FASTEST,
     ) -> None:
         self.id = secrets.token_hex(8)
         self.title = title
         self.is_live = is_live
         self.on_change: Callable[[], None] = lambda: None
         self._clock = clock
+        self._level = level
         self._lock = threading.Lock()
         self._seq = 0
         self._layers: dict[str, _Layer] = {}
@@ -87,17 +104,26 @@ class Scene:
 
     # -- what comes -------------------------------------------------------------------------------
 
-    def put_map(self, name: str, grid: OccupancyGrid, kind: Kind) -> int:
-        """Take the newest state of a map, and return how many tiles of it have changed."""
+    def put_map(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> int:
+        """Take the newest state of a map, and return how many tiles of it have changed.
+
+        Args:
+            name: of the map.
+            grid: its cells; they must stay.
+            kind: what it is.
+            is_shown: whether one sees it at first; the agreement never is.
+        """
         layer = self._layers.get(name)
         if layer is None:
             index = sum(item.kind == "input" for item in self._layers.values())
-            layer = _Layer(kind, index)
+            layer = _Layer(kind, index, is_shown and kind != "agreement")
         is_new, changed = layer.tiled.put(grid)
         stamp_s = self._clock()
         empty = np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
         sent = {
-            place: encode_tile(name, *place, stamp_s, layer.tiled.tiles.get(place, empty))
+            place: encode_tile(
+                name, *place, stamp_s, layer.tiled.tiles.get(place, empty), level=self._level
+            )
             for place in changed
         }
         with self._lock:
@@ -199,6 +225,7 @@ def _described(name: str, layer: _Layer) -> dict[str, Any]:
     return {
         "name": name,
         "kind": layer.kind,
+        "is_shown": layer.is_shown,
         "epoch": layer.epoch,
         "resolution": lattice.resolution,
         "anchor": [lattice.anchor.x, lattice.anchor.y, lattice.anchor.yaw_rad],

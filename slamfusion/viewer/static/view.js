@@ -14,17 +14,22 @@ export class View {
    * @param {HTMLCanvasElement} canvas
    * @param {() => object} scene gives what to draw: layers (bottom first; each name, layer, raster,
    *     place in the fused frame), trails, robots, difference
-   * @param {(place: number[] | null) => void} onPoint told the metres under the pointer
+   * @param {(place: number[] | null) => void} onPoint told the metres under the pointer, or under
+   *     the cross that keys move
+   * @param {boolean} isEmbedded in a page that scrolls: the wheel is the page's until the canvas is
+   *     focused
    */
-  constructor(canvas, scene, onPoint) {
+  constructor(canvas, scene, onPoint, isEmbedded) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.scene = scene;
     this.onPoint = onPoint;
+    this.isEmbedded = isEmbedded;
     this.centre = [0, 0];
     this.scale = 40; // device pixels per metre
     this.isFitted = true; // until somebody moves it
     this.isAsked = false;
+    this.hasCross = false; // where keys ask for a cell
     this.pointers = new Map();
     new ResizeObserver(() => this.resize()).observe(canvas);
     canvas.addEventListener("pointerdown", (event) => this.press(event));
@@ -32,9 +37,12 @@ export class View {
     for (const name of ["pointerup", "pointercancel"]) {
       canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
     }
-    canvas.addEventListener("pointerleave", () => this.onPoint(null));
+    canvas.addEventListener("pointerleave", (event) => {
+      if (event.pointerType !== "touch") this.onPoint(null); // a finger that was lifted has asked
+    });
     canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     canvas.addEventListener("keydown", (event) => this.pressKey(event));
+    canvas.addEventListener("blur", () => this.showCross(false));
     canvas.view = this; // for whoever looks at the page from its console
   }
 
@@ -81,16 +89,20 @@ export class View {
 
   // -- what one sees -----------------------------------------------------------------------------
 
-  /** Show everything there is. */
+  /** Show all of the layers that are shown. */
   fit() {
-    const corners = this.scene().layers.flatMap(({ layer, raster, place }) =>
+    const { layers } = this.scene();
+    const shown = layers.filter((item) => item.isShown);
+    const corners = (shown.length > 0 ? shown : layers).flatMap(({ layer, raster, place }) =>
       this.corners(layer, raster, place),
     );
     this.isFitted = true;
     if (corners.length === 0) return;
     const xs = corners.map((corner) => corner[0]);
     const ys = corners.map((corner) => corner[1]);
-    const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const least = (values) => values.reduce((a, b) => Math.min(a, b));
+    const most = (values) => values.reduce((a, b) => Math.max(a, b));
+    const [left, right, low, high] = [least(xs), most(xs), least(ys), most(ys)];
     this.centre = [(left + right) / 2, (low + high) / 2];
     const room = 0.94;
     this.scale = Math.min(
@@ -101,16 +113,12 @@ export class View {
   }
 
   corners(layer, raster, place) {
-    let [bottom, left, top, right] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const box of raster.boxes.values()) {
-      [bottom, left] = [Math.min(bottom, box[0]), Math.min(left, box[1])];
-      [top, right] = [Math.max(top, box[2]), Math.max(right, box[3])];
-    }
-    if (top < bottom) return []; // nothing is known
     const step = layer.resolution;
-    return [[left, bottom], [left, top], [right, bottom], [right, top]].map(([column, row]) =>
-      compose(place, [column * step, row * step, 0]),
-    );
+    return [...raster.boxes.values()].flatMap(([bottom, left, top, right]) => {
+      if (top < bottom) return []; // nothing is known
+      const cells = [[left, bottom], [left, top], [right, bottom], [right, top]];
+      return cells.map(([column, row]) => compose(place, [column * step, row * step, 0]));
+    });
   }
 
   /** A device pixel for a cell of a map, cells on pixels. */
@@ -154,10 +162,12 @@ export class View {
   press(event) {
     this.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, this.at(event));
+    this.onPoint(this.toPlace(this.at(event)));
   }
 
   move(event) {
     const now = this.at(event);
+    this.showCross(false);
     this.onPoint(this.toPlace(now));
     const before = this.pointers.get(event.pointerId);
     if (before === undefined) return;
@@ -172,6 +182,7 @@ export class View {
   }
 
   wheel(event) {
+    if (this.isEmbedded && !event.ctrlKey && document.activeElement !== this.canvas) return;
     event.preventDefault();
     this.zoom(Math.exp(-event.deltaY / 400), this.at(event));
   }
@@ -187,6 +198,14 @@ export class View {
     else if (event.key === "1") this.oneToOne("fused");
     else return;
     event.preventDefault();
+    this.showCross(true);
+    this.onPoint(this.centre);
+  }
+
+  showCross(isShown) {
+    if (this.hasCross === isShown) return;
+    this.hasCross = isShown;
+    this.drawSoon();
   }
 
   // -- drawing -----------------------------------------------------------------------------------
@@ -203,6 +222,24 @@ export class View {
     context.globalAlpha = 1;
     for (const { points, place, rgb } of scene.trails) this.drawTrail(points, place, rgb);
     for (const { pose, rgb } of scene.robots) this.drawRobot(pose, rgb);
+    if (this.hasCross) this.drawCross();
+  }
+
+  /** Mark the centre: dark on light and light on dark. */
+  drawCross() {
+    const { context, canvas } = this;
+    const size = 10 * (window.devicePixelRatio || 1);
+    const [x, y] = [canvas.width / 2, canvas.height / 2];
+    for (const [rgb, width] of [[PAPER, 5], [BOTH, 2]]) {
+      context.strokeStyle = css(rgb);
+      context.lineWidth = width;
+      context.beginPath();
+      context.moveTo(x - size, y);
+      context.lineTo(x + size, y);
+      context.moveTo(x, y - size);
+      context.lineTo(x, y + size);
+      context.stroke();
+    }
   }
 
   drawLayer({ layer, raster, place, opacity }) {
