@@ -172,6 +172,7 @@ def _reported(run: LogRun) -> RunReport:
         doubled=None
         if run.doubled is None
         else (run.doubled.inputs | {"fused map": run.doubled.fused}),
+        fused_path=None if run.fused_path is None else run.fused_path.trajectory,
         verdict=run.verdict,
         evaluations=[item.error for item in run.evaluations],
         evaluation_alignments=[item.alignment for item in run.evaluations],

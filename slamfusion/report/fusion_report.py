@@ -13,6 +13,7 @@ from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import plots
+from slamfusion.report.layers import fusion_layers
 from slamfusion.report.maps import (
     alignment_table,
     error_section,
@@ -35,6 +36,7 @@ from slamfusion.report.page import (
     number,
     write_page,
 )
+from slamfusion.trajectory import Trajectory
 
 __all__ = [
     "alignment_section",
@@ -218,8 +220,16 @@ def _facts(result: FusionResult, evaluations: Sequence[MapError]) -> list[Fact]:
     return facts
 
 
-def fused_section(result: FusionResult, box: CellBox) -> Section:
-    """Return the fused map, the inputs over each other, and where they agree."""
+def fused_section(
+    result: FusionResult, box: CellBox, paths: Mapping[str, Trajectory] | None = None
+) -> Section:
+    """Return the fused map, the inputs over each other, and where they agree.
+
+    Args:
+        result: what was fused.
+        box: cells of the fused lattice to draw.
+        paths: see ``fusion_layers``.
+    """
     fused, agreement = result.fused, result.agreement
     pictures = [
         Picture(
@@ -256,7 +266,7 @@ def fused_section(result: FusionResult, box: CellBox) -> Section:
             ),
         )
     )
-    return Section("Fused map", "fused", "", pictures)
+    return Section("Fused map", "fused", "", pictures, layers=fusion_layers(result, paths))
 
 
 def group_sections(result: FusionResult) -> list[Section]:

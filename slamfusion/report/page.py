@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import datetime as dt
+import hashlib
 import importlib.metadata
 import importlib.resources
 import platform
@@ -22,7 +23,9 @@ from markupsafe import Markup
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import Rgb
+from slamfusion.report.layers import Layers
 from slamfusion.version import __version__
+from slamfusion.viewer.front import bundled, front_end
 
 __all__ = [
     "Banner",
@@ -128,7 +131,10 @@ class Fact:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: text, pictures, tables and preformatted text, in this order."""
+    """A part of the page: text, layers, pictures, tables and preformatted text, in this order.
+
+    One section of a page has layers, no more.
+    """
 
     title: str
     anchor: str
@@ -136,6 +142,7 @@ class Section:
     pictures: Sequence[Picture] = ()
     tables: Sequence[Table] = ()
     code: str = ""
+    layers: Layers | None = None
 
 
 @dataclass(frozen=True)
@@ -211,8 +218,10 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         id(picture): f"{numbers[id(picture)]:02d}-{_safe_stem(picture.stem)}.png"
         for picture in pictures
     }
+    has_layers = any(section.layers and section.layers.recorded for section in page.sections)
     html = _template().render(
         page=page,
+        script=_script() if has_layers else "",
         names=names,
         numbers=numbers,
         identity=id,
@@ -230,16 +239,42 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
     return path
 
 
+@dataclass(frozen=True)
+class _Script:
+    """The one script of a page, and what its policy knows it by."""
+
+    text: Markup
+    sha256: str
+
+
+def _script() -> _Script:
+    """Return the front end of the maps, which no other script may join."""
+    text = bundled(_own_file("report.js"))
+    digest = hashlib.sha256(text.encode()).digest()
+    return _Script(Markup(text), base64.b64encode(digest).decode("ascii"))  # noqa: S704 - ours
+
+
 def _template() -> jinja2.Template:
     """Return the one template; every value in it is escaped."""
-    folder = importlib.resources.files("slamfusion.report") / "templates"
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    css = (folder / "report.css").read_text(encoding="utf-8")
-    # Our own file, not a value of the user's: the only text that is not escaped.
-    environment.globals["css"] = Markup(css)  # noqa: S704
-    return environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
+    shared = front_end()
+    ours = {
+        "css": shared["viewer.css"] + _own_file("report.css"),
+        "stage": shared["stage.html"],
+        "switches": shared["layers.html"],
+    }
+    # Our own files, no values of the user's: the only texts that are not escaped, but for the
+    # recorded layers, in which no tag can begin.
+    environment.globals |= {name: Markup(text) for name, text in ours.items()}  # noqa: S704
+    return environment.from_string(_own_file("report.html.j2"))
+
+
+def _own_file(name: str) -> str:
+    """Return the text of a file beside the template."""
+    folder = importlib.resources.files("slamfusion.report") / "templates"
+    return (folder / name).read_text(encoding="utf-8")
 
 
 def _safe_stem(stem: str) -> str:

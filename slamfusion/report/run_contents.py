@@ -50,6 +50,7 @@ class RunReport:
         pairs: where nothing was fused, the pairs that were tried.
         gaps: between the paths of producers in the fused frame.
         doubled: shares of doubled walls by name, that of the fused map as ``fused map``.
+        fused_path: made of those of the producers, in the fused frame; None where there is none.
         verdict: what the scans say of the paths; None where they could not be asked.
         evaluations: errors of maps against the truth.
         evaluation_alignments: what each of them rests on.
@@ -69,6 +70,7 @@ class RunReport:
     pairs: Sequence[Alignment] = ()
     gaps: Sequence[PathGap] = ()
     doubled: Mapping[str, float] | None = None
+    fused_path: Trajectory | None = None
     verdict: Verdict | None = None
     evaluations: Sequence[MapError] = ()
     evaluation_alignments: Sequence[Alignment | None] = ()

@@ -184,9 +184,14 @@ def _maps_section(report: RunReport, config: RunConfig) -> Section:
     if result is None:
         pictures = [input_picture(grid, config.fusion.normalize) for grid in report.grids]
         return Section("Maps", "maps", text, pictures)
-    fused, *others = fused_section(result, shown_box(result)).pictures
+    voted = {record.name for record in result.accepted}
+    paths = {item.run.name: item.run.trajectory for item in report.runs if item.run.name in voted}
+    if report.fused_path is not None:
+        paths[FUSED_PATH] = report.fused_path
+    section = fused_section(result, shown_box(result), paths)
+    fused, *others = section.pictures
     inputs = inputs_section(result, config).pictures
-    return Section("Maps", "maps", text, [fused, *inputs, *others])
+    return Section("Maps", "maps", text, [fused, *inputs, *others], layers=section.layers)
 
 
 def _health_section(report: RunReport) -> list[Section]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import re
 import subprocess
 import sys
@@ -31,7 +32,7 @@ CONFIG = RunConfig()
 
 
 class PageReader(HTMLParser):
-    """Collects the text, the tags and the addresses of a page."""
+    """Collects the text, the tags, the addresses and the scripts, by type, of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,10 +40,18 @@ class PageReader(HTMLParser):
         self.sources: list[str] = []
         self.links: list[str] = []
         self.targets: set[str] = set()
+        self.scripts: dict[str, str] = {}
+        self.policy = ""
         self.text = ""
+        self._script = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        if tag == "script":
+            self._script = dict(attrs).get("type") or "classic"
+            assert self._script not in self.scripts
+        if tag == "meta" and ("http-equiv", "Content-Security-Policy") in attrs:
+            self.policy = dict(attrs)["content"] or ""
         for key, value in attrs:
             assert not key.startswith("on"), f"{tag} has a handler {key}"
             if key in {"src", "srcset", "data", "action", "poster"}:
@@ -50,10 +59,18 @@ class PageReader(HTMLParser):
             if key == "href":
                 self.links.append(value or "")
             if key == "id":
+                assert value not in self.targets, f"two elements are called {value}"
                 self.targets.add(value or "")
 
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "script":
+            self._script = ""
+
     def handle_data(self, data: str) -> None:
-        self.text += data
+        if self._script:
+            self.scripts[self._script] = self.scripts.get(self._script, "") + data
+        else:
+            self.text += data
 
 
 def read(path: Path) -> PageReader:
@@ -128,12 +145,26 @@ def test_every_part_of_the_fusion_is_shown(report: Path) -> None:
         assert part in page.text, part
 
 
+def check_scripts(page: PageReader) -> None:
+    """Hold a page with layers to one script, which its policy knows, and one of mere data."""
+    assert set(page.scripts) == {"application/json", "module"}
+    digest = hashlib.sha256(page.scripts["module"].encode()).digest()
+    assert f"script-src 'sha256-{base64.b64encode(digest).decode()}'" in page.policy
+    assert page.policy.startswith("default-src 'none'; ")
+    assert "unsafe" not in page.policy.partition("script-src")[2]
+
+
 def test_names_are_escaped_and_run_nothing(report: Path) -> None:
     page = read(report)
-    assert "script" not in page.tags
+    check_scripts(page)
     assert "more" not in page.tags
-    assert "<script" not in report.read_text(encoding="utf-8")
-    assert "default-src 'none'" in report.read_text(encoding="utf-8")
+    assert "<script>" not in report.read_text(encoding="utf-8")
+
+
+def test_a_page_without_layers_runs_no_script(tmp_path: Path) -> None:
+    page = read(write_evaluation_report(evaluations(), tmp_path, config=CONFIG))
+    assert not page.scripts
+    assert "script-src" not in page.policy
 
 
 def test_the_page_loads_nothing_from_anywhere(report: Path) -> None:

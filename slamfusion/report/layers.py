@@ -1,0 +1,101 @@
+"""The maps of a fusion as layers of a page: shown or not, over each other, asked cell by cell."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from slamfusion.fusion.records import FusionResult, InputRecord
+from slamfusion.geometry import Pose2
+from slamfusion.trajectory import Trajectory
+from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
+
+__all__ = ["MOST_CELLS", "Layers", "fusion_layers"]
+
+# A browser keeps five bytes of each: six maps of 4000 x 4000 are drawn, and more are not.
+MOST_CELLS = 100_000_000
+# Pages are written once and kept: tiles are packed as small as they get.
+SMALLEST = 9
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Maps that one can touch on a page.
+
+    Attributes:
+        recorded: what a scene says of them, as JSON that may stand in a script element; empty: they
+            are too large.
+        note: what the reader must know.
+    """
+
+    recorded: str
+    note: str
+
+
+def fusion_layers(result: FusionResult, paths: Mapping[str, Trajectory] | None = None) -> Layers:
+    """Return the fused map, the agreement and the inputs where they were laid.
+
+    Args:
+        result: what was fused; an input that was never aligned has no place and is left out, one
+            that was rejected is hidden at first.
+        paths: by input in the frame of its map, and as ``fused`` in the fused frame.
+    """
+    placed = [record for record in result.inputs if record.accepted or record.alignment]
+    cells = [record.grid.cells.size for record in placed]
+    total = sum(cells) + 2 * result.fused.cells.size
+    if total > MOST_CELLS:
+        text = (
+            f"These maps have {total / 1e6:.0f} million cells in all, and a page draws at most "
+            f"{MOST_CELLS / 1e6:.0f} million as layers; the pictures below are smaller. "
+            "`slamfusion show` draws the maps from their files."
+        )
+        return Layers("", text)
+    scene = Scene("report", is_live=False, clock=lambda: 0.0, level=SMALLEST)
+    scene.put_status([_told(record, result.reference) for record in placed])
+    for name, path in (paths or {}).items():
+        for x_m, y_m, _ in path.poses:
+            scene.put_point(name if name == FUSED else layer_name(name), float(x_m), float(y_m))
+    scene.put_map(FUSED, result.fused, "fused")
+    scene.put_map(AGREEMENT, result.agreement, "agreement")
+    for record in placed:
+        scene.put_map(layer_name(record.name), record.grid, "input", is_shown=record.accepted)
+    note = _NOTE if all(record.accepted for record in placed) else f"{_NOTE} {_HIDDEN}"
+    return Layers(_recorded(scene), note)
+
+
+_NOTE = (
+    "Drag the map, or click it and use the wheel, the arrow keys, + and -; 0 shows all of it. "
+    "Point at a cell, or move the cross to it by keys, to see who says what there."
+)
+_HIDDEN = "An input that has no vote lies where it fits best, and is hidden at first."
+
+
+def _told(record: InputRecord, reference: str) -> dict[str, Any]:
+    """Return what the scene says of an input."""
+    alignment = record.alignment
+    place = Pose2() if alignment is None else alignment.transform
+    return {
+        "name": layer_name(record.name),
+        "votes": record.accepted,
+        "reason": "the reference" if record.name == reference else record.reason,
+        "score": None if alignment is None else alignment.score,
+        "transform": [place.x, place.y, place.yaw_rad],
+    }
+
+
+def _recorded(scene: Scene) -> str:
+    """Return everything that a scene says; no letter of it can end a script element."""
+    messages, _ = scene.since(0)
+    texts = [message for message in messages if isinstance(message, str)]
+    tiles = [_quoted(message) for message in messages if isinstance(message, bytes)]
+    return f'{{"messages":{_listed(texts)},"tiles":{_listed(tiles)}}}'.replace("<", "\\u003c")
+
+
+def _quoted(tile: bytes) -> str:
+    return f'"{base64.b64encode(tile).decode("ascii")}"'
+
+
+def _listed(items: Iterable[str]) -> str:
+    return f"[{','.join(items)}]"

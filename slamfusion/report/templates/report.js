@@ -1,0 +1,22 @@
+// The maps of a report: what a scene told when the report was written, told again.
+
+import { Stage, byId } from "./stage.js";
+
+const told = JSON.parse(byId("recorded").textContent);
+byId("viewer").hidden = false;
+const stage = new Stage(true);
+for (const message of told.messages) stage.take(message);
+byId("show-paths").closest("p").hidden = stage.trails.size === 0;
+
+async function takeTiles() {
+  for (const packed of told.tiles) {
+    await stage.maps.take(Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0)).buffer);
+  }
+  document.body.dataset.drawn = "true";
+  stage.view.drawSoon();
+}
+
+takeTiles().catch((error) => {
+  console.error(error);
+  byId("viewer").hidden = true; // the pictures below say the same
+});

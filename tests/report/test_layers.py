@@ -1,0 +1,96 @@
+"""The layers of a page: what they hold is what was fused, in place and in a file of its own."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.config import RunConfig
+from slamfusion.fusion.records import InputRecord
+from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
+from slamfusion.report import write_fusion_report
+from slamfusion.report.layers import MOST_CELLS, fusion_layers
+from slamfusion.trajectory import Trajectory
+from tests.report.drawn import NASTY, alignment, fusion, room
+from tests.report.test_reports import read
+from tests.viewer.maps import painted, tiles
+
+pytestmark = pytest.mark.once
+
+
+def told(recorded: str) -> tuple[dict[str, list[dict[str, Any]]], list[bytes]]:
+    """Return the messages by type, and the tiles."""
+    assert "<" not in recorded
+    found = json.loads(recorded)
+    messages: dict[str, list[dict[str, Any]]] = {}
+    for message in found["messages"]:
+        messages.setdefault(message["type"], []).append(message)
+    return messages, [base64.b64decode(tile) for tile in found["tiles"]]
+
+
+def test_layers_hold_every_map_where_it_was_laid() -> None:
+    result = fusion()
+    path = Trajectory(np.arange(3.0), np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0.0]]), "room 1")
+    messages, data = told(fusion_layers(result, {"room 1": path, "fused": path}).recorded)
+    shown = {layer["name"]: layer["is_shown"] for layer in messages["layer"]}
+    rooms = ["room 0", "room 1", "room 2"]
+    assert shown == {"fused": True, "agreement": False, **dict.fromkeys(rooms, True), NASTY: False}
+    maps = {
+        "fused": result.fused,
+        "agreement": result.agreement,
+        **{record.name: record.grid for record in result.inputs},
+    }
+    for layer in messages["layer"]:
+        grid = maps[layer["name"]]
+        cells = painted(tiles(data, layer["name"]), grid.height, grid.width, (0, 0))
+        assert np.array_equal(cells, grid.cells), layer["name"]
+        assert layer["anchor"] == [grid.origin.x, grid.origin.y, grid.origin.yaw_rad]
+    (status,) = messages["status"]
+    votes = {item["name"]: item["votes"] for item in status["inputs"]}
+    assert votes == {**dict.fromkeys(rooms, True), NASTY: False}
+    places = {item["name"]: item["transform"] for item in status["inputs"]}
+    assert places["room 0"] == [0, 0, 0]
+    assert places["room 1"] == [0.1, -0.2, 0.01]
+    points = [[0, 0], [1, 0], [1, 2]]
+    assert {trail["name"]: trail["points"] for trail in messages["trail"]} == {
+        "room 1": points,
+        "fused": points,
+    }
+
+
+def test_an_input_may_be_called_fused_and_one_without_a_place_is_left_out() -> None:
+    found = alignment("room 0", "fused", accepted=True)
+    inputs = (
+        InputRecord(room("fused", 3), found, True, "fits"),
+        InputRecord(room("nowhere", 4), None, False, "all unknown"),
+    )
+    messages, _ = told(fusion_layers(replace(fusion(), inputs=inputs)).recorded)
+    assert [layer["name"] for layer in messages["layer"]] == [
+        "fused",
+        "agreement",
+        "fused (input)",
+    ]
+
+
+def test_larger_maps_are_pictures_alone_and_the_page_says_so(tmp_path: Path) -> None:
+    result = fusion()
+    side = int(np.sqrt(MOST_CELLS / 2)) + 1
+    cells = np.broadcast_to(np.int8(-1), (side, side))
+    huge = OccupancyGrid(cells, 0.05, Pose2(), "fused")
+    assert fusion_layers(replace(result, fused=huge)).recorded == ""
+    few = replace(result, inputs=result.inputs[:1])
+    layers = fusion_layers(replace(few, fused=huge))
+    assert layers.note.startswith("These maps have 100 million cells in all, and a page draws at")
+    path = write_fusion_report(few, tmp_path, config=RunConfig())
+    assert "Drag the map" in read(path).text
+
+
+def test_the_same_fusion_gives_the_same_layers() -> None:
+    assert fusion_layers(fusion()) == fusion_layers(fusion())
