@@ -26,7 +26,7 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.jobs.inputs import check_writable, device_for, load_maps
+from slamfusion.jobs.inputs import GivenMaps, check_writable, device_for, load_maps
 from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, group_stem
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ class _Outputs:
     required=True,
     type=FILE,
     metavar="OUT",
-    help="Write OUT.yaml, OUT.pgm and OUT_agreement.yaml, OUT_agreement.pgm; of further groups of "
-    "maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ...",
+    help="Write OUT.yaml, OUT.pgm, OUT_agreement.yaml, OUT_agreement.pgm and the record OUT.json; "
+    "of further groups of maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ...",
 )
 @file_option(
     "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one."
@@ -134,12 +134,13 @@ def command(
     truth = None
     if truth_path is not None:
         (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
+    given = GivenMaps.of(maps, resolution)
     device = device_for(config)
     try:
         with start_errors(starts), progress_bar() as progress:
-            fused = fuse_maps(grids, config, device, truth=truth, progress=progress)
+            fused = fuse_maps(grids, config, device, truth=truth, given=given, progress=progress)
     except AlignmentError as error:
-        _report_failure(error, grids, config, device.name, report_dir, as_json)
+        _report_failure(error, grids, config, device.name, report_dir, given, as_json)
         raise
     document = save_fused_maps(fused, outputs.fused, report=report_dir)
     tell_left_out(fused.result)
@@ -152,7 +153,7 @@ def command(
 
 def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) -> None:
     """Print the alignments, the evaluation and where everything went."""
-    from slamfusion.jobs.fuse import fusion_sentences  # noqa: PLC0415
+    from slamfusion.jobs.fuse import fusion_sentences, group_stems  # noqa: PLC0415
 
     print_alignments(fused.result)
     for sentence in fusion_sentences(fused.result, fused.doubled):
@@ -162,12 +163,14 @@ def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) 
         print_evaluations(fused.evaluations)
     print(f"fused map: {outputs.fused}.yaml")
     print(f"agreement: {outputs.agreement}.yaml")
-    for number, other in enumerate(fused.result.others, start=2):
+    _, *stems = group_stems(fused.result, outputs.fused)
+    for number, (other, stem) in enumerate(zip(fused.result.others, stems, strict=True), start=2):
         names = ", ".join(record.name for record in other.accepted)
-        print(f"group {number}:   {group_stem(outputs.fused, number)}.yaml ({names})")
+        print(f"group {number}:   {stem}.yaml ({names})")
     if report_dir is not None:
         print(f"report:    {report_dir / PAGE}")
     steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []
+    steps.append(f"slamfusion show {outputs.fused}.yaml")
     if not fused.evaluations:
         steps.append(f"slamfusion evaluate {outputs.fused}.yaml --truth TRUE_MAP.yaml")
     print_next_steps(Path(f"{outputs.fused}.yaml"), steps)
@@ -179,6 +182,7 @@ def _report_failure(
     config: RunConfig,
     device: str,
     report_dir: Path | None,
+    given: GivenMaps,
     as_json: bool,
 ) -> None:
     """Show what was tried: the report, and the JSON document or the table of pairs.
@@ -190,6 +194,6 @@ def _report_failure(
     if report_dir is not None:
         write_failed_fusion(error, grids, config, report_dir, device=device)
     if as_json:
-        print_json(failed_fuse_document(error, grids, config, device))
+        print_json(failed_fuse_document(error, grids, config, device, given))
     else:
         print_pairs(error.pairs, device)

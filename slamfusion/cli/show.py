@@ -1,4 +1,4 @@
-"""``slamfusion show``: a finished run in the browser, map over map."""
+"""``slamfusion show``: a finished job in the browser, map over map."""
 
 from __future__ import annotations
 
@@ -38,12 +38,19 @@ DEFAULTS = FusionNodeConfig()
     help="Serve it on this address; another one than this machine's own lets everybody on the "
     f"network look. [default: {DEFAULTS.page_host}]",
 )
+@click.option(
+    "--drive",
+    default="",
+    metavar="NAME",
+    help="Of an experiment, which of the drives whose maps it kept. [default: the first]",
+)
 @common_options
-def command(folder: Path, port: int, host: str, as_json: bool) -> int:
+def command(folder: Path, port: int, host: str, drive: str, as_json: bool) -> int:
     """Show the maps of a finished run in the browser until Ctrl-C.
 
-    DIR is what `slamfusion run` wrote, or any folder with maps. The page is that of the live nodes:
-    layers, paths, the difference of two maps, and what each map says of a cell.
+    DIR is what `slamfusion run`, `fuse` or `experiment` wrote (of several fusions in one folder,
+    the fused map of one), or any folder with maps. The page is that of the live nodes: layers,
+    paths, the difference of two maps, and what each map says of a cell.
     """
     from slamfusion.page.finished import read_finished  # noqa: PLC0415
 
@@ -52,15 +59,17 @@ def command(folder: Path, port: int, host: str, as_json: bool) -> int:
     except ImportError as error:
         raise SlamFusionError(str(error)) from error
 
-    found = read_finished(folder)
+    found = read_finished(folder, drive)
     server = PageServer(found.scene, host=host, port=port)
     found.feed(server.feed)
     if as_json:
-        document: ShowDocument = {"url": server.url, "maps": list(found.maps)}
+        document: ShowDocument = {"url": server.url, "maps": [item.name for item in found.maps]}
         print_json(document)
     else:
         print(server.url)
         notice("open that address in a browser; Ctrl-C ends it")
+        if found.also:
+            notice(f"other drives there, by --drive: {', '.join(found.also)}")
     try:
         sys.stdout.flush()
         threading.Event().wait()

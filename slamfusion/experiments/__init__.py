@@ -18,13 +18,14 @@ from slamfusion.experiments.drives import (
     simulated_office,
 )
 from slamfusion.experiments.error_table import ErrorTable
+from slamfusion.experiments.examples import read_example
 from slamfusion.experiments.failures import compare_failures, failure_trials
 from slamfusion.experiments.ground_obstacle import compare_with_obstacle, obstacle_trials
 from slamfusion.experiments.occupancy_estimator import sweep_estimators, verdicts
 from slamfusion.experiments.real_logs import REAL_LOGS, RealLogTable, compare_on_logs, logs_there
 from slamfusion.experiments.sheets import write_error_table
 from slamfusion.experiments.table import Results, Run, repeat, write_results
-from slamfusion.experiments.trials import Trial, TrialRecord, read_example
+from slamfusion.experiments.trials import Trial, TrialRecord
 
 __all__ = [
     "REAL_LOGS",

@@ -22,6 +22,7 @@ from slamfusion.experiments import (
 )
 from slamfusion.experiments.cell_models import CellModelRow
 from slamfusion.experiments.error_table import ErrorTable
+from slamfusion.experiments.examples import Example, example_file
 from slamfusion.experiments.occupancy_estimator import Verdict
 from slamfusion.experiments.real_logs import RealLogTable
 from slamfusion.experiments.records import (
@@ -228,7 +229,7 @@ def _save_error_table(
 def save_real_logs(
     folder: Path, table: RealLogTable, config: RunConfig, device: str
 ) -> RealLogsDocument:
-    """Write what ``compare_on_logs`` found: the tables, then the page.
+    """Write what ``compare_on_logs`` found: the tables, then the page and the maps that it shows.
 
     Args:
         folder: made when missing.
@@ -241,6 +242,10 @@ def save_real_logs(
     """
     shown = pictures.log_differences(table)
     files = _save_tables(folder, real_logs.NAME, table, shown, config, device)
+    with AtomicFiles() as kept:
+        for name, differences in shown.items():
+            codes = {item.title: item.codes for item in differences}
+            kept.add(example_file(folder, name), Example(codes, differences[0].resolution).packed())
     return {
         **table.to_json(),
         **circumstances(config, device),

@@ -11,10 +11,11 @@ from pathlib import Path
 from slamfusion.config import RunConfig
 from slamfusion.experiments.cell_models import CellModelRow
 from slamfusion.experiments.drives import TIME
+from slamfusion.experiments.examples import read_example
 from slamfusion.experiments.real_logs import RealLogTable
 from slamfusion.experiments.sheets import Tables
 from slamfusion.experiments.table import Results, measure_label
-from slamfusion.experiments.trials import Trial, read_example
+from slamfusion.experiments.trials import Trial
 from slamfusion.report.experiment_report import (
     Difference,
     Line,
@@ -102,7 +103,7 @@ def trial_differences(folder: Path, trials: Sequence[Trial]) -> dict[str, list[D
     shown = {}
     for trial in trials:
         if trial.is_example:
-            example = read_example(folder, trial)
+            example = read_example(folder, trial.key)
             caption = f"{trial.condition}, world {trial.world}, seed {trial.seed}."
             shown[f"One drive: {trial.condition}"] = [
                 Difference(method, caption, codes, example.resolution)

@@ -7,7 +7,6 @@ that is done is a small JSON file. What is there already is not run again.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import multiprocessing
 import os
@@ -19,10 +18,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import slamfusion
 from slamfusion.compute import ComputeDevice, open_device
@@ -39,6 +36,7 @@ from slamfusion.experiments.drive_paths import (
     thickened,
     weigh_paths,
 )
+from slamfusion.experiments.examples import FOLDER, Example
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.records import TrialJson
 from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
@@ -53,22 +51,19 @@ from slamfusion.slam.side_by_side import interrupts_held, threads_limited
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
-    "Example",
     "Trial",
     "TrialRecord",
     "alone",
     "measure_trial",
-    "read_example",
     "run_trials",
 ]
 
-FOLDER = "trials"
 # Of the files: others are not believed.
 FORMAT = 4
 # Faces this near to true ones are right, metres.
 FACES_M = 0.1
 # What of the package has no say in a trial: its faces.
-FACES = {"cli", "report", "ros"}
+FACES = {"cli", "page", "report", "ros", "viewer"}
 
 
 @dataclass(frozen=True)
@@ -140,19 +135,6 @@ class TrialRecord:
             "ate_m": dict(self.ate_m),
             "choice": self.choice,
         }
-
-
-@dataclass(frozen=True, eq=False)
-class Example:
-    """The maps of one trial against the truth, to be drawn.
-
-    Attributes:
-        differences: by method (H, W) int8, codes of ``slamfusion.evaluation``, all on one lattice.
-        resolution: metres per cell.
-    """
-
-    differences: Mapping[str, npt.NDArray[np.int8]]
-    resolution: float
 
 
 def alone(fusion: str) -> str:
@@ -362,11 +344,8 @@ def _done(trial: Trial, config: RunConfig, device: ComputeDevice) -> Done:
         raise SlamFusionError(message) from None
     if not trial.is_example:
         return record, None
-    buffer = io.BytesIO()
-    arrays: dict[str, Any] = {f"map {name}": item.difference for name, item in found.items()}
-    arrays["resolution"] = np.float64(trial.course.world.resolution)
-    np.savez_compressed(buffer, **arrays)
-    return record, buffer.getvalue()
+    differences = {name: item.difference for name, item in found.items()}
+    return record, Example(differences, trial.course.world.resolution).packed()
 
 
 # --- files ---------------------------------------------------------------------------------------
@@ -419,18 +398,3 @@ def _write(
         files.add(folder / f"{trial.key}.json", f"{text}\n".encode())
         if pictures is not None:
             files.add(folder / f"{trial.key}.npz", pictures)
-
-
-def read_example(folder: Path, trial: Trial) -> Example:
-    """Return the maps of an example that was run.
-
-    Raises:
-        OSError: it was not.
-    """
-    with np.load(folder / FOLDER / f"{trial.key}.npz") as stored:
-        differences = {
-            name.removeprefix("map "): np.asarray(stored[name], dtype=np.int8)
-            for name in stored.files
-            if name != "resolution"
-        }
-        return Example(differences, float(stored["resolution"]))

@@ -19,14 +19,23 @@ from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, In
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map
-from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
-from slamfusion.jobs.inputs import MapInput, Progress, Warn, as_grids, device_for
+from slamfusion.jobs.inputs import (
+    NO_FILES,
+    GivenMaps,
+    MapInput,
+    Progress,
+    Warn,
+    as_grids,
+    device_for,
+)
 from slamfusion.jobs.outputs import (
     AGREEMENT_END,
     FAILED,
     failure_folder,
     group_stem,
+    record_file,
     remove_empty,
     report_files,
 )
@@ -51,6 +60,7 @@ __all__ = [
     "fuse_maps",
     "fusion_document",
     "fusion_sentences",
+    "group_stems",
     "save_fused_maps",
     "write_failed_fusion",
 ]
@@ -124,12 +134,14 @@ class FusedMaps:
         result: the fused map, what became of each input, and every alignment.
         doubled: the doubled walls of the inputs and of the fused map.
         evaluations: errors of the inputs and, last, of the fused map; empty without a true map.
+        given: the files of the inputs.
     """
 
     config: RunConfig
     result: FusionResult
     doubled: DoubledWalls
     evaluations: tuple[Evaluation, ...] = ()
+    given: GivenMaps = NO_FILES
 
     @property
     def grid(self) -> OccupancyGrid:
@@ -165,6 +177,7 @@ def fuse_maps(
     *,
     truth: MapInput | None = None,
     resolution: float | None = None,
+    given: GivenMaps | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
 ) -> FusedMaps:
@@ -178,6 +191,7 @@ def fuse_maps(
         device: computes; default: the one that the settings name.
         truth: the true map: errors of every input and of the fused map.
         resolution: metres per cell of bare images.
+        given: the files of maps that are in memory; default: those that are read.
         progress: told the stage, and how much of it is done.
         warn: told in a sentence what is doubtful about a map.
 
@@ -207,7 +221,9 @@ def fuse_maps(
     if true_grid is not None:
         measured = [*grids, result.fused.with_name("fused")]
         evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
-    return FusedMaps(config, result, DoubledWalls.of(result, config), evaluations)
+    doubled = DoubledWalls.of(result, config)
+    given = given or GivenMaps.of(maps, resolution)
+    return FusedMaps(config, result, doubled, evaluations, given)
 
 
 # --- files ------------------------------------------------------------------------------------
@@ -235,7 +251,7 @@ def save_fused_maps(
     report: str | Path | None = None,
     files: AtomicFiles | None = None,
 ) -> FuseDocument:
-    """Write the fused map, the agreement and the report, all or none.
+    """Write the fused map, the agreement, the record of both and the report, all or none.
 
     Args:
         fused: what was fused.
@@ -244,7 +260,7 @@ def save_fused_maps(
         files: the set of files to join; default: one of its own.
 
     Returns:
-        The record of the fusion, which names the files.
+        The record of the fusion, which names the files; it stands in ``STEM.json``.
 
     Raises:
         SlamFusionError: a file cannot be written, or matplotlib is missing.
@@ -269,7 +285,9 @@ def save_fused_maps(
         )
         for page in report_files(folder / FAILED):
             files.remove(page)
-    return fuse_document(fused, stem)
+    document = fuse_document(fused, stem)
+    files.add(record_file(stem), record_bytes(document))
+    return document
 
 
 def write_failed_fusion(
@@ -325,13 +343,18 @@ def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
             for item, own in zip(all_groups(result), group_stems(result, stem), strict=True)
         ],
         "evaluations": [evaluation.to_json() for evaluation in fused.evaluations],
+        **fused.given.to_json(),
         **circumstances(fused.config, result.device),
         "time_s": result.time_s,
     }
 
 
 def failed_fuse_document(
-    error: AlignmentError, grids: Sequence[OccupancyGrid], config: RunConfig, device: str
+    error: AlignmentError,
+    grids: Sequence[OccupancyGrid],
+    config: RunConfig,
+    device: str,
+    given: GivenMaps = NO_FILES,
 ) -> FailedFuseDocument:
     """Return what ``slamfusion fuse`` prints as JSON where nothing was fused.
 
@@ -340,6 +363,7 @@ def failed_fuse_document(
         grids: the inputs.
         config: the settings in effect.
         device: what computed, in words.
+        given: the files of the inputs.
     """
     return {
         **failure_document(grids, error.pairs, str(error)),
@@ -347,6 +371,7 @@ def failed_fuse_document(
         "agreement": None,
         "groups": [],
         "evaluations": [],
+        **given.to_json(),
         "error": str(error),
         **circumstances(config, device),
         "time_s": None,

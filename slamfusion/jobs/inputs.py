@@ -6,6 +6,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,11 @@ from slamfusion.jobs.outputs import FUSED
 
 if TYPE_CHECKING:
     from slamfusion.compute import ComputeDevice
+    from slamfusion.jobs.records import GivenMapsJson
 
 __all__ = [
+    "NO_FILES",
+    "GivenMaps",
     "MapInput",
     "Progress",
     "Warn",
@@ -42,6 +46,32 @@ Warn = Callable[[str], None]
 # Maps of a folder that a message names.
 MOST_NAMED = 5
 SUFFIXES = (".gz", ".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm", ".tum", ".txt", ".csv")
+
+
+@dataclass(frozen=True)
+class GivenMaps:
+    """The files of maps, so that whoever reads the record of their fusion finds them again.
+
+    Attributes:
+        files: of the inputs, in their order; empty where one of them came from memory.
+        resolution: metres per cell of bare images; None: not given.
+    """
+
+    files: tuple[Path, ...] = ()
+    resolution: float | None = None
+
+    @classmethod
+    def of(cls, maps: Sequence[MapInput], resolution: float | None) -> GivenMaps:
+        """Take the inputs of a fusion."""
+        files = tuple(Path(item) for item in maps if not isinstance(item, OccupancyGrid))
+        return cls(files if len(files) == len(maps) else (), resolution)
+
+    def to_json(self) -> GivenMapsJson:
+        """Return the files for a JSON document."""
+        return {"saved_maps": [str(path) for path in self.files], "resolution": self.resolution}
+
+
+NO_FILES = GivenMaps()
 
 
 def load_maps(

@@ -29,6 +29,7 @@ __all__ = [
     "map_files",
     "output_files",
     "possible_outputs",
+    "record_file",
     "remove_empty",
     "report_files",
 ]
@@ -95,6 +96,11 @@ def possible_outputs(folder: Path) -> list[Path]:
 def group_stem(stem: Path, number: int) -> Path:
     """Return the path, without suffix, of the fused map of a further group, numbered from 2."""
     return stem.with_name(f"{stem.name}-{number}")
+
+
+def record_file(stem: Path) -> Path:
+    """Return the record of the fusion of a map, of which the path without suffix is given."""
+    return stem.with_name(f"{stem.name}.json")
 
 
 def map_files(stem: Path) -> list[Path]:

@@ -38,6 +38,7 @@ __all__ = [
     "FuseDocument",
     "FusedGroupJson",
     "FusionJson",
+    "GivenMapsJson",
     "JudgeDocument",
     "JudgedPathJson",
     "MeasuresJson",
@@ -175,7 +176,16 @@ class FusedGroupJson(TypedDict):
     """Weight of each vote, by input."""
 
 
-class FuseDocument(FusionJson, CircumstancesJson):
+class GivenMapsJson(TypedDict):
+    """The files of the inputs of a fusion."""
+
+    saved_maps: Sequence[str]
+    """In the order of the inputs; empty for maps from memory."""
+    resolution: float | None
+    """Metres per cell of bare images, as it was given; null: not given."""
+
+
+class FuseDocument(FusionJson, GivenMapsJson, CircumstancesJson):
     """``slamfusion fuse``."""
 
     fused: str | None

@@ -1,24 +1,60 @@
-"""What a finished run left in its folder, as a scene for the page."""
+"""What a finished job left in its folder, as a scene for the page."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
-from slamfusion.jobs.outputs import AGREEMENT, FUSED, RUN_RECORD
+from slamfusion.jobs.outputs import AGREEMENT, AGREEMENT_END, DRAWN, FUSED, RUN_RECORD
 from slamfusion.page.feed import Feed
-from slamfusion.viewer.scene import Kind, Scene
+from slamfusion.viewer import scene
+from slamfusion.viewer.scene import Kind, Scene, layer_name
 
-__all__ = ["Finished", "read_finished"]
+__all__ = ["Finished", "ShownMap", "read_finished"]
 
 KINDS: dict[str, Kind] = {FUSED: "fused", AGREEMENT: "agreement"}
 IN_PLACE = [0.0, 0.0, 0.0]
+MOST_NAMED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class ShownMap:
+    """A map of the page.
+
+    Attributes:
+        name: of its layer.
+        kind: see ``Scene``.
+        source: its file, or its cells.
+        is_shown: whether one sees it at first.
+        resolution: metres per cell of a bare image.
+        legacy_unknown: how its file is read; see ``load_map``.
+    """
+
+    name: str
+    kind: Kind
+    source: Path | OccupancyGrid
+    is_shown: bool = True
+    resolution: float | None = None
+    legacy_unknown: bool = False
+
+    def load(self) -> OccupancyGrid:
+        """Return its cells."""
+        if isinstance(self.source, OccupancyGrid):
+            return self.source
+        return load_map(
+            self.source,
+            name=self.name,
+            resolution=self.resolution,
+            legacy_unknown=self.legacy_unknown,
+            warn=lambda _: None,
+        )
 
 
 @dataclass
@@ -27,58 +63,115 @@ class Finished:
 
     Attributes:
         scene: all but the maps.
-        maps: their files by name, the fused one first.
-        record: what the run says of itself; None in a folder without such a record.
+        maps: in the order in which they are told.
+        also: other drives of the folder, which can be shown by name.
     """
 
     scene: Scene
-    maps: dict[str, Path] = field(default_factory=dict)
-    record: Mapping[str, Any] | None = None
+    maps: list[ShownMap] = field(default_factory=list)
+    also: Sequence[str] = ()
 
     def feed(self, feed: Feed) -> None:
         """Load the maps and show them; one that cannot be read becomes an event."""
-        for name, path in self.maps.items():
+        for item in self.maps:
             try:
-                grid = load_map(path, name=name, warn=lambda _: None)
+                grid = item.load()
             except (SlamFusionError, OSError) as error:
-                self.scene.put_event("error", f"{name} is not shown: {error}")
+                self.scene.put_event("error", f"{item.name} is not shown: {error}")
                 continue
-            kind = KINDS.get(name, "input")
-            feed.put("agreement" if name == AGREEMENT else name, grid, kind)
+            feed.put(item.name, grid, item.kind, is_shown=item.is_shown)
 
 
-def read_finished(folder: Path) -> Finished:
-    """Read a run's folder, or any other that holds maps.
+def read_finished(place: Path, drive: str = "") -> Finished:
+    """Read what ``run``, ``fuse`` or an experiment wrote, or any folder with maps.
 
-    Without the record of a run nobody knows how maps lie to each other: each is shown where its own
-    frame has it.
+    Without a record nobody knows how maps lie to each other: each is shown where its own frame has
+    it.
+
+    Args:
+        place: the folder; or of several fusions in one folder the map or the record of one.
+        drive: of an experiment, which of its drives; empty: the first.
 
     Raises:
-        MapFileError: there is no map in it, or its record is damaged.
+        MapFileError: there is no map in it, its record is damaged, it has several, or no such
+            drive.
     """
-    if not folder.is_dir():
-        message = f"{folder}: wanted the folder of a run, or one with maps; name that"
+    record = _record_of(place)
+    if record is not None:
+        return _read_record(record)
+    if not place.is_dir():
+        message = f"{place}: wanted the folder of a run, or one with maps; name that"
         raise MapFileError(message)
-    found = Finished(Scene(f"SLAMfusion: {folder.absolute().name}", is_live=False))
-    files = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
-    found.maps = {name: files.pop(name) for name in (FUSED, AGREEMENT) if name in files} | files
-    if (folder / RUN_RECORD).exists():
-        found.record = _record(folder / RUN_RECORD)
-        for path in map(Path, found.record.get("saved_maps", ())):
-            found.maps.setdefault(path.stem, path)
-        order = [*KINDS, *(str(item.get("name")) for item in found.record["inputs"])]
-        found.maps = {name: found.maps[name] for name in order if name in found.maps} | found.maps
-    if not found.maps:
-        message = f"{folder}: no map in it (NAME.yaml); name the folder of a run"
+    files = {path.stem: path for path in sorted(place.glob("*.yaml"))}
+    if not files:
+        return _read_drive(place, drive)
+    return _read_maps(place, files)
+
+
+def _record_of(place: Path) -> Path | None:
+    """Return the record of a run or of the only fusion in a folder, or of the map that is named.
+
+    Raises:
+        MapFileError: the folder has several fusions, or the map no record.
+    """
+    if place.is_file():
+        path = place.with_suffix(".json")
+        if not path.exists():
+            message = f"{place}: no record of its fusion beside it ({path.name}); name the folder"
+            raise MapFileError(message)
+        return path
+    if (place / RUN_RECORD).exists():
+        return place / RUN_RECORD
+    ends = (".yaml", f"{AGREEMENT_END}.yaml")
+    found = [
+        path
+        for path in sorted(place.glob("*.json"))
+        if all(path.with_name(path.stem + end).exists() for end in ends)
+    ]
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found[:MOST_NAMED])
+        message = f"{place}: {len(found)} fusions in it ({names}); name one, e.g. {found[0]}"
         raise MapFileError(message)
-    _tell(found)
-    for name, x_m, y_m in _points(folder, list(found.maps)):
-        found.scene.put_point(name, x_m, y_m)
+    return found[0] if found else None
+
+
+# --- a run, a fusion --------------------------------------------------------------------------
+
+
+def _read_record(path: Path) -> Finished:
+    """Read the maps of a fusion, each where its record says that it was laid."""
+    record = _load_record(path)
+    inputs = [item for item in record["inputs"] if isinstance(item, dict)]
+    stem = path.with_suffix("")
+    found = Finished(Scene(f"SLAMfusion: {_title(path)}", is_live=False))
+    found.maps = list(_maps_of(stem, record, inputs))
+    told = [_input(item) for item in inputs]
+    drawn = stem.with_name(f"{DRAWN}.yaml")
+    if path.name == RUN_RECORD and drawn.exists():
+        # The map that is drawn at the fused path lies in the fused frame.
+        found.maps.append(ShownMap(DRAWN, "input", drawn))
+        told.append(_unlaid(DRAWN, "drawn at the fused path"))
+    verdict = record.get("verdict") or {}
+    figures = {
+        "reference": str(record.get("reference")),
+        "fused by": str(record.get("fused_mode") or "vote"),
+        "phantom cells": str(record.get("phantom_cells")),
+        "device": str(record.get("device")),
+    }
+    others = len(record.get("groups") or ()) - 1
+    if others > 0:
+        figures["further groups, not shown"] = str(others)
+    sentence = verdict.get("sentence") or f"{record.get('fused_count')} maps were fused"
+    level = "good" if verdict.get("sure") else "plain"
+    found.scene.put_status(told, headline=sentence, level=level, figures=figures)
+    if path.name == RUN_RECORD and "producers" in record:
+        names = [str(item.get("name")) for item in inputs if item.get("accepted")]
+        _put_paths(found.scene, stem.parent, [FUSED, *names])
     return found
 
 
-def _record(path: Path) -> Mapping[str, Any]:
-    """Return the record of a run."""
+def _load_record(path: Path) -> Mapping[str, Any]:
+    """Return the record of a run or of a fusion."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
@@ -90,52 +183,132 @@ def _record(path: Path) -> Mapping[str, Any]:
     return record
 
 
-def _tell(found: Finished) -> None:
-    """Say what became of each input, and what the run found."""
-    record = found.record
-    if record is None:
-        names = [name for name in found.maps if KINDS.get(name) is None]
-        told = [_input({"name": name, "reason": "as its own frame has it"}) for name in names]
-        words = f"{len(found.maps)} maps; no record says how they lie to each other"
-        found.scene.put_status(told, headline=words, level="plain", figures={})
-        return
-    told = [_input(item) for item in record["inputs"]]
-    known = {item["name"] for item in told}
-    # The map that is drawn at the fused path lies in the fused frame.
-    others = [name for name in found.maps if name not in known and name not in KINDS]
-    told += [_input({"name": name, "reason": "drawn at the fused path"}) for name in others]
-    verdict = record.get("verdict") or {}
-    figures = {
-        "reference": str(record.get("reference")),
-        "fused by": str(record.get("fused_mode") or "vote"),
-        "phantom cells": str(record.get("phantom_cells")),
-        "device": str(record.get("device")),
-    }
-    sentence = verdict.get("sentence") or f"{record.get('fused_count')} maps were fused"
-    level = "good" if verdict.get("sure") else "plain"
-    found.scene.put_status(told, headline=sentence, level=level, figures=figures)
+def _title(record: Path) -> str:
+    """Return what a job is called: a run by its folder, a fusion by its map."""
+    return record.absolute().parent.name if record.name == RUN_RECORD else record.stem
+
+
+def _maps_of(
+    stem: Path, record: Mapping[str, Any], inputs: Sequence[Mapping[str, Any]]
+) -> Iterator[ShownMap]:
+    """Yield the fused map, the agreement and the inputs of a record."""
+    yield ShownMap(scene.FUSED, "fused", stem.with_name(f"{stem.name}.yaml"))
+    agreement = stem.with_name(f"{stem.name}{AGREEMENT_END}.yaml")
+    yield ShownMap(scene.AGREEMENT, "agreement", agreement)
+    # Producers write their maps into the folder; the maps that were given stand last.
+    given = [Path(str(path)) for path in record.get("saved_maps", ())]
+    made = [stem.with_name(f"{item.get('name')}.yaml") for item in inputs]
+    files = [*made[: max(len(inputs) - len(given), 0)], *(_found(path, stem) for path in given)]
+    settings = (record.get("config") or {}).get("map_files") or {}
+    for item, path in zip(inputs, files, strict=False):
+        is_image = path.suffix not in {".yaml", ".yml"} and not path.is_dir()
+        yield ShownMap(
+            layer_name(str(item.get("name"))),
+            "input",
+            path / f"{FUSED}.yaml" if path.is_dir() else path,
+            bool(item.get("accepted")),
+            record.get("resolution") if is_image else None,
+            bool(settings.get("legacy_unknown")),
+        )
+
+
+def _found(path: Path, stem: Path) -> Path:
+    """Return where a map lies that a record names: from here, or from the folder of the record."""
+    own = stem.parent / path
+    return own if not path.exists() and own.exists() else path
 
 
 def _input(item: Mapping[str, Any]) -> dict[str, Any]:
     """Return an input as the page shows it; one that was never aligned has no place."""
-    place: list[float] | None = IN_PLACE
-    if "accepted" in item:
-        values = [item.get(key) for key in ("dx_m", "dy_m", "yaw_rad")]
-        numbers = [float(value) for value in values if isinstance(value, (int, float))]
-        place = numbers if len(numbers) == len(IN_PLACE) else None
+    values = [item.get(key) for key in ("dx_m", "dy_m", "yaw_rad")]
+    numbers = [float(value) for value in values if isinstance(value, (int, float))]
     return {
-        "name": str(item.get("name")),
+        "name": layer_name(str(item.get("name"))),
         "votes": bool(item.get("accepted")),
         "reason": str(item.get("reason")),
         "score": item.get("score"),
-        "transform": place,
+        "transform": numbers if len(numbers) == len(IN_PLACE) else None,
     }
 
 
-def _points(folder: Path, names: list[str]) -> Iterator[tuple[str, float, float]]:
-    """Yield the poses of the paths beside the maps: name, x, y."""
+def _unlaid(name: str, reason: str) -> dict[str, Any]:
+    """Return a map that has no vote, and lies as its frame says."""
+    return {
+        "name": name,
+        "votes": None,
+        "reason": reason,
+        "score": None,
+        "transform": IN_PLACE,
+    }
+
+
+def _put_paths(shown: Scene, folder: Path, names: Sequence[str]) -> None:
+    """Put the poses of the paths beside the maps."""
     for name in names:
         path = folder / f"{name}.tum"
         if path.exists():
             for x_m, y_m, _ in read_trajectory(path).poses:
-                yield name, float(x_m), float(y_m)
+                shown.put_point(name, float(x_m), float(y_m))
+
+
+# --- maps without a record --------------------------------------------------------------------
+
+
+def _read_maps(folder: Path, files: dict[str, Path]) -> Finished:
+    """Read maps of which nobody knows how they lie."""
+    found = Finished(Scene(f"SLAMfusion: {folder.absolute().name}", is_live=False))
+    ordered = {name: files.pop(name) for name in KINDS if name in files} | files
+    found.maps = [
+        ShownMap(
+            scene.AGREEMENT if name == AGREEMENT else name,
+            KINDS.get(name, "input"),
+            path,
+        )
+        for name, path in ordered.items()
+    ]
+    names = [item.name for item in found.maps if item.kind == "input"]
+    told = [_unlaid(name, "as its own frame has it") for name in names]
+    words = f"{len(ordered)} maps; no record says how they lie to each other"
+    found.scene.put_status(told, headline=words, level="plain", figures={})
+    _put_paths(found.scene, folder, [FUSED, *names])
+    return found
+
+
+# --- an experiment ----------------------------------------------------------------------------
+
+
+def _read_drive(folder: Path, drive: str) -> Finished:
+    """Read the maps of one drive of an experiment, over the truth.
+
+    Raises:
+        MapFileError: there are none, or none of that name.
+    """
+    from slamfusion.experiments.examples import (  # noqa: PLC0415  (the SLAMs load slowly)
+        example_maps,
+        examples_in,
+    )
+
+    names = examples_in(folder)
+    if not names:
+        message = (
+            f"{folder}: no map in it (NAME.yaml, or of an experiment trials/NAME.npz); name the "
+            "folder of a run"
+        )
+        raise MapFileError(message)
+    chosen = drive or names[0]
+    if chosen not in names:
+        listed = ", ".join(names[:MOST_NAMED])
+        message = f"{folder}: no drive {drive!r} in it; --drive takes one of {listed}"
+        raise MapFileError(message)
+    truth, maps = example_maps(folder, chosen)
+    found = Finished(Scene(f"SLAMfusion: {chosen}", is_live=False))
+    found.maps = [ShownMap("truth", "fused", truth)]
+    found.maps += [
+        ShownMap(grid.name, "input", grid, is_shown=number == 0) for number, grid in enumerate(maps)
+    ]
+    found.also = [name for name in names if name != chosen]
+    told = [_unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
+    words = f"{chosen}: {len(maps)} maps over the truth"
+    figures = {"other drives, by --drive": ", ".join(found.also) or "none"}
+    found.scene.put_status(told, headline=words, level="plain", figures=figures)
+    return found

@@ -143,11 +143,14 @@ class Scene:
         """Take how the inputs are; an input that got or lost its vote becomes an event.
 
         Args:
-            inputs: of each ``name``, ``votes``, ``reason``, ``transform`` (x, y in metres and yaw
-                in radians of its map frame in the fused one; None without), ``score``.
+            inputs: of each ``name``, ``votes`` (None: it was not asked), ``reason``, ``transform``
+                (x, y in metres and yaw in radians of its map frame in the fused one; None
+                without), ``score``.
             figures: whatever else the page shows.
         """
         for item in inputs:
+            if item["votes"] is None:
+                continue
             name, now = item["name"], (bool(item["votes"]), str(item["reason"]))
             before = self._votes.get(name)
             self._votes[name] = now

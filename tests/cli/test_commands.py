@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from pathlib import Path
@@ -77,10 +78,14 @@ def test_fuse_document_has_the_promised_keys(fused: tuple[Path, dict[str, Any]])
     assert document["time_s"] > 0
 
 
-def test_fuse_writes_both_maps_and_nothing_else(fused: tuple[Path, dict[str, Any]]) -> None:
+def test_fuse_writes_both_maps_their_record_and_nothing_else(
+    fused: tuple[Path, dict[str, Any]],
+) -> None:
     folder, document = fused
     files = {path.name for path in folder.iterdir() if path.is_file()}
-    assert files == {"out.yaml", "out.pgm", "out_agreement.yaml", "out_agreement.pgm"}
+    maps = {"out.yaml", "out.pgm", "out_agreement.yaml", "out_agreement.pgm"}
+    assert files == {*maps, "out.json"}
+    assert json.loads((folder / "out.json").read_text(encoding="utf-8")) == document
     grid = load_map(document["fused"])
     agreement = load_map(document["agreement"])
     assert set(np.unique(grid.cells)) <= {UNKNOWN, 0, OCCUPIED}

@@ -161,7 +161,7 @@ def test_other_settings_are_run_anew(
 
 def test_an_example_keeps_its_maps(done: tuple[Path, list[Trial], list[TrialRecord]]) -> None:
     folder, trials, records = done
-    example = read_example(folder, trials[0])
+    example = read_example(folder, trials[0].key)
     backs = set(map(thick, BUILT_IN))
     assert list(example.differences) == [name for name in records[0].errors if name not in backs]
     assert example.resolution == trials[0].course.world.resolution

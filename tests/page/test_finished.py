@@ -9,13 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.config import RunConfig
 from slamfusion.errors import MapFileError
+from slamfusion.evaluation import AGREE_FREE, AGREE_WALL, EXTRA_WALL, MISSING_WALL
+from slamfusion.experiments.examples import Example, example_file
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map, write_tum
-from slamfusion.page.finished import read_finished
+from slamfusion.jobs.fuse import DoubledWalls, FusedMaps, save_fused_maps
+from slamfusion.jobs.inputs import GivenMaps
+from slamfusion.jobs.records import FuseDocument
+from slamfusion.page.feed import Feed
+from slamfusion.page.finished import Finished, read_finished
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import Scene
+from slamfusion.viewer.scene import Kind, Scene
+from tests.report.drawn import fusion, room
 from tests.viewer.maps import texts
 
 pytestmark = pytest.mark.once
@@ -23,19 +31,28 @@ pytestmark = pytest.mark.once
 CELLS = np.full((20, 30), 100, dtype=np.int8)
 
 
-class Told:
-    """Takes maps as a feed does."""
+class Told(Feed):
+    """Keeps the maps that a feed is given."""
 
     def __init__(self) -> None:
-        self.maps: dict[str, tuple[OccupancyGrid, str]] = {}
+        super().__init__(Scene("told", is_live=False))
+        self.maps: dict[str, tuple[OccupancyGrid, str, bool]] = {}
 
-    def put(self, name: str, grid: OccupancyGrid, kind: str) -> None:
-        self.maps[name] = grid, kind
+    def put(self, name: str, grid: OccupancyGrid, kind: Kind, *, is_shown: bool = True) -> None:
+        self.maps[name] = grid, kind, is_shown
+
+
+def fed(found: Finished) -> dict[str, tuple[OccupancyGrid, str, bool]]:
+    """Return the maps that a folder gives to a feed."""
+    told = Told()
+    found.feed(told)
+    told.close()
+    return told.maps
 
 
 def write_run(folder: Path, **changes: Any) -> None:
     """Write what ``run`` does, as far as it is shown."""
-    for name in ("fused", "a", "b", "drawn"):
+    for name in ("fused", "a", "b", "c", "drawn"):
         save_map(OccupancyGrid(CELLS, 0.05, Pose2(), name), folder / name)
     save_map(OccupancyGrid(CELLS, 0.05, Pose2(), "x"), folder / "fused_agreement", mode="raw")
     poses = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
@@ -47,6 +64,7 @@ def write_run(folder: Path, **changes: Any) -> None:
             {"name": "b", "accepted": True, "reason": "fits", **place},
             {"name": "c", "accepted": False, "reason": "empty", **dict.fromkeys(place)},
         ],
+        "producers": [],
         "reference": "a",
         "fused_count": 2,
         "verdict": {"sentence": "The scans bear out a best.", "sure": True},
@@ -58,15 +76,16 @@ def write_run(folder: Path, **changes: Any) -> None:
 
 def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
     write_run(tmp_path)
-    found, told = read_finished(tmp_path), Told()
-    found.feed(told)  # type: ignore[arg-type]
-    assert {name: kind for name, (_, kind) in told.maps.items()} == {
+    found = read_finished(tmp_path)
+    assert {name: kind for name, (_, kind, _) in fed(found).items()} == {
         "fused": "fused",
         "agreement": "agreement",
         "a": "input",
         "b": "input",
+        "c": "input",
         "drawn": "input",
     }
+    assert [name for name, (_, _, is_shown) in fed(found).items() if not is_shown] == ["c"]
     messages, _ = found.scene.since(0)
     (status,) = texts(messages, "status")
     assert status["headline"] == "The scans bear out a best."
@@ -82,17 +101,17 @@ def test_maps_without_a_record_lie_as_their_frames_say(tmp_path: Path) -> None:
     (tmp_path / "fused.json").unlink()
     (status,) = texts(read_finished(tmp_path).scene.since(0)[0], "status")
     assert "no record says how they lie" in status["headline"]
-    assert {item["name"] for item in status["inputs"]} == {"a", "b", "drawn"}
+    assert {item["name"] for item in status["inputs"]} == {"a", "b", "c", "drawn"}
     assert all(item["transform"] == [0, 0, 0] for item in status["inputs"])
 
 
 def test_a_map_that_cannot_be_read_is_named_and_the_others_shown(tmp_path: Path) -> None:
     write_run(tmp_path)
     (tmp_path / "b.pgm").write_bytes(b"nonsense")
-    found, told = read_finished(tmp_path), Told()
-    found.feed(told)  # type: ignore[arg-type]
-    assert "b" not in told.maps
-    assert "a" in told.maps
+    found = read_finished(tmp_path)
+    told = fed(found)
+    assert "b" not in told
+    assert "a" in told
     events = [item["text"] for item in texts(found.scene.since(0)[0], "event")]
     assert any(text.startswith("b is not shown: ") for text in events)
 
@@ -116,3 +135,66 @@ def test_the_scene_of_a_folder_is_at_rest(tmp_path: Path) -> None:
     write_run(tmp_path)
     assert isinstance(read_finished(tmp_path).scene, Scene)
     assert not read_finished(tmp_path).scene.is_live
+
+
+def write_fusion(folder: Path) -> FuseDocument:
+    """Write a fusion as ``slamfusion fuse`` does, of maps in another folder; return its record."""
+    result = fusion(rejected_name="far")
+    files = tuple(folder / "given" / f"{record.name}.yaml" for record in result.inputs)
+    files[0].parent.mkdir()
+    for path, record in zip(files, result.inputs, strict=True):
+        save_map(record.grid, path.with_suffix(""))
+    config = RunConfig()
+    fused = FusedMaps(config, result, DoubledWalls.of(result, config), (), GivenMaps(files))
+    return save_fused_maps(fused, folder / "out")
+
+
+def test_a_fusion_is_shown_with_its_inputs_where_they_were_laid(tmp_path: Path) -> None:
+    record = write_fusion(tmp_path)
+    found = read_finished(tmp_path)
+    maps = fed(found)
+    assert list(maps) == ["fused", "agreement", "room 0", "room 1", "room 2", "far"]
+    assert np.array_equal(maps["room 1"][0].cells, room("room 1", 1).cells)
+    assert [name for name, (_, _, is_shown) in maps.items() if not is_shown] == ["far"]
+    (status,) = texts(found.scene.since(0)[0], "status")
+    for item, laid in zip(status["inputs"][1:], record["inputs"][1:], strict=True):
+        assert item["name"] == laid["name"]
+        assert item["votes"] == laid["accepted"]
+        assert item["transform"] == [laid["dx_m"], laid["dy_m"], laid["yaw_rad"]]
+    # Of several fusions in a folder one is named, by its map or its record.
+    for path in tmp_path.glob("out*"):
+        path.with_name(path.name.replace("out", "again")).write_bytes(path.read_bytes())
+    with pytest.raises(MapFileError, match=r"2 fusions in it \(again.json, out.json\); name one"):
+        read_finished(tmp_path)
+    assert read_finished(tmp_path / "again.yaml").scene.title == "SLAMfusion: again"
+    assert read_finished(tmp_path / "out.json").scene.title == "SLAMfusion: out"
+    with pytest.raises(MapFileError, match="no record of its fusion beside it"):
+        read_finished(tmp_path / "given" / "far.yaml")
+
+
+def test_a_drive_of_an_experiment_is_shown_over_the_truth(tmp_path: Path) -> None:
+    codes = np.array([[AGREE_FREE, AGREE_WALL, MISSING_WALL, EXTRA_WALL]], dtype=np.int8)
+    other = np.array([[AGREE_FREE, AGREE_WALL, AGREE_WALL, AGREE_FREE]], dtype=np.int8)
+    for name in ("one", "two"):
+        path = example_file(tmp_path, name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(Example({"graph": codes, "consensus": other}, 0.05).packed())
+    found = read_finished(tmp_path)
+    maps = fed(found)
+    assert {name: kind for name, (_, kind, _) in maps.items()} == {
+        "truth": "fused",
+        "graph": "input",
+        "consensus": "input",
+    }
+    assert maps["truth"][0].cells.tolist() == [[0, 100, 100, 0]]
+    assert maps["graph"][0].cells.tolist() == [[0, 100, -1, 100]]
+    assert maps["consensus"][0].cells.tolist() == [[0, 100, 100, 0]]
+    assert [name for name, (_, _, is_shown) in maps.items() if is_shown] == ["truth", "graph"]
+    assert found.also == ["two"]
+    assert texts(found.scene.since(0)[0], "event") == []
+    assert read_finished(tmp_path, "two").also == ["one"]
+    with pytest.raises(MapFileError, match="no drive 'three' in it; --drive takes one of one, two"):
+        read_finished(tmp_path, "three")
+    example_file(tmp_path, "two").write_bytes(b"nonsense")
+    with pytest.raises(MapFileError, match="cannot be read as the maps of a drive"):
+        read_finished(tmp_path, "two")

@@ -26,7 +26,7 @@ export class Inputs {
     for (const item of status.inputs) {
       const row = this.rows.get(item.name) ?? this.add(item.name);
       row.item.dataset.votes = String(item.votes);
-      row.mark.textContent = item.votes ? "✓ votes" : "✗ no vote";
+      row.mark.textContent = item.votes === null ? "" : item.votes ? "✓ votes" : "✗ no vote";
       row.mark.className = item.votes ? "good" : "bad";
       row.reason.textContent = item.reason;
       row.name.style.borderBottom = `3px solid ${colourOf(item.name)}`;

@@ -128,7 +128,7 @@ export class Stage {
       return;
     }
     const words = this.scene().layers
-      .filter(({ name, isShown }) => isShown || (this.inputOf(name)?.votes ?? true))
+      .filter(({ name, isShown }) => isShown || this.inputOf(name) === undefined || this.inputOf(name).votes)
       .map(({ name, layer, raster, place: [x, y, yaw] }) => {
         const [dx, dy] = [place[0] - x, place[1] - y];
         const column = Math.floor((Math.cos(yaw) * dx + Math.sin(yaw) * dy) / layer.resolution);
