@@ -214,7 +214,8 @@ def _drive_files(text: str) -> DriveFiles:
     if len(parts) not in {2, 3} or not all(parts):
         message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found {text!r}"
         raise click.UsageError(message)
-    return DriveFiles(*map(Path, parts))
+    # No shell expands what follows a colon.
+    return DriveFiles(*(FILE.convert(part, None, None) for part in parts))
 
 
 # --- fusion --------------------------------------------------------------------------------------

@@ -255,7 +255,8 @@ def _decide(evidence: Evidence) -> Decision:
     if clash > CLASH_MAX and evidence.share < CLASH_SHARE:
         return _refused(
             "different place",
-            f"walls do not match: {clash:.0%} of the wall cells stand in the other's free space",
+            f"different place: walls do not match, {clash:.0%} of their cells stand in the other's "
+            "free space",
         )
     if evidence.clean_share - evidence.share >= CLEANER:
         return _refused(
@@ -365,8 +366,9 @@ def _not_alone(evidence: Evidence, wrong: float) -> Decision:
         )
     return _refused(
         "different place",
-        f"walls do not match: {evidence.share:.0%} of what common walls could give, as any other "
-        f"place might ({wrong:.2g} wrong ones expected), the next reaches {evidence.ratio:.0%}",
+        f"different place: walls do not match, {evidence.share:.0%} of what common walls could "
+        f"give, as any other place might ({wrong:.2g} wrong ones expected), the next reaches "
+        f"{evidence.ratio:.0%}",
     )
 
 

@@ -31,8 +31,8 @@ _QUATERNION_SLACK = 0.05
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 _CSV_HEADER = ("ipc_timestamp", "x", "y", "theta")
 _WANTED = (
-    "a TUM file, rows of 'time x y theta', a CSV file with ipc_timestamp,x,y,theta, a log, or a "
-    "reference graph"
+    "a TUM file (8 columns, time x y z qx qy qz qw), rows of 'time x y theta', a CSV file with "
+    "ipc_timestamp,x,y,theta, a log, or a reference graph"
 )
 
 Row = tuple[float, float, float, float]

@@ -101,7 +101,7 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     # Maps that are bent: a piece counts 0.6 at least.
     ({"share": 0.6, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 60%"),
     ({"share": 0.3, "better": ENOUGH / 0.6 + 1e-6}, "accepted", "walls match: 30%"),
-    ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "walls do not match: 30%"),
+    ({"share": 0.3, "better": ENOUGH / 0.6 - 1e-6}, "different place", "do not match, 30%"),
     # A plan of offices on a warehouse (recorded maps), of which 49 m meet.
     (
         {"share": 0.751, "better": 7.467, "witnesses": 57.5, "ratio": 0.632, "mirrored": 0.758},
@@ -186,7 +186,7 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     (TIED | {"share": 0.5}, "ambiguous", "another transform, at 1.00, 2.00 m, 90 deg, explains"),
     (TIED | {"share": 0.499}, "different place", "as any other place might (4 wrong ones"),
     (TIED | {"share": 0.499}, "different place", "the next reaches 100%"),
-    (TIED | {"rival": None}, "different place", "walls do not match: 80%"),
+    (TIED | {"rival": None}, "different place", "different place: walls do not match, 80%"),
     (TIED | {"share": WHOLE, "witnesses": ENOUGH + 1e-6}, "ambiguous", "ambiguous"),
     (
         TIED | {"share": WHOLE, "witnesses": ENOUGH - 1e-6},
@@ -204,11 +204,15 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     (TIED | {"witnesses": 5.0, "prior": 0.1}, "ambiguous", "ambiguous"),
     # -- walls of one in the free space of the other
     (CLASHING | {"wall_clash": 0.15}, "accepted", "walls match"),
-    (CLASHING, "different place", "15% of the wall cells stand in the other's free"),
+    (CLASHING, "different place", "different place: walls do not match, 15% of their cells stand"),
     (CLASHING | {"search": "window"}, "different place", "free space"),
     # ... but maps of one place and different age.
     (CLASHING | {"share": 0.55, "wall_clash": 0.5}, "accepted", "walls match: 55%"),
-    (CLASHING | {"share": 0.549, "wall_clash": 0.5}, "different place", "50% of the wall cells"),
+    (
+        CLASHING | {"share": 0.549, "wall_clash": 0.5},
+        "different place",
+        "walls do not match, 50%",
+    ),
     # -- nearly all of both meets, and the rival leaves twice as much
     (SURE, "accepted", "walls match: 80%"),
     (SURE | {"ratio": 0.947}, "accepted", "the next place 95% of it"),

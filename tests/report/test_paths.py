@@ -314,7 +314,7 @@ def test_the_report_of_a_run_has_all_parts(tmp_path: Path) -> None:
         "ATE, root mean square",
         "2 of 99 relations",
         "a device",
-        "60 poses",
+        "its map may be wrong (60 poses",
     ):
         assert words in page
     assert "<script>alert" not in page
@@ -326,6 +326,8 @@ def test_the_report_of_a_run_without_truth_has_the_map_and_the_path(tmp_path: Pa
         tmp_path, name="tinyslam", grid=own_map(), trajectory=in_room(), config=CONFIG
     ).read_text(encoding="utf-8")
     assert "The path over the map" in page
+    assert "tinyslam: nothing in the run speaks against its map (60 poses" in page
+    assert 'class="banner plain"' in page
     for words in ("Error", "ATE", "beside the others", "Health"):
         assert words not in page
     assert sorted(path.name for path in tmp_path.iterdir()) == [

@@ -36,6 +36,8 @@ const HANDLERS = {
 
 function showStatus(status) {
   inputs.show(status, (name) => css(stage.colourOf(name)));
+  const isAsked = status.inputs.some((item) => item.votes !== null);
+  byId("inputs-title").textContent = isAsked || status.inputs.length === 0 ? "Who votes" : "Maps";
   byId("headline").textContent = status.headline ?? "";
   byId("headline").className = status.level ?? "";
   showFigures(byId("figures"), status.figures ?? {});
