@@ -13,6 +13,7 @@ __all__ = [
     "AlignmentError",
     "ConfigError",
     "DeviceError",
+    "FleetError",
     "GraphError",
     "GridError",
     "LogError",
@@ -79,6 +80,10 @@ class StartError(ConfigError):
 
 class DeviceError(SlamFusionError):
     """No usable OpenCL device, or a kernel failed to build or run on it."""
+
+
+class FleetError(SlamFusionError):
+    """Processes or the workers of a cluster cannot do their tasks, or nobody answers there."""
 
 
 class AlignmentError(SlamFusionError):

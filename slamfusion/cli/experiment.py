@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slamfusion.cli.fleet import asked_scheduler, scheduler_option
 from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.config import RunConfig
@@ -223,9 +224,10 @@ def _drive_files(text: str) -> DriveFiles:
 
 @command.command("ground-obstacle")
 @OUTPUT
+@scheduler_option("the drives")
 @with_config("experiment.ground_obstacle", "device", "")
 @common_options
-def ground_obstacle(folder: Path, config: RunConfig, as_json: bool) -> int:
+def ground_obstacle(folder: Path, scheduler: str | None, config: RunConfig, as_json: bool) -> int:
     """Compare three producers and their fusions, with and without an obstacle on the ground.
 
     Tables I to III of [F16]: each drive is simulated, mapped by all producers and fused in every
@@ -236,8 +238,8 @@ def ground_obstacle(folder: Path, config: RunConfig, as_json: bool) -> int:
     from slamfusion.experiments.documents import save_obstacle_table  # noqa: PLC0415
 
     device = _prepare(folder, config).name
-    with progress_bar() as progress:
-        table = compare_with_obstacle(config, folder, progress)
+    with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
+        table = compare_with_obstacle(config, folder, progress, fleet)
     document = save_obstacle_table(folder, table, obstacle_trials(config), config, device)
     if as_json:
         print_json(document)
@@ -248,9 +250,10 @@ def ground_obstacle(folder: Path, config: RunConfig, as_json: bool) -> int:
 
 @command.command("failures")
 @OUTPUT
+@scheduler_option("the drives")
 @with_config("experiment.failures", "device", "")
 @common_options
-def failures(folder: Path, config: RunConfig, as_json: bool) -> int:
+def failures(folder: Path, scheduler: str | None, config: RunConfig, as_json: bool) -> int:
     """Compare three producers and their fusions where the place, the drive or a producer fails.
 
     Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good; each
@@ -265,8 +268,8 @@ def failures(folder: Path, config: RunConfig, as_json: bool) -> int:
     except ConfigError as error:
         raise click.UsageError(str(error)) from None
     device = _prepare(folder, config).name
-    with progress_bar() as progress:
-        table = compare_failures(config, folder, progress)
+    with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
+        table = compare_failures(config, folder, progress, fleet)
     document = save_failures(folder, table, trials, config, device)
     if as_json:
         print_json(document)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from slamfusion.cli.evaluate import print_evaluations
+from slamfusion.cli.fleet import asked_scheduler, processes_option, scheduler_option
 from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
@@ -88,6 +89,8 @@ class _Outputs:
     "that of the reference or of the only other map"
 )
 @map_resolution_option
+@scheduler_option("the alignments")
+@processes_option("the alignments")
 @with_config(
     "fusion",
     "fusion.normalize",
@@ -107,6 +110,8 @@ def command(
     report_dir: Path | None,
     starts: GivenStarts,
     resolution: float | None,
+    scheduler: str | None,
+    processes: int | None,
     config: RunConfig,
     as_json: bool,
 ) -> int:
@@ -137,8 +142,15 @@ def command(
     given = GivenMaps.of(maps, resolution)
     device = device_for(config)
     try:
-        with start_errors(starts), progress_bar() as progress:
-            fused = fuse_maps(grids, config, device, truth=truth, given=given, progress=progress)
+        with (
+            start_errors(starts),
+            asked_scheduler(scheduler, config, processes) as fleet,
+            progress_bar() as progress,
+        ):
+            fused = fuse_maps(
+                grids, config, device,
+                truth=truth, given=given, scheduler=fleet, progress=progress,
+            )  # fmt: skip
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)
         raise

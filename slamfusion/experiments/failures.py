@@ -15,6 +15,7 @@ from slamfusion.config import PlaceName, RunConfig
 from slamfusion.errors import ConfigError
 from slamfusion.experiments.error_table import ErrorTable
 from slamfusion.experiments.trials import Trial, run_trials
+from slamfusion.fleet import Scheduler
 from slamfusion.sim import Course, named_course
 from slamfusion.sim.lidar import LIDARS
 
@@ -93,7 +94,10 @@ def failure_trials(config: RunConfig) -> list[Trial]:
 
 
 def compare_failures(
-    config: RunConfig, folder: Path, progress: Callable[[str, int, int], None] | None = None
+    config: RunConfig,
+    folder: Path,
+    progress: Callable[[str, int, int], None] | None = None,
+    scheduler: Scheduler | None = None,
 ) -> ErrorTable:
     """Run every drive that ``folder`` does not hold yet, and return the errors of all.
 
@@ -101,6 +105,7 @@ def compare_failures(
         config: settings of experiment, producers and fusion.
         folder: keeps what is done.
         progress: told the drives that are done.
+        scheduler: runs the drives; default: as many processes as the settings say.
 
     Raises:
         ConfigError: an unknown course or laser.
@@ -108,7 +113,9 @@ def compare_failures(
     """
     trials = failure_trials(config)
     processes = config.experiment.failures.processes
-    records = run_trials(trials, config, folder, processes=processes, progress=progress)
+    records = run_trials(
+        trials, config, folder, processes=processes, scheduler=scheduler, progress=progress
+    )
     return ErrorTable(TITLE, tuple(records))
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from slamfusion.config import RunConfig
 from slamfusion.experiments.error_table import ErrorTable
 from slamfusion.experiments.trials import Trial, run_trials
+from slamfusion.fleet import Scheduler
 from slamfusion.sim import named_course
 from slamfusion.slam.registry import with_settings
 
@@ -52,7 +53,10 @@ def obstacle_trials(config: RunConfig) -> list[Trial]:
 
 
 def compare_with_obstacle(
-    config: RunConfig, folder: Path, progress: Callable[[str, int, int], None] | None = None
+    config: RunConfig,
+    folder: Path,
+    progress: Callable[[str, int, int], None] | None = None,
+    scheduler: Scheduler | None = None,
 ) -> ErrorTable:
     """Run every drive that ``folder`` does not hold yet, and return the errors of all.
 
@@ -60,6 +64,7 @@ def compare_with_obstacle(
         config: settings of experiment, producers and fusion.
         folder: keeps what is done.
         progress: told the drives that are done.
+        scheduler: runs the drives; default: as many processes as the settings say.
 
     Raises:
         SlamFusionError: a drive failed.
@@ -67,6 +72,11 @@ def compare_with_obstacle(
     settings = config.experiment.ground_obstacle
     config = with_settings(config, "gmapping", particles=settings.particles)
     records = run_trials(
-        obstacle_trials(config), config, folder, processes=settings.processes, progress=progress
+        obstacle_trials(config),
+        config,
+        folder,
+        processes=settings.processes,
+        scheduler=scheduler,
+        progress=progress,
     )
     return ErrorTable(TITLE, tuple(records))

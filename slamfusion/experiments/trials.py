@@ -8,13 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -22,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 import slamfusion
-from slamfusion.compute import ComputeDevice, open_device
+from slamfusion.compute import ComputeDevice
 from slamfusion.compute.program import kernel_folder
 from slamfusion.config import RunConfig, to_mapping
 from slamfusion.cores import usable_cores
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import FleetError, SlamFusionError
 from slamfusion.evaluation import MapError
 from slamfusion.experiments.drive_paths import (
     WeighedPaths,
@@ -40,6 +35,8 @@ from slamfusion.experiments.examples import FOLDER, Example
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.records import TrialJson
 from slamfusion.experiments.voting import FUSIONS, PATIENCE_S, against_truth, vote_every_way
+from slamfusion.fleet import Scheduler, open_scheduler
+from slamfusion.fleet.worker import worker_device
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.io.atomic import AtomicFiles
@@ -47,7 +44,6 @@ from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.sim.courses import Course, course_to_mapping
 from slamfusion.sim.simulate import Recording, simulate
 from slamfusion.slam.registry import BUILT_IN
-from slamfusion.slam.side_by_side import interrupts_held, threads_limited
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -243,6 +239,7 @@ def run_trials(
     folder: Path,
     *,
     processes: int | None = None,
+    scheduler: Scheduler | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[TrialRecord]:
     """Run the trials that no file of an earlier run holds, several at a time.
@@ -252,6 +249,7 @@ def run_trials(
         config: settings of everything; a file that was made with others is not believed.
         folder: each trial that is done is at once a JSON file in its folder ``trials``.
         processes: trials at the same time; None: as many as cores.
+        scheduler: runs them instead; it stays open.
         progress: told the trials that are done.
 
     Returns:
@@ -275,11 +273,14 @@ def run_trials(
             progress("drives", len(done), len(trials))
 
     tell()
-    count = min(processes or usable_cores(), len(missing))
-    for trial, (record, pictures) in _run(missing, config, count):
-        _write(folder, trial, marks[trial.key], record, pictures)
-        done[trial.key] = record
-        tell()
+    with ExitStack() as ends:
+        if scheduler is None:
+            count = min(processes or usable_cores(), len(missing))
+            scheduler = ends.enter_context(open_scheduler(processes=count))
+        for trial, (record, pictures) in _run(missing, config, scheduler):
+            _write(folder, trial, marks[trial.key], record, pictures)
+            done[trial.key] = record
+            tell()
     return [done[trial.key] for trial in trials]
 
 
@@ -287,52 +288,21 @@ Done = tuple[TrialRecord, bytes | None]
 
 
 def _run(
-    trials: Sequence[Trial], config: RunConfig, processes: int
+    trials: Sequence[Trial], config: RunConfig, scheduler: Scheduler
 ) -> Iterator[tuple[Trial, Done]]:
     """Yield each trial with what came of it, in the order in which they end."""
-    if processes <= 1:
-        for trial in trials:
-            yield trial, _work(trial, config)
-        return
-    threads = max(1, usable_cores() // processes)
-    context = multiprocessing.get_context("spawn")
-    with threads_limited(threads), interrupts_held():
-        pool = ProcessPoolExecutor(processes, context, _begin)
-        jobs = {pool.submit(_work, trial, config): trial for trial in trials}
+    jobs = {scheduler.submit(_work, trial, config): trial for trial in trials}
     try:
-        for job in as_completed(jobs):
+        for job in scheduler.completed(list(jobs)):
             yield jobs[job], job.result()
-    except BrokenProcessPool:
-        message = "a process of the experiment died (out of memory?); start it again, it goes on"
+    except FleetError as error:
+        message = f"{error}; what is done stays done: start the experiment again, it goes on"
         raise SlamFusionError(message) from None
-    finally:
-        # Those at work come to their end unheard, which takes seconds; the others do not begin.
-        pool.shutdown(cancel_futures=True)
-
-
-def _begin() -> None:
-    """Prepare a process: the caller alone is interrupted, and none outlives it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow, daemon=True).start()
-
-
-def _follow() -> None:
-    """End with the caller."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-_devices: dict[str | None, ComputeDevice] = {}
 
 
 def _work(trial: Trial, config: RunConfig) -> Done:
-    """Run a trial; a process opens its device once."""
-    device = config.device.device
-    if device not in _devices:
-        _devices[device] = open_device(device)
-    return _done(trial, config, _devices[device])
+    """Run a trial."""
+    return _done(trial, config, worker_device(config.device.device))
 
 
 def _done(trial: Trial, config: RunConfig, device: ComputeDevice) -> Done:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
+from slamfusion.fleet import Scheduler
 from slamfusion.fusion.align import align_features, rejected_alignment, track_features
 from slamfusion.fusion.consistency import (
     Group,
@@ -25,6 +27,7 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.implied import ImpliedPairs, words_over
 from slamfusion.fusion.many import Candidate, SolvedGroup, align_many
 from slamfusion.fusion.pair_ranking import rank_pairs
+from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.fusion.placement import placed
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.start import Starts, named_input, start_distance
@@ -90,6 +93,7 @@ def align_group(
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
     in_part: Collection[str] = (),
+    scheduler: Scheduler | None = None,
 ) -> AlignedGroup:
     """Align pairs, find the groups that fit together, and choose their references.
 
@@ -102,7 +106,7 @@ def align_group(
         config: settings of the search; ``reference`` may name the reference.
         device: computes.
         names: all inputs, in order.
-        progress, second_look, starts, in_part: see ``fuse_grids``.
+        progress, second_look, starts, in_part, scheduler: see ``fuse_grids``.
 
     Raises:
         AlignmentError: fewer than two of several inputs agree; ``pairs`` holds the alignments.
@@ -110,12 +114,14 @@ def align_group(
     """
     count = math.comb(len(features), 2)
     implied = ImpliedPairs(features, count, device)
-    aligner = _Aligner(features, config, device, count, progress, starts or Starts())
+    aligner = _Aligner(features, config, device, count, progress, starts or Starts(), scheduler)
     if count <= THOROUGH_PAIRS or second_look is not None:
         pairs = aligner.align_all(second_look)
         found = _all_groups(names, features, pairs, implied)
     else:
-        solved, pairs = align_many(features, aligner.candidates(), aligner.align, implied)
+        solved, pairs = align_many(
+            features, aligner.candidates(), aligner.align, implied, aligner.ahead
+        )
         found = [_solved_group(names, group, pairs) for group in solved]
         found.sort(key=lambda item: rank_of(item[0], names), reverse=True)
     aligner.tell("vote", aligner.done)
@@ -153,6 +159,7 @@ class _Aligner:
         count: int,
         progress: Progress | None,
         starts: Starts,
+        scheduler: Scheduler | None,
     ) -> None:
         self.features, self.device, self.count = features, device, count
         self.progress, self.starts = progress, starts
@@ -160,6 +167,10 @@ class _Aligner:
         # Of many maps loops bear out what a proof would, and a proof takes as long as ten searches.
         self.config = config.align if self.is_thorough else replace(config.align, prove=False)
         self.done, self.steps = 0, count if self.is_thorough else len(features) - 1
+        self.tasks: AlignmentTasks | None = None
+        if scheduler is not None:
+            settings = PairSettings(self.config, count, self.is_thorough)
+            self.tasks = AlignmentTasks(scheduler, settings)
 
     def tell(self, what: str, done: int) -> None:
         """Tell what is being done, and how many alignments are."""
@@ -168,26 +179,47 @@ class _Aligner:
 
     def align(self, a: str, b: str) -> Alignment:
         """Align two inputs by name."""
-        one, other = self.features[a], self.features[b]
-        is_in_order = math.prod(one.shape) <= math.prod(other.shape)
-        reference, moving = (one, other) if is_in_order else (other, one)
+        reference, moving = self._in_order(a, b)
         self.tell(f"{moving.grid.name} to {reference.grid.name}", self.done)
         self.done += 1
         start = self.starts.between(reference.grid.name, moving.grid.name)
+        if self.tasks is not None:
+            return self.tasks.result(reference, moving, start)
         return align_features(
             reference, moving, self.config, self.device, start,
             pairs=self.count, thorough=self.is_thorough,
         )  # fmt: skip
 
+    def ahead(self, coming: Callable[[int], Iterable[tuple[str, str]]]) -> None:
+        """Begin with pairs that are likely to be asked for, the next ones first.
+
+        Args:
+            coming: gives up to so many of them; asked where somebody else aligns alone.
+        """
+        if self.tasks is None:
+            return
+        for a, b in coming(self.tasks.ahead):
+            reference, moving = self._in_order(a, b)
+            start = self.starts.between(reference.grid.name, moving.grid.name)
+            self.tasks.begin(reference, moving, start)
+
     def align_all(self, second_look: SecondLook | None) -> list[Alignment]:
         """Align every pair."""
         self.steps, pairs = self.count, []
-        for a, b in itertools.combinations(self.features, 2):
+        wanted = list(itertools.combinations(self.features, 2))
+        for index, (a, b) in enumerate(wanted):
+            self.ahead(functools.partial(_from, wanted, index))
             pair = self.align(a, b)
             if second_look is not None:
                 pair = second_look(pair, self.features[pair.reference], self.features[pair.moving])
             pairs.append(pair)
         return pairs
+
+    def _in_order(self, a: str, b: str) -> tuple[GridFeatures, GridFeatures]:
+        """Return two inputs, the one that is held still first."""
+        one, other = self.features[a], self.features[b]
+        is_in_order = math.prod(one.shape) <= math.prod(other.shape)
+        return (one, other) if is_in_order else (other, one)
 
     def candidates(self) -> list[Candidate]:
         """Return the pairs that may be aligned, the most promising first.
@@ -213,6 +245,11 @@ class _Aligner:
                 near.append((apart, Candidate(a, b, math.inf)))
         near.sort(key=lambda item: item[0])
         return [*(candidate for _, candidate in near), *others]
+
+
+def _from(pairs: Sequence[tuple[str, str]], index: int, most: int) -> Sequence[tuple[str, str]]:
+    """Return so many of some pairs from an index on."""
+    return pairs[index : index + most]
 
 
 def _all_groups(

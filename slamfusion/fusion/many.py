@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,8 @@ __all__ = ["Candidate", "SolvedGroup", "align_many"]
 
 # Aligns two maps, by name, in full.
 AlignPair = Callable[[str, str], Alignment]
+# Told what gives pairs that are likely to be asked for next, so many at most.
+Ahead = Callable[[Callable[[int], Iterable[tuple[str, str]]]], None]
 
 # A group of maps is given up after so many of its pairs with larger ones were refused in a row.
 TRIES = 3
@@ -89,6 +91,7 @@ def align_many(
     candidates: Sequence[Candidate],
     align: AlignPair,
     implied: ImpliedPairs,
+    ahead: Ahead | None = None,
 ) -> tuple[list[SolvedGroup], list[Alignment]]:
     """Find the groups of maps that fit together, and where their maps lie.
 
@@ -97,12 +100,13 @@ def align_many(
         candidates: every pair that may be aligned, the most promising first.
         align: aligns a pair in full.
         implied: looks at pairs under transforms that others imply.
+        ahead: told, before a pair is aligned, what will be after it; None: nobody wants to know.
 
     Returns:
         Every group, single maps too, the largest first; and every pair that was looked at, in
         that order: those that are believed, and why the others are not.
     """
-    search = _Search(features, candidates, align, implied)
+    search = _Search(features, candidates, align, implied, ahead)
     search.grow()
     search.close_loops()
     while search.graph.drop_false():
@@ -123,9 +127,10 @@ class _Search:
         candidates: Sequence[Candidate],
         align: AlignPair,
         implied: ImpliedPairs,
+        ahead: Ahead | None,
     ) -> None:
         self.features, self.candidates = features, candidates
-        self.align, self.implied = align, implied
+        self.align, self.implied, self.ahead = align, implied, ahead
         self.graph = AlignmentGraph(tuple(features))
         self.found: dict[Key, Alignment] = {}
         self.words: dict[Key, str] = {}
@@ -205,8 +210,24 @@ class _Search:
 
     def _aligned(self, item: Candidate) -> Alignment:
         if item.key not in self.found:
+            if self.ahead is not None:
+                self.ahead(lambda most: self._coming(item, most))
             self.found[item.key] = self.align(item.a, item.b)
         return self.found[item.key]
+
+    def _coming(self, item: Candidate, most: int) -> list[tuple[str, str]]:
+        """Return a pair, and those that grow groups after it if all of them are believed."""
+        group = {name: self.graph.mates(name)[0] for name in self.features}
+        coming: list[tuple[str, str]] = []
+        for other in (item, *self.candidates):
+            if len(coming) >= most or (other is not item and other.ratio < RATIO_MIN):
+                break
+            one, two = group[other.a], group[other.b]
+            if other.key in self.found or (one == two and other is not item):
+                continue
+            coming.append((other.a, other.b))
+            group = {name: one if first == two else first for name, first in group.items()}
+        return coming
 
     def _is_known(self, item: Candidate) -> bool:
         """Whether the two maps are joined, or were tried."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
+from slamfusion.fleet import Scheduler
 from slamfusion.fusion.duplicates import copy_words, find_copies
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
@@ -37,6 +38,7 @@ def fuse_grids(
     second_look: SecondLook | None = None,
     starts: Starts | None = None,
     in_part: Collection[str] = (),
+    scheduler: Scheduler | None = None,
 ) -> FusionResult:
     """Bring the grids into one frame and let them vote.
 
@@ -50,6 +52,7 @@ def fuse_grids(
         starts: where the inputs are expected; a pair of which both are is searched only there.
         in_part: names of inputs that do not show all of their place: they are not the reference,
             whose box the fused map may have, where there is another.
+        scheduler: aligns pairs, on a device like this one; None: they are aligned here.
 
     Returns:
         The fused map and everything needed to judge it. A single grid is its own fusion.
@@ -70,8 +73,9 @@ def fuse_grids(
     reasons |= prepared.reasons
     names = [grid.name for grid in grids]
     group = align_group(
-        prepared.features, reasons, config, device, names, progress, second_look, starts, in_part
-    )
+        prepared.features, reasons, config, device, names, progress, second_look, starts, in_part,
+        scheduler,
+    )  # fmt: skip
     prepared.release()
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     for number, members in enumerate(group.others, start=2):

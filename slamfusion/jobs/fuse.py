@@ -13,6 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
+from slamfusion.fleet import Scheduler
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
@@ -178,6 +179,7 @@ def fuse_maps(
     truth: MapInput | None = None,
     resolution: float | None = None,
     given: GivenMaps | None = None,
+    scheduler: Scheduler | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
 ) -> FusedMaps:
@@ -192,6 +194,7 @@ def fuse_maps(
         truth: the true map: errors of every input and of the fused map.
         resolution: metres per cell of bare images.
         given: the files of maps that are in memory; default: those that are read.
+        scheduler: aligns the pairs, see ``slamfusion.fleet``; default: they are aligned here.
         progress: told the stage, and how much of it is done.
         warn: told in a sentence what is doubtful about a map.
 
@@ -203,6 +206,7 @@ def fuse_maps(
             start names none, or is one alone that says nothing of the others.
         MemoryBudgetError: the maps are too large for the memory that is free.
         DeviceError: the device cannot be opened.
+        FleetError: who was to align the pairs is gone.
         SlamFusionError: there is one map alone.
     """
     config = config or RunConfig()
@@ -214,7 +218,7 @@ def fuse_maps(
     if truth is not None:
         (true_grid,) = as_grids([truth], config, resolution=resolution, warn=warn)
     device = device_for(config, device)
-    result = fuse_grids(grids, config.fusion, device, progress, starts=starts)
+    result = fuse_grids(grids, config.fusion, device, progress, starts=starts, scheduler=scheduler)
     if config.fusion.require_all and result.rejected:
         raise AllRequiredError(result)
     evaluations: tuple[Evaluation, ...] = ()

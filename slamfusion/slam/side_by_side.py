@@ -10,21 +10,21 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import connection, resource_tracker
+from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any
 
 from slamfusion.config import RunConfig
 from slamfusion.cores import usable_cores
 from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.fleet.children import interrupts_held, threads_limited
 from slamfusion.io.logs import open_log
 from slamfusion.slam.common.runner import ProducerRun, run_producer
 from slamfusion.slam.registry import (
@@ -35,10 +35,8 @@ from slamfusion.slam.registry import (
     with_producers,
 )
 
-__all__ = ["Outcome", "SideBySide", "interrupts_held", "threads_limited"]
+__all__ = ["Outcome", "SideBySide"]
 
-# What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
-THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # Time between two words of a process on how far it is, seconds: a progress bar needs no more.
 TELL_S = 0.2
 # Patience with a process that was killed, or has let go of its pipe, seconds: moments are enough.
@@ -258,48 +256,6 @@ def _start(name: str, arguments: tuple[Any, ...], threads: int) -> _Job:
         process.start()
     theirs.close()  # ours: else the end of the process would not be seen as the end of the pipe
     return _Job(name, process, answers, begun_s)
-
-
-@contextlib.contextmanager
-def interrupts_held() -> Iterator[None]:
-    """Let processes that are started in a ``with`` block not hear an interrupt before they can.
-
-    A terminal sends it to all of them: one that is still importing would end in a traceback. They
-    begin with it blocked; ours comes when the block ends. Blocking alone does not hold ours: a
-    thread of a library takes the signal, and Python's handler runs in the main thread all the same.
-    """
-    resource_tracker.ensure_running()  # where the first process starts it, it ends the blocking
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    heard: list[tuple[int, FrameType | None]] = []
-    handler = signal.getsignal(signal.SIGINT)
-    is_ours = callable(handler) and threading.current_thread() is threading.main_thread()
-    if is_ours:
-        signal.signal(signal.SIGINT, lambda *told: heard.append(told))
-    try:
-        yield
-    finally:
-        if is_ours:
-            signal.signal(signal.SIGINT, handler)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if heard and callable(handler):
-            handler(*heard[0])
-
-
-@contextlib.contextmanager
-def threads_limited(threads: int) -> Iterator[None]:
-    """Let processes that are started in a ``with`` block share the cores.
-
-    Args:
-        threads: what device and libraries of each of them may start; what the user has set in the
-            environment is left alone.
-    """
-    added = [name for name in THREAD_VARIABLES if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, str(threads)))
-    try:
-        yield
-    finally:
-        for name in added:
-            del os.environ[name]
 
 
 def _stop(job: _Job) -> None:

@@ -25,6 +25,7 @@ from slamfusion.experiments.failures import FAILURES
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.trials import Trial, TrialRecord, alone, run_trials
 from slamfusion.experiments.voting import BARE, FUSIONS, against_truth, vote_every_way
+from slamfusion.fleet import open_scheduler
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.partial import Layers
 from slamfusion.sim import COURSES, simulate
@@ -103,6 +104,17 @@ def test_the_same_seeds_give_the_same_bytes_in_other_processes(
     assert again == records
     assert files(tmp_path) == files(folder)
     assert told == [(0, 2), (1, 2), (2, 2)]
+
+
+@pytest.mark.full
+def test_the_workers_of_a_cluster_give_the_same_bytes_too(
+    done: tuple[Path, list[Trial], list[TrialRecord]], tmp_path: Path
+) -> None:
+    pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
+    folder, trials, records = done
+    with open_scheduler("local:2") as scheduler:
+        assert run_trials(trials, small(), tmp_path, scheduler=scheduler) == records
+    assert files(tmp_path) == files(folder)
 
 
 def test_what_is_done_is_not_run_again_and_the_rest_is(
@@ -196,7 +208,7 @@ def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
 
 
 def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
-    device = module.open_device("auto")
+    device = open_device()
     grids = [building(seed, 8.0, 7.5).with_name(name) for seed, name in enumerate(BUILT_IN)]
     paths = {
         name: Trajectory(np.arange(2.0), np.array([[0, 0, 0], [9.0 * index, 0, 0]]))
@@ -259,7 +271,7 @@ def test_an_unknown_course_or_laser_is_refused() -> None:
 def test_failing_courses_are_driven(name: str) -> None:
     trials = [item for item in failure_trials(small()) if item.course.name == name]
     for trial in trials[:1]:
-        recording = simulate(trial.course, module.open_device("auto"))
+        recording = simulate(trial.course, open_device())
         assert recording.truth.path_length_m() > 30.0
         assert 200 < len(recording.scans) < 1500
 
