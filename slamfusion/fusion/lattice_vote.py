@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -13,23 +12,26 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import MOST_INPUTS
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.boxes import grown_inside, hull, overlap, padded, slices
+from slamfusion.fusion.ballot import Ballot, Laid
+from slamfusion.fusion.boxes import hull, overlap, padded, slices
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
-from slamfusion.fusion.records import OUTVOTED, FusionResult, InputRecord, VotedLayer, voted_cells
-from slamfusion.fusion.vote import (
-    agreement_weights,
-    double_reach_cells,
-    margin_cells,
-    quantise_weights,
-    unknown_votes,
-    vote_grids,
-    vote_reach_cells,
-)
+from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
+from slamfusion.fusion.vote import agreement_weights, margin_cells, unknown_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
 
-__all__ = ["Lattices", "vote_on_lattice", "warp_onto"]
+__all__ = [
+    "SMALL_TILE",
+    "TILE",
+    "Lattices",
+    "lattice_frame",
+    "tiles_of",
+    "unknown_is_a_vote",
+    "vote_on_lattice",
+    "warp_onto",
+    "warp_pose",
+]
 
 I8 = npt.NDArray[np.int8]
 
@@ -59,13 +61,26 @@ def warp_onto(
         box: cells of that lattice; may reach beyond it.
         device: computes.
     """
-    size = lattice.resolution
-    into = grid.grid.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
-    corner = into.transform((box.col0 * size, box.row0 * size)) / size
-    pose = fixed_poses((corner[0], corner[1], into.yaw_rad))
-    shape = (box.height, box.width)
-    warped = device.warp(device.upload(cells), pose, shape, UNKNOWN)
+    pose = warp_pose(grid.grid.origin, transform, lattice.origin, lattice.resolution, box)
+    warped = device.warp(device.upload(cells), pose, (box.height, box.width), UNKNOWN)
     return np.asarray(device.download(warped)[0])
+
+
+def warp_pose(
+    own: Pose2, transform: Pose2, lattice: Pose2, resolution: float, box: CellBox
+) -> npt.NDArray[np.int64]:
+    """Return the motion of a box of a lattice into a grid, (1, 4), see ``fixed_poses``.
+
+    Args:
+        own: origin of the grid.
+        transform: maps the grid's map frame into the lattice's, metres.
+        lattice: origin of the lattice.
+        resolution: of both, metres.
+        box: cells of the lattice.
+    """
+    into = own.inverse().compose(transform.inverse()).compose(lattice)
+    corner = into.transform((box.col0 * resolution, box.row0 * resolution)) / resolution
+    return fixed_poses((corner[0], corner[1], into.yaw_rad))
 
 
 def vote_on_lattice(
@@ -95,153 +110,63 @@ def vote_on_lattice(
     """
     base = lattices(group.reference)
     box = _fused_box(group, lattices, base, config)
-    # Where unknown is a value an input votes also where it knows nothing.
-    is_value = config.vote.mode in {"majority", "weighted"} and unknown_votes(
-        config.vote.unknown, [1] * len(group.alignments)
-    )
+    is_value = unknown_is_a_vote(config, len(group.alignments))
     layers = {
         name: _laid(lattices(name), pair.transform, base, box, config, device, is_whole=is_value)
         for name, pair in group.alignments.items()
     }
-    ballot = _Ballot(layers, box, config, base.grid.resolution, device)
-    for tile in _tiles(ballot.whole, TILE if len(layers) <= MOST_INPUTS else SMALL_TILE):
-        ballot.vote_on(tile)
-    frame = base.grid.origin.transform(np.array([box.col0, box.row0]) * base.grid.resolution)
-    origin = Pose2(float(frame[0]), float(frame[1]), base.grid.origin.yaw_rad)
-    cells = np.where(ballot.fused == 1, np.int8(OCCUPIED), ballot.fused)
+    whole = CellBox(0, 0, box.height, box.width)
+    weights = dict.fromkeys(layers, 1.0)
+    if config.vote.mode == "weighted":
+        found = agreement_weights([layer.on(whole) for layer in layers.values()])
+        weights = dict(zip(layers, found, strict=True))
+    ballot = Ballot(whole, config, base.grid.resolution, weights)
+    fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+    agreement = np.full_like(fused, UNKNOWN)
+    phantom_cells = 0
+    for tile in tiles_of(whole, TILE if len(layers) <= MOST_INPUTS else SMALL_TILE):
+        decided = ballot.decide(tile, layers, device)
+        if decided is not None:
+            window = slices(tile, 0, 0)
+            fused[window], agreement[window] = decided.fused, decided.agreement
+            phantom_cells += decided.phantom_cells
+    origin = lattice_frame(base.grid, box)
+    fused[fused == 1] = OCCUPIED
     # What is read-only is not copied once more.
-    cells.flags.writeable = ballot.agreement.flags.writeable = False
+    fused.flags.writeable = agreement.flags.writeable = False
     records = []
     for given in grids:
         pair = group.alignments.get(given.name)
         if pair is None:
             records.append(others[given.name])
         else:
-            layer = ballot.voted(given.name)
-            records.append(InputRecord(given, pair, True, pair.reason, layer))
+            layer = layers[given.name]
+            voted = VotedLayer(fused.shape, layer.box, layer.codes)
+            records.append(InputRecord(given, pair, True, pair.reason, voted))
     return FusionResult(
         reference=group.reference,
         inputs=tuple(records),
-        fused=OccupancyGrid(cells, base.grid.resolution, origin, "fused"),
-        agreement=OccupancyGrid(ballot.agreement, base.grid.resolution, origin, "agreement"),
+        fused=OccupancyGrid(fused, base.grid.resolution, origin, "fused"),
+        agreement=OccupancyGrid(agreement, base.grid.resolution, origin, "agreement"),
         pairs=(),
-        phantom_cells=ballot.phantom_cells,
-        weights=dict(zip(layers, ballot.weights, strict=True)),
+        phantom_cells=phantom_cells,
+        weights=weights,
         device=device.name,
         time_s=0.0,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Laid:
-    """An input on the fused lattice.
-
-    Attributes:
-        box: cells that it may know, counted from the first fused cell; may be empty.
-        codes: (h, w) int8 of the box, in {-1, 0, 1}; outvoted where it is so far, see
-            ``VotedLayer``.
-        percents: the same in percent, where these vote.
-    """
-
-    box: CellBox
-    codes: I8
-    percents: I8 | None
+def unknown_is_a_vote(config: FusionConfig, voters: int) -> bool:
+    """Say whether an input votes also where it knows nothing."""
+    return config.vote.mode in {"majority", "weighted"} and unknown_votes(
+        config.vote.unknown, [1] * voters
+    )
 
 
-class _Ballot:
-    """A vote on one lattice: what was decided so far."""
-
-    def __init__(
-        self,
-        layers: Mapping[str, _Laid],
-        box: CellBox,
-        config: FusionConfig,
-        resolution: float,
-        device: ComputeDevice,
-    ) -> None:
-        self.layers, self.config, self.device = layers, config, device
-        self.whole = CellBox(0, 0, box.height, box.width)
-        self.weights = [1.0] * len(layers)
-        unknown = config.vote.unknown
-        if config.vote.mode == "weighted":
-            self.weights = agreement_weights(
-                [self._on(layer, self.whole) for layer in layers.values()]
-            )
-            whole_weights = [int(weight) for weight in quantise_weights(self.weights)]
-            unknown = "value" if unknown_votes(unknown, whole_weights) else "abstain"
-        elif config.vote.mode == "majority":
-            unknown = "value" if unknown_votes(unknown, [1] * len(layers)) else "abstain"
-        self.vote = replace(config.vote, unknown=unknown)
-        self.reach = vote_reach_cells(config.vote, resolution)
-        self.double_reach = double_reach_cells(config.vote, resolution)
-        self.fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
-        self.agreement = np.full_like(self.fused, UNKNOWN)
-        self.phantom_cells = 0
-
-    def vote_on(self, tile: CellBox) -> None:
-        """Decide the cells of a tile of the lattice."""
-        wide = grown_inside(tile, self.reach, self.whole)
-        here = [name for name in self.layers if self._has_a_say(name, wide)]
-        if not here:
-            return
-        stack = [self._on(self.layers[name], wide) for name in here]
-        weights = [w for name, w in zip(self.layers, self.weights, strict=True) if name in here]
-        percents = None
-        if self.vote.mode == "log-odds":
-            percents = [self._on(self.layers[name], wide, in_percent=True) for name in here]
-        if len(stack) == 1 < len(self.layers):
-            # One that knows nothing here: a single voter is its own fusion, and has no backs.
-            nothing = np.full_like(stack[0], UNKNOWN)
-            stack.append(nothing)
-            weights.append(weights[0])
-            percents = None if percents is None else [*percents, nothing]
-        voted = vote_grids(
-            stack,
-            self.vote,
-            self.device,
-            weights=weights,
-            percents=percents,
-            thresholds=self.config.normalize,
-            reach_cells=self.double_reach,
-        )
-        window, part = slices(tile, 0, 0), slices(tile, wide.row0, wide.col0)
-        self.fused[window] = voted.fused[part]
-        self.agreement[window] = voted.agreement[part]
-        if tile == self.whole:
-            self.phantom_cells = voted.phantom_cells
-        else:
-            alone = (voted.fused[part] == 1) & (voted.agreement[part] >= 0)
-            for cells in stack:
-                alone &= cells[part] != 1
-            self.phantom_cells += int(np.count_nonzero(alone))
-        for index, name in enumerate(here):
-            own = overlap(self.layers[name].box, tile)
-            if own is None:
-                continue
-            box = self.layers[name].box
-            bits = voted.dissent[slices(own, wide.row0, wide.col0)]
-            is_outvoted = (bits >> np.array(index, bits.dtype)) & 1 != 0
-            self.layers[name].codes[slices(own, box.row0, box.col0)][is_outvoted] += OUTVOTED
-
-    def voted(self, name: str) -> VotedLayer:
-        """Return what became of an input."""
-        layer, shape = self.layers[name], (self.whole.height, self.whole.width)
-        return VotedLayer(shape, layer.box, layer.codes)
-
-    def _has_a_say(self, name: str, wide: CellBox) -> bool:
-        if self.vote.mode == "weighted" and len(self.layers) <= MOST_INPUTS:
-            return True  # weights are whole numbers of the largest
-        return overlap(self.layers[name].box, wide) is not None
-
-    def _on(self, layer: _Laid, wide: CellBox, *, in_percent: bool = False) -> I8:
-        """Return an input's cells on a box of the lattice, unknown outside of its own."""
-        cells = layer.percents if in_percent and layer.percents is not None else layer.codes
-        own = overlap(layer.box, wide)
-        out = np.full((wide.height, wide.width), UNKNOWN, dtype=np.int8)
-        if own is not None:
-            part = cells[slices(own, layer.box.row0, layer.box.col0)]
-            out[slices(own, wide.row0, wide.col0)] = part if in_percent else voted_cells(part)
-        return out
+def lattice_frame(base: OccupancyGrid, box: CellBox) -> Pose2:
+    """Return the origin of a box of a grid's lattice."""
+    frame = base.origin.transform(np.array([box.col0, box.row0]) * base.resolution)
+    return Pose2(float(frame[0]), float(frame[1]), base.origin.yaw_rad)
 
 
 def _fused_box(
@@ -264,12 +189,12 @@ def _laid(
     device: ComputeDevice,
     *,
     is_whole: bool,
-) -> _Laid:
+) -> Laid:
     """Lay an input on the fused lattice, on the cells that it may know or on all."""
     own = box if is_whole else overlap(padded(lattice_box(grid, transform, base), 1), box)
     if own is None:
         nothing = np.zeros((0, 0), dtype=np.int8)
-        return _Laid(CellBox(0, 0, 0, 0), nothing, nothing)
+        return Laid(CellBox(0, 0, 0, 0), nothing, nothing)
     cells = warp_onto(grid, grid.cells, transform, base.grid, own, device)
     percents = None
     if config.vote.mode == "log-odds":
@@ -278,12 +203,11 @@ def _laid(
         (own.row0 - box.row0, own.row1 - box.row0),
         (own.col0 - box.col0, own.col1 - box.col0),
     )
-    return _Laid(CellBox(rows[0], cols[0], rows[1], cols[1]), cells, percents)
+    return Laid(CellBox(rows[0], cols[0], rows[1], cols[1]), cells, percents)
 
 
-def _tiles(whole: CellBox, side: int) -> Iterator[CellBox]:
+def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
     """Yield boxes of at most so many cells on a side that together are the whole."""
-    for row in range(0, whole.height, side):
-        for col in range(0, whole.width, side):
-            rows, cols = min(row + side, whole.height), min(col + side, whole.width)
-            yield CellBox(row, col, rows, cols)
+    for row in range(whole.row0, whole.row1, side):
+        for col in range(whole.col0, whole.col1, side):
+            yield CellBox(row, col, min(row + side, whole.row1), min(col + side, whole.col1))

@@ -1,0 +1,293 @@
+"""A vote on a lattice that does not fit into memory: tile by tile, each given away when decided.
+
+What a tile needs of an input travels packed, so that any process can decide it (``fleet``). An
+input is laid on the tile alone, by the motion that would lay it on all of its box: the cells are
+those of a vote in memory (``lattice_vote``), bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
+from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.config import FusionConfig
+from slamfusion.errors import ConfigError
+from slamfusion.fleet import Scheduler, Task
+from slamfusion.fleet.worker import worker_device
+from slamfusion.fusion.ballot import Ballot, DecidedTile, Laid
+from slamfusion.fusion.boxes import hull, overlap, padded, slices
+from slamfusion.fusion.groups import Members, Progress
+from slamfusion.fusion.lattice_vote import (
+    SMALL_TILE,
+    TILE,
+    Lattices,
+    lattice_frame,
+    tiles_of,
+    unknown_is_a_vote,
+    warp_pose,
+)
+from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
+from slamfusion.fusion.vote import margin_cells
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, CellBox
+
+__all__ = ["StoredVote", "Voter", "prepare_stored_vote"]
+
+I8 = npt.NDArray[np.int8]
+
+# Tiles for each of the scheduler's slots that are handed over or wait to be written.
+AHEAD = 2
+# Bytes of inputs that a process keeps unpacked: those of the tiles around the last one.
+KEPT_BYTES = 1 << 28
+
+
+@dataclass(frozen=True)
+class PackedCells:
+    """Cells (h, w) int8 as they travel.
+
+    Attributes:
+        key: the same for the same cells alone.
+        shape: rows and columns.
+        data: compressed.
+    """
+
+    key: str
+    shape: tuple[int, int]
+    data: bytes
+
+    @classmethod
+    def of(cls, cells: I8) -> PackedCells:
+        """Pack cells."""
+        height, width = cells.shape
+        plain = np.ascontiguousarray(cells).data
+        return cls(hashlib.sha256(plain).hexdigest(), (height, width), zlib.compress(plain, 1))
+
+    def unpack(self) -> I8:
+        """Return the cells."""
+        return np.frombuffer(zlib.decompress(self.data), dtype=np.int8).reshape(self.shape)
+
+
+@dataclass(frozen=True)
+class Voter:
+    """An input that votes, packed.
+
+    Attributes:
+        name: of the input.
+        cells: in {-1, 0, 1}.
+        percents: the same in percent, where these vote.
+        pose: see ``warp_pose``: of the cells that it may know.
+        box: these, counted from the first fused cell.
+    """
+
+    name: str
+    cells: PackedCells
+    percents: PackedCells | None
+    pose: npt.NDArray[np.int64]
+    box: CellBox
+
+
+@dataclass(frozen=True, eq=False)
+class StoredVote:
+    """A vote that is ready to be held, tile by tile.
+
+    Attributes:
+        ballot: what decides a tile.
+        voters: the inputs that vote.
+        origin: of the first fused cell, in the reference's frame.
+        resolution: metres a cell.
+    """
+
+    ballot: Ballot
+    voters: tuple[Voter, ...]
+    origin: Pose2
+    resolution: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the fused map."""
+        return self.ballot.whole.height, self.ballot.whole.width
+
+    def decide(
+        self, scheduler: Scheduler, progress: Progress | None = None
+    ) -> Iterator[tuple[CellBox, DecidedTile]]:
+        """Yield tiles of ``TILE`` cells on a side in which an input knows something.
+
+        Args:
+            scheduler: decides them.
+            progress: told how many tiles are done.
+
+        Raises:
+            FleetError: those that do the tasks are gone.
+            GridError: more inputs than a vote takes know one place.
+        """
+        tiles = list(_along_a_curve(tiles_of(self.ballot.whole, TILE)))
+        waiting: OrderedDict[CellBox, Task[DecidedTile | None]] = OrderedDict()
+        rest = iter(tiles)
+        for done in range(len(tiles)):
+            for tile in rest:
+                waiting[tile] = self._hand_over(tile, scheduler)
+                if len(waiting) >= AHEAD * scheduler.slots:
+                    break
+            tile, task = waiting.popitem(last=False)
+            decided = task.result()
+            if decided is not None:
+                yield tile, decided
+            if progress is not None:
+                progress("vote", done + 1, len(tiles))
+
+    def _hand_over(self, tile: CellBox, scheduler: Scheduler) -> Task[DecidedTile | None]:
+        wide = self.ballot.around(tile)
+        asks_all = self.ballot.vote.unknown == "value"
+        here = [item for item in self.voters if asks_all or overlap(item.box, wide) is not None]
+        return scheduler.submit(decide_tile, self.ballot, tile, here, scheduler.device)
+
+
+def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig) -> StoredVote:
+    """Pack the inputs of a vote, and find the cells that it decides.
+
+    Args:
+        group: those that vote.
+        lattices: gives each of them at the common resolution; one is in memory at a time.
+        config: settings of the vote.
+
+    Raises:
+        ConfigError: the mode weighs each input by all of its cells.
+    """
+    if config.vote.mode == "weighted":
+        message = (
+            "mode 'weighted' weighs maps by all of their cells, and tiles are decided alone; take "
+            "majority, consensus or log-odds"
+        )
+        raise ConfigError(message)
+    base = lattices(group.reference)
+    frame, resolution = base.grid.origin, base.grid.resolution
+    boxes = {}
+    box = CellBox(0, 0, *base.shape)
+    packed: dict[str, tuple[PackedCells, PackedCells | None, Pose2]] = {}
+    for name, pair in group.alignments.items():
+        grid = base if name == group.reference else lattices(name)
+        boxes[name] = lattice_box(grid, pair.transform, base)
+        packed[name] = (*_packed(grid, config), grid.grid.origin)
+        if config.vote.extent == "union":
+            box = hull(box, boxes[name])
+    box = padded(box, margin_cells(config.vote, len(boxes)))
+    everywhere = unknown_is_a_vote(config, len(boxes))
+    voters = []
+    for name, (cells, percents, origin) in packed.items():
+        own = box if everywhere else overlap(padded(boxes[name], 1), box)
+        if own is None:
+            continue
+        transform = group.alignments[name].transform
+        pose = warp_pose(origin, transform, frame, resolution, own)
+        voters.append(Voter(name, cells, percents, pose, _moved(own, box)))
+    ballot = Ballot(_moved(box, box), config, resolution, dict.fromkeys(boxes, 1.0))
+    return StoredVote(ballot, tuple(voters), lattice_frame(base.grid, box), resolution)
+
+
+def _packed(grid: NormalizedGrid, config: FusionConfig) -> tuple[PackedCells, PackedCells | None]:
+    percents = PackedCells.of(grid.grid.cells) if config.vote.mode == "log-odds" else None
+    return PackedCells.of(grid.cells), percents
+
+
+def _moved(box: CellBox, first: CellBox) -> CellBox:
+    """Return a box, counted from the first cell of another."""
+    row, col = first.row0, first.col0
+    return CellBox(box.row0 - row, box.col0 - col, box.row1 - row, box.col1 - col)
+
+
+def _along_a_curve(tiles: Iterator[CellBox]) -> list[CellBox]:
+    """Return tiles in an order in which those that follow each other are near (Morton's)."""
+
+    def place(tile: CellBox) -> int:
+        row, col = tile.row0 // TILE, tile.col0 // TILE
+        bits = range(max(row, col).bit_length())
+        return sum(((row >> n & 1) << (2 * n + 1)) | ((col >> n & 1) << (2 * n)) for n in bits)
+
+    return sorted(tiles, key=place)
+
+
+# --- where tiles are decided -----------------------------------------------------------------
+
+
+def decide_tile(
+    ballot: Ballot, tile: CellBox, voters: Sequence[Voter], device: str
+) -> DecidedTile | None:
+    """Decide a tile; None where no input knows any cell of it.
+
+    Where more inputs than a vote takes know something in the tile, it is decided in smaller ones.
+    """
+    opened = worker_device(device)
+    if len(voters) <= MOST_INPUTS:
+        return ballot.decide(tile, _laid_on(ballot.around(tile), voters, opened), opened)
+    fused = np.full((tile.height, tile.width), UNKNOWN, dtype=np.int8)
+    agreement = np.full_like(fused, UNKNOWN)
+    phantom_cells, is_known = 0, False
+    for part in tiles_of(tile, SMALL_TILE):
+        wide = ballot.around(part)
+        here = [item for item in voters if overlap(item.box, wide) is not None]
+        decided = ballot.decide(part, _laid_on(wide, here, opened), opened)
+        if decided is not None:
+            window = slices(part, tile.row0, tile.col0)
+            fused[window], agreement[window] = decided.fused, decided.agreement
+            phantom_cells += decided.phantom_cells
+            is_known = True
+    return DecidedTile(fused, agreement, phantom_cells) if is_known else None
+
+
+def _laid_on(wide: CellBox, voters: Sequence[Voter], device: ComputeDevice) -> dict[str, Laid]:
+    """Lay inputs on a box of the fused lattice."""
+    layers = {}
+    for voter in voters:
+        part = overlap(voter.box, wide) or CellBox(wide.row0, wide.col0, wide.row0, wide.col0)
+        codes = _laid(voter.cells, voter, part, device)
+        percents = None
+        if voter.percents is not None:
+            percents = _laid(voter.percents, voter, part, device)
+        layers[voter.name] = Laid(part, codes, percents)
+    return layers
+
+
+def _laid(packed: PackedCells, voter: Voter, part: CellBox, device: ComputeDevice) -> I8:
+    """Return cells on a part of the box that they were to be laid on."""
+    if not part.area:
+        return np.zeros((part.height, part.width), dtype=np.int8)
+    row, col = part.row0 - voter.box.row0, part.col0 - voter.box.col0
+    pose = voter.pose.copy()
+    # Positions are in half cells, and motions are linear: exact.
+    pose[0, 2] += 2 * (pose[0, 0] * col - pose[0, 1] * row)
+    pose[0, 3] += 2 * (pose[0, 1] * col + pose[0, 0] * row)
+    warped = device.warp(_KEPT.get(packed, device), pose, (part.height, part.width), UNKNOWN)
+    return np.array(device.download(warped)[0])
+
+
+class _KeptCells:
+    """Cells on the device that were laid last."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[str, str], tuple[DeviceArray[np.int8], int]] = OrderedDict()
+
+    def get(self, packed: PackedCells, device: ComputeDevice) -> DeviceArray[Any]:
+        """Return cells on a device, unpacked where they are not kept."""
+        key = packed.key, device.name
+        if key not in self._kept:
+            cells = packed.unpack()
+            self._kept[key] = device.upload(cells), cells.nbytes
+            kept = sum(size for _, size in self._kept.values())
+            while kept > KEPT_BYTES and len(self._kept) > 1:
+                _, (_, size) = self._kept.popitem(last=False)
+                kept -= size
+        self._kept.move_to_end(key)
+        return self._kept[key][0]
+
+
+_KEPT = _KeptCells()
