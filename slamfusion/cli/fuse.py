@@ -28,9 +28,10 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import GivenMaps, check_writable, device_for, load_maps
-from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, group_stem
+from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, STORE_END, group_stem
 
 if TYPE_CHECKING:
+    from slamfusion.fleet import Scheduler
     from slamfusion.jobs.fuse import FusedMaps
 
 __all__ = ["command"]
@@ -46,10 +47,10 @@ class _Outputs:
     @classmethod
     def of(cls, out: Path) -> _Outputs:
         """Take ``OUT`` as a stem; a .yaml written out by the user is dropped."""
-        if out.name in {"", ".."} or out.is_dir():
+        if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
             message = f"-o {out}: name the map too, e.g. -o {out / 'fused'}"
             raise click.UsageError(message)
-        stem = out.with_suffix("") if out.suffix in {".yaml", ".yml"} else out
+        stem = out.with_suffix("") if out.suffix in {".yaml", ".yml", STORE_END} else out
         return cls(stem, stem.with_name(stem.name + AGREEMENT_END))
 
     def refuse_inputs(self, maps: Sequence[Path]) -> None:
@@ -78,7 +79,8 @@ class _Outputs:
     type=FILE,
     metavar="OUT",
     help="Write OUT.yaml, OUT.pgm, OUT_agreement.yaml, OUT_agreement.pgm and the record OUT.json; "
-    "of further groups of maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ...",
+    "of further groups of maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ... "
+    "A fused map that does not fit into memory goes to a Zarr store: OUT.zarr.",
 )
 @file_option(
     "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one."
@@ -131,6 +133,14 @@ def command(
     outputs.refuse_inputs(maps if truth_path is None else (*maps, truth_path))
     check_count(maps)
     check_writable(outputs.fused.parent)
+    if out.suffix == STORE_END:
+        if truth_path is not None or report_dir is not None:
+            message = (
+                f"--truth and --report look at the whole map, and {out} need not fit into memory"
+            )
+            raise click.UsageError(message)
+        with start_errors(starts), asked_scheduler(scheduler, config, processes) as fleet:
+            return _fuse_into_store(maps, out, resolution, config, fleet, as_json=as_json)
     if report_dir is not None:
         import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
@@ -160,6 +170,51 @@ def command(
         print_json(document)
     else:
         _print_result(fused, outputs, report_dir)
+    return 0
+
+
+def _fuse_into_store(
+    maps: Sequence[Path],
+    store: Path,
+    resolution: float | None,
+    config: RunConfig,
+    scheduler: Scheduler | None,
+    *,
+    as_json: bool,
+) -> int:
+    """Fuse maps tile by tile, and say what came of it."""
+    from slamfusion.io.map_store import check_store  # noqa: PLC0415
+    from slamfusion.jobs.fuse import failed_fuse_document, fusion_sentences  # noqa: PLC0415
+    from slamfusion.jobs.fuse_store import fuse_into_store  # noqa: PLC0415
+
+    check_store(store)
+    grids = load_maps(maps, resolution, config.map_files, notice)
+    given = GivenMaps.of(maps, resolution)
+    device = device_for(config)
+    try:
+        with progress_bar() as progress:
+            stored = fuse_into_store(
+                grids, store, config, device,
+                given=given, scheduler=scheduler, progress=progress,
+            )  # fmt: skip
+    except AlignmentError as error:
+        if as_json:
+            print_json(failed_fuse_document(error, grids, config, device.name, given))
+        else:
+            print_pairs(error.pairs, device.name)
+        raise
+    tell_left_out(stored.result)
+    for path, stem in zip(stored.stores, stored.stems, strict=True):
+        if stem is None:
+            notice(f"{path}: too large for a map server; its files are not written")
+    if as_json:
+        print_json(stored.to_json())
+        return 0
+    print_alignments(stored.result)
+    for sentence in fusion_sentences(stored.result, None):
+        print(sentence)
+    for path, stem in zip(stored.stores, stored.stems, strict=True):
+        print(f"fused map: {path}" + ("" if stem is None else f", {stem}.yaml"))
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from slamfusion.cli.output import notice, number, print_table
 
 if TYPE_CHECKING:
-    from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
+    from slamfusion.fusion.records import Alignment, Fusion, InputRecord
 
 __all__ = ["print_alignments", "print_pairs", "tell_left_out"]
 
@@ -27,7 +27,7 @@ PAIR_COLUMNS = (
 )
 
 
-def print_alignments(result: FusionResult) -> None:
+def print_alignments(result: Fusion) -> None:
     """Print how each input lies to the reference."""
     print_table(
         PAIR_COLUMNS[1:],
@@ -37,7 +37,7 @@ def print_alignments(result: FusionResult) -> None:
     )
 
 
-def tell_left_out(result: FusionResult) -> None:
+def tell_left_out(result: Fusion) -> None:
     """Name on stderr the inputs that have no vote."""
     for record in result.rejected:
         notice(f"rejected: {record.name}: {record.reason}")

@@ -20,6 +20,7 @@ from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
 from slamfusion.fusion.vote import agreement_weights, margin_cells, unknown_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.io.memory import check_memory
 
 __all__ = [
     "SMALL_TILE",
@@ -41,6 +42,8 @@ Lattices: TypeAlias = Callable[[str], NormalizedGrid]
 # Cells on a side that are voted on at once; fewer where so many maps vote that not all may vote in
 # one place.
 TILE, SMALL_TILE = 2048, 256
+# What a vote in memory holds for each fused cell: itself, its agreement, and what is told of both.
+VOTED_BYTES = 4
 
 
 def warp_onto(
@@ -107,9 +110,16 @@ def vote_on_lattice(
 
     Raises:
         GridError: more inputs than a vote takes know one place.
+        MemoryBudgetError: the fused map is too large for the memory that is free.
     """
     base = lattices(group.reference)
     box = _fused_box(group, lattices, base, config)
+    check_memory(
+        VOTED_BYTES * box.area,
+        f"a fused map of {box.width} x {box.height} cells",
+        group.reference,
+        "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
+    )
     is_value = unknown_is_a_vote(config, len(group.alignments))
     layers = {
         name: _laid(lattices(name), pair.transform, base, box, config, device, is_whole=is_value)

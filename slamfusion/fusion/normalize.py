@@ -35,6 +35,8 @@ SAME_RESOLUTION = 1e-4
 BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
 ALIGNED_CELLS = 3000
+# Cells of all maps that are aligned as they are: 130 maps of 700 x 700.
+ALL_ALIGNED_CELLS = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +73,16 @@ def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> fl
     return min(grid.resolution for grid in grids)
 
 
-def check_resampling(grids: Sequence[OccupancyGrid], config: NormalizeConfig, what: str) -> None:
+def check_resampling(
+    grids: Sequence[OccupancyGrid], config: NormalizeConfig, what: str, *, is_stored: bool = False
+) -> None:
     """Refuse grids that would not fit into memory at their common resolution.
 
     Args:
         grids: one or more.
         config: may give the resolution.
         what: is done with them: ``fusing``, ``aligning``.
+        is_stored: they will vote tile by tile, which takes no memory to speak of.
 
     Raises:
         MemoryBudgetError: with the sizes, the resolutions and what to do; nothing was allocated.
@@ -95,28 +100,30 @@ def check_resampling(grids: Sequence[OccupancyGrid], config: NormalizeConfig, wh
             "brought (is it right? fusion.normalize.resolution sets another),"
         )
     factor = coarsening(grids, resolution)
-    per_cell = BYTES_PER_CELL
+    needed = sum(own_cells) * BYTES_PER_CELL // factor**2
     if factor > 1:
-        per_cell = VOTED_BYTES_PER_CELL + BYTES_PER_CELL // factor**2
-    check_memory(sum(own_cells) * per_cell, said, largest.name)
+        # Of one input at a time everything, or of all of them what votes.
+        needed += max(own_cells) * BYTES_PER_CELL if is_stored else 0
+        needed += 0 if is_stored else sum(own_cells) * VOTED_BYTES_PER_CELL
+    check_memory(needed, said, largest.name)
 
 
 def coarsening(grids: Sequence[OccupancyGrid], resolution: float) -> int:
     """Return how many times coarser the cells are on which grids are aligned than those fused.
 
-    1 but for maps so large that their fields would not fit into memory. Alignments are told in
-    metres and are finer than a cell, so a coarser copy costs less than one fused cell.
+    1 but for maps so large, or so many, that their fields would not fit into memory. Alignments are
+    told in metres and are finer than a cell, so a coarser copy costs less than one fused cell.
 
     Args:
         grids: one or more.
         resolution: of the fused cells, metres.
     """
-    sides = [
-        max(box.height, box.width) * grid.resolution
-        for grid in grids
-        if (box := grid.known_box()) is not None
-    ]
-    return max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
+    boxes = [(box, grid) for grid in grids if (box := grid.known_box()) is not None]
+    sides = [max(box.height, box.width) * grid.resolution for box, grid in boxes]
+    area = math.fsum(box.area * grid.resolution**2 for box, grid in boxes)
+    of_one = max(sides, default=0.0) / resolution / ALIGNED_CELLS
+    of_all = math.sqrt(area / resolution**2 / ALL_ALIGNED_CELLS)
+    return max(1, math.ceil(of_one), math.ceil(of_all))
 
 
 def _cells_at(grid: OccupancyGrid, resolution: float) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
@@ -13,12 +13,13 @@ from slamfusion.fleet import Scheduler
 from slamfusion.fusion.duplicates import copy_words, find_copies
 from slamfusion.fusion.groups import (
     LEAST_FUSED,
+    AlignedGroup,
     Members,
     Progress,
     SecondLook,
     align_group,
 )
-from slamfusion.fusion.lattice_vote import vote_on_lattice
+from slamfusion.fusion.lattice_vote import Lattices, vote_on_lattice
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.prepared import PreparedInputs
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
@@ -27,7 +28,7 @@ from slamfusion.fusion.start import Starts, named_input
 from slamfusion.fusion.vote import check_votes
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["fuse_grids", "vote_again"]
+__all__ = ["AlignedInputs", "align_inputs", "fuse_grids", "vote_again"]
 
 
 def fuse_grids(
@@ -63,12 +64,66 @@ def fuse_grids(
         MemoryBudgetError: the grids are too large for the memory that is free.
     """
     began = time.perf_counter()
+    aligned = align_inputs(grids, config, device, progress, second_look, starts, in_part, scheduler)
+
+    def vote(members: Members, rest: Mapping[str, InputRecord]) -> FusionResult:
+        of = grids if members is aligned.group else aligned.grids_of(members)
+        return vote_on_lattice(of, members, aligned.lattices, rest, config, device)
+
+    result = vote(aligned.group, aligned.others)
+    further = tuple(vote(members, {}) for members in aligned.group.others)
+    time_s = time.perf_counter() - began
+    return replace(result, pairs=aligned.group.pairs, others=further, time_s=time_s)
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedInputs:
+    """Inputs in one frame; what is left is the vote.
+
+    Attributes:
+        grids: all of them, in order.
+        group: the largest group that fits together, and further ones.
+        lattices: gives an input that votes at the common resolution.
+        others: what became of those that are not in the largest group, by name.
+    """
+
+    grids: tuple[OccupancyGrid, ...]
+    group: AlignedGroup
+    lattices: Lattices
+    others: Mapping[str, InputRecord]
+
+    def grids_of(self, members: Members) -> list[OccupancyGrid]:
+        """Return the inputs of a group, in order."""
+        return [grid for grid in self.grids if grid.name in members.alignments]
+
+
+def align_inputs(
+    grids: Sequence[OccupancyGrid],
+    config: FusionConfig,
+    device: ComputeDevice,
+    progress: Progress | None = None,
+    second_look: SecondLook | None = None,
+    starts: Starts | None = None,
+    in_part: Collection[str] = (),
+    scheduler: Scheduler | None = None,
+    *,
+    is_stored: bool = False,
+) -> AlignedInputs:
+    """Bring the grids into one frame; see ``fuse_grids``.
+
+    Args:
+        grids, config, device, progress, second_look, starts, in_part, scheduler: as there.
+        is_stored: the vote will be held tile by tile, and take no memory to speak of.
+
+    Raises:
+        AlignmentError, ConfigError, MemoryBudgetError: as there.
+    """
     check_votes(config.vote)
     _check_names(grids)
     odd = odd_resolutions({grid.name: grid.resolution for grid in grids})
     copies = _copies(grids, config, starts)
     voters = [grid for grid in grids if grid.name not in copies and grid.name not in odd]
-    prepared = PreparedInputs(voters, config, device)
+    prepared = PreparedInputs(voters, config, device, is_stored=is_stored)
     reasons = {name: reason for name, reason in odd.items() if name not in copies}
     reasons |= prepared.reasons
     names = [grid.name for grid in grids]
@@ -90,20 +145,7 @@ def fuse_grids(
     for grid in grids:
         if grid.name in copies:
             others[grid.name] = _copy(grid, copies[grid.name], group.alignments | shown)
-    grid_of = {grid.name: grid for grid in grids}
-
-    def vote(
-        of: Sequence[OccupancyGrid], members: Members, rest: Mapping[str, InputRecord]
-    ) -> FusionResult:
-        return vote_on_lattice(of, members, prepared.lattice, rest, config, device)
-
-    result = vote(grids, group, others)
-    further = tuple(
-        vote([grid_of[name] for name in names if name in members.alignments], members, {})
-        for members in group.others
-    )
-    time_s = time.perf_counter() - began
-    return replace(result, pairs=group.pairs, others=further, time_s=time_s)
+    return AlignedInputs(tuple(grids), group, prepared.lattice, others)
 
 
 def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice) -> FusionResult:

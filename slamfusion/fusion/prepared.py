@@ -30,7 +30,12 @@ class PreparedInputs:
     """
 
     def __init__(
-        self, grids: Sequence[OccupancyGrid], config: FusionConfig, device: ComputeDevice
+        self,
+        grids: Sequence[OccupancyGrid],
+        config: FusionConfig,
+        device: ComputeDevice,
+        *,
+        is_stored: bool = False,
     ) -> None:
         """Normalise every input.
 
@@ -38,11 +43,12 @@ class PreparedInputs:
             grids: one or more.
             config: ``normalize`` is used.
             device: computes.
+            is_stored: the inputs will vote tile by tile.
 
         Raises:
             MemoryBudgetError: the grids are too large for the memory that is free.
         """
-        check_resampling(grids, config.normalize, "fusing")
+        check_resampling(grids, config.normalize, "fusing", is_stored=is_stored)
         self._grids = {grid.name: grid for grid in grids}
         self._config, self._device = config.normalize, device
         self._resolution = common_resolution(list(grids), config.normalize)

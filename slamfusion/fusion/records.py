@@ -18,6 +18,7 @@ __all__ = [
     "OUTVOTED",
     "Alignment",
     "AlignmentJson",
+    "Fusion",
     "FusionResult",
     "InputRecord",
     "MatchEvidence",
@@ -25,6 +26,7 @@ __all__ = [
     "PathGapJson",
     "RunnerUp",
     "RunnerUpJson",
+    "StoredFusion",
     "VoteResult",
     "VotedLayer",
     "voted_cells",
@@ -374,35 +376,27 @@ class VoteResult:
     phantom_cells: int
 
 
-@dataclass(frozen=True)
-class FusionResult:
-    """A fused map and everything needed to judge it.
+@dataclass(frozen=True, kw_only=True)
+class Fusion:
+    """What became of the inputs of a fusion.
 
     Attributes:
-        reference: name of the reference input.
+        reference: name of the reference input, whose frame and lattice the fused map has.
         inputs: one record per input, in the order given.
-        fused: cells in {-1, 0, 100}; frame and lattice of the reference. Backs of walls
-            (``surfaces``) are occupied and have no agreement.
-        agreement: cells 0..100 or -1 on the same lattice.
         pairs: every pair that was aligned, also between rejected inputs.
-        phantom_cells: occupied in the fused grid by vote, occupied in no input.
+        phantom_cells: occupied in the fused map by vote, occupied in no input.
         weights: vote weight of each accepted input, by name.
         device: the device that computed it, in words.
         time_s: wall time of the whole fusion.
-        others: fusions of further groups of inputs, which share nothing that could be found with
-            those of this one; the larger first. Their inputs are the members of the group.
     """
 
     reference: str
     inputs: tuple[InputRecord, ...]
-    fused: OccupancyGrid
-    agreement: OccupancyGrid
     pairs: tuple[Alignment, ...]
     phantom_cells: int
     weights: dict[str, float]
     device: str
     time_s: float
-    others: tuple[FusionResult, ...] = ()
 
     @property
     def accepted(self) -> tuple[InputRecord, ...]:
@@ -421,7 +415,43 @@ class FusionResult:
         """The inputs for which another votes that is the same map."""
         return tuple(record for record in self.inputs if record.copy_of is not None)
 
+
+@dataclass(frozen=True, kw_only=True)
+class FusionResult(Fusion):
+    """A fused map and everything needed to judge it.
+
+    Attributes:
+        fused: cells in {-1, 0, 100}; frame and lattice of the reference. Backs of walls
+            (``surfaces``) are occupied and have no agreement.
+        agreement: cells 0..100 or -1 on the same lattice.
+        others: fusions of further groups of inputs, which share nothing that could be found with
+            those of this one; the larger first. Their inputs are the members of the group.
+    """
+
+    fused: OccupancyGrid
+    agreement: OccupancyGrid
+    others: tuple[FusionResult, ...] = ()
+
     @property
     def wall_backs(self) -> int:
         """Cells of the fused grid that are occupied by wall thickening alone, without a vote."""
         return int(np.count_nonzero((self.fused.cells == OCCUPIED) & (self.agreement.cells < 0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredFusion(Fusion):
+    """A fused map in a store, and everything that is known of it without reading it again.
+
+    Attributes:
+        shape: rows and columns of the fused map.
+        resolution: metres a cell.
+        origin: pose of the lower-left corner of its first cell; the frame is the reference's.
+        wall_backs: see ``FusionResult``.
+        others: see ``FusionResult``.
+    """
+
+    shape: tuple[int, int]
+    resolution: float
+    origin: Pose2
+    wall_backs: int
+    others: tuple[StoredFusion, ...] = ()

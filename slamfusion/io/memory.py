@@ -49,13 +49,19 @@ def available_memory() -> int:
     return max(min(rooms), 0)
 
 
-def check_memory(bytes_needed: int, what: str, where: str) -> None:
+def check_memory(
+    bytes_needed: int,
+    what: str,
+    where: str,
+    mend: str = "free memory, crop it or use a coarser cell",
+) -> None:
     """Refuse work that would not fit into memory.
 
     Args:
         bytes_needed: the peak of the work, in bytes.
         what: the work, as the subject of a sentence: ``a 30000 x 30000 map``.
         where: the file, topic or option that asked for it.
+        mend: what to do.
 
     Raises:
         MemoryBudgetError: with the needed and the available amount; nothing was allocated.
@@ -64,7 +70,7 @@ def check_memory(bytes_needed: int, what: str, where: str) -> None:
     if bytes_needed > available:
         message = (
             f"{where}: {what} needs {format_bytes(bytes_needed)} of memory, but only "
-            f"{format_bytes(available)} is available; free memory, crop it or use a coarser cell"
+            f"{format_bytes(available)} is available; {mend}"
         )
         raise MemoryBudgetError(message)
 

@@ -16,11 +16,18 @@ from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.fleet import Scheduler
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.records import Alignment, AlignmentJson, FusionResult, InputRecord
+from slamfusion.fusion.records import (
+    Alignment,
+    AlignmentJson,
+    Fusion,
+    FusionResult,
+    InputRecord,
+    StoredFusion,
+)
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, save_map
-from slamfusion.jobs.documents import circumstances, record_bytes
+from slamfusion.jobs.documents import circumstances, path_text, record_bytes
 from slamfusion.jobs.evaluate import Evaluation, evaluate_maps
 from slamfusion.jobs.inputs import (
     NO_FILES,
@@ -61,6 +68,7 @@ __all__ = [
     "fuse_maps",
     "fusion_document",
     "fusion_sentences",
+    "group_document",
     "group_stems",
     "save_fused_maps",
     "write_failed_fusion",
@@ -88,7 +96,7 @@ class AllRequiredError(AlignmentError):
         result: what would have been fused.
     """
 
-    def __init__(self, result: FusionResult) -> None:
+    def __init__(self, result: Fusion) -> None:
         rejected = ", ".join(f"{record.name} ({record.reason})" for record in result.rejected)
         super().__init__(f"--require-all, but rejected: {rejected}; nothing was fused")
         self.pairs = result.pairs
@@ -320,7 +328,7 @@ def write_failed_fusion(
     from slamfusion.report import write_failure_report, write_fusion_report  # noqa: PLC0415
 
     folder = failure_folder(directory, report_files(directory))
-    if isinstance(error, AllRequiredError):
+    if isinstance(error, AllRequiredError) and isinstance(error.result, FusionResult):
         return write_fusion_report(error.result, folder, config=config, failure=str(error))
     return write_failure_report(
         grids, error.pairs, str(error), folder, config=config, device=device
@@ -342,8 +350,9 @@ def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
         **fusion_document(result, fused.doubled),
         "fused": f"{stem}.yaml",
         "agreement": f"{agreement_stem(stem)}.yaml",
+        "store": None,
         "groups": [
-            _group(item, own)
+            group_document(item, own)
             for item, own in zip(all_groups(result), group_stems(result, stem), strict=True)
         ],
         "evaluations": [evaluation.to_json() for evaluation in fused.evaluations],
@@ -373,6 +382,7 @@ def failed_fuse_document(
         **failure_document(grids, error.pairs, str(error)),
         "fused": None,
         "agreement": None,
+        "store": None,
         "groups": [],
         "evaluations": [],
         **given.to_json(),
@@ -382,15 +392,17 @@ def failed_fuse_document(
     }
 
 
-def fusion_document(result: FusionResult, doubled: DoubledWalls) -> FusionJson:
-    """Return what a JSON document says of a fusion."""
+def fusion_document(
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None
+) -> FusionJson:
+    """Return what a JSON document says of a fusion; doubled walls where they were measured."""
     return {
         "inputs": [_input(record, result.reference) for record in result.inputs],
         "reference": result.reference,
         "fused_count": len(result.accepted),
         "phantom_cells": result.phantom_cells,
         "wall_backs": result.wall_backs,
-        "doubled_wall_share": doubled.to_json(),
+        "doubled_wall_share": None if doubled is None else doubled.to_json(),
         "weights": result.weights,
         "pairs": [pair.to_json() for pair in result.pairs],
         "copies": {
@@ -431,7 +443,9 @@ def failure_document(
     }
 
 
-def fusion_sentences(result: FusionResult, doubled: DoubledWalls) -> tuple[str, ...]:
+def fusion_sentences(
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None
+) -> tuple[str, ...]:
     """Say how many inputs were fused, what became of the others, and what the vote added."""
     text = f"fused {len(result.accepted)} of {len(result.inputs)} inputs"
     if result.rejected:
@@ -441,24 +455,32 @@ def fusion_sentences(result: FusionResult, doubled: DoubledWalls) -> tuple[str, 
         text += f"; {record.name}: {record.reason}"
     if result.others:
         text += f"; {further_groups(result)}"
+    share = "" if doubled is None else f"{doubled.added:.1%} of the walls doubled by the fusion, "
     added = (
         f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
-        f"{doubled.added:.1%} of the walls doubled by the fusion, {result.time_s:.2f} s"
+        f"{share}{result.time_s:.2f} s"
     )
     return text, added
 
 
-def further_groups(result: FusionResult) -> str:
+def further_groups(result: FusionResult | StoredFusion) -> str:
     """Say which inputs are fused apart from the largest group."""
     groups = [", ".join(record.name for record in other.accepted) for other in result.others]
     return "fused apart, as they share nothing with these: " + "; ".join(groups)
 
 
-def _group(result: FusionResult, stem: Path) -> FusedGroupJson:
-    """Return what is said of one group, whose fused map has a path without suffix."""
+def group_document(result: Fusion, stem: Path | None, store: Path | None = None) -> FusedGroupJson:
+    """Return what is said of one group.
+
+    Args:
+        result: the fusion.
+        stem: path of its map without suffix; None: it has no such files.
+        store: that holds it; None: none does.
+    """
     return {
-        "fused": f"{stem}.yaml",
-        "agreement": f"{agreement_stem(stem)}.yaml",
+        "fused": None if stem is None else f"{stem}.yaml",
+        "agreement": None if stem is None else f"{agreement_stem(stem)}.yaml",
+        "store": path_text(store),
         "reference": result.reference,
         "inputs": [
             record.alignment.to_json() for record in result.accepted if record.alignment is not None

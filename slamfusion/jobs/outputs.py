@@ -22,6 +22,7 @@ __all__ = [
     "PROBABILITY",
     "REPORT",
     "RUN_RECORD",
+    "STORE_END",
     "SUFFIXES",
     "earlier_results",
     "failure_folder",
@@ -47,6 +48,8 @@ AGREEMENT_END = "_agreement"
 AGREEMENT = FUSED + AGREEMENT_END
 # What a run calls the map that is drawn at the fused path.
 DRAWN = "drawn"
+# How the name of a store ends, of a fused map that is written tile by tile.
+STORE_END = ".zarr"
 # The file of the fused path.
 FUSED_PATH = FUSED + ".tum"
 # The record of a run that made a fused map: its JSON document.

@@ -164,10 +164,12 @@ class FusionJson(TypedDict):
 class FusedGroupJson(TypedDict):
     """Inputs that share ground, and the map that they became."""
 
-    fused: str
-    """YAML file of the fused map."""
-    agreement: str
-    """YAML file of the agreement map."""
+    fused: str | None
+    """YAML file of the fused map; null where it is in a store alone."""
+    agreement: str | None
+    """YAML file of the agreement map; null where it is in a store alone."""
+    store: str | None
+    """Zarr store of both, with -o OUT.zarr; else null."""
     reference: str
     """The input whose frame and lattice the fused map has."""
     inputs: Sequence[AlignmentJson]
@@ -189,9 +191,11 @@ class FuseDocument(FusionJson, GivenMapsJson, CircumstancesJson):
     """``slamfusion fuse``."""
 
     fused: str | None
-    """YAML file of the fused map; null where nothing was fused."""
+    """YAML file of the fused map; null where nothing was fused, or it is in a store alone."""
     agreement: str | None
-    """YAML file of the agreement map; null where nothing was fused."""
+    """YAML file of the agreement map; null where nothing was fused, or it is in a store alone."""
+    store: str | None
+    """Zarr store of both, with -o OUT.zarr; else null."""
     groups: Sequence[FusedGroupJson]
     """Groups of inputs that share ground, the largest, which is told above, first."""
     evaluations: Sequence[EvaluationJson]

@@ -103,6 +103,27 @@ def test_bad_map_is_one_line_and_nothing_is_written(tmp_path: Path, case: str) -
     assert tree(tmp_path) == before
 
 
+def test_no_scheduler_and_a_store_that_exists_are_one_line(tmp_path: Path) -> None:
+    fuse = ("fuse", *MAPS[:2], "--device", "numpy", "-o")
+    done = run(*fuse, tmp_path / "out", "--scheduler", "localhost:8786")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        "tcp://HOST:PORT or tls://HOST:PORT as a scheduler, found 'localhost:8786'" in done.stderr
+    )
+    assert len(done.stderr.splitlines()) == 1
+    both = run(*fuse, tmp_path / "out", "--scheduler", "local", "--processes", "2")
+    assert (both.returncode, both.stdout) == (2, "")
+    assert "give one of them" in both.stderr
+    pytest.importorskip("zarr", reason="Zarr comes with the fleet extra")
+    (tmp_path / "out.zarr").mkdir()
+    assert_one_line_failure(run(*fuse, tmp_path / "out.zarr"), "out.zarr exists", "remove it")
+    assert run(*fuse, tmp_path / "new.zarr", "--report", tmp_path / "page").returncode == 2
+    assert [item.name for item in tmp_path.iterdir()] == ["out.zarr"]
+    pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
+    away = run(*fuse, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
+    assert_one_line_failure(away, "no Dask scheduler answers at tcp://127.0.0.1:9")
+
+
 @pytest.mark.parametrize("command", ["align", "evaluate"])
 def test_other_commands_say_the_same(tmp_path: Path, command: str) -> None:
     bad = with_line("resolution", "-1")(tmp_path)

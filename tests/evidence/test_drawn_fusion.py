@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -100,9 +102,7 @@ def test_a_saved_map_is_laid_where_its_alignment_says() -> None:
 def test_rejected_inputs_stay_as_they_were() -> None:
     result = fits(DRAWN.with_name("a"))
     lone = InputRecord(written_map("lone", "|#.|"), None, False, "fits nowhere")
-    with_lone = FusionResult(
-        result.reference, (*result.inputs, lone), result.fused, result.agreement, (), 0, {}, "", 0.0
-    )
+    with_lone = replace(result, inputs=(*result.inputs, lone))
     made = fuse_with_drawn(with_lone, DRAWN, {"lone"}, BARE, NumpyDevice())
     assert made.inputs[1] is lone
     assert made.weights == {"drawn": 1.0}

@@ -30,4 +30,14 @@ def fits(*maps: OccupancyGrid, **transforms: Pose2) -> FusionResult:
             maps[0].name, item.name, at, True, "fits", 1.0, 1.0, 0.0, None, None, 0.0
         )
         records.append(InputRecord(item, alignment, True, "fits"))
-    return FusionResult(maps[0].name, tuple(records), maps[0], maps[0], (), 7, {}, "numpy", 0.0)
+    return FusionResult(
+        reference=maps[0].name,
+        inputs=tuple(records),
+        fused=maps[0],
+        agreement=maps[0],
+        pairs=(),
+        phantom_cells=7,
+        weights={},
+        device="numpy",
+        time_s=0.0,
+    )

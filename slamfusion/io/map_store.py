@@ -1,0 +1,195 @@
+"""Maps that do not fit into memory: Zarr stores of chunks, written one by one, in place at the end.
+
+A store is a folder in Zarr's format 2, which any Zarr library reads: the group's attributes have
+the map's ``resolution`` (metres a cell) and ``origin`` (x, y in metres and yaw in radians of the
+lower-left corner of cell [0, 0]), each array is (H, W) int8 with rows growing along +y. Chunks that
+nobody wrote are -1, unknown, and take no room.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.errors import GridError, MapFileError
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+
+__all__ = ["MapStore", "check_store", "read_stored_map"]
+
+
+class MapStore:
+    """A store that is being written; use it in a ``with`` block, which puts it in its place.
+
+    It is written beside its place under a name that begins with a dot. Where the block ends in an
+    error nothing is left of it.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        names: Sequence[str],
+        shape: tuple[int, int],
+        chunk: int,
+        resolution: float,
+        origin: Pose2,
+        attributes: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Begin a store.
+
+        Args:
+            path: of the store; nothing may be there.
+            names: of its arrays.
+            shape: rows and columns of each.
+            chunk: cells on a side of a chunk.
+            resolution: metres a cell.
+            origin: pose of the lower-left corner of cell [0, 0] in the map frame.
+            attributes: further ones of the group; JSON.
+
+        Raises:
+            MapFileError: something is there, nothing can be written there, or Zarr is not
+                installed.
+        """
+        self.path = Path(path)
+        check_store(self.path)
+        self._part = self.path.with_name(f".{self.path.name}.{secrets.token_hex(8)}")
+        zarr, version = _zarr()
+        import numcodecs  # noqa: PLC0415  (comes with Zarr)
+
+        try:
+            self._part.mkdir(parents=True)
+            group = zarr.open_group(str(self._part), mode="w", **version)
+            for name in names:
+                array = zarr.create(
+                    shape=shape,
+                    chunks=(min(chunk, shape[0]), min(chunk, shape[1])),
+                    dtype="i1",
+                    fill_value=UNKNOWN,
+                    compressor=numcodecs.Zlib(1),
+                    store=str(self._part),
+                    path=name,
+                    **version,
+                )
+                array.attrs["_ARRAY_DIMENSIONS"] = ["y", "x"]  # what xarray asks for
+            group.attrs.update(
+                {
+                    **(attributes or {}),
+                    "resolution": resolution,
+                    "origin": [origin.x, origin.y, origin.yaw_rad],
+                }
+            )
+            self._arrays = {name: group[name] for name in names}
+        except OSError as error:
+            self._remove()
+            raise self._cannot_write(error) from None
+
+    def write(self, name: str, box: CellBox, cells: npt.NDArray[np.int8]) -> None:
+        """Write a box of cells of an array; whole chunks are written without being read.
+
+        Raises:
+            GridError: the cells are others than those of the box.
+            MapFileError: they cannot be written.
+        """
+        if cells.shape != (box.height, box.width):  # which Zarr would cut, and say nothing
+            found = " x ".join(map(str, cells.shape))
+            message = f"{self.path}: wanted {box.height} x {box.width} cells, found {found}"
+            raise GridError(message)
+        try:
+            self._arrays[name][box.row0 : box.row1, box.col0 : box.col1] = cells
+        except OSError as error:
+            raise self._cannot_write(error) from None
+
+    def __enter__(self) -> MapStore:  # noqa: PYI034  typing.Self needs Python 3.11
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is not None:
+            self._remove()
+            return
+        try:
+            check_store(self.path)
+            self._part.rename(self.path)
+        except OSError as failure:
+            self._remove()
+            raise self._cannot_write(failure) from None
+        except MapFileError:
+            self._remove()
+            raise
+
+    def _remove(self) -> None:
+        with suppress(OSError):
+            shutil.rmtree(self._part)
+
+    def _cannot_write(self, error: OSError) -> MapFileError:
+        reason = error.strerror or str(error)
+        return MapFileError(f"{self.path}: cannot write: {reason}; choose another place")
+
+
+def check_store(path: Path) -> None:
+    """Refuse to write a store where something is, or without Zarr, before any work.
+
+    Raises:
+        MapFileError: something is there, or Zarr is not installed.
+    """
+    if os.path.lexists(path):
+        message = f"{path} exists, and a store is not written over; remove it or name another"
+        raise MapFileError(message)
+    _zarr()
+
+
+def read_stored_map(path: str | Path, name: str, box: CellBox | None = None) -> OccupancyGrid:
+    """Read a map, or a box of its cells, from a store.
+
+    Args:
+        path: of the store.
+        name: of the array.
+        box: of its cells; None: all of them.
+
+    Raises:
+        MapFileError: there is no such store, array or box, or Zarr is not installed.
+    """
+    zarr, _ = _zarr()
+    try:
+        group = zarr.open_group(str(path), mode="r")
+        array = group[name]
+        resolution = float(group.attrs["resolution"])
+        origin = Pose2(*(float(value) for value in group.attrs["origin"]))
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        message = f"{path}: no store with a map {name!r} ({error}); name one that fuse wrote"
+        raise MapFileError(message) from None
+    height, width = array.shape
+    box = box or CellBox(0, 0, height, width)
+    if not (0 <= box.row0 < box.row1 <= height and 0 <= box.col0 < box.col1 <= width):
+        message = f"{path}: wanted cells of {height} x {width}, asked for {box}"
+        raise MapFileError(message)
+    cells = np.ascontiguousarray(array[box.row0 : box.row1, box.col0 : box.col1], dtype=np.int8)
+    corner = origin.transform((box.col0 * resolution, box.row0 * resolution))
+    cells.flags.writeable = False
+    return OccupancyGrid(
+        cells, resolution, Pose2(float(corner[0]), float(corner[1]), origin.yaw_rad), name
+    )
+
+
+def _zarr() -> tuple[Any, dict[str, int]]:
+    """Return the library, and how it is told the format."""
+    try:
+        import zarr  # noqa: PLC0415  (an extra)
+    except ImportError as error:
+        message = f"a store needs Zarr ({error}); pip install 'slamfusion[fleet]'"
+        raise MapFileError(message) from None
+    is_new = int(zarr.__version__.split(".")[0]) >= 3
+    return zarr, {"zarr_format": 2} if is_new else {"zarr_version": 2}

@@ -1,0 +1,236 @@
+"""Saved maps become one that need not fit into memory: a Zarr store, voted on tile by tile."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.config import RunConfig
+from slamfusion.fleet import InProcess, Scheduler
+from slamfusion.fusion.groups import Members
+from slamfusion.fusion.lattice_vote import TILE
+from slamfusion.fusion.pipeline import AlignedInputs, align_inputs
+from slamfusion.fusion.records import Fusion, InputRecord, StoredFusion
+from slamfusion.fusion.start import place_starts
+from slamfusion.fusion.stored_vote import prepare_stored_vote
+from slamfusion.grid import OCCUPIED
+from slamfusion.io import AtomicFiles, save_map
+from slamfusion.io.map_store import MapStore, check_store, read_stored_map
+from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.fuse import (
+    AllRequiredError,
+    agreement_stem,
+    check_count,
+    fusion_document,
+    group_document,
+)
+from slamfusion.jobs.inputs import GivenMaps, MapInput, Progress, Warn, as_grids, device_for
+from slamfusion.jobs.outputs import FUSED, group_stem
+from slamfusion.jobs.records import FuseDocument
+
+__all__ = ["StoredMaps", "fuse_into_store"]
+
+_LOG = logging.getLogger(__name__)
+
+# Arrays of a store: the fused map is called as a run calls it.
+AGREEMENT_ARRAY = "agreement"
+# Cells of a fused map that is also written as files of a map server: 11585 x 11585. Larger ones no
+# map server loads within a GiB.
+FILES_CELLS = 1 << 27
+
+
+@dataclass(frozen=True, eq=False)
+class StoredMaps:
+    """Maps that were fused into stores.
+
+    Attributes:
+        config: the settings in effect.
+        result: what became of the inputs of the largest group, and in ``others`` of further ones.
+        stores: of each group, the largest first.
+        stems: the files of a map server beside each, paths without suffix; None: the map is too
+            large.
+        given: the files of the inputs.
+    """
+
+    config: RunConfig
+    result: StoredFusion
+    stores: tuple[Path, ...]
+    stems: tuple[Path | None, ...]
+    given: GivenMaps
+
+    def to_json(self) -> FuseDocument:
+        """Return what ``slamfusion fuse`` prints as JSON."""
+        groups = [
+            group_document(result, stem, store)
+            for result, stem, store in zip(
+                (self.result, *self.result.others), self.stems, self.stores, strict=True
+            )
+        ]
+        return {
+            **fusion_document(self.result, None),
+            "fused": groups[0]["fused"],
+            "agreement": groups[0]["agreement"],
+            "store": groups[0]["store"],
+            "groups": groups,
+            "evaluations": [],
+            **self.given.to_json(),
+            **circumstances(self.config, self.result.device),
+            "time_s": self.result.time_s,
+        }
+
+
+def fuse_into_store(
+    maps: Sequence[MapInput],
+    store: str | Path,
+    config: RunConfig | None = None,
+    device: ComputeDevice | None = None,
+    *,
+    resolution: float | None = None,
+    given: GivenMaps | None = None,
+    scheduler: Scheduler | None = None,
+    progress: Progress | None = None,
+    warn: Warn = _LOG.warning,
+) -> StoredMaps:
+    """Align maps of one place and fuse them tile by tile into a Zarr store.
+
+    The cells are those of ``fuse_maps``. In memory are the inputs and a few tiles, never the fused
+    map. The store has the arrays ``fused`` (-1, 0, 100) and ``agreement`` (-1, 0 to 100); maps of
+    up to ``FILES_CELLS`` cells are also written as files of a map server beside it.
+
+    Args:
+        maps, config, device, resolution, given, scheduler, progress, warn: see ``fuse_maps``; tiles
+            are tasks, too.
+        store: ``OUT.zarr``; nothing may be there. Further groups go to ``OUT-2.zarr`` ...
+
+    Raises:
+        MapFileError: something is there, Zarr is not installed, or a map cannot be read or written.
+        AlignmentError, ConfigError, MemoryBudgetError, DeviceError, FleetError, SlamFusionError:
+            see ``fuse_maps``. The mode ``weighted`` needs whole maps.
+    """
+    began_s = time.perf_counter()
+    store, config = Path(store), config or RunConfig()
+    check_count(maps)
+    check_store(store)
+    grids = as_grids(maps, config, resolution=resolution, warn=warn)
+    names = [grid.name for grid in grids]
+    starts = place_starts(config.start, names, config.fusion.reference)
+    device = device_for(config, device)
+    aligned = align_inputs(
+        grids, config.fusion, device, progress, starts=starts, scheduler=scheduler, is_stored=True
+    )
+    if config.fusion.require_all:
+        _check_all(aligned, device)
+    scheduler = scheduler or InProcess(config.device.device)
+    groups = (aligned.group, *aligned.group.others)
+    stem = store.with_suffix("")
+    stems = [stem, *(group_stem(stem, number) for number in range(2, len(groups) + 1))]
+    stores = tuple(path.with_name(path.name + store.suffix) for path in stems)
+    with ExitStack() as open_stores:
+        results = [
+            _vote_into(open_stores, aligned, members, path, config, device, scheduler, progress)
+            for members, path in zip(groups, stores, strict=True)
+        ]
+    written: list[Path | None] = []
+    for result, path, own in zip(results, stores, stems, strict=True):
+        is_small = result.shape[0] * result.shape[1] <= FILES_CELLS
+        written.append(own if is_small else None)
+        if is_small:
+            _write_files(path, own)
+    whole = replace(
+        results[0],
+        pairs=aligned.group.pairs,
+        others=tuple(results[1:]),
+        time_s=time.perf_counter() - began_s,
+    )
+    given = given or GivenMaps.of(maps, resolution)
+    return StoredMaps(config, whole, stores, tuple(written), given)
+
+
+def _check_all(aligned: AlignedInputs, device: ComputeDevice) -> None:
+    """Refuse a fusion that has to leave an input out."""
+    so_far = Fusion(
+        reference=aligned.group.reference,
+        inputs=_records(aligned, aligned.group, aligned.others),
+        pairs=aligned.group.pairs,
+        phantom_cells=0,
+        weights={},
+        device=device.name,
+        time_s=0.0,
+    )
+    if so_far.rejected:
+        raise AllRequiredError(so_far)
+
+
+def _vote_into(
+    open_stores: ExitStack,
+    aligned: AlignedInputs,
+    members: Members,
+    path: Path,
+    config: RunConfig,
+    device: ComputeDevice,
+    scheduler: Scheduler,
+    progress: Progress | None,
+) -> StoredFusion:
+    """Hold the vote of a group; its store is put in place when all are written."""
+    vote = prepare_stored_vote(members, aligned.lattices, config.fusion)
+    opened = open_stores.enter_context(
+        MapStore(
+            path,
+            (FUSED, AGREEMENT_ARRAY),
+            vote.shape,
+            TILE,
+            vote.resolution,
+            vote.origin,
+            {"reference": members.reference, "inputs": list(members.alignments)},
+        )
+    )
+    phantom_cells = wall_backs = 0
+    for box, decided in vote.decide(scheduler, progress):
+        fused = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
+        opened.write(FUSED, box, fused)
+        opened.write(AGREEMENT_ARRAY, box, decided.agreement)
+        phantom_cells += decided.phantom_cells
+        wall_backs += int(np.count_nonzero((fused == OCCUPIED) & (decided.agreement < 0)))
+    is_largest = members is aligned.group
+    return StoredFusion(
+        reference=members.reference,
+        inputs=_records(aligned, members, aligned.others if is_largest else {}),
+        pairs=(),
+        phantom_cells=phantom_cells,
+        weights=dict(vote.ballot.weights),
+        device=device.name,
+        time_s=0.0,
+        shape=vote.shape,
+        resolution=vote.resolution,
+        origin=vote.origin,
+        wall_backs=wall_backs,
+    )
+
+
+def _records(
+    aligned: AlignedInputs, members: Members, others: Mapping[str, InputRecord]
+) -> tuple[InputRecord, ...]:
+    """Return the records of a group, and of those that are in none, in the order of the inputs."""
+    found = []
+    for grid in aligned.grids:
+        pair = members.alignments.get(grid.name)
+        if pair is not None:
+            found.append(InputRecord(grid, pair, True, pair.reason))
+        elif grid.name in others:
+            found.append(others[grid.name])
+    return tuple(found)
+
+
+def _write_files(store: Path, stem: Path) -> None:
+    """Write the maps of a store as files of a map server."""
+    with AtomicFiles() as files:
+        save_map(read_stored_map(store, FUSED), stem, files=files)
+        agreement = read_stored_map(store, AGREEMENT_ARRAY)
+        save_map(agreement, agreement_stem(stem), mode="raw", files=files)
