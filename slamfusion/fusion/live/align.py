@@ -110,6 +110,10 @@ class Aligner:
         self.lattice = lattice
         self._found = {pair: Searched(score, 1.0, 0.0, "") for pair, score in scores.items()}
 
+    def remove(self, name: str) -> None:
+        """Forget what the searches gave for an input."""
+        self._found = {pair: found for pair, found in self._found.items() if name not in pair}
+
     # -- tracking ---------------------------------------------------------------------------------
 
     def follow(self, track: Track, held: Held, is_wanted: Callable[[], bool] | None = None) -> bool:
@@ -252,25 +256,21 @@ class Aligner:
 
         config, device = self.config.align, self.device
         cancel = CancelToken(is_wanted, device)
+        sides, where = (held.features, own), start
+        if is_swapped:
+            sides, where = (own, held.features), None if start is None else start.inverse()
         try:
-            if is_swapped:
-                back = None if start is None else start.inverse()
-                pair = align_features(
-                    own, held.features, config, device, back, cancel,
-                    thorough=False, image_after=MAY_BE_IMAGE,
-                )  # fmt: skip
-                pair = replace(pair, transform=pair.transform.inverse())
-            else:
-                pair = align_features(
-                    held.features, own, config, device, start, cancel,
-                    thorough=False, image_after=MAY_BE_IMAGE,
-                )  # fmt: skip
+            pair = align_features(
+                *sides, config, device, where, cancel, thorough=False, image_after=MAY_BE_IMAGE
+            )
         except CancelledSearchError:
             track.patience_s *= 2.0
             track.searches -= 1
             if not track.votes:
                 track.refuse("its search takes long and was put off for the maps of others")
             return None
+        if is_swapped:
+            pair = replace(pair, transform=pair.transform.inverse())
         track.patience_s = PATIENCE_S
         spent_s = time.perf_counter() - began
         track.rest_s = 0.0 if pair.accepted or spent_s < PATIENCE_S else REST * spent_s

@@ -25,9 +25,11 @@ The rules, for a robot that drives by the fused map:
   anything is done with them (``live.limits``); a map that is not believed takes no room in the
   fused one. A search in vain is followed by a long pause, and a long one is put off while maps of
   others wait, so that one bad map does not silence the others.
-* **Reference.** It is the input that others are aligned to. It hands over when it is lost, when its
-  walls moved, or when two others agree with each other and not with it; never because another
-  looks better.
+* **Leaving.** An input that is removed takes its vote, its place and its layer with it at once; one
+  that comes under its name later is a new input.
+* **Reference.** It is the input that others are aligned to. It hands over when it is lost or
+  removed, when its walls moved, or when two others agree with each other and not with it; never
+  because another looks better.
 * **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
   One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
   decides, or else the last map that was agreed on: the one that still fits it goes on. Where both
@@ -61,8 +63,8 @@ __all__ = ["LiveFusion"]
 class LiveFusion:
     """Fuse maps that arrive again and again; the fused frame never moves.
 
-    ``put``, ``reject`` and ``drop`` are quick and may be called from any thread; ``update`` and
-    ``reset`` from one, which does the work.
+    ``put``, ``reject`` and ``drop`` are quick and may be called from any thread; ``update``,
+    ``remove`` and ``reset`` from one, which does the work.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class LiveFusion:
         with self._poses_lock:
             self._poses = PoseWatch(self._live)
         self._restored: dict[str, Pose2] = {}
+        self._has_left = False
 
     # -- inbox ------------------------------------------------------------------------------------
 
@@ -137,6 +140,16 @@ class LiveFusion:
         """Take an input that was dropped for present again, with the last map that it sent."""
         track = self._tracks.get(name)
         self._inbox.recall(name, None if track is None else track.grid)
+
+    def remove(self, name: str) -> None:
+        """Forget an input, its vote and its place; under its name a new one may come."""
+        self._inbox.remove(name)
+        self._supervisor.remove(name)
+        self._voting.remove(name)
+        self._restored.pop(name, None)
+        with self._poses_lock:
+            self._poses.remove(name)
+        self._has_left = True
 
     def reset(self) -> None:
         """Forget the fused frame; every input's newest map starts the next one."""
@@ -214,6 +227,7 @@ class LiveFusion:
         clock = [time.perf_counter()]
         before, resolution = self._state(), self._voting.resolution
         has_news = self._intake.collect(self._supervisor, self._restored, resolution, now_s)
+        has_news, self._has_left = has_news or self._has_left, False
         self._contradict()
         clock.append(time.perf_counter())
         self._supervisor.align(

@@ -93,6 +93,11 @@ class Inbox:
             item.gone, item.is_new = None, True
             item.grid = grid
 
+    def remove(self, name: str) -> None:
+        """Forget an input and whatever of it waits."""
+        with self._lock:
+            self._received.pop(name, None)
+
     def refill(self, grids: Mapping[str, OccupancyGrid | None]) -> None:
         """Let maps that were taken wait again, but where a newer one does or the input is lost."""
         with self._lock:

@@ -138,6 +138,12 @@ class PoseWatch:
             turn_rad > LINK_SHARE * live.pose_apart_rad
         )
 
+    def remove(self, name: str) -> None:
+        """Forget an input and whom it was linked with."""
+        self._placed.pop(name, None)
+        self._poses.pop(name, None)
+        self._pairs = {names: pair for names, pair in self._pairs.items() if name not in names}
+
     def hear(self, name: str, stamp_s: float, pose: Pose2) -> None:
         """Take a pose of an input.
 

@@ -30,19 +30,23 @@ ROUNDS = 8
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """The newest message of an input.
+    """The newest message of an input, or the news that it is no input any more.
 
     Attributes:
         name: of the input.
         grid: its map; None where it cannot be read.
         problem: why not, one line; empty with ``grid``.
         arrived_s: when it came, on the clock of the session.
+        is_saved: read from a file: it never grows stale.
+        is_removed: it is no input any more; there is no map.
     """
 
     name: str
     grid: OccupancyGrid | None
     problem: str
     arrived_s: float
+    is_saved: bool = False
+    is_removed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +76,7 @@ class Snapshot:
         noted_s: when that was, on the clock of the session.
         update: the last one; None before the first.
         updates, searches, resets: how often.
-        votes: how often an input got or lost its vote, or came.
+        votes: how often an input got or lost its vote, or came, or left with its vote.
     """
 
     believed: Believed = field(default_factory=Believed)
@@ -94,10 +98,13 @@ class Ports(Protocol):
     """What a session asks of whoever receives maps and publishes; in the worker's thread."""
 
     def take(self) -> Sequence[Arrived]:
-        """Return the newest message of each input that sent one since the last call."""
+        """Return what came since the last call: who was removed, then each one's newest message.
+
+        After an input was removed no message of it comes, but of a new one that has its name.
+        """
 
     def has_maps(self) -> bool:
-        """Whether a message waits to be taken; asked often, so it must be quick."""
+        """Whether anything waits to be taken; asked often, so it must be quick."""
 
     def has_come(self, name: str) -> bool:
         """Whether an input has sent a map, or is a saved one."""
@@ -207,6 +214,10 @@ class FusionSession:
                 return True
         return False
 
+    def forget(self, name: str) -> None:
+        """Forget how an input was that is none any more; from the thread of ``look``."""
+        self._lost.discard(name)
+
     # -- in the worker's thread -------------------------------------------------------------------
 
     def turn(self, ports: Ports) -> None:
@@ -245,12 +256,15 @@ class FusionSession:
     def _take(self, arrived: Sequence[Arrived]) -> bool:
         """Hand what came to the fusion; return whether there was any."""
         for item in arrived:
+            if item.is_removed:
+                self._live.remove(item.name)
+                continue
             if self._arrived_s is None:
                 self._arrived_s = item.arrived_s
             if item.grid is None:
                 self._live.reject(item.name, item.problem, item.arrived_s)
             else:
-                self._live.put(item.name, item.grid, item.arrived_s)
+                self._live.put(item.name, item.grid, item.arrived_s, is_saved=item.is_saved)
         return bool(arrived)
 
     def _note(self, update: LiveUpdate, ports: Ports) -> None:
@@ -263,6 +277,8 @@ class FusionSession:
             if old is None or old.accepted != record.accepted:
                 votes += 1
                 ports.say_vote(record)
+        left = before.believed.inputs.keys() - records.keys()
+        votes += sum(before.believed.inputs[name].accepted for name in left)
         voters = [name for name, record in records.items() if record.accepted]
         if voters:
             self._memory.confirm()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.cancel import CancelledSearchError
-from slamfusion.fusion.live.align import Aligner, Held
+from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.recovery import recover
@@ -70,6 +70,11 @@ class InputSupervisor:
         self._aligner.restore(lattice, scores)
         self.problem = "no input has come yet"
 
+    def remove(self, name: str) -> None:
+        """Forget an input; where it was the reference, another one takes over."""
+        self.tracks.pop(name, None)
+        self._aligner.remove(name)
+
     @property
     def has_searched(self) -> bool:
         """Whether the last round searched an input everywhere."""
@@ -110,8 +115,7 @@ class InputSupervisor:
 
     def _begin(self) -> None:
         """Try the first fusion, once for every new map and not too often."""
-        live = [track for track in self.tracks.values() if track.is_live]
-        usable = fusable(live, self._config.normalize)
+        usable = fusable([t for t in self.tracks.values() if t.is_live], self._config.normalize)
         least = self._live.minimum_inputs
         if len(usable) < least:
             self._doubt(usable, f"waits for {least} inputs that agree, has {len(usable)}")
@@ -223,7 +227,7 @@ class InputSupervisor:
                 self._arbitrate(track, reference, others)
             return
         if aligner.may_confirm(track):
-            is_left = aligner.confirm(track, self._held_all([*others, reference]))
+            is_left = aligner.confirm(track, [aligner.held(one) for one in (*others, reference)])
             track.tried = None if is_left else now
             return
         # The reference may share no ground with it where another input does.
@@ -237,9 +241,6 @@ class InputSupervisor:
         track.tried = now if is_last else None
         if was_voting:
             self._arbitrate(track, reference, others)
-
-    def _held_all(self, tracks: Sequence[Track]) -> list[Held]:
-        return [self._aligner.held(track) for track in tracks]
 
     def _arbitrate(self, track: Track, reference: Track, others: list[Track]) -> None:
         """Find who is wrong when an input that voted fits the reference no more.

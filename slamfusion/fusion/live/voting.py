@@ -53,6 +53,11 @@ class Voting:
         """Begin with the last fused map of an earlier run, which no layer is under yet."""
         self.begin(state.lattice).restore(state.box, state.fused, state.agreement)
 
+    def remove(self, name: str) -> None:
+        """Take an input's layer away; the next vote goes without it."""
+        if self.layers is not None:
+            self.layers.lift(name)
+
     def last_fused(self) -> OccupancyGrid | None:
         """Return the last fused map; None before the first."""
         if self.layers is None or self.layers.box is None:

@@ -254,3 +254,49 @@ def test_two_drawn_maps_are_fused_before_the_first_real_ones(
     monkeypatch.setattr(LiveFusion, "update", noted)
     warm_up(RunConfig(live=LiveConfig(minimum_inputs=1)), device)
     assert fused == [True, True], "a fusion, and a map that changed"
+
+
+def test_who_is_removed_is_told_at_once_and_its_name_may_come_again(device: ComputeDevice) -> None:
+    session, desk = started(device)
+    votes, searches = session.snapshot.votes, session.snapshot.searches
+    # The same name comes with the removal: a new input, that has to be looked for.
+    desk.waiting.append(Arrived("b", None, "", desk.now_s, is_removed=True))
+    desk.put(three()["b"])
+    later(session, desk)
+    assert list(session.snapshot.believed.inputs) == ["a", "c", "b"]
+    assert session.snapshot.believed.inputs["b"].maps == 1
+    assert session.snapshot.searches == searches + 1
+
+    votes = session.snapshot.votes
+    desk.waiting.append(Arrived("c", None, "", desk.now_s, is_removed=True))
+    went = len(desk.went)
+    later(session, desk)
+    assert list(session.snapshot.believed.inputs) == ["a", "b"]
+    assert session.snapshot.votes == votes + 1
+    assert len(desk.went) == went + 1, "the map of the other two"
+    assert desk.stamps[-1] == ("a", "b")
+
+
+def test_a_saved_map_comes_as_others_do_and_grows_never_stale(device: ComputeDevice) -> None:
+    session, desk = begun(device, stale_after_s=5.0)
+    saved = three()["c"]
+    desk.waiting.append(Arrived("c", saved, "", desk.now_s, is_saved=True))
+    desk.put(three()["a"], three()["b"])
+    session.turn(desk)
+    desk.now_s += 60.0
+    desk.put(touched(three()["a"], 1))
+    session.turn(desk)
+    accepted = {name: item.accepted for name, item in session.snapshot.believed.inputs.items()}
+    assert accepted == {"c": True, "a": True, "b": False}
+
+
+def test_one_that_was_lost_and_removed_is_not_lost_under_its_name(device: ComputeDevice) -> None:
+    session, desk = started(device)
+    assert session.look("b", "lost: killed", has_map=True, is_back=False)
+    later(session, desk)
+    session.forget("b")
+    desk.waiting.append(Arrived("b", None, "", desk.now_s, is_removed=True))
+    desk.put(three()["b"])
+    later(session, desk)
+    assert not session.look("b", "", has_map=True, is_back=True), "nothing is to be recalled"
+    assert session.snapshot.believed.inputs["b"].accepted

@@ -1,0 +1,132 @@
+"""An input that is removed: its vote, its place and all that was known of it go with it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.fusion.live.state import LiveState
+from slamfusion.geometry import Pose2
+from tests.fusion.live.maps import (
+    AWAY,
+    Drive,
+    assert_same_lattice,
+    live_fusion,
+    moved_frame,
+    on_lattice,
+    share_standing,
+    started,
+    three,
+    touched,
+)
+
+
+def test_its_vote_goes_with_it_and_the_map_is_that_of_the_others(device: ComputeDevice) -> None:
+    drive = started(device)
+    all_three = drive.fused
+    drive.live.remove("c")
+    update = drive.step()
+    assert [record.name for record in update.inputs] == ["a", "b"]
+    assert drive.accepted() == "ab"
+    assert drive.fused is not None
+    assert all_three is not None
+
+    two = Drive(live_fusion(device))
+    two.step(three()["a"], three()["b"])
+    assert two.fused is not None
+    assert_same_lattice(two.fused, drive.fused)
+    assert np.array_equal(on_lattice(two.fused, drive.fused), drive.fused.cells)
+    assert not np.array_equal(on_lattice(all_three, drive.fused), drive.fused.cells)
+    assert drive.maybe() is None, "told once"
+
+
+def test_the_reference_leaves_and_the_frame_stays(device: ComputeDevice) -> None:
+    drive = started(device)
+    before = drive.fused
+    drive.live.remove("a")
+    update = drive.step()
+    assert update.reference in {"b", "c"}
+    assert drive.accepted() == "bc"
+    drive.step(touched(three()["b"], 1), touched(three()["c"], 2))
+    assert drive.accepted() == "bc"
+    assert before is not None
+    assert drive.fused is not None
+    assert_same_lattice(before, drive.fused)
+    assert share_standing(before, drive.fused) > 0.9
+
+
+def test_who_comes_back_under_its_name_is_a_new_input(device: ComputeDevice) -> None:
+    drive = started(device)
+    place = drive.input("b").transform
+    drive.live.remove("b")
+    drive.step()
+    # Another robot, that calls its frame's origin elsewhere: the old place would lead astray.
+    other = moved_frame(three()["b"], AWAY)
+    update = drive.step(other)
+    assert update.is_full_search
+    assert drive.accepted() == "acb"
+    record = drive.input("b")
+    assert record.maps == 1
+    assert place is not None
+    assert record.transform is not None
+    there = record.transform.compose(AWAY)
+    assert np.hypot(there.x - place.x, there.y - place.y) < 0.2
+
+
+def test_a_map_that_waits_leaves_too_and_the_last_leaves_its_map(device: ComputeDevice) -> None:
+    drive = started(device)
+    drive.live.put("b", touched(three()["b"], 1), drive.now_s)
+    for name in "abc":
+        drive.live.remove(name)
+    update = drive.step()
+    assert update.inputs == ()
+    assert update.fused is None
+    assert update.problem == "no input is left"
+    # The frame outlives them all: who comes fits the last map that was fused.
+    before = drive.fused
+    drive.step(touched(three()["c"], 1))
+    drive.step(touched(three()["c"], 2))
+    assert drive.accepted() == "c"
+    assert before is not None
+    assert drive.fused is not None
+    assert_same_lattice(before, drive.fused)
+
+
+def test_nothing_is_left_of_it_in_the_state(device: ComputeDevice) -> None:
+    drive = started(device)
+    drive.live.remove("b")
+    drive.step()
+    state = drive.live.state()
+    assert isinstance(state, LiveState)
+    assert set(state.transforms) == {"a", "c"}
+    assert all("b" not in pair for pair in state.scores)
+    # Nor of one that had a place before a restart and is removed before it came.
+    again = live_fusion(device)
+    again.restore(state)
+    again.remove("c")
+    kept = again.state()
+    assert kept is not None
+    assert set(kept.transforms) == {"a"}
+
+
+def test_its_poses_contradict_nobody_any_more(device: ComputeDevice) -> None:
+    drive = started(device)
+    places = {name: drive.input(name).transform for name in "abc"}
+
+    def tell(stamp_s: float, at: Pose2, **wrong: Pose2) -> None:
+        for name, place in places.items():
+            assert place is not None
+            pose = wrong.get(name, at)
+            drive.live.hear(name, stamp_s, place.inverse().compose(pose))
+
+    for step in range(40):  # they drive together, so that they are one robot's
+        tell(0.1 * step, Pose2(0.1 * step, 0.0, 0.0))
+    for step in range(80):  # one of them goes elsewhere
+        tell(4.0 + 0.1 * step, Pose2(4.0, 0.0, 0.0), b=Pose2(4.0, 3.0, 0.0))
+    drive.step(touched(three()["a"], 1))
+    assert drive.accepted() == "ac"
+    assert "contradict" in drive.input("b").reason
+    drive.live.remove("b")
+    drive.step()
+    drive.step(three()["b"])
+    assert drive.accepted() == "acb", "nothing is known of the new one's poses"
