@@ -25,7 +25,8 @@ class Feed:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._changed = threading.Condition()
-        self._waiting: dict[str, tuple[OccupancyGrid, Kind, bool]] = {}
+        # None: the map is to be taken away.
+        self._waiting: dict[str, tuple[OccupancyGrid, Kind, bool] | None] = {}
         self._viewers = 0
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="page feed", daemon=True)
@@ -35,6 +36,12 @@ class Feed:
         """Let a map wait, in the place of an older one of that name; its cells must stay."""
         with self._changed:
             self._waiting[name] = grid, kind, is_shown
+            self._changed.notify_all()
+
+    def remove(self, name: str) -> None:
+        """Let a map be taken away, also one that waits."""
+        with self._changed:
+            self._waiting[name] = None
             self._changed.notify_all()
 
     def count_viewers(self, number: int) -> None:
@@ -58,8 +65,12 @@ class Feed:
                     return
                 # Those that have not changed for longest first.
                 name = next(iter(self._waiting))
-                grid, kind, is_shown = self._waiting.pop(name)
+                waiting = self._waiting.pop(name)
             try:
-                self._scene.put_map(name, grid, kind, is_shown=is_shown)
+                if waiting is None:
+                    self._scene.remove(name)
+                else:
+                    grid, kind, is_shown = waiting
+                    self._scene.put_map(name, grid, kind, is_shown=is_shown)
             except Exception:  # noqa: BLE001 - the page goes on; a map that cannot be shown is named
                 _LOG.exception("the map %r cannot be shown", name)

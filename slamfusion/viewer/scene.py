@@ -49,6 +49,7 @@ class _Layer:
         seq: when its description changed last.
         sent: of every tile ever sent in this epoch, when it changed last and its bytes.
         size: height and width of the newest state, cells.
+        is_gone: whether it was taken away; it may come again.
     """
 
     kind: Kind
@@ -59,10 +60,11 @@ class _Layer:
     seq: int = 0
     sent: dict[Place, tuple[int, bytes]] = field(default_factory=dict)
     size: tuple[int, int] = (0, 0)
+    is_gone: bool = False
 
 
 class Scene:
-    """What pages are told. Any thread may put and ask; maps come from one thread at a time.
+    """What pages are told. Any thread may put and ask; maps come and go in one thread at a time.
 
     Everything that is put gets a number, ``seq``, that only grows. A page that has everything up to
     a number is told what is newer, each thing once and in its newest state, however much came in
@@ -132,12 +134,25 @@ class Scene:
                 layer.sent.clear()
             if is_new or layer.size != grid.cells.shape:
                 layer.seq = self._next()
-            layer.size = grid.height, grid.width
+            layer.size, layer.is_gone = (grid.height, grid.width), False
             layer.sent |= {place: (self._next(), data) for place, data in sent.items()}
             self._layers[name] = layer
         if is_new or changed:
             self.on_change()
         return len(changed)
+
+    def remove(self, name: str) -> None:
+        """Take a map away, and the path of that name."""
+        with self._lock:
+            self._votes.pop(name, None)
+            self._trails.pop(name, None)
+            layer = self._layers.get(name)
+            if layer is None:
+                return
+            layer.tiled, layer.is_gone = TiledLayer(), True
+            layer.sent.clear()
+            layer.seq = self._next()
+        self.on_change()
 
     def put_status(self, inputs: Sequence[Mapping[str, Any]], **figures: Any) -> None:
         """Take how the inputs are; an input that got or lost its vote becomes an event.
@@ -220,7 +235,9 @@ def _newer(trail: deque[tuple[int, float, float]], seq: int) -> list[tuple[float
 
 
 def _described(name: str, layer: _Layer) -> dict[str, Any]:
-    """Return what a page needs to place and colour a map's tiles."""
+    """Return what a page needs to place and colour a map's tiles, or that it is gone."""
+    if layer.is_gone:
+        return {"name": name, "gone": True}
     lattice = layer.tiled.lattice or Lattice(1.0, Pose2())
     colours: dict[str, Rgb] = {"unknown": UNKNOWN_RGB, "free": FREE_RGB, "wall": WALL_RGB}
     if layer.kind == "input":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,19 @@ def status(scene: Scene, **inputs: tuple[bool, list[float] | None]) -> None:
         for name, (votes, place) in inputs.items()
     ]
     scene.put_status(told, poses=[], headline="as told", level="good", figures={})
+
+
+def leaves_and_comes_again(page: Any, server: PageServer, scene: Scene) -> None:
+    """An input that is removed leaves no row, no layer and no choice; it may come again."""
+    server.feed.remove("a")
+    status(scene)
+    page.wait_for_selector('#layers li[data-name="a"]', state="detached")
+    page.wait_for_selector('#inputs li[data-name="a"]', state="detached")
+    assert page.locator('#second option[value="a"]').count() == 0
+    server.feed.put("a", room(20, name="a", x=7.0), "input")
+    status(scene, a=(True, [-7.0, 0.0, 0.0]))
+    page.wait_for_selector('#layers li[data-name="a"]')
+    page.wait_for_selector('#inputs li[data-name="a"][data-votes="true"]')
 
 
 def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
@@ -76,6 +91,8 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
         page.click("#save")
         page.wait_for_selector("#answer.good")
         assert page.text_content("#answer") == "✓ save: done"
+
+        leaves_and_comes_again(page, server, scene)
 
         # The server dies and begins again: another scene, the same page and token.
         server.close()

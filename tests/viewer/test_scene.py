@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.page.feed import Feed
 from slamfusion.viewer.messages import TILE, encode_tile
 from slamfusion.viewer.scene import Scene
 from slamfusion.viewer.tiles import TiledLayer
@@ -132,3 +135,37 @@ def test_of_a_large_map_at_rest_nothing_is_cut_anew() -> None:
     assert layer.put(OccupancyGrid(cells, 0.05, Pose2(), "a")) == (True, [(3, 3)])
     assert list(layer.tiles) == [(3, 3)]
     assert layer.put(OccupancyGrid(cells.copy(), 0.05, Pose2(), "a")) == (False, [])
+
+
+def test_a_map_that_is_taken_away_is_told_and_may_come_again(scene: Scene) -> None:
+    grid = noise(50, 50)
+    scene.put_map("a", grid, "input")
+    scene.put_point("a", 1.0, 2.0)
+    _, seq = scene.since(0)
+    scene.remove("a")
+    scene.remove("never there")
+    later, seq = scene.since(seq)
+    assert texts(later, "layer") == [{"type": "layer", "name": "a", "gone": True}]
+    assert len(later) == 1
+    # Who looks only now is not shown it, and who comes again is drawn whole.
+    assert not tiles(scene.since(0)[0], "a")
+    assert not texts(scene.since(0)[0], "trail")
+    assert scene.put_map("a", grid, "input") == 1
+    later, _ = scene.since(seq)
+    (layer,) = texts(later, "layer")
+    assert layer["epoch"] == 2
+    assert np.array_equal(painted(tiles(later, "a"), 50, 50, (0, 0)), grid.cells)
+
+
+def test_a_feed_lets_the_newest_word_of_a_map_count(scene: Scene) -> None:
+    feed = Feed(scene)
+    feed.put("a", noise(50, 50), "input")
+    feed.put("b", noise(50, 50), "input")
+    feed.remove("a")
+    feed.count_viewers(1)
+    until_s = time.monotonic() + 10.0
+    while not tiles(scene.since(0)[0], "b") and time.monotonic() < until_s:
+        time.sleep(0.01)
+    feed.close()
+    assert tiles(scene.since(0)[0], "b")
+    assert not tiles(scene.since(0)[0], "a")

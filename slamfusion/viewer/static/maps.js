@@ -124,10 +124,21 @@ export class Maps {
     Object.assign(layer, message, { palette: paletteOf(message) });
     if (isNew) {
       layer.raster = new Raster(layer);
-      this.history = this.history.filter((item) => item.name !== name);
-      for (const place of this.base.keys()) if (place.startsWith(`${name}|`)) this.base.delete(place);
+      this.forget(name);
     }
     return layer;
+  }
+
+  /** A map that was taken away; what it was is not shown any more, at no time. */
+  remove(name) {
+    this.layers.delete(name);
+    this.forget(name);
+  }
+
+  forget(name) {
+    this.history = this.history.filter((item) => item.name !== name);
+    this.bytes = this.history.reduce((sum, item) => sum + item.body.length, 0);
+    for (const place of this.base.keys()) if (place.startsWith(`${name}|`)) this.base.delete(place);
   }
 
   async take(data) {

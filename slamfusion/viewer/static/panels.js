@@ -23,6 +23,12 @@ export class Inputs {
 
   show(status, colourOf) {
     if (this.rows.size === 0) this.list.replaceChildren();
+    const names = new Set(status.inputs.map((item) => item.name));
+    for (const [name, row] of this.rows) {
+      if (names.has(name)) continue;
+      row.item.remove();
+      this.rows.delete(name);
+    }
     for (const item of status.inputs) {
       const row = this.rows.get(item.name) ?? this.add(item.name);
       row.item.dataset.votes = String(item.votes);
@@ -119,7 +125,7 @@ export class Layers {
     const item = element("li");
     item.dataset.name = name;
     const shown = Object.assign(element("input"), { type: "checkbox", checked: layer.isShown });
-    shown.id = `shown-${this.names.size}`;
+    shown.id = `shown-${name}`;
     const label = Object.assign(element("label", name), { htmlFor: shown.id });
     const swatch = element("i");
     swatch.style.background = layer.kind === "agreement" ? css(DISAGREEMENT) : css(layer.colours.wall);
@@ -137,6 +143,14 @@ export class Layers {
     });
     item.append(shown, swatch, label, opacity);
     this.list.append(item);
+  }
+
+  remove(name) {
+    if (!this.names.delete(name)) return;
+    for (const item of this.list.children) if (item.dataset.name === name) item.remove();
+    for (const select of this.selects) {
+      for (const option of select.options) if (option.value === name) option.remove();
+    }
   }
 
   clear() {

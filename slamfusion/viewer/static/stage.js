@@ -57,7 +57,11 @@ export class Stage {
 
   /** Take a JSON message of a scene; see slamfusion/viewer/messages.py. */
   take(message) {
-    if (message.type === "layer") {
+    if (message.type === "layer" && message.gone) {
+      this.maps.remove(message.name);
+      this.layers.remove(message.name);
+      this.trails.delete(message.name);
+    } else if (message.type === "layer") {
       this.maps.describe(message);
       this.layers.show(this.maps.layers);
     } else if (message.type === "status") {
