@@ -230,7 +230,9 @@ NAME_LISTS = {
         NameList(
             "inputs",
             tuple(f"{name}/map" for name in PRODUCERS),
-            "what is fused: map topics, and file:PATH for saved maps",
+            "what is fused: map topics, and file:PATH for saved maps; NAME=TOPIC gives a name of "
+            "its own; may be changed while the node runs; default with discover: none but what is "
+            "found",
         ),
     ),
     "player": (

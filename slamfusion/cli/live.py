@@ -39,10 +39,16 @@ class _Client(Protocol):
     def set(self, name: str, value: str) -> LiveAnswerDocument:
         """Set a parameter."""
 
+    def add(self, name: str, topic: str | None) -> LiveAnswerDocument:
+        """Add an input."""
+
+    def remove(self, name: str) -> LiveAnswerDocument:
+        """Remove an input."""
+
 
 @click.group("live")
 def command() -> None:
-    """Ask a running fusion node how it is, and let it save, reset or change a setting."""
+    """Ask a running fusion node how it is; let it save, reset, and change inputs or settings."""
 
 
 def _node_options(function: Callable[..., int]) -> Callable[..., int]:
@@ -121,6 +127,27 @@ def save_command(client: _Client, as_json: bool) -> int:
 def reset_command(client: _Client, as_json: bool) -> int:
     """Begin a new fused frame with the newest maps."""
     return _tell(client.call("reset"), as_json)
+
+
+@command.command("add")
+@click.argument("name", metavar="NAME")
+@click.option(
+    "--topic",
+    metavar="TOPIC",
+    help="Of its maps; or file:PATH of a saved one, where the node is. [default: NAME/map]",
+)
+@_node_options
+def add_command(client: _Client, name: str, topic: str | None, as_json: bool) -> int:
+    """Fuse the maps of one SLAM more, which votes once its map was found to fit."""
+    return _tell(client.add(name, topic), as_json)
+
+
+@command.command("remove")
+@click.argument("name", metavar="NAME")
+@_node_options
+def remove_command(client: _Client, name: str, as_json: bool) -> int:
+    """Fuse an input's maps no more; its vote goes with it."""
+    return _tell(client.remove(name), as_json)
 
 
 # A value may be negative.

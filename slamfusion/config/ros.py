@@ -81,6 +81,15 @@ class FusionNodeConfig(Checked):
     """The ROS node of the fusion; not part of ``RunConfig``, whose sections it has beside these."""
 
     fused_frame: str = option("fused_map", "frame of the fused map")
+    discover: str | None = option(
+        None,
+        "map topics (nav_msgs/OccupancyGrid) that fit this become inputs as they appear, named by "
+        "their namespace: */map, or several with commas; * stands for one word between slashes, ** "
+        "for any number; default: none is looked for",
+    )
+    discovery_rate_hz: float = option(
+        0.5, "new map topics are looked for this often", unit="Hz", low=0.001, high=10.0
+    )
     max_publish_rate_hz: float = option(
         5.0, "the fused map is published at most so often", unit="Hz", low=0.001, high=1000.0
     )

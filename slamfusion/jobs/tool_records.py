@@ -211,7 +211,7 @@ class LiveStatusDocument(TypedDict):
 
 
 class LiveAnswerDocument(TypedDict):
-    """``slamfusion live save``, ``reset`` and ``set``."""
+    """``slamfusion live save``, ``reset``, ``set``, ``add`` and ``remove``."""
 
     success: bool
     """Whether it was done."""

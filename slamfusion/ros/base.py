@@ -30,7 +30,7 @@ from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, unknown_parameters
 
-__all__ = ["Diagnostics", "Level", "NodeBase", "Status", "run_node"]
+__all__ = ["Diagnostics", "Level", "NodeBase", "Status", "invalid_name", "run_node"]
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -370,11 +370,16 @@ def _made(make: Callable[[], NodeBase]) -> NodeBase:
     try:
         return make()
     except NameValidationException as error:
-        # "Invalid KIND: REASON:", the name in quotes, and a mark below the wrong place.
-        what, name, *_ = str(error).splitlines()
-        kind, _, reason = what.removeprefix("Invalid ").rstrip(":").partition(": ")
-        message = f"{name.strip()} is no {kind}: {reason}; mend it in the parameters or remappings"
+        message = f"{invalid_name(error)}; mend it in the parameters or remappings"
         raise ConfigError(message) from None
+
+
+def invalid_name(error: NameValidationException) -> str:
+    """Return in one line what is no name, of what, and why."""
+    # "Invalid KIND: REASON:", the name in quotes, and a mark below the wrong place.
+    what, name, *_ = str(error).splitlines()
+    kind, _, reason = what.removeprefix("Invalid ").rstrip(":").partition(": ")
+    return f"{name.strip()} is no {kind}: {reason}"
 
 
 def _spin(base: NodeBase) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections.abc import Sequence
 from typing import Any
 
 from nav_msgs.msg import OccupancyGrid
@@ -24,23 +25,26 @@ from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.device import open_node_device
 from slamfusion.ros.fused_frames import FusedFrames
-from slamfusion.ros.fused_output import MAP_TOPIC, FusedOutput
+from slamfusion.ros.fused_output import AGREEMENT_TOPIC, MAP_TOPIC, FusedOutput
+from slamfusion.ros.fusion_inputs import FusionInputs
 from slamfusion.ros.fusion_ports import FusionPorts
 from slamfusion.ros.fusion_services import FusionServices
-from slamfusion.ros.fusion_status import fusion_status, input_status
+from slamfusion.ros.fusion_status import fusion_figures, fusion_status, input_status
+from slamfusion.ros.input_entries import load_saved
 from slamfusion.ros.live_page import LivePage
-from slamfusion.ros.map_source import MapSource, input_names, load_saved
-from slamfusion.ros.parameters import declare, declare_names, declare_starts, parameter_names
+from slamfusion.ros.map_source import MapSource
+from slamfusion.ros.parameters import declare, declare_starts, parameter_names
 from slamfusion.ros.stamps import Stamps
 from slamfusion.ros.state_keeper import Memory
 from slamfusion.ros.worker import Worker
 from slamfusion.ros.writers import Writers
-from slamfusion.slam.registry import BUILT_IN
 
 __all__ = ["FusionNode", "make_node"]
 
-DEFAULT_INPUTS = tuple(f"{name}/map" for name in BUILT_IN)
-CHANGEABLE = ("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s")
+CHANGEABLE = (
+    *("discover", "discovery_rate_hz"),
+    *("max_publish_rate_hz", "publish_tf", "save_path", "lost_after_s"),
+)
 # How often the node looks whether a fused map may go out, at frames, and who publishes its inputs;
 # and shows itself on the page.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.02, 0.1, 1.0, 0.5
@@ -93,9 +97,12 @@ class FusionNode(NodeBase):
         self.settings = declare(
             node, FusionNodeConfig, changeable=CHANGEABLE, on_change=self._on_settings
         )
-        text = "what is fused: map topics, and file:PATH for saved maps"
-        entries = input_names(declare_names(node, "inputs", DEFAULT_INPUTS, text))
-        live = LiveConfig(minimum_inputs=min(LiveConfig().minimum_inputs, len(entries)))
+        is_open = self.settings.discover is not None
+        outputs = MAP_TOPIC, AGREEMENT_TOPIC
+        self._inputs = FusionInputs(self, outputs, is_open=is_open, on_change=self._on_inputs)
+        names = tuple(self._inputs.entries)
+        least = LiveConfig().minimum_inputs
+        live = LiveConfig(minimum_inputs=least if is_open else min(least, len(names)))
         live = declare(
             node,
             live,
@@ -108,15 +115,18 @@ class FusionNode(NodeBase):
             live=live,
             device=declare(node, DeviceConfig),
             map_files=declare(node, MapFileConfig),
-            start=declare_starts(node, entries),
+            start=declare_starts(node, names, may_come=is_open),
         )
-        self._saved = {
-            name: grid
-            for name, entry in entries.items()
-            if (grid := load_saved(name, entry, config.map_files, self.log.warning)) is not None
-        }
+        self._stamps = Stamps(self.clock_s)
+        callbacks = self._wake, self._on_pose
+        self._inputs.begin(
+            lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
+            lambda name, topic: MapSource(
+                self, name, topic, self.settings.lost_after_s, self._stamps, *callbacks
+            ),
+        )
         self._device = open_node_device(config.device.device, self.diagnostics)
-        fusion = LiveFusion(config, self._device, tuple(entries))
+        fusion = LiveFusion(config, self._device, None if is_open else names)
         warm_up(config, self._device)
 
         self._outbox = Outbox(self.settings.max_publish_rate_hz)
@@ -124,44 +134,42 @@ class FusionNode(NodeBase):
         page = None
         if self.settings.page:
             page = LivePage(self, self.settings, self._services.carry_out)
-            page.put_saved(self._saved)
         self._page = page
         self._output = FusedOutput(
             self, self.settings, self._outbox, *([] if page is None else [page.put_fused])
         )
         self._frames = FusedFrames(self, self.settings)
         self._writers = Writers(self, MAP_TOPIC)
-        self._stamps = Stamps(self.clock_s)
-        self._memory = Memory(self, fusion, self.settings.state_path, entries)
+        self._memory = Memory(self, fusion, self.settings.state_path, names)
         if (kept := self._memory.restored) is not None:
             self._outbox.offer(Fused(*kept.grids(), kept.stamp_s, None))
         self._session = FusionSession(fusion, self._outbox, self._memory)
         self._told_votes = 0
         self._worker: Worker[_Wake] = Worker(self._turn, 1, self._failed, "fusion")
-        lost_after_s = self.settings.lost_after_s
-        self._sources = {
-            name: MapSource(
-                self, name, entry, lost_after_s, self._stamps, self._wake, self._on_pose
-            )
-            for name, entry in entries.items()
-            if name not in self._saved
-        }
-        self._frames.watch(self._sources)
+        self._frames.watch(self._inputs.sources)
         heard = [] if page is None else [page.put_heard]
-        self._ports = FusionPorts(self, self._sources, self._saved, self._output, *heard)
-        for name, grid in self._saved.items():
-            fusion.put(name, grid, time.monotonic(), is_saved=True)
+        self._ports = FusionPorts(self, self._inputs, self._output, *heard)
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
         self.timer(SHOW_S, self._show)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
-            f"fuses {', '.join(entries.values())} on {self._device.name}; the fused map is on "
-            f"{node.resolve_topic_name(MAP_TOPIC)!r} in frame {self.settings.fused_frame!r}"
+            f"fuses {', '.join(self._inputs.entries.values()) or self.settings.discover} on "
+            f"{self._device.name}; the fused map is on {node.resolve_topic_name(MAP_TOPIC)!r} in "
+            f"frame {self.settings.fused_frame!r}"
         )
         self._wake()
 
     # --- callbacks, in the executor's thread -------------------------------------------------
+
+    def _on_inputs(self, removed: Sequence[str]) -> None:
+        """Forget inputs that are none any more, and let the worker see to those that came."""
+        for name in removed:
+            self._session.forget(name)
+            self._stamps.remove(name)
+            self._writers.remove(name)
+        self._frames.watch(self._inputs.sources)
+        self._wake()
 
     def _wake(self) -> None:
         self._worker.put(_Wake())
@@ -183,7 +191,8 @@ class FusionNode(NodeBase):
 
     def _look(self) -> None:
         """See which inputs are lost or back, and send what is new of the frames and votes."""
-        for name, source in self._sources.items():
+        self._inputs.discover(self.settings)
+        for name, source in self._inputs.sources.items():
             if self._session.look(
                 name, source.lost, has_map=bool(source.frame), is_back=source.is_back
             ):
@@ -202,20 +211,21 @@ class FusionNode(NodeBase):
         """Show how the inputs are on the page."""
         if self._page is not None:
             believed = self._session.snapshot.believed
-            self._page.show(self.statuses(), believed, self._sources.values())
+            self._page.show(self.statuses(), believed, self._inputs.sources.values())
 
     def _look_around(self) -> None:
         """See who publishes the inputs and the fused map, and let ages be looked at."""
-        for source in self._sources.values():
+        sources = self._inputs.sources
+        for source in sources.values():
             source.look()
-        self._writers.look({name: source.topic for name, source in self._sources.items()})
+        self._writers.look({name: source.topic for name, source in sources.items()})
         self._frames.rival = self._writers.rival
         self._wake()
 
     def _on_settings(self, settings: FusionNodeConfig) -> None:
         self.settings = self._frames.settings = self._output.settings = settings
         self._outbox.rate_hz = settings.max_publish_rate_hz
-        for source in self._sources.values():
+        for source in self._inputs.sources.values():
             source.ask(settings.lost_after_s)
 
     def _on_live(self, live: LiveConfig) -> None:
@@ -262,40 +272,21 @@ class FusionNode(NodeBase):
         snapshot = self._session.snapshot
         by_name = snapshot.believed.inputs
         since_s = time.monotonic() - snapshot.noted_s
-        names = [*self._sources, *self._saved]
         lines = []
-        for name in names:
-            source = self._sources.get(name)
+        for name, entry in self._inputs.entries.items():
+            source = self._inputs.sources.get(name)
             topic = "" if source is None else self.node.resolve_topic_name(source.topic)
             frame = "-" if source is None else self._frames.child_frame(source) or source.frame
-            lines.append(input_status(name, source, topic, frame, by_name.get(name), since_s))
+            lines.append(
+                input_status(name, entry, source, topic, frame, by_name.get(name), since_s)
+            )
         is_worse = self.published is not None and not self._memory.is_unconfirmed
         worst = Level.ERROR if is_worse else Level.WARN
         wrong, nothing = self.diagnostics.worst(""), self.nothing_fused()
-        return [fusion_status(lines, wrong, nothing, worst, self._figures()), *lines]
-
-    def _figures(self) -> dict[str, object]:
-        """Return the figures of the fusion's line."""
-        snapshot, sent, published = self._session.snapshot, self._outbox.sent, self.published
-        update = snapshot.update
-        values: dict[str, object] = {
-            "reference": update.reference if update is not None else None,
-            "pose from": self._frames.leader or None,
-            "maps published": sent.maps,
-            "updates": snapshot.updates,
-            "full searches": snapshot.searches,
-            "resets": snapshot.resets,
-            "phantom cells": update.phantom_cells if update is not None else None,
-            "map [cells]": "-"
-            if published is None
-            else f"{published[1].width} x {published[1].height}",
-            "latency median [ms]": sent.median_ms,
-            "latency p95 [ms]": sent.high_ms,
-            "device": self._device.name,
-        }
-        if update is not None:
-            values |= {f"{step} [ms]": 1e3 * spent for step, spent in update.time_s.items()}
-        return values
+        figures = fusion_figures(
+            snapshot, self._outbox.sent, self.published, self._frames.leader, self._device.name
+        )
+        return [fusion_status(lines, wrong, nothing, worst, figures), *lines]
 
     def close(self) -> None:
         """End the worker; the map that is being fused is fused to its end, and the state kept."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+import time
+from collections.abc import Callable, Collection
+from typing import Any
 
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.live import LiveInput
@@ -10,6 +12,7 @@ from slamfusion.fusion.live.session import Arrived
 from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.fused_output import FusedOutput
+from slamfusion.ros.fusion_inputs import FusionInputs
 from slamfusion.ros.map_source import MapSource
 
 __all__ = ["FusionPorts"]
@@ -24,41 +27,35 @@ class FusionPorts:
 
     Args:
         base: the node.
-        sources: its inputs by name, but the saved maps.
-        saved: names of the saved maps.
+        inputs: of the node.
         output: publishes.
-        heard: told every map that was taken.
+        heard: told every map that was taken, and who was removed.
     """
 
     def __init__(
         self,
         base: NodeBase,
-        sources: Mapping[str, MapSource],
-        saved: Collection[str],
+        inputs: FusionInputs,
         output: FusedOutput,
         heard: Callable[[Arrived], None] = lambda _: None,
     ) -> None:
         self._base = base
-        self._sources = sources
-        self._saved = saved
+        self._inputs = inputs
         self._output = output
         self._heard = heard
 
     def take(self) -> list[Arrived]:
-        """Return the newest map of each input that sent one, converted; see ``Ports``."""
-        taken = [self._take(source) for source in self._sources.values()]
-        arrived = [item for item in taken if item is not None]
+        """Return what came, the newest map of each input converted; see ``Ports``."""
+        taken, now_s = self._inputs.take(), time.monotonic()
+        arrived = [Arrived(name, None, "", now_s, is_removed=True) for name in taken.removed]
+        arrived += [Arrived(grid.name, grid, "", now_s, is_saved=True) for grid in taken.saved]
+        arrived += [self._converted(*item) for item in taken.maps]
         for item in arrived:
             self._heard(item)
         return arrived
 
-    def _take(self, source: MapSource) -> Arrived | None:
-        """Convert the newest map of an input; None where it sent none."""
-        frame = source.frame
-        taken = source.take()
-        if taken is None:
-            return None
-        message, arrived_s = taken
+    def _converted(self, source: MapSource, message: Any, arrived_s: float, frame: str) -> Arrived:
+        """Convert a map; ``frame`` is that of the input's last one."""
         if frame and source.frame != frame:
             text = f"the map of {source.name!r} was in {frame!r} and is in {source.frame!r} now"
             self._base.diagnostics.add(f"frame {source.name}", Level.WARN, text, SHOWN_S)
@@ -70,11 +67,11 @@ class FusionPorts:
 
     def has_maps(self) -> bool:
         """Whether a map waits to be taken."""
-        return any(source.is_waiting for source in self._sources.values())
+        return self._inputs.is_waiting
 
     def has_come(self, name: str) -> bool:
         """Whether an input has sent a map, or is a saved one."""
-        return name in self._saved or bool(self._sources[name].frame)
+        return self._inputs.has_come(name)
 
     def send(self, *, with_agreement: bool = True) -> None:
         """Publish what is due."""
@@ -82,7 +79,7 @@ class FusionPorts:
 
     def stamp_s(self, voters: Collection[str]) -> float:
         """Return the stamp of a fused map: of the newest map in it, 0 where all were saved ones."""
-        sources = [source for name, source in self._sources.items() if name in voters]
+        sources = [source for name, source in self._inputs.sources.items() if name in voters]
         stamps = [source.stamp_s for source in sources if source.stamp_s is not None]
         # None of their stamps can be right: then the node's time is.
         return max(stamps, default=self._base.clock_s() if sources else 0.0)

@@ -85,12 +85,16 @@ class Heartbeat:
         if lost_after_s == self._lost_after_s:
             return
         self._lost_after_s = lost_after_s
-        if self._subscription is not None:
-            self._base.node.destroy_subscription(self._subscription)
-            self._subscription = None
+        self.close()
         self._silent_since_s = None
         self._alive = 0
         self.look()
+
+    def close(self) -> None:
+        """Watch no more."""
+        if self._subscription is not None:
+            self._base.node.destroy_subscription(self._subscription)
+            self._subscription = None
 
     def _listen(self) -> Any:
         profile = qos.heartbeat(self._lease_s)

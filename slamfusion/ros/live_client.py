@@ -10,6 +10,7 @@ from typing import Any
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -21,11 +22,14 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.tool_records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
-from slamfusion.ros.fusion_status import FUSION, PREFIX
+from slamfusion.ros.fusion_status import ENTRY, FUSION, PREFIX
+from slamfusion.ros.input_entries import entry_for
+from slamfusion.ros.parameters import names_of
 
 __all__ = ["LiveClient", "LiveNodeError"]
 
 SPIN_S = 0.1
+INPUTS = "inputs"
 
 
 class LiveNodeError(SlamFusionError):
@@ -91,18 +95,61 @@ class LiveClient:
 
     def set(self, name: str, value: str) -> LiveAnswerDocument:
         """Set a parameter to a value as YAML writes it, and return the answer."""
-        client = AsyncParameterClient(self._node, self._target)
-        self._wait(client.services_are_ready, "its parameters")
         try:
             parameter = Parameter(name, value=yaml.safe_load(value))
         except (TypeError, yaml.YAMLError) as error:
             message = f"{name}: {value!r} is no value of a parameter; wanted 1.5, true or a text"
             raise LiveNodeError(message) from error
-        future = client.set_parameters([parameter])
+        return self._set(parameter, f"{name} is {parameter.value!r} now")
+
+    def add(self, name: str, topic: str | None = None) -> LiveAnswerDocument:
+        """Let the node fuse one map more, and return the answer.
+
+        Args:
+            name: what the input is to be called.
+            topic: of its maps, or ``file:PATH`` as the node sees it; default: ``NAME/map``.
+
+        Raises:
+            ConfigError: the name is none.
+        """
+        entry = entry_for(name, topic)
+        entries = [*self._entries(), entry]
+        return self._set(Parameter(INPUTS, value=entries), f"{name} is an input now ({entry})")
+
+    def remove(self, name: str) -> LiveAnswerDocument:
+        """Let the node fuse a map no more, and return the answer.
+
+        Raises:
+            LiveNodeError: no input is called so.
+        """
+        inputs = {line["name"]: line["figures"].get(ENTRY) for line in self.status()["inputs"]}
+        if name not in inputs:
+            message = f"{self._target}: no input {name!r}; the inputs are {', '.join(inputs)}"
+            raise LiveNodeError(message)
+        entries = [entry for entry in self._entries() if entry != inputs[name]]
+        return self._set(Parameter(INPUTS, value=entries), f"{name} is no input any more")
+
+    def _entries(self) -> list[str]:
+        """Return what the node fuses."""
+        client = self._parameters()
+        future = client.get_parameters([INPUTS])
+        self._wait(future.done, f"an answer about {INPUTS}")
+        (value,) = future.result().values
+        given = Parameter.from_parameter_msg(ParameterMessage(name=INPUTS, value=value)).value
+        return [*names_of(given)]
+
+    def _set(self, parameter: Parameter, said: str) -> LiveAnswerDocument:
+        """Set a parameter and return the answer; ``said`` where it is only yes."""
+        future = self._parameters().set_parameters([parameter])
         self._wait(future.done, "an answer")
         (result,) = future.result().results
-        said = str(result.reason) or f"{name} is {parameter.value!r} now"
-        return {"success": bool(result.successful), "message": said}
+        return {"success": bool(result.successful), "message": str(result.reason) or said}
+
+    def _parameters(self) -> AsyncParameterClient:
+        """Return a client of the node's parameters, when they are there."""
+        client = AsyncParameterClient(self._node, self._target)
+        self._wait(client.services_are_ready, "its parameters")
+        return client
 
     def _keep(self, message: Any) -> None:
         wanted = f"{self._target.lstrip('/')}: {FUSION}"

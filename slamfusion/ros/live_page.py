@@ -6,7 +6,7 @@ import os
 import re
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 
 from slamfusion.config import FusionNodeConfig
@@ -14,7 +14,6 @@ from slamfusion.errors import ConfigError
 from slamfusion.fusion.live.outbox import Fused
 from slamfusion.fusion.live.records import LiveInput
 from slamfusion.fusion.live.session import Arrived, Believed
-from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.fusion_status import PREFIX
 from slamfusion.ros.map_source import MapSource
@@ -79,8 +78,11 @@ class LivePage:
     # -- in the worker's thread -------------------------------------------------------------------
 
     def put_heard(self, arrived: Arrived) -> None:
-        """Show the newest map of an input."""
-        if arrived.grid is not None:
+        """Show the newest map of an input, or no more of one that was removed."""
+        if arrived.is_removed:
+            self._server.feed.remove(arrived.name)
+            self._scene.put_event("warn", f"{arrived.name} is removed from the inputs")
+        elif arrived.grid is not None:
             self._server.feed.put(arrived.name, arrived.grid, "input")
         else:
             self._scene.put_event("warn", f"a map of {arrived.name}: {arrived.problem}")
@@ -91,11 +93,6 @@ class LivePage:
         self._server.feed.put("agreement", fused.agreement, "agreement")
 
     # -- in the node's thread ---------------------------------------------------------------------
-
-    def put_saved(self, maps: Mapping[str, OccupancyGrid]) -> None:
-        """Show the saved maps."""
-        for name, grid in maps.items():
-            self._server.feed.put(name, grid, "input")
 
     def look(self) -> None:
         """Carry out what pages asked for."""

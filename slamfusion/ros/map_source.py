@@ -6,76 +6,23 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy
 
-from slamfusion.config import MapFileConfig
-from slamfusion.errors import ConfigError, TrajectoryError
+from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid as Grid
-from slamfusion.io.map_server import load_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.heartbeat import Heartbeat
+from slamfusion.ros.input_entries import MAP_SUFFIX
 from slamfusion.ros.stamps import Stamps
 
-__all__ = ["HeardPose", "MapSource", "input_names", "load_saved"]
+__all__ = ["HeardPose", "MapSource"]
 
-FILE_PREFIX = "file:"
-MAP_SUFFIX = "/map"
 SHOWN_S = 10.0
-
-
-def input_names(entries: tuple[str, ...]) -> dict[str, str]:
-    """Return a short name for every entry of ``inputs``, and the entry.
-
-    ``robot/map`` is called robot, ``file:lab.yaml`` lab; where two would be called the same,
-    both are called by their whole entry.
-
-    Raises:
-        ConfigError: no entry, or one given twice.
-    """
-    if not entries:
-        message = "inputs is empty; name at least one map: -p inputs:=[a/map,b/map]"
-        raise ConfigError(message)
-    if len(set(entries)) < len(entries):
-        message = f"inputs names one map twice: {', '.join(entries)}"
-        raise ConfigError(message)
-    short = [_short_name(entry) for entry in entries]
-    return {
-        entry if short.count(name) > 1 else name: entry
-        for name, entry in zip(short, entries, strict=True)
-    }
-
-
-def _short_name(entry: str) -> str:
-    if entry.startswith(FILE_PREFIX):
-        return Path(entry.removeprefix(FILE_PREFIX)).stem
-    return entry.removesuffix(MAP_SUFFIX).strip("/") or entry
-
-
-def load_saved(
-    name: str, entry: str, config: MapFileConfig, warn: Callable[[str], Any]
-) -> Grid | None:
-    """Return the map of a ``file:`` entry, None of a topic.
-
-    Args:
-        name: of the input.
-        entry: as in ``inputs``.
-        config: how saved maps are read.
-        warn: told what is doubtful about the map.
-
-    Raises:
-        MapFileError: it cannot be read.
-    """
-    if not entry.startswith(FILE_PREFIX):
-        return None
-    path = entry.removeprefix(FILE_PREFIX)
-    return load_map(path, name=name, legacy_unknown=config.legacy_unknown, warn=warn)
 
 
 @dataclass(frozen=True)
@@ -145,9 +92,10 @@ class MapSource:
         self._durability: DurabilityPolicy | None = None
         self._subscription = self._listen()
         self._heartbeat: Heartbeat | None = None
+        self._poses: Any = None
         if topic.endswith(MAP_SUFFIX):
             pose_topic = topic.removesuffix(MAP_SUFFIX) + "/pose"
-            base.subscribe(PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
+            self._poses = base.subscribe(PoseStamped, pose_topic, self._take_pose, qos.SENSOR)
             self._heartbeat = Heartbeat(base, pose_topic, lost_after_s, on_map)
 
     @property
@@ -174,6 +122,14 @@ class MapSource:
         self._lost_after_s = lost_after_s
         if self._heartbeat is not None:
             self._heartbeat.ask(lost_after_s)
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        self._base.node.destroy_subscription(self._subscription)
+        if self._poses is not None:
+            self._base.node.destroy_subscription(self._poses)
+        if self._heartbeat is not None:
+            self._heartbeat.close()
 
     def _listen(self) -> Any:
         profile = qos.map_qos(self._durability)

@@ -34,13 +34,14 @@ from slamfusion.config import (
     checked_value,
     field_infos,
 )
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, SlamFusionError
 
 __all__ = [
     "TypedNode",
     "declare",
     "declare_names",
     "declare_starts",
+    "names_of",
     "parameter_names",
     "unknown_parameters",
 ]
@@ -155,14 +156,25 @@ def declare(
     return current
 
 
-def declare_names(node: Any, name: str, default: Collection[str], text: str) -> tuple[str, ...]:
-    """Declare a read-only parameter that is a list of names, and return it.
+def declare_names(
+    node: Any,
+    name: str,
+    default: Collection[str],
+    text: str,
+    *,
+    check: Callable[[tuple[str, ...]], object] | None = None,
+    on_change: Callable[[tuple[str, ...]], None] | None = None,
+) -> tuple[str, ...]:
+    """Declare a parameter that is a list of names, and return it.
 
     Args:
         node: an rclpy node.
         name: of the parameter.
         default: the names unless others are given.
         text: the description.
+        check: called in the executor's thread with names that it is to be changed to; refuses them
+            by a SlamFusionError. None: the parameter is read-only.
+        on_change: called there with the new names after a change was accepted.
 
     Returns:
         The names; one text may be given instead of a list, its names parted by commas.
@@ -170,23 +182,76 @@ def declare_names(node: Any, name: str, default: Collection[str], text: str) -> 
     Raises:
         ConfigError: neither a text nor a list of texts.
     """
-    descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
-    given = node.declare_parameter(name, list(default) or None, descriptor).value
+    descriptor = ParameterDescriptor(description=text, read_only=check is None, dynamic_typing=True)
+    given = _read_names(node, name, node.declare_parameter(name, [*default] or None, descriptor))
+    if check is not None:
+        _watch_names(node, name, check, on_change or (lambda _: None))
+    return given
+
+
+def _watch_names(
+    node: Any,
+    name: str,
+    check: Callable[[tuple[str, ...]], object],
+    on_change: Callable[[tuple[str, ...]], None],
+) -> None:
+    """Let changes of a list of names be checked, and taken."""
+
+    def accept(changes: list[Any]) -> SetParametersResult:
+        try:
+            for item in changes:
+                if item.name == name:
+                    check(_read_names(node, name, item))
+        except SlamFusionError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def take(changes: list[Any]) -> None:
+        for item in changes:
+            if item.name == name:
+                on_change(_read_names(node, name, item))
+
+    node.add_on_set_parameters_callback(accept)
+    node.add_post_set_parameters_callback(take)
+
+
+def _read_names(node: Any, name: str, parameter: Any) -> tuple[str, ...]:
+    """Return the names that a parameter of a node holds.
+
+    Raises:
+        ConfigError: it is neither a text nor a list of texts.
+    """
+    try:
+        return names_of(parameter.value)
+    except ConfigError as error:
+        message = f"{_where(node)}: {name}: {error}"
+        raise ConfigError(message) from None
+
+
+def names_of(given: Any) -> tuple[str, ...]:
+    """Return the names that a parameter holds, a list or one text with commas.
+
+    Raises:
+        ConfigError: it is neither.
+    """
     if isinstance(given, str):
         given = given.split(",")
     names = list(given) if isinstance(given, (list, tuple)) else [given] * (given is not None)
     if not all(isinstance(item, str) for item in names):
-        message = f"{_where(node)}: {name}: wanted a list of names, found {given!r}"
+        message = f"wanted a list of names, found {given!r}"
         raise ConfigError(message)
     return tuple(item.strip() for item in names if item.strip())
 
 
-def declare_starts(node: Any, names: Collection[str]) -> dict[str, tuple[float, ...]]:
+def declare_starts(
+    node: Any, names: Collection[str], *, may_come: bool = False
+) -> dict[str, tuple[float, ...]]:
     """Declare a read-only parameter ``start.NAME`` for each input, and return those that are set.
 
     Args:
         node: an rclpy node.
         names: of the inputs.
+        may_come: whether others may come, whose starts are told already.
 
     Returns:
         3 or 5 numbers by name: x, y in m, yaw in rad, and tolerances in m and rad.
@@ -195,8 +260,13 @@ def declare_starts(node: Any, names: Collection[str]) -> dict[str, tuple[float, 
         ConfigError: one names no input, has another count of numbers, one that is not finite, or a
             negative tolerance.
     """
+    names = [*names]
     for given in sorted(getattr(node, "_parameter_overrides", {})):
-        if given.startswith(START) and given.removeprefix(START) not in names:
+        if not given.startswith(START) or given.removeprefix(START) in names:
+            continue
+        if may_come:
+            names.append(given.removeprefix(START))
+        else:
             message = f"{_where(node)}: {given} names no input; the inputs are {', '.join(names)}"
             raise ConfigError(message)
     text = (

@@ -47,3 +47,7 @@ class Stamps:
     def forget(self) -> None:
         """Forget every stamp: time jumped back."""
         self._ahead_s.clear()
+
+    def remove(self, name: str) -> None:
+        """Forget the stamps of an input that is none any more."""
+        self._ahead_s.pop(name, None)

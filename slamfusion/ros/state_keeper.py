@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Collection
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -150,7 +149,7 @@ class Memory:
         base: the node.
         live: what is restored and kept; nothing was put there yet.
         path: of the file; None or empty for none.
-        names: the inputs; places of others are forgotten.
+        names: the inputs, which are waited for; places of others are kept until these come.
 
     Attributes:
         restored: the state that the node went on from; None where it started empty.
@@ -175,14 +174,13 @@ class Memory:
             self._restore(*kept, names)
 
     def _restore(self, state: LiveState, words: str, names: Collection[str]) -> None:
-        placed = {name: pose for name, pose in state.transforms.items() if name in names}
         try:
-            self._live.restore(replace(state, transforms=placed))
+            self._live.restore(state)
         except StateError as error:
             self._keeper.refuse(error)
             return
         self.restored = state
-        self._returning = {*placed}
+        self._returning = {*names} & {*state.transforms}
         text = f"restored from {words}, no input confirmed yet; reset begins a new fused frame"
         self._base.diagnostics.add("restored", Level.WARN, text)
 

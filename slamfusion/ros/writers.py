@@ -61,6 +61,10 @@ class Writers:
             Level.ERROR,
         )
 
+    def remove(self, name: str) -> None:
+        """Forget what was said of an input that is none any more."""
+        self._base.diagnostics.clear(f"writers {name}")
+
     def _nodes(self, topic: str) -> list[str]:
         """Return the nodes that write a topic, each once; one more by a name that stays double."""
         infos = self._base.node.get_publishers_info_by_topic(topic)

@@ -222,7 +222,7 @@ def test_a_bad_topic_ends_the_command_with_one_line():
     done = run("node", "fusion", "--ros-args", "-p", "inputs:=[a//b/map]")
     assert done.returncode == 1
     lines = [line for line in done.stderr.splitlines() if "tf2_msgs" not in line]
-    assert lines[-1].startswith("slamfusion: error: '/a//b/map' is no topic name: ")
+    assert lines[-1].startswith("slamfusion: error: inputs: '/a//b/map' is no topic name: ")
     assert "Traceback" not in done.stderr + done.stdout
 
 

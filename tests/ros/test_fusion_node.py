@@ -29,7 +29,7 @@ from slamfusion.grid import OccupancyGrid as Grid
 from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros import messages, qos
 from slamfusion.ros.frames import TransformInput
-from slamfusion.ros.map_source import load_saved
+from slamfusion.ros.input_entries import load_saved
 from tests.fusion.live.maps import assert_same_lattice, live_fusion, share_standing, three, touched
 from tests.ros import tf2
 from tests.ros.fused import (

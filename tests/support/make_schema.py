@@ -62,6 +62,8 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "live save": (tools.LiveAnswerDocument,),
     "live reset": (tools.LiveAnswerDocument,),
     "live set": (tools.LiveAnswerDocument,),
+    "live add": (tools.LiveAnswerDocument,),
+    "live remove": (tools.LiveAnswerDocument,),
     "doctor": (tools.DoctorDocument,),
     "bench": (tools.BenchDocument,),
 }

@@ -259,7 +259,7 @@ class FusionSession:
             if item.is_removed:
                 self._live.remove(item.name)
                 continue
-            if self._arrived_s is None:
+            if self._arrived_s is None and not item.is_saved:
                 self._arrived_s = item.arrived_s
             if item.grid is None:
                 self._live.reject(item.name, item.problem, item.arrived_s)

@@ -1,0 +1,166 @@
+"""Inputs that come and go while the fusion node runs: by hand, and as they are found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
+
+from nav_msgs.msg import OccupancyGrid
+
+from slamfusion.cli.program import run_program
+from slamfusion.errors import ConfigError
+from slamfusion.io.map_server import save_map
+from slamfusion.ros import qos
+from slamfusion.ros.discovery import fits
+from slamfusion.ros.input_entries import entry_for, input_names, topic_of
+from tests.fusion.live.maps import three, touched
+from tests.ros.fused import Makers, fused_without_ros, share_equal
+from tests.ros.live import Observer, Processes, values
+from tests.support.documents import check_document
+
+pytestmark = pytest.mark.ros
+
+FUSION = "fusion: fusion"
+
+
+@pytest.mark.once
+def test_inputs_come_and_go_while_the_node_runs(
+    processes: Processes,
+    observer: Observer,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def live(*words: str, code: int = 0) -> str:
+        assert run_program(["live", *words, "--json"]) == code
+        document = json.loads(capfd.readouterr().out or "{}")
+        if document:
+            check_document(document, f"live {words[0]}", failed=bool(code))
+        return str(document.get("message", ""))
+
+    def names() -> list[str]:
+        assert run_program(["live", "status", "--json"]) == 0
+        return [line["name"] for line in json.loads(capfd.readouterr().out)["inputs"]]
+
+    makers = Makers(observer, "ab")
+    maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
+    # One is named, the others are found: not what is only read, nor what does not fit.
+    observer.collect(OccupancyGrid, "read/map", qos.MAP)
+    observer.publisher(OccupancyGrid, "far/away/map", qos.MAP)
+    observer.publisher(OccupancyGrid, "robot9/fused/map", qos.MAP)
+    node = processes.node(
+        "fusion",
+        inputs=["a/map"],
+        discover="*/map, /*/fused/map",
+        discovery_rate_hz=10.0,
+        live__search_pause_s=0.0,
+        live__stale_after_s=1000.0,
+        lost_after_s=1.0,
+    )
+    makers.send_all()
+    observer.wait_status(FUSION, "all 2 inputs vote")
+    makers.start("c")
+    makers.send(three()["c"])
+    observer.wait_status(FUSION, "all 3 inputs vote")
+    assert names() == ["a", "b", "c"]
+    assert "b is an input now (b/map)" in node.text()
+
+    # One that is removed takes its vote with it, and is not found again.
+    assert live("remove", "c") == "c is no input any more"
+    observer.wait_status(FUSION, "all 2 inputs vote", "c is removed from the inputs (c/map)")
+    wanted = fused_without_ros({name: three()[name] for name in "ab"})
+    observer.wait(lambda: maps and share_equal(maps[-1], wanted) > 0.98, what="the map of two")
+    count = len(maps)
+    makers.send(touched(three()["c"], 1))
+    makers.send(touched(three()["a"], 1))
+    observer.wait(lambda: len(maps) > count, what="a map without c")
+    assert names() == ["a", "b"]
+    assert node.text().count("c is removed") == 1
+
+    # Under another name, its last map is heard at once, as a new input's; so is a saved map.
+    assert live("add", "yard", "--topic", "c/map") == "yard is an input now (yard=c/map)"
+    observer.wait_status(FUSION, "all 3 inputs vote")
+    yaml, _ = save_map(three()["b"], tmp_path / "lab")
+    live("add", "lab", "--topic", f"file:{yaml}")
+    observer.wait_status(FUSION, "all 4 inputs vote")
+    assert names() == ["a", "b", "yard", "lab"]
+    assert values(observer.statuses()["fusion: input yard"])["entry"] == "yard=c/map"
+
+    # What cannot be is refused in one line, and nothing has changed.
+    for words, said in (
+        (("add", "a"), "inputs names one map twice"),
+        (("add", "again", "--topic", "/a/map"), "inputs names one map twice"),
+        (("add", "a", "--topic", "d/map"), "inputs calls two maps 'a'"),
+        (("add", "bad", "--topic", "no topic"), "is no topic name"),
+        (("add", "gone", "--topic", "file:/nowhere/lab.yaml"), "/nowhere/lab.yaml"),
+        (("set", "inputs", "[]"), "one at least must stay"),
+        (("set", "inputs", "5"), "wanted a list of names, found 5"),
+    ):
+        message = live(*words, code=1)
+        assert said in message, message
+        assert "\n" not in message
+    assert run_program(["live", "remove", "z"]) == 1
+    assert "no input 'z'; the inputs are a, b, yard, lab" in capfd.readouterr().err
+    assert names() == ["a", "b", "yard", "lab"]
+
+    # One whose publisher has gone is not forgotten, but dead as others are.
+    makers.stop("b")
+    observer.wait_status("fusion: input b", "lost: nobody publishes '/b/map'")
+    observer.wait_status(FUSION, "3 of 4 inputs vote; not: b")
+    assert node.interrupt() == 0
+    assert "Traceback" not in node.text()
+
+
+def test_words_of_a_pattern_are_those_between_slashes() -> None:
+    assert fits("/robot1/map", "/*/map")
+    assert not fits("/robot1/graph/map", "/*/map")
+    assert not fits("/map", "/*/map")
+    assert fits("/robot1/graph/map", "/robot?/*/map")
+    assert fits("/robot1/graph/map", "/**/map")
+    assert fits("/map", "/**/map")
+    assert not fits("/robot1/map_updates", "/**/map")
+    assert not fits("/Robot1/map", "/robot1/map")
+
+
+def test_an_input_keeps_its_name_whoever_comes() -> None:
+    first = input_names(["a/map", "file:lab.yaml", "yard=c/map"])
+    assert first == {"a": "a/map", "lab": "file:lab.yaml", "yard": "yard=c/map"}
+    later = input_names(["file:lab.yaml", "lab/map", "yard=c/map", "x/yard/map"], first)
+    assert later == {
+        "lab": "file:lab.yaml",
+        "lab/map": "lab/map",
+        "yard": "yard=c/map",
+        "x/yard": "x/yard/map",
+    }
+    assert input_names(["a/map", "file:a.yaml"]) == {"a/map": "a/map", "file:a.yaml": "file:a.yaml"}
+    with pytest.raises(ConfigError, match="calls two maps 'a'"):
+        input_names(["a/map", "a=b/map"])
+
+
+@pytest.mark.parametrize(
+    ("given", "entry", "topic"),
+    [
+        (("robot3",), "robot3/map", "robot3/map"),
+        (("robot3/graph",), "robot3/graph/map", "robot3/graph/map"),
+        (("robot3", "/robot3/map"), "/robot3/map", "/robot3/map"),
+        (("yard", "robot3/map"), "yard=robot3/map", "robot3/map"),
+        (("lab", "file:x/lab.yaml"), "file:x/lab.yaml", None),
+        (("lab", "file:a=b.yaml"), "lab=file:a=b.yaml", None),
+    ],
+)
+def test_an_entry_has_a_name_and_a_topic(
+    given: tuple[Any, ...], entry: str, topic: str | None
+) -> None:
+    assert entry_for(*given) == entry
+    assert topic_of(entry) == topic
+    assert [*input_names([entry])] == [given[0]]
+
+
+def test_what_is_no_name_is_refused() -> None:
+    for name in ("", "/", "a=b", "a,b", "file:lab"):
+        with pytest.raises(ConfigError, match="is no name of an input"):
+            entry_for(name)
