@@ -91,6 +91,9 @@ class FusionNode(NodeBase):
         MapFileError: a saved map cannot be read.
     """
 
+    # The worker has three quarters of the interpreter, however many inputs there are.
+    rest = 3.0
+
     def __init__(self, *, context: Any = None, arguments: Any = None) -> None:
         super().__init__("fusion", context=context, arguments=arguments)
         node = self.node
