@@ -233,8 +233,9 @@ class LiveConfig(Checked):
         level="expert",
     )
     track_cells: int = option(
-        4_000_000,
-        "cells aligned again while a new map waits to be fused; what is larger waits for a pause",
+        2_000_000,
+        "cells aligned again while a new map waits to be fused; what is larger, or comes on top of "
+        "these, waits for a pause",
         unit="cells",
         low=1,
         level="expert",

@@ -14,6 +14,7 @@ import math
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,12 +35,12 @@ NAMES = ("tinyslam", "gmapping", "graph")
 Maps = dict[str, OccupancyGrid]
 
 
-def draw_maps(side: int) -> Maps:
-    """Return three faulty maps of one building, a frame each."""
+def draw_maps(side: int, names: Sequence[str] = NAMES) -> Maps:
+    """Return faulty maps of one building, three unless named, a frame each."""
     rng = np.random.default_rng(2016)
     truth = draw_building(rng, side * RESOLUTION, side * RESOLUTION, RESOLUTION)
     maps = {}
-    for name in NAMES:
+    for name in names:
         faults = Degradation(
             yaw_rad=float(rng.uniform(-math.pi, math.pi)), flip_share=0.005, speckle_share=0.01
         )

@@ -19,7 +19,8 @@ from slamfusion.grid import OccupancyGrid
 __all__ = ["InputSupervisor"]
 
 NEVER = float("-inf")
-# A steady voter is aligned again, whatever waits, when the usual share has changed this many times.
+# A steady voter is late when the usual share has changed this many times; then it waits for others
+# that are late alone, whatever comes.
 LATE = 20.0
 
 
@@ -158,12 +159,14 @@ class InputSupervisor:
     def _realign(self, *, is_idle: bool) -> None:
         """Align what is due: doubtful inputs always, steady voters as far as time allows.
 
-        A steady voter's transform holds meanwhile, so a large one waits until no new map does, and
-        is given up for one that comes.
+        A steady voter's transform holds meanwhile, so a large one, or one of many, waits until no
+        new map does, and is given up for one that comes. Of those that are late the one that
+        changed most is aligned whatever waits, one a round, so that each has its turn.
         """
-        due = [track for track in self.tracks.values() if self._is_due(track)]
+        first = self.tracks[self.reference]
+        due = [track for track in self.tracks.values() if _is_due(track, first, self._aligner)]
         due.sort(key=lambda track: (track.votes, -track.drift))
-        cells = 0
+        cells, has_late = 0, False
         for track in due:
             reference = self.tracks.get(self.reference)
             if reference is None or not reference.accepted:
@@ -172,7 +175,8 @@ class InputSupervisor:
                 continue
             own = 0 if track.layer is None else track.layer.box.area
             may_wait = track.votes and cells + own > self._live.track_cells
-            if may_wait and track.drift <= LATE * _few(track, reference, self._live):
+            is_late = track.drift > LATE * _few(track, reference, self._live)
+            if may_wait and (has_late or not is_late):
                 if not (is_idle and cells == 0):
                     continue
                 try:
@@ -180,19 +184,9 @@ class InputSupervisor:
                 except CancelledSearchError:
                     return
             else:
+                has_late = has_late or may_wait
                 self._align_or_refuse(track, reference)
             cells += own
-
-    def _is_due(self, track: Track) -> bool:
-        """Whether an input has to be aligned in this round."""
-        reference = self.tracks[self.reference]
-        if track is reference or not track.is_live:
-            return False
-        if not track.accepted:
-            if track.jump is not None and track.jump_version == track.version:
-                return self._aligner.may_confirm(track)
-            return track.tried != (track.version, reference.name, reference.version)
-        return not track.is_steady or track.drift > _few(track, reference, self._live)
 
     def _align_or_refuse(self, track: Track, reference: Track) -> None:
         """Align an input; one that cannot be is refused by name, and the others go on."""
@@ -273,6 +267,17 @@ class InputSupervisor:
             self.problem = found.problem
         if found.reference is not None:
             self._hand_over(found.reference)
+
+
+def _is_due(track: Track, reference: Track, aligner: Aligner) -> bool:
+    """Whether an input has to be aligned in this round."""
+    if track is reference or not track.is_live:
+        return False
+    if not track.accepted:
+        if track.jump is not None and track.jump_version == track.version:
+            return aligner.may_confirm(track)
+        return track.tried != (track.version, reference.name, reference.version)
+    return not track.is_steady or track.drift > _few(track, reference, aligner.live)
 
 
 def _waits(track: Track) -> str:

@@ -206,6 +206,24 @@ def test_what_drifted_most_is_first_and_in_a_pause_one_large_one_is_aligned(
     assert not script.said()
 
 
+def test_of_those_that_are_late_one_a_round_is_aligned_whatever_comes(script: Script) -> None:
+    drifts = {"b": 101, "c": 103, "d": 102, "e": 100}
+    large = [voter(name, drift=drift, layer=cells(2000)) for name, drift in drifts.items()]
+    step = Round(voter("a"), *large)
+    for pair in ("ac", "ad", "ab"):
+        step()
+        assert named(script, "track") == [pair]
+    step()
+    assert not script.said(), "the last one is not late yet, and waits for a pause"
+    # One without a vote, that is tried whatever comes, takes nobody's turn.
+    step = Round(voter("a"), *large, newcomer("z", layer=cells(9000)))
+    for name in "bc":
+        step.judge.tracks[name].drift = 101
+    script.searched["az"] = found()
+    step()
+    assert script.said("track", "search") == ["search az", "track ab"]
+
+
 def test_what_waits_is_given_up_for_a_map_and_what_cannot_wait_is_not(script: Script) -> None:
     asked = 0
 
