@@ -23,6 +23,7 @@ from slamfusion.fusion.live.outbox import Fused, Outbox
 from slamfusion.fusion.live.session import FusionSession, warm_up
 from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase, Status
+from slamfusion.ros.clocks import Clocks
 from slamfusion.ros.device import open_node_device
 from slamfusion.ros.fused_frames import FusedFrames
 from slamfusion.ros.fused_output import AGREEMENT_TOPIC, MAP_TOPIC, FusedOutput
@@ -120,12 +121,18 @@ class FusionNode(NodeBase):
             map_files=declare(node, MapFileConfig),
             start=declare_starts(node, names, may_come=is_open),
         )
-        self._stamps = Stamps(self.clock_s)
+        self._stamps, self._clocks = Stamps(self.clock_s), Clocks(self.clock_s, self.diagnostics)
         callbacks = self._wake, self._on_pose
         self._inputs.begin(
             lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
             lambda name, topic: MapSource(
-                self, name, topic, self.settings.lost_after_s, self._stamps, *callbacks
+                self,
+                name,
+                topic,
+                self.settings.lost_after_s,
+                self._stamps,
+                self._clocks,
+                *callbacks,
             ),
         )
         self._device = open_node_device(config.device.device, self.diagnostics)
@@ -223,6 +230,7 @@ class FusionNode(NodeBase):
             source.look()
         self._writers.look({name: source.topic for name, source in sources.items()})
         self._frames.rival = self._writers.rival
+        self._clocks.look(sources)
         self._wake()
 
     def _on_settings(self, settings: FusionNodeConfig) -> None:
@@ -239,6 +247,7 @@ class FusionNode(NodeBase):
         """Forget the odometry of a future that has not come; the maps speak for themselves."""
         if delta_s < 0.0:
             self._stamps.forget()
+            self._clocks.forget()
             self._frames.on_time_jump(self.clock_s())
 
     @property

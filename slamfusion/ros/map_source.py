@@ -16,6 +16,7 @@ from slamfusion.errors import TrajectoryError
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.clocks import Clocks
 from slamfusion.ros.heartbeat import Heartbeat
 from slamfusion.ros.input_entries import MAP_SUFFIX
 from slamfusion.ros.stamps import Stamps
@@ -55,6 +56,7 @@ class MapSource:
         lost_after_s: an input whose process gave no sign of life for this long is lost, and one
             that nobody publishes; may be replaced by ``ask``.
         stamps: of all inputs.
+        clocks: of all inputs.
         on_map: called in the executor's thread when a map has come, or a process fell silent.
         on_pose: called there with this when a pose has come.
 
@@ -74,6 +76,7 @@ class MapSource:
         topic: str,
         lost_after_s: float,
         stamps: Stamps,
+        clocks: Clocks,
         on_map: Callable[[], None],
         on_pose: Callable[[MapSource], None],
     ) -> None:
@@ -85,6 +88,7 @@ class MapSource:
         self.silent_since_s: float | None = time.monotonic()
         self._base = base
         self._stamps = stamps
+        self._clocks = clocks
         self._lost_after_s = lost_after_s
         self._on_map, self._on_pose = on_map, on_pose
         self._lock = threading.Lock()
@@ -153,6 +157,7 @@ class MapSource:
             self._subscription = self._listen()
 
     def _keep(self, message: Any) -> None:
+        self._clocks.hear(self.name, "map", messages.stamp_s(message))
         # Whoever sent it lives, though the last one who promised signs of life does not.
         self.silent_since_s = None
         if self._heartbeat is not None:
@@ -198,6 +203,7 @@ class MapSource:
             text = f"a pose of {self.name!r} is left out: {error}"
             self._base.diagnostics.add(key, Level.WARN, text, SHOWN_S)
             return
+        self._clocks.hear(self.name, "pose", messages.stamp_s(message))
         if self._is_ahead("pose", messages.stamp_s(message), "it is left out"):
             return
         self.pose = HeardPose(pose, message.header.stamp, time.monotonic())

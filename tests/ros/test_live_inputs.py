@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,16 @@ from tests.support.documents import check_document
 pytestmark = pytest.mark.ros
 
 FUSION = "fusion: fusion"
+
+
+def tell_a_clock_that_is_off(makers: Makers) -> None:
+    """One whose clock is off is named, and votes on."""
+    for number in range(5):
+        for name, ahead_s in (("a", 0.0), ("b", 30.0), ("c", 0.0)):
+            makers.send(touched(three()[name], number), stamp_s=time.time() + ahead_s)
+        makers.observer.listen(0.3)
+    words = "all 4 inputs vote", "the clock of 'b' is 30.0 s ahead"
+    makers.observer.wait_status(FUSION, *words)
 
 
 @pytest.mark.once
@@ -106,6 +117,8 @@ def test_inputs_come_and_go_while_the_node_runs(
     assert run_program(["live", "remove", "z"]) == 1
     assert "no input 'z'; the inputs are a, b, yard, lab" in capfd.readouterr().err
     assert names() == ["a", "b", "yard", "lab"]
+
+    tell_a_clock_that_is_off(makers)
 
     # One whose publisher has gone is not forgotten, but dead as others are.
     makers.stop("b")
