@@ -17,6 +17,8 @@ __all__ = [
     "ErrorStatisticsJson",
     "FaceAgreementJson",
     "MapErrorJson",
+    "MeasuredItemJson",
+    "MethodMeanJson",
     "PairedDifferenceJson",
     "RelationErrorsAtScansJson",
     "RelationErrorsJson",
@@ -295,3 +297,25 @@ class DensePosesJson(TypedDict):
     """Poses of the trajectory that have a row."""
     poses_without_row: int
     """Poses of the trajectory that have none."""
+
+
+class MeasuredItemJson(TypedDict):
+    """What was measured of one map or path."""
+
+    case: str
+    """What it was measured against: a place, a log or a truth."""
+    method: str
+    """What made it."""
+    figures: Mapping[str, float]
+    """Figures by name; what is not defined is missing."""
+
+
+class MethodMeanJson(TypedDict):
+    """The means of a method's figures over its cases."""
+
+    method: str
+    """The method."""
+    cases: int
+    """Cases that it was measured in."""
+    figures: Mapping[str, float]
+    """Means of the figures that are defined in each of these cases, by name."""
