@@ -43,6 +43,12 @@ if TYPE_CHECKING:
     from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
     from slamfusion.io import AtomicFiles, load_map, open_log, read_trajectory, save_map
     from slamfusion.jobs.align import align_maps
+    from slamfusion.jobs.cases import CaseFile, place_files
+    from slamfusion.jobs.compare import (
+        ComparedResults,
+        compare_results,
+        write_comparison_plot,
+    )
     from slamfusion.jobs.evaluate import (
         Evaluation,
         evaluate_maps,
@@ -54,8 +60,15 @@ if TYPE_CHECKING:
     from slamfusion.jobs.judge import JudgedPaths, judge_paths, write_judgement
     from slamfusion.jobs.map_log import MappedLog, map_log, save_mapped_log
     from slamfusion.jobs.records import load_schema
+    from slamfusion.jobs.results_file import SavedResults, read_results, write_results_file
     from slamfusion.jobs.run import LogRun, run_log
     from slamfusion.jobs.run_files import SavedRun, save_run
+    from slamfusion.jobs.several import (
+        CaseFiles,
+        evaluate_cases,
+        judge_logs,
+        measure_trajectories,
+    )
     from slamfusion.jobs.simulate import SimulatedDrive, save_simulated_drive, simulate_course
     from slamfusion.jobs.trajectory import (
         MeasuredTrajectory,
@@ -76,6 +89,9 @@ __all__ = [
     "Alignment",
     "AlignmentError",
     "AtomicFiles",
+    "CaseFile",
+    "CaseFiles",
+    "ComparedResults",
     "ComputeDevice",
     "ConfigError",
     "DeviceError",
@@ -97,6 +113,7 @@ __all__ = [
     "OptimizedGraph",
     "Pose2",
     "RunConfig",
+    "SavedResults",
     "SavedRun",
     "ScanError",
     "SimulatedDrive",
@@ -109,19 +126,25 @@ __all__ = [
     "TrajectoryFiles",
     "__version__",
     "align_maps",
+    "compare_results",
+    "evaluate_cases",
     "evaluate_maps",
     "fuse_maps",
+    "judge_logs",
     "judge_paths",
     "load_config",
     "load_map",
     "load_schema",
     "map_log",
     "measure_distances",
+    "measure_trajectories",
     "measure_trajectory",
     "measure_trajectory_file",
     "open_device",
     "open_log",
     "optimize_graph",
+    "place_files",
+    "read_results",
     "read_trajectory",
     "run_log",
     "save_fused_maps",
@@ -131,8 +154,10 @@ __all__ = [
     "save_run",
     "save_simulated_drive",
     "simulate_course",
+    "write_comparison_plot",
     "write_evaluation",
     "write_judgement",
+    "write_results_file",
     "write_trajectory",
 ]
 
@@ -161,14 +186,18 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "grid": ("FREE", "OCCUPIED", "UNKNOWN", "OccupancyGrid"),
     "io": ("AtomicFiles", "load_map", "open_log", "read_trajectory", "save_map"),
     "jobs.align": ("align_maps",),
+    "jobs.cases": ("CaseFile", "place_files"),
+    "jobs.compare": ("ComparedResults", "compare_results", "write_comparison_plot"),
     "jobs.evaluate": ("Evaluation", "evaluate_maps", "measure_distances", "write_evaluation"),
     "jobs.fuse": ("FusedMaps", "fuse_maps", "save_fused_maps"),
     "jobs.graph": ("OptimizedGraph", "optimize_graph", "save_optimized_graph"),
     "jobs.judge": ("JudgedPaths", "judge_paths", "write_judgement"),
     "jobs.map_log": ("MappedLog", "map_log", "save_mapped_log"),
     "jobs.records": ("load_schema",),
+    "jobs.results_file": ("SavedResults", "read_results", "write_results_file"),
     "jobs.run": ("LogRun", "run_log"),
     "jobs.run_files": ("SavedRun", "save_run"),
+    "jobs.several": ("CaseFiles", "evaluate_cases", "judge_logs", "measure_trajectories"),
     "jobs.simulate": ("SimulatedDrive", "save_simulated_drive", "simulate_course"),
     "jobs.trajectory": (
         "MeasuredTrajectory",

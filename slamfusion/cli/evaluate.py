@@ -2,104 +2,158 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, map_resolution_option, with_config
+from slamfusion.cli.item_tables import print_items
+from slamfusion.cli.options import (
+    CASE_FILE,
+    case_option,
+    common_options,
+    file_option,
+    map_resolution_option,
+    report_option,
+    with_config,
+)
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
-from slamfusion.jobs.inputs import check_writable, device_for, load_maps
+from slamfusion.jobs.cases import CaseFile, case_names, place_files
+from slamfusion.jobs.inputs import MapInput, check_writable, device_for, load_maps
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
     from slamfusion.jobs.evaluate import Evaluation
+    from slamfusion.jobs.results_file import InputFile
 
 __all__ = ["command", "print_evaluations"]
 
 
+@dataclass(frozen=True)
+class _Request:
+    """What is asked for beside the settings."""
+
+    maps: tuple[CaseFile, ...]
+    truths: tuple[CaseFile, ...]
+    align: bool
+    distances_path: Path | None
+    report_dir: Path | None
+    image_path: Path | None
+    resolution: float | None
+    results_path: Path | None
+    as_json: bool
+
+    @property
+    def paths(self) -> list[Path]:
+        """The maps' files."""
+        return [item.path for item in self.maps]
+
+    def check(self) -> None:
+        """Refuse what cannot be done before any work."""
+        if not self.truths and self.distances_path is None:
+            message = "give --truth MAP, --distances FILE, or both"
+            raise click.UsageError(message)
+        if not self.truths and (self.report_dir or self.image_path):
+            message = "--report and --image show the difference to a truth; give --truth MAP"
+            raise click.UsageError(message)
+        if self.image_path is not None and self.image_path.suffix.lower() != ".png":
+            message = f"--image writes a PNG; call it {self.image_path.with_suffix('.png')}"
+            raise click.UsageError(message)
+        for folder in (self.report_dir, None if not self.image_path else self.image_path.parent):
+            if folder is not None:
+                import slamfusion.report  # noqa: F401, PLC0415  (says early if its extra is missing)
+
+                check_writable(folder)
+
+
 @click.command("evaluate")
-@click.argument("maps", nargs=-1, required=True, type=FILE)
-@click.option(
-    "--truth",
-    "truth_path",
-    type=FILE,
-    metavar="MAP",
-    help="The true map.",
-)
+@click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_FILE)
+@case_option("--truth", "truths", "MAP", "The true map.")
 @click.option(
     "--align/--no-align",
     default=True,
     help="Align each map with the truth first, or take both frames for the same. [default: align]",
 )
-@click.option(
+@file_option(
     "--distances",
     "distances_path",
-    type=FILE,
-    metavar="FILE",
-    help="Compare distances measured in the building with the map's (CSV or YAML).",
+    "FILE",
+    "Compare distances measured in the building with the map's (CSV or YAML).",
 )
-@click.option(
-    "--report",
-    "report_dir",
-    type=FILE,
-    metavar="DIR",
-    help="Write a self-contained HTML report with its pictures here.",
-)
-@click.option(
+@report_option("report_dir")
+@file_option(
     "--image",
     "image_path",
-    type=FILE,
-    metavar="FILE",
-    help="Write the difference image of the map here; several maps add their names.",
+    "FILE",
+    "Write the difference image of the map here; several maps add their names.",
 )
 @map_resolution_option
 @with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "device", "")
 @common_options
+@results_option
 @table_option
-def command(
-    maps: tuple[Path, ...],
-    truth_path: Path | None,
-    align: bool,
-    distances_path: Path | None,
-    report_dir: Path | None,
-    image_path: Path | None,
-    resolution: float | None,
-    config: RunConfig,
-    as_json: bool,
-) -> int:
-    """Measure the error of MAPS against the truth, or against measured distances."""
+def command(config: RunConfig, **asked: Any) -> int:
+    """Measure the error of each MAP against the truth, or against measured distances.
+
+    With several truths a map belongs to the one whose name its own name or folder says as a word
+    (graph/office.yaml and office_graph.yaml to office.yaml), or that it is given: CASE=MAP. All
+    maps then stand in one table with the means of each method; a report is written for each truth.
+    """
+    request = _Request(**asked)
+    request.check()
+    return (
+        _evaluate_one(request, config)
+        if len(request.truths) < 2
+        else _evaluate_cases(request, config)
+    )
+
+
+def _evaluate_one(request: _Request, config: RunConfig) -> int:
+    """Measure maps against one truth, or measured distances alone."""
     from slamfusion.jobs.evaluate import (  # noqa: PLC0415
         evaluate_document,
         evaluate_maps,
-        measure_distances,
+        evaluated_items,
         write_evaluation,
     )
 
-    _check_request(truth_path, distances_path, report_dir, image_path)
-    grids = load_maps(maps, resolution, config.map_files, notice)
+    if request.truths:
+        place_files(case_names(request.truths), request.maps)  # refuses other cases
+    grids = load_maps(request.paths, request.resolution, config.map_files, notice)
     evaluations: Sequence[Evaluation] = ()
-    device = None
-    if truth_path is not None:
-        (truth,) = load_maps([truth_path], resolution, config.map_files, notice)
+    truth_path, device = None, None
+    if request.truths:
+        truth_path = request.truths[0].path
+        (truth,) = load_maps([truth_path], request.resolution, config.map_files, notice)
         computes = device_for(config)
         device = computes.name
         with progress_bar() as progress:
             evaluations = evaluate_maps(
-                grids, truth, config, computes, align=align, progress=progress
+                grids, truth, config, computes, align=request.align, progress=progress
             )
-    distances = () if distances_path is None else measure_distances(grids, distances_path, config)
-    write_evaluation(evaluations, config, device=device or "", report=report_dir, image=image_path)
-    for evaluation in evaluations:
-        if evaluation.alignment is not None and not evaluation.is_aligned:
-            notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
-    if as_json:
-        print_json(
-            evaluate_document(evaluations, distances, config, truth=truth_path, device=device)
-        )
+    distances = _distances(request, grids, config)
+    write_evaluation(
+        evaluations,
+        config,
+        device=device or "",
+        report=request.report_dir,
+        image=request.image_path,
+    )
+    _tell_not_aligned(evaluations)
+    document = evaluate_document(evaluations, distances, config, truth=truth_path, device=device)
+    save_results(
+        request.results_path,
+        document,
+        lambda: evaluated_items(evaluations, distances),
+        lambda: _inputs(request, {} if truth_path is None else {"": truth_path}),
+    )
+    if request.as_json:
+        print_json(document)
     else:
         if evaluations:
             print_evaluations(evaluations)
@@ -108,27 +162,70 @@ def command(
     return 0
 
 
-def _check_request(
-    truth_path: Path | None,
-    distances_path: Path | None,
-    report_dir: Path | None,
-    image_path: Path | None,
-) -> None:
-    """Refuse what cannot be done before any work."""
-    if truth_path is None and distances_path is None:
-        message = "give --truth MAP, --distances FILE, or both"
-        raise click.UsageError(message)
-    if truth_path is None and (report_dir or image_path):
-        message = "--report and --image show the difference to a truth; give --truth MAP"
-        raise click.UsageError(message)
-    if image_path is not None and image_path.suffix.lower() != ".png":
-        message = f"--image writes a PNG; call it {image_path.with_suffix('.png')}"
-        raise click.UsageError(message)
-    for folder in (report_dir, None if image_path is None else image_path.parent):
-        if folder is not None:
-            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+def _evaluate_cases(request: _Request, config: RunConfig) -> int:
+    """Measure maps against several truths, each against its own."""
+    from slamfusion.jobs.evaluate import evaluated_items  # noqa: PLC0415
+    from slamfusion.jobs.several import evaluate_cases, write_case_evaluations  # noqa: PLC0415
 
-            check_writable(folder)
+    cases = case_names(request.truths)
+    truths = {case: file.path for case, file in zip(cases, request.truths, strict=True)}
+    with progress_bar() as progress:
+        found = evaluate_cases(
+            place_files(cases, request.maps),
+            truths,
+            config,
+            align=request.align,
+            resolution=request.resolution,
+            progress=progress,
+            warn=notice,
+        )
+    distances = _distances(request, request.paths, config)
+    write_case_evaluations(found, report=request.report_dir, image=request.image_path)
+    _tell_not_aligned(found.evaluations)
+    document = found.to_json()
+    document["distances"] = [comparison.to_json() for comparison in distances]
+    save_results(
+        request.results_path,
+        document,
+        lambda: [*found.items(), *evaluated_items((), distances)],
+        lambda: _inputs(request, truths),
+    )
+    if request.as_json:
+        print_json(document)
+    else:
+        print_items(found.items(), "map", ("error", "wall_f1"))
+        for comparison in distances:
+            _print_distances(comparison)
+    return 0
+
+
+def _distances(
+    request: _Request, maps: Sequence[MapInput], config: RunConfig
+) -> Sequence[DistanceComparison]:
+    """Return measured distances against each map; none where there are none."""
+    from slamfusion.jobs.evaluate import measure_distances  # noqa: PLC0415
+
+    if request.distances_path is None:
+        return ()
+    return measure_distances(maps, request.distances_path, config, resolution=request.resolution)
+
+
+def _tell_not_aligned(evaluations: Sequence[Evaluation]) -> None:
+    for evaluation in evaluations:
+        if evaluation.alignment is not None and not evaluation.is_aligned:
+            notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
+
+
+def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[InputFile]:
+    """Return the files that were read."""
+    from slamfusion.jobs.results_file import InputFile, map_inputs  # noqa: PLC0415
+
+    found = map_inputs("map", "", request.paths)
+    for case, path in truths.items():
+        found += map_inputs("truth", case, [path])
+    if request.distances_path is not None:
+        found.append(InputFile("distances", "", request.distances_path))
+    return found
 
 
 def print_evaluations(evaluations: Sequence[Evaluation]) -> None:

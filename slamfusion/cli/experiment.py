@@ -11,6 +11,8 @@ import click
 from slamfusion.cli.fleet import asked_scheduler, scheduler_option
 from slamfusion.cli.options import FILE, common_options, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.results_files import results_option, save_results
+from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError
 from slamfusion.jobs.inputs import check_writable
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
         RepeatedRunsDocument,
     )
     from slamfusion.experiments.sheets import Tables
+    from slamfusion.jobs.results_file import InputFile
 
 __all__ = ["command"]
 
@@ -54,7 +57,9 @@ def command() -> None:
 @command.command("cell-models")
 @OUTPUT
 @common_options
-def cell_models(folder: Path, as_json: bool) -> int:
+@results_option
+@table_option
+def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
     """Compute Table II of [H16]: a cell told 12 values in two orders.
 
     Exit code 1 when a value differs from the paper's in its three decimals.
@@ -69,6 +74,7 @@ def cell_models(folder: Path, as_json: bool) -> int:
     check_writable(folder)
     rows = table_two()
     document = save_cell_models(folder, rows)
+    save_results(results_path, document, lambda: [row.item() for row in rows])
     if as_json:
         print_json(document)
     else:
@@ -115,6 +121,8 @@ def cell_models(folder: Path, as_json: bool) -> int:
 )
 @with_config("experiment.occupancy_estimator", "device", "")
 @common_options
+@results_option
+@table_option
 def occupancy_estimator(
     folder: Path,
     log_path: Path | None,
@@ -122,6 +130,7 @@ def occupancy_estimator(
     odometry_path: Path | None,
     reference_path: Path | None,
     config: RunConfig,
+    results_path: Path | None,
     as_json: bool,
 ) -> int:
     """Sweep tinySLAM's cell size with both occupancy estimators: Table III of [H16].
@@ -152,6 +161,7 @@ def occupancy_estimator(
         drives = gather_drives(recorded, floors, config, device, progress)
         results = sweep_estimators(drives, config, device, keep=keep, progress=progress)
     document = save_estimator_sweep(folder, results, verdicts(results), config, device.name)
+    save_results(results_path, document, results.items, lambda: _drive_inputs(recorded))
     if as_json:
         print_json(document)
     else:
@@ -174,8 +184,14 @@ def occupancy_estimator(
 )
 @with_config("experiment.cell_models_trajectories", "device", "")
 @common_options
+@results_option
+@table_option
 def cell_models_trajectories(
-    folder: Path, logs: tuple[str, ...], config: RunConfig, as_json: bool
+    folder: Path,
+    logs: tuple[str, ...],
+    config: RunConfig,
+    results_path: Path | None,
+    as_json: bool,
 ) -> int:
     """Compare tinySLAM's cell models and gmapping by errors of the trajectory: Table I of [H16].
 
@@ -200,6 +216,7 @@ def cell_models_trajectories(
         drives = gather_drives(recorded, floors, config, device, progress)
         results = compare_models(drives, config, device, keep=keep, progress=progress)
     document = save_model_comparison(folder, results, model_sentences(results), config, device.name)
+    save_results(results_path, document, results.items, lambda: _drive_inputs(recorded))
     if as_json:
         print_json(document)
     else:
@@ -227,7 +244,15 @@ def _drive_files(text: str) -> DriveFiles:
 @scheduler_option("the drives")
 @with_config("experiment.ground_obstacle", "device", "")
 @common_options
-def ground_obstacle(folder: Path, scheduler: str | None, config: RunConfig, as_json: bool) -> int:
+@results_option
+@table_option
+def ground_obstacle(
+    folder: Path,
+    scheduler: str | None,
+    config: RunConfig,
+    results_path: Path | None,
+    as_json: bool,
+) -> int:
     """Compare three producers and their fusions, with and without an obstacle on the ground.
 
     Tables I to III of [F16]: each drive is simulated, mapped by all producers and fused in every
@@ -241,6 +266,7 @@ def ground_obstacle(folder: Path, scheduler: str | None, config: RunConfig, as_j
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_with_obstacle(config, folder, progress, fleet)
     document = save_obstacle_table(folder, table, obstacle_trials(config), config, device)
+    save_results(results_path, document, table.items)
     if as_json:
         print_json(document)
     else:
@@ -253,7 +279,15 @@ def ground_obstacle(folder: Path, scheduler: str | None, config: RunConfig, as_j
 @scheduler_option("the drives")
 @with_config("experiment.failures", "device", "")
 @common_options
-def failures(folder: Path, scheduler: str | None, config: RunConfig, as_json: bool) -> int:
+@results_option
+@table_option
+def failures(
+    folder: Path,
+    scheduler: str | None,
+    config: RunConfig,
+    results_path: Path | None,
+    as_json: bool,
+) -> int:
     """Compare three producers and their fusions where the place, the drive or a producer fails.
 
     Courses: corridor loop, glass, people, slip, kidnapping, broken odometry, lost for good; each
@@ -271,6 +305,7 @@ def failures(folder: Path, scheduler: str | None, config: RunConfig, as_json: bo
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_failures(config, folder, progress, fleet)
     document = save_failures(folder, table, trials, config, device)
+    save_results(results_path, document, table.items)
     if as_json:
         print_json(document)
     else:
@@ -289,7 +324,11 @@ def failures(folder: Path, scheduler: str | None, config: RunConfig, as_json: bo
 )
 @with_config("device", "")
 @common_options
-def real_logs(folder: Path, datasets: Path, config: RunConfig, as_json: bool) -> int:
+@results_option
+@table_option
+def real_logs(
+    folder: Path, datasets: Path, config: RunConfig, results_path: Path | None, as_json: bool
+) -> int:
     """Compare three producers and their fusions on recorded drives: mit-csail and Intel.
 
     Against the map drawn from the best trajectory known, the nearest thing to the truth. A drive
@@ -303,6 +342,7 @@ def real_logs(folder: Path, datasets: Path, config: RunConfig, as_json: bool) ->
     with progress_bar() as progress:
         table = compare_on_logs(datasets, names, config, device, progress)
     document = save_real_logs(folder, table, config, device.name)
+    save_results(results_path, document, table.items, lambda: _log_inputs(datasets, names))
     if as_json:
         print_json(document)
     else:
@@ -327,6 +367,35 @@ def _floors(count: int, recorded: Sequence[DriveFiles]) -> range:
         message = "nothing to run on: give --log, or --floors of at least 1"
         raise click.UsageError(message)
     return range(FIRST_FLOOR, FIRST_FLOOR + count)
+
+
+def _drive_inputs(recorded: Sequence[DriveFiles]) -> list[InputFile]:
+    """Return the files of recorded drives."""
+    from slamfusion.jobs.results_file import InputFile  # noqa: PLC0415
+
+    return [
+        InputFile(role, files.log.stem, path)
+        for files in recorded
+        for role, path in (
+            ("log", files.log),
+            ("relations", files.relations),
+            ("odometry", files.odometry),
+            ("truth", files.reference),
+        )
+        if path is not None
+    ]
+
+
+def _log_inputs(folder: Path, names: Sequence[str]) -> list[InputFile]:
+    """Return the files of drives of the data sets."""
+    from slamfusion.experiments import REAL_LOGS  # noqa: PLC0415
+    from slamfusion.jobs.results_file import InputFile  # noqa: PLC0415
+
+    return [
+        InputFile(role, name, folder / path)
+        for name in names
+        for role, path in (("log", REAL_LOGS[name].log), ("truth", REAL_LOGS[name].reference))
+    ]
 
 
 def _print_results(results: Results, document: RepeatedRunsDocument) -> None:

@@ -2,72 +2,159 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
-    FILE,
+    CASE_FILE,
+    case_option,
     common_options,
     drive_files,
-    file_option,
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
 from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evidence.verdict import PathVerdict, Verdict
     from slamfusion.jobs.judge import JudgedPaths
+    from slamfusion.jobs.several import CaseFiles
 
 __all__ = ["command", "print_verdict"]
 
 
+@dataclass(frozen=True)
+class _Request:
+    """What is asked for beside the settings."""
+
+    log: CaseFile
+    more_logs: tuple[CaseFile, ...]
+    paths: tuple[CaseFile, ...]
+    truths: tuple[CaseFile, ...]
+    relations: tuple[CaseFile, ...]
+    odometry: tuple[CaseFile, ...]
+    scan_odometry: tuple[CaseFile, ...]
+    report_dir: Path | None
+    results_path: Path | None
+    as_json: bool
+
+    def check(self) -> None:
+        """Refuse what cannot be done before any work."""
+        if self.odometry and not self.relations:
+            message = "--odometry carries poses to the times of relations; give --relations FILE"
+            raise click.UsageError(message)
+        if self.report_dir is not None:
+            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+
+            check_writable(self.report_dir)
+
+    def placed(self) -> tuple[list[Placed], CaseFiles]:
+        """Return the paths of each log, and what they are held against."""
+        from slamfusion.jobs.several import CaseFiles  # noqa: PLC0415  (loads slowly)
+
+        logs = (self.log, *self.more_logs)
+        cases = case_names(logs)
+        held = CaseFiles(
+            relations=files_by_case(cases, self.relations, "--relations"),
+            odometry=files_by_case(cases, self.odometry, "--odometry"),
+            logs={case: file.path for case, file in zip(cases, logs, strict=True)},
+            truths=files_by_case(cases, self.truths, "--truth"),
+            scan_odometry=files_by_case(cases, self.scan_odometry, "--scan-odometry"),
+        )
+        return place_files(cases, self.paths), held
+
+
 @click.command("judge")
-@click.argument("log", type=FILE)
-@click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=FILE)
-@file_option(
-    "--truth", "truth", "FILE", "The true trajectory: errors of the paths, ranked beside the scans."
+@click.argument("log", type=CASE_FILE)
+@click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=CASE_FILE)
+@case_option("--log", "more_logs", "LOG", "One more log, of other paths.")
+@case_option(
+    "--truth",
+    "truths",
+    "FILE",
+    "The true trajectory: errors of the paths, ranked beside the scans.",
 )
-@drive_files("paths")
+@drive_files("paths", of_cases=True)
 @report_option("report_dir")
 @with_config("log", "trajectory", "device", "")
 @common_options
+@results_option
 @table_option
-def command(
-    log: Path,
-    paths: tuple[Path, ...],
-    report_dir: Path | None,
-    config: RunConfig,
-    as_json: bool,
-    **asked: Any,
-) -> int:
+def command(config: RunConfig, **asked: Any) -> int:
     """Rank paths of LOG by how well what was seen at other times predicts each scan.
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag; each PATH a file of poses that any SLAM made of
     it: TUM, 't x y theta' or CSV. No truth is needed. A path may be sparse: odometry fills it.
+
+    With several logs (--log) a PATH belongs to the one whose name its own name or folder says as a
+    word (graph/intel.tum and intel_graph.tum to intel.log), or that it is given: CASE=PATH; so do
+    the files of the other options. All paths then stand in one table with the means of each method;
+    a report is written for each log.
     """
+    request = _Request(**asked)
+    request.check()
+    return _judge_logs(request, config) if request.more_logs else _judge_one(request, config)
+
+
+def _judge_one(request: _Request, config: RunConfig) -> int:
+    """Rank the paths of one log."""
     from slamfusion.jobs.judge import judge_paths, write_judgement  # noqa: PLC0415
 
-    if asked["odometry"] is not None and asked["relations"] is None:
-        message = "--odometry carries poses to the times of relations; give --relations FILE"
-        raise click.UsageError(message)
-    if report_dir is not None:
-        import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-        check_writable(report_dir)
-    found = judge_paths(log, paths, config, warn=notice, **asked)
-    if report_dir is not None:
-        write_judgement(found, report_dir)
-    if as_json:
-        print_json(found.to_json())
+    placed, held = request.placed()
+    (case,) = held.logs
+    found = judge_paths(
+        held.logs[case],
+        [item.path for item in placed],
+        config,
+        relations=held.relations.get(case),
+        odometry=held.odometry.get(case),
+        truth=held.truths.get(case),
+        scan_odometry=held.scan_odometry.get(case),
+        warn=notice,
+    )
+    if request.report_dir is not None:
+        write_judgement(found, request.report_dir)
+    document = found.to_json()
+    save_results(
+        request.results_path, document, lambda: found.items(case), lambda: held.inputs(placed)
+    )
+    if request.as_json:
+        print_json(document)
     else:
         _print(found)
+    if found.not_measured:
+        raise SlamFusionError("; ".join(found.not_measured))
+    return 0
+
+
+def _judge_logs(request: _Request, config: RunConfig) -> int:
+    """Rank the paths of each of several logs."""
+    from slamfusion.jobs.several import judge_logs, write_judgements  # noqa: PLC0415
+
+    placed, held = request.placed()
+    with progress_bar() as progress:
+        found = judge_logs(placed, held, config, progress=progress, warn=notice)
+    if request.report_dir is not None:
+        write_judgements(found, request.report_dir)
+    document = found.to_json()
+    save_results(request.results_path, document, found.items, lambda: held.inputs(placed))
+    if request.as_json:
+        print_json(document)
+    else:
+        leading = ("consistency", "ate_rmse_m", "relations_mean_m")
+        print_items(found.items(), "path", leading)
+        for case, judged in found.logs.items():
+            print(f"{case}: {judged.verdict.sentence}")
     if found.not_measured:
         raise SlamFusionError("; ".join(found.not_measured))
     return 0

@@ -23,10 +23,13 @@ from slamfusion.config import (
     split_list,
 )
 from slamfusion.errors import ConfigError
+from slamfusion.jobs.cases import CaseFile
 
 __all__ = [
+    "CASE_FILE",
     "FILE",
     "ConfigOption",
+    "case_option",
     "common_options",
     "config_fields",
     "drive_files",
@@ -58,6 +61,22 @@ class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from clic
 
 
 FILE = _UserPath()
+
+
+class _CaseFileType(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """A file that may be said to belong to a case: ``CASE=FILE``."""
+
+    name = "case_file"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> CaseFile:
+        """Return the file and the case."""
+        found = CaseFile.parse(value)
+        return replace(found, path=FILE.convert(str(found.path), param, ctx))
+
+
+CASE_FILE = _CaseFileType()
 
 
 @dataclass(frozen=True)
@@ -176,6 +195,16 @@ def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[
     return click.option(name, parameter, type=FILE, metavar=metavar, help=text)
 
 
+def case_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:
+    """Return the option of a command that names a file of each of several cases; see ``CASE_FILE``.
+
+    Args:
+        name, parameter, metavar, text: see ``file_option``; the parameter is a tuple.
+    """
+    text = f"{text} May be given for several cases: [CASE=]{metavar}."
+    return click.option(name, parameter, type=CASE_FILE, multiple=True, metavar=metavar, help=text)
+
+
 _CONFIG_FILE = file_option(
     "--config",
     "config_file",
@@ -190,26 +219,28 @@ def report_option(parameter: str) -> Callable[[F], F]:
     return file_option("--report", parameter, "DIR", text)
 
 
-def drive_files(judged: str) -> Callable[[F], F]:
+def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
     """Give a command ``--relations``, ``--odometry``, ``--scan-odometry``: files beside LOG.
 
     Args:
         judged: what the errors by the relations are of, as help says it.
+        of_cases: each may be given for several logs.
     """
+    of_kind = case_option if of_cases else file_option
     options = (
-        file_option(
+        of_kind(
             "--relations",
             "relations",
             "FILE",
             f"Known motions between pairs of times [K09]: errors of the {judged}.",
         ),
-        file_option(
+        of_kind(
             "--odometry",
             "odometry",
             "FILE",
             "Raw odometry of the whole run, to carry poses on to the times of the relations.",
         ),
-        file_option(
+        of_kind(
             "--scan-odometry",
             "scan_odometry",
             "FILE",

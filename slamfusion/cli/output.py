@@ -41,12 +41,14 @@ class Settings:
         debug, json: as asked.
         printed: whether the JSON document was.
         tables: where tables that are printed are kept, too; None: nowhere.
+        arguments: the whole command line, without the program.
     """
 
     debug: bool = False
     json: bool = False
     printed: bool = False
     tables: list[Table] | None = None
+    arguments: tuple[str, ...] = ()
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -69,9 +71,10 @@ def print_table(
     notes: Sequence[str] = (),
     title: str = "",
     header: bool = True,
+    names: int = 1,
 ) -> None:
     """Print a table to stdout, fitted to a terminal or tab-separated; see ``Table``."""
-    table = Table(columns, rows, notes, title, has_head=header)
+    table = Table(columns, rows, notes, title, has_head=header, names=names)
     context = click.get_current_context(silent=True)
     kept = None if context is None else context.ensure_object(Settings).tables
     if kept is not None and header:

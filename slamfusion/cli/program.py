@@ -19,6 +19,7 @@ from slamfusion import __version__
 from slamfusion.cli import (
     align,
     bench,
+    compare,
     devices,
     doctor,
     evaluate,
@@ -50,6 +51,7 @@ COMMANDS: tuple[click.Command, ...] = (
     slam.command,
     trajectory.command,
     judge.command,
+    compare.command,
     show.command,
     graph.command,
     devices.command,
@@ -99,7 +101,7 @@ def run_program(arguments: Sequence[str]) -> int:
         told = logging.getLogger(name)
         if not told.handlers:
             told.addHandler(logging.StreamHandler())
-    settings = Settings()
+    settings = Settings(arguments=tuple(arguments))
     code = _run(list(arguments), settings)
     with contextlib.suppress(OSError):
         sys.stderr.flush()

@@ -40,6 +40,8 @@ class Table:
         title: a line above; empty for none.
         has_head: whether the heads are shown.
         note_head: head of the notes in a pipe, where they are a column.
+        names: so many of the first columns name the row, and stand in every part of a table that is
+            cut.
     """
 
     columns: Sequence[str]
@@ -48,6 +50,7 @@ class Table:
     title: str = ""
     has_head: bool = True
     note_head: str = "reason"
+    names: int = 1
 
     def tabbed(self) -> Iterator[str]:
         """Yield a line for each row, cells parted by tabs, nothing wrapped, padded or drawn."""
@@ -64,7 +67,7 @@ class Table:
         """Yield lines of at most ``width`` characters.
 
         Columns that hold nothing are left out. Heads and text are wrapped; where that is not enough
-        the table is cut into several, each with the first column. Notes stand below their rows.
+        the table is cut into several, each with the names. Notes stand below their rows.
         """
         rows = [[one_line(cell) for cell in row] for row in self.rows]
         cells = zip(*rows, strict=True) if rows else ((),) * len(self.columns)
@@ -72,11 +75,13 @@ class Table:
         kept = [
             column
             for index, column in enumerate(columns)
-            if not index or not self.has_head or any(cell != NOTHING for cell in column.cells)
+            if index < self.names
+            or not self.has_head
+            or any(cell != NOTHING for cell in column.cells)
         ]
         if self.title:
             yield from textwrap.wrap(one_line(self.title), width)
-        parts = _parts(kept, width, may_cut=self.has_head)
+        parts = _parts(kept, self.names, width, may_cut=self.has_head)
         for number, part in enumerate(parts):
             if number:
                 yield ""
@@ -150,14 +155,14 @@ def _total(widths: Sequence[int]) -> int:
     return len(INDENT) + sum(widths) + len(GAP) * (len(widths) - 1)
 
 
-def _parts(columns: list[_Column], width: int, *, may_cut: bool) -> list[list[_Column]]:
-    """Cut columns into tables that fit; each begins with the first column, and is narrow enough."""
-    first, *others = columns
-    parts: list[list[_Column]] = [[first]]
+def _parts(columns: list[_Column], names: int, width: int, *, may_cut: bool) -> list[list[_Column]]:
+    """Cut columns into tables that fit; each begins with the names, and is narrow enough."""
+    first, others = columns[:names], columns[names:]
+    parts: list[list[_Column]] = [[*first]]
     for column in others:
         widths = [item.least for item in (*parts[-1], column)]
-        if may_cut and len(parts[-1]) > 1 and _total(widths) > width:
-            parts.append([first])
+        if may_cut and len(parts[-1]) > names and _total(widths) > width:
+            parts.append([*first])
         parts[-1].append(column)
     return [_narrowed(part, width) for part in parts]
 

@@ -3,130 +3,193 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, with_config
+from slamfusion.cli.item_tables import print_items
+from slamfusion.cli.options import (
+    CASE_FILE,
+    case_option,
+    common_options,
+    file_option,
+    report_option,
+    with_config,
+)
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
 from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DensePoses, ErrorStatistics
+    from slamfusion.jobs.several import CaseFiles
     from slamfusion.jobs.trajectory import Measures
     from slamfusion.trajectory import Trajectory
 
 __all__ = ["command", "print_errors", "print_measures"]
 
 
+@dataclass(frozen=True)
+class _Request:
+    """What is asked for beside the settings."""
+
+    estimates: tuple[CaseFile, ...]
+    relations: tuple[CaseFile, ...]
+    odometry: tuple[CaseFile, ...]
+    logs: tuple[CaseFile, ...]
+    truths: tuple[CaseFile, ...]
+    map_path: Path | None
+    report_dir: Path | None
+    results_path: Path | None
+    as_json: bool
+
+    @property
+    def is_one(self) -> bool:
+        """Whether it is one path, held against one truth or relations."""
+        return max(map(len, (self.estimates, self.truths, self.relations))) == 1
+
+    def check(self) -> None:
+        """Refuse what cannot be measured before any work."""
+        if not self.relations and not self.truths:
+            message = "give --relations FILE, --truth FILE, or both"
+            raise click.UsageError(message)
+        if self.odometry and not self.relations:
+            message = "--odometry carries poses to the times of relations; give --relations FILE"
+            raise click.UsageError(message)
+        if self.logs and not self.odometry:
+            message = "--log places the scans in the odometry of the run; give --odometry FILE"
+            raise click.UsageError(message)
+        if self.map_path is not None and self.report_dir is None:
+            message = "--map is drawn in the report; give --report DIR"
+            raise click.UsageError(message)
+        if self.map_path is not None and not self.is_one:
+            message = "--map lies under one path; give one EST with it"
+            raise click.UsageError(message)
+        if self.report_dir is not None:
+            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
+
+            check_writable(self.report_dir)
+
+    def placed(self) -> tuple[list[Placed], CaseFiles]:
+        """Return the paths in their cases, and what they are held against there."""
+        from slamfusion.jobs.several import CaseFiles  # noqa: PLC0415  (loads slowly)
+
+        named = [file for file in (*self.truths, *self.relations) if file.case]
+        cases = list(dict.fromkeys(file.case for file in named))
+        cases = cases or case_names(self.truths or self.relations)
+        held = CaseFiles(
+            relations=files_by_case(cases, self.relations, "--relations"),
+            odometry=files_by_case(cases, self.odometry, "--odometry"),
+            logs=files_by_case(cases, self.logs, "--log"),
+            truths=files_by_case(cases, self.truths, "--truth"),
+        )
+        return place_files(cases, self.estimates), held
+
+
 @click.command("trajectory")
-@click.argument("estimate", metavar="EST", type=FILE)
-@click.option(
+@click.argument("estimates", metavar="EST...", nargs=-1, required=True, type=CASE_FILE)
+@case_option(
     "--relations",
-    "relations_path",
-    type=FILE,
-    metavar="FILE",
-    help="Known motions between pairs of times, lines of 't1 t2 x y z roll pitch yaw' [K09].",
+    "relations",
+    "FILE",
+    "Known motions between pairs of times, lines of 't1 t2 x y z roll pitch yaw' [K09].",
 )
-@click.option(
+@case_option(
     "--odometry",
-    "odometry_path",
-    type=FILE,
-    metavar="FILE",
-    help="Raw odometry of the whole run: the pose at a relation's time is the nearest estimated "
-    "one, carried on by it.",
+    "odometry",
+    "FILE",
+    "Raw odometry of the whole run: the pose at a relation's time is the nearest estimated one, "
+    "carried on by it.",
 )
-@click.option(
+@case_option(
     "--log",
-    "log_path",
-    type=FILE,
-    metavar="LOG",
-    help="The log that EST was made from: with --odometry, a pose's place in the run is found by "
-    "its scan's own odometry and not by its stamp.",
+    "logs",
+    "LOG",
+    "The log that EST was made from: with --odometry, a pose's place in the run is found by its "
+    "scan's own odometry and not by its stamp.",
 )
-@click.option(
-    "--truth",
-    "truth_path",
-    type=FILE,
-    metavar="FILE",
-    help="The true trajectory: absolute and relative errors (ATE, RPE).",
+@case_option(
+    "--truth", "truths", "FILE", "The true trajectory: absolute and relative errors (ATE, RPE)."
 )
-@click.option(
+@file_option(
     "--map",
     "map_path",
-    type=FILE,
-    metavar="MAP",
-    help="A map in the frame of EST, to draw the path over in the report.",
+    "MAP",
+    "A map in the frame of EST, to draw the path over in the report.",
 )
-@click.option(
-    "--report",
-    "report_dir",
-    type=FILE,
-    metavar="DIR",
-    help="Write a self-contained HTML report with its pictures here.",
-)
+@report_option("report_dir")
 @with_config("trajectory", "log", "map_files")
 @common_options
+@results_option
 @table_option
-def command(
-    estimate: Path,
-    relations_path: Path | None,
-    odometry_path: Path | None,
-    log_path: Path | None,
-    truth_path: Path | None,
-    map_path: Path | None,
-    report_dir: Path | None,
-    config: RunConfig,
-    as_json: bool,
-) -> int:
-    """Measure the errors of the trajectory EST.
+def command(config: RunConfig, **asked: Any) -> int:
+    """Measure the errors of trajectories, one EST or several.
 
     Files hold poses as TUM, 't x y theta' or CSV; of a log, the raw odometry of its scans counts.
+
+    With several truths or relations an EST belongs to the one whose name its own name or folder
+    says as a word (graph/intel.tum and intel_graph.tum to intel.tum), or that it is given:
+    CASE=EST; so do the files of the other options. All paths then stand in one table with the means
+    of each method; a report is written for each path.
     """
+    request = _Request(**asked)
+    request.check()
+    return _measure_one(request, config) if request.is_one else _measure_several(request, config)
+
+
+def _measure_one(request: _Request, config: RunConfig) -> int:
+    """Measure one path."""
     from slamfusion.jobs.trajectory import (  # noqa: PLC0415
-        TrajectoryFiles,
         measure_trajectory_file,
         write_trajectory,
     )
 
-    _check_request(relations_path, odometry_path, log_path, truth_path)
-    if map_path is not None and report_dir is None:
-        message = "--map is drawn in the report; give --report DIR"
-        raise click.UsageError(message)
-    if report_dir is not None:
-        import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-        check_writable(report_dir)
-    files = TrajectoryFiles(estimate, relations_path, odometry_path, log_path, truth_path)
-    found = measure_trajectory_file(files, config, grid=map_path, warn=notice)
-    if report_dir is not None:
-        write_trajectory(found, report_dir)
-    if as_json:
-        print_json(found.to_json())
+    (placed,), held = request.placed()
+    found = measure_trajectory_file(
+        held.of(placed.case, placed.path), config, grid=request.map_path, warn=notice
+    )
+    if request.report_dir is not None:
+        write_trajectory(found, request.report_dir)
+    document = found.to_json()
+    save_results(
+        request.results_path,
+        document,
+        lambda: [found.item(placed.case, found.estimate.name)],
+        lambda: held.inputs([placed]),
+    )
+    if request.as_json:
+        print_json(document)
     else:
         print_measures(found.estimate, found.measures)
     return 0
 
 
-def _check_request(
-    relations_path: Path | None,
-    odometry_path: Path | None,
-    log_path: Path | None,
-    truth_path: Path | None,
-) -> None:
-    """Refuse what cannot be measured before any work."""
-    if relations_path is None and truth_path is None:
-        message = "give --relations FILE, --truth FILE, or both"
-        raise click.UsageError(message)
-    if odometry_path is not None and relations_path is None:
-        message = "--odometry carries poses to the times of relations; give --relations FILE"
-        raise click.UsageError(message)
-    if log_path is not None and odometry_path is None:
-        message = "--log places the scans in the odometry of the run; give --odometry FILE"
-        raise click.UsageError(message)
+def _measure_several(request: _Request, config: RunConfig) -> int:
+    """Measure several paths, each by what there is of its case."""
+    from slamfusion.jobs.several import (  # noqa: PLC0415
+        measure_trajectories,
+        write_trajectories,
+    )
+
+    placed, held = request.placed()
+    found = measure_trajectories(placed, held, config)
+    if request.report_dir is not None:
+        write_trajectories(found, request.report_dir)
+    document = found.to_json()
+    save_results(request.results_path, document, found.items, lambda: held.inputs(found.placed))
+    if request.as_json:
+        print_json(document)
+    else:
+        print_items(found.items(), "path", ("ate_rmse_m", "relations_mean_m"))
+    if found.not_measured:
+        raise SlamFusionError("; ".join(found.not_measured))
+    return 0
 
 
 def print_measures(estimate: Trajectory, measures: Measures) -> None:

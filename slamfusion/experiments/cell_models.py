@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slamfusion.errors import SlamFusionError
+from slamfusion.evaluation import MeasuredItem
 from slamfusion.experiments.records import CellModelJson
 from slamfusion.slam.tinyslam.cell_models import CELL_MODELS
 
@@ -58,6 +59,11 @@ class CellModelRow:
     def is_equal(self) -> bool:
         """Whether the value is the paper's in all three decimals."""
         return f"{self.value:.3f}" == f"{self.paper:.3f}"
+
+    def item(self) -> MeasuredItem:
+        """Return the cell after all observations."""
+        case = f"{self.order}, {self.occupied} occupied"
+        return MeasuredItem(case, self.model, {"value": self.value})
 
     def to_json(self) -> CellModelJson:
         """Return the row for a JSON document."""

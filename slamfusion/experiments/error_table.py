@@ -11,6 +11,7 @@ from functools import cached_property
 
 from slamfusion.evaluation import (
     Interval,
+    MeasuredItem,
     Moments,
     Summary,
     compare_pairs,
@@ -173,6 +174,22 @@ class ErrorTable:
                 values = [part.get(method, "") for part in measured]
                 writer.writerow([item.condition, item.world, item.seed, method, *values])
         return buffer.getvalue()
+
+    def items(self) -> list[MeasuredItem]:
+        """Return every map and path of every trial."""
+        found = []
+        for record in self.records:
+            case = f"{record.condition}, world {record.world}, seed {record.seed}"
+            measured = {
+                "error": record.errors,
+                "wall_f1": record.wall_f1,
+                "faces_f1": record.faces_f1,
+                "ate_m": record.ate_m,
+            }
+            for method in dict.fromkeys((*record.errors, *record.ate_m)):
+                figures = {name: own[method] for name, own in measured.items() if method in own}
+                found.append(MeasuredItem(case, method, figures))
+        return found
 
     def to_json(self) -> ErrorTableJson:
         """Return summaries, tests and every trial."""

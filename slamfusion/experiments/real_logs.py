@@ -12,13 +12,14 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import MapError, doubled_wall_share
+from slamfusion.evaluation import MapError, MeasuredItem, doubled_wall_share
 from slamfusion.experiments.drive_paths import (
     DRAWN,
     FUSED_PATH,
@@ -234,6 +235,16 @@ class RealLogTable:
         for row in self.rows:
             writer.writerow([row.log, row.method, *row.numbers().values()])
         return buffer.getvalue()
+
+    def items(self) -> list[MeasuredItem]:
+        """Return every map of every drive; the reference maps are no methods."""
+        found = []
+        for row in self.rows:
+            if row.method != REFERENCE:
+                numbers: dict[str, Any] = {**row.numbers()}
+                known = {name: value for name, value in numbers.items() if value is not None}
+                found.append(MeasuredItem(row.log, row.method, known))
+        return found
 
     def to_json(self) -> RealLogTableJson:
         """Return every map and what they say."""

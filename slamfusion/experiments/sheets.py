@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from slamfusion.evaluation import MeasuredItem
 from slamfusion.experiments.records import ErrorTableJson, RatiosJson, RealLogTableJson
 from slamfusion.experiments.table import markdown_table
 from slamfusion.io import AtomicFiles
@@ -57,6 +58,9 @@ class Tables(Protocol):
 
     def sentences(self) -> list[str]:
         """Return what they say."""
+
+    def items(self) -> Sequence[MeasuredItem]:
+        """Return every map and path with its figures."""
 
     def to_csv(self) -> str:
         """Return every number."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from slamfusion.evaluation import Difference, Summary, compare_samples
+from slamfusion.evaluation import Difference, MeasuredItem, Summary, compare_samples
 from slamfusion.experiments.records import ComparisonJson, RepeatedRunsJson
 from slamfusion.io import AtomicFiles
 
@@ -179,6 +179,17 @@ class Results:
             row += [_p_cell(compared.get((group, pair))) for pair in pairs]
             rows.append(row)
         return heading, rows
+
+    def items(self) -> list[MeasuredItem]:
+        """Return every single run as a method in a case: of its other levels, and its seed."""
+        return [
+            MeasuredItem(
+                ", ".join([*map(_shown, run.levels[:-1]), f"seed {run.seed}"]),
+                _shown(run.levels[-1]),
+                run.values,
+            )
+            for run in self.runs
+        ]
 
     def to_csv(self) -> str:
         """Return every single run, a line each; a measure that a run lacks is empty."""

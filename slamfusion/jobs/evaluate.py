@@ -11,8 +11,10 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import (
     DistanceComparison,
     MapError,
+    MeasuredItem,
     compare_distances,
     compare_to_truth,
+    map_figures,
 )
 from slamfusion.fusion import align_grids
 from slamfusion.fusion.records import Alignment
@@ -26,6 +28,7 @@ __all__ = [
     "Evaluation",
     "evaluate_document",
     "evaluate_maps",
+    "evaluated_items",
     "measure_distances",
     "write_evaluation",
 ]
@@ -50,6 +53,10 @@ class Evaluation:
             "aligned": self.is_aligned,
             "alignment": None if self.alignment is None else self.alignment.to_json(),
         }
+
+    def item(self, case: str, method: str) -> MeasuredItem:
+        """Return the errors under names of a case and a method."""
+        return MeasuredItem(case, method, map_figures(self.error))
 
 
 def evaluate_maps(
@@ -131,6 +138,20 @@ def measure_distances(
     )
 
 
+def evaluated_items(
+    evaluations: Sequence[Evaluation], distances: Sequence[DistanceComparison]
+) -> list[MeasuredItem]:
+    """Return the figures of maps: against the truth, and against measured distances."""
+    items = [found.item(found.error.truth, found.error.name) for found in evaluations]
+    return items + [
+        MeasuredItem(
+            "measured distances", found.name, {"distance_error_mean_m": found.mean_absolute_error_m}
+        )
+        for found in distances
+        if found.mean_absolute_error_m is not None
+    ]
+
+
 def evaluate_document(
     evaluations: Sequence[Evaluation],
     distances: Sequence[DistanceComparison],
@@ -165,6 +186,7 @@ def write_evaluation(
     device: str = "",
     report: Path | None = None,
     image: Path | None = None,
+    name_each: bool = False,
     files: AtomicFiles | None = None,
 ) -> None:
     """Write the report and the difference images that are asked for, all of them or none.
@@ -175,6 +197,7 @@ def write_evaluation(
         device: what computed, in words.
         report: folder of the page and its pictures; None: no report.
         image: PNG of the differences to the truth, several maps add their names; None: no picture.
+        name_each: a map alone adds its name, too.
         files: the set of files to join; default: one of its own.
 
     Raises:
@@ -183,7 +206,13 @@ def write_evaluation(
     if files is None:
         with AtomicFiles() as own:
             write_evaluation(
-                evaluations, config, device=device, report=report, image=image, files=own
+                evaluations,
+                config,
+                device=device,
+                report=report,
+                image=image,
+                name_each=name_each,
+                files=own,
             )
         return
     errors = [evaluation.error for evaluation in evaluations]
@@ -199,7 +228,7 @@ def write_evaluation(
 
         for error in errors:
             path = image
-            if len(errors) > 1:
+            if name_each or len(errors) > 1:
                 name = f"{image.stem}_{error.name.replace('/', '_')}{image.suffix}"
                 path = image.with_name(name)
             write_difference_image(error, path, files)

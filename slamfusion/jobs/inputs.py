@@ -31,6 +31,7 @@ __all__ = [
     "device_for",
     "distinct_names",
     "load_maps",
+    "map_file",
     "real_path",
 ]
 
@@ -94,7 +95,7 @@ def load_maps(
     """
     from slamfusion.io import load_map  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
-    files = [_map_file(path) for path in paths]
+    files = [map_file(path) for path in paths]
     return [
         load_map(
             path,
@@ -107,7 +108,7 @@ def load_maps(
     ]
 
 
-def _map_file(path: Path) -> Path:
+def map_file(path: Path) -> Path:
     """Return the map of a folder: the fused one of a run, or the only one; other paths as given.
 
     Raises:

@@ -10,6 +10,7 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
+from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.evidence import (
     PathEvidence,
     Verdict,
@@ -21,7 +22,7 @@ from slamfusion.io import open_log, read_trajectory
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
-from slamfusion.jobs.records import JudgeDocument, JudgedPathJson
+from slamfusion.jobs.records import JudgeDocument, JudgedPathJson, JudgeRecordJson
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.trajectory import Trajectory
 
@@ -101,6 +102,10 @@ class JudgedPaths:
 
     def to_json(self) -> JudgeDocument:
         """Return what ``slamfusion judge`` prints as JSON."""
+        return {**self.record_to_json(), **circumstances(self.config, self.device)}
+
+    def record_to_json(self) -> JudgeRecordJson:
+        """Return what is said of the paths and the files that it rests on, for a JSON document."""
         files = self.files
         return {
             "path_evidence": self.verdict.paths_to_json(),
@@ -114,8 +119,30 @@ class JudgedPaths:
             "odometry_file": path_text(files.odometry),
             "scan_odometry": path_text(files.scan_odometry),
             "truth": path_text(files.truth),
-            **circumstances(self.config, self.device),
         }
+
+    def items(self, case: str) -> list[MeasuredItem]:
+        """Return the figures and single scores of each path, the best first; see ``Measures``."""
+        evidence = self.verdict.evidence
+        found = []
+        for path in self.verdict.paths:
+            score = evidence.scores[path.name]
+            known = self.measures.get(path.name, Measures()).item(case, path.name)
+            is_judged = score.beams > 0
+            likelihoods = ErrorSeries(
+                evidence.scans.stamps_s[is_judged, None],
+                score.sums[is_judged] / score.beams[is_judged],
+            )
+            figures = {"consistency": score.consistency, "seen_share": score.seen_share}
+            found.append(
+                MeasuredItem(
+                    case,
+                    path.name,
+                    {**figures, **known.figures},
+                    {"consistency": likelihoods, **known.series},
+                )
+            )
+        return found
 
     def _path_to_json(self, name: str) -> JudgedPathJson:
         path, found = self.paths[name], self.measures.get(name, Measures())
@@ -130,7 +157,7 @@ class JudgedPaths:
 
 def judge_paths(
     log: str | Path,
-    paths: Sequence[str | Path],
+    paths: Sequence[str | Path] | Mapping[str, str | Path],
     config: RunConfig | None = None,
     device: ComputeDevice | None = None,
     *,
@@ -144,7 +171,8 @@ def judge_paths(
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
-        paths: files of poses on the clock of the log, made by any SLAM, each in its own frame.
+        paths: files of poses on the clock of the log, made by any SLAM, each in its own frame; or
+            the same by names.
         config: ``log``, ``trajectory`` and the device are used; default: the defaults.
         device: scores; default: the one that the settings name.
         relations: known motions between pairs of times: errors of the paths.
@@ -164,11 +192,12 @@ def judge_paths(
         message = f"{log}: no path to judge; give at least one file of poses"
         raise TrajectoryError(message)
     config = config or RunConfig()
-    given = [Path(path) for path in paths]
-    names = distinct_names(given)
+    if not isinstance(paths, Mapping):
+        given = [Path(path) for path in paths]
+        paths = dict(zip(distinct_names(given), given, strict=True))
     files = JudgeFiles(
         Path(log),
-        dict(zip(names, given, strict=True)),
+        {name: Path(path) for name, path in paths.items()},
         *map(as_path, (relations, odometry, truth, scan_odometry)),
     )
     read = {name: read_trajectory(path, config.log) for name, path in files.paths.items()}

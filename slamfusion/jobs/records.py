@@ -21,6 +21,7 @@ from slamfusion.evaluation.records import (
     DistanceComparisonJson,
     ErrorStatisticsJson,
     MapErrorJson,
+    MethodMeanJson,
     RelationErrorsAtScansJson,
     TrajectoryAlignmentJson,
 )
@@ -29,6 +30,10 @@ from slamfusion.fusion.records import AlignmentJson
 
 __all__ = [
     "AlignDocument",
+    "CaseEvaluationJson",
+    "CaseJudgementJson",
+    "CaseTrajectoryJson",
+    "CasesEvaluationDocument",
     "CircumstancesJson",
     "DoubledWallsJson",
     "EvaluateDocument",
@@ -40,12 +45,16 @@ __all__ = [
     "FusionJson",
     "GivenMapsJson",
     "JudgeDocument",
+    "JudgeRecordJson",
     "JudgedPathJson",
+    "JudgementsDocument",
     "MeasuresJson",
     "NoAlignmentJson",
     "PathErrorsJson",
     "SettingsJson",
+    "TrajectoriesDocument",
     "TrajectoryDocument",
+    "TrajectoryRecordJson",
     "UnalignedInputJson",
     "load_schema",
 ]
@@ -233,6 +242,28 @@ class EvaluateDocument(SettingsJson):
     """Seed of every random number."""
 
 
+class CaseEvaluationJson(EvaluationJson):
+    """One of several maps, against one of several truths."""
+
+    case: str
+    """The truth, by name."""
+    method: str
+    """What made the map: what its file's name says beside the case."""
+
+
+class CasesEvaluationDocument(CircumstancesJson):
+    """``slamfusion evaluate`` with several truths."""
+
+    maps: Sequence[CaseEvaluationJson]
+    """The maps in the order given, each against the truth of its case."""
+    means: Sequence[MethodMeanJson]
+    """The figures of each method over its cases."""
+    distances: Sequence[DistanceComparisonJson]
+    """The maps against measured distances; empty without --distances."""
+    truths: Mapping[str, str]
+    """The true maps' files, by case."""
+
+
 # --- trajectory, slam, run --------------------------------------------------------------------
 
 
@@ -290,8 +321,8 @@ class MeasuresJson(_MeasuresJson, total=False):
     """Poses of the path."""
 
 
-class TrajectoryDocument(_MeasuresJson, SettingsJson):
-    """``slamfusion trajectory``."""
+class TrajectoryRecordJson(_MeasuresJson):
+    """A trajectory with its errors, and the files that they rest on."""
 
     name: str
     """The trajectory."""
@@ -313,6 +344,30 @@ class TrajectoryDocument(_MeasuresJson, SettingsJson):
     """The file of the true trajectory."""
 
 
+class TrajectoryDocument(TrajectoryRecordJson, SettingsJson):
+    """``slamfusion trajectory`` of one trajectory."""
+
+
+class CaseTrajectoryJson(TrajectoryRecordJson):
+    """One of several trajectories."""
+
+    case: str
+    """What it was measured against, by name."""
+    method: str
+    """What made it: what its file's name says beside the case."""
+
+
+class TrajectoriesDocument(SettingsJson):
+    """``slamfusion trajectory`` of several; exit code 1 where something is ``not_measured``."""
+
+    trajectories: Sequence[CaseTrajectoryJson]
+    """The trajectories in the order given."""
+    means: Sequence[MethodMeanJson]
+    """The figures of each method over its cases."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
+
+
 class JudgedPathJson(_MeasuresJson):
     """A path that was judged, with the errors that could be measured."""
 
@@ -326,8 +381,8 @@ class JudgedPathJson(_MeasuresJson):
     """Its length, metres."""
 
 
-class JudgeDocument(CircumstancesJson):
-    """``slamfusion judge``; exit code 1 where something is ``not_measured``."""
+class JudgeRecordJson(TypedDict):
+    """What the scans of one log say of its paths."""
 
     path_evidence: Sequence[PathEvidenceJson]
     """What the scans say of each path, the best first."""
@@ -351,6 +406,26 @@ class JudgeDocument(CircumstancesJson):
     """The file that gave the scans their odometry."""
     truth: str | None
     """The file of the true trajectory."""
+
+
+class JudgeDocument(JudgeRecordJson, CircumstancesJson):
+    """``slamfusion judge`` of one log; exit code 1 where something is ``not_measured``."""
+
+
+class CaseJudgementJson(JudgeRecordJson):
+    """One of several logs."""
+
+    case: str
+    """Its name."""
+
+
+class JudgementsDocument(CircumstancesJson):
+    """``slamfusion judge`` of several logs; exit code 1 where something is ``not_measured``."""
+
+    logs: Sequence[CaseJudgementJson]
+    """The logs in the order given; paths are named by what made them."""
+    means: Sequence[MethodMeanJson]
+    """The figures of each method over its logs."""
 
 
 # --- the schema -------------------------------------------------------------------------------

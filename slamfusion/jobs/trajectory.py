@@ -9,10 +9,13 @@ from pathlib import Path
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.evaluation import (
     DensePoses,
+    MeasuredItem,
     RelationErrors,
     Relations,
     TrajectoryErrors,
     errors_at_scans,
+    path_figures,
+    path_series,
     poses_by_odometry,
     read_odometry,
     read_relations,
@@ -23,7 +26,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, as_path
-from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument
+from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument, TrajectoryRecordJson
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
@@ -71,6 +74,11 @@ class Measures:
         if self.online is not None:
             document["as_first_reported"] = self.online.to_json()
         return document
+
+    def item(self, case: str, method: str) -> MeasuredItem:
+        """Return figures and single errors under names of a case and a method."""
+        held = (self.truth, self.relations)
+        return MeasuredItem(case, method, path_figures(*held), path_series(*held))
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +214,10 @@ class MeasuredTrajectory:
 
     def to_json(self) -> TrajectoryDocument:
         """Return what ``slamfusion trajectory`` prints as JSON."""
+        return {**self.record_to_json(), **settings_used(self.config)}
+
+    def record_to_json(self) -> TrajectoryRecordJson:
+        """Return the errors and the files that they rest on, for a JSON document."""
         poses, files = self.estimate, self.files
         return {
             "name": poses.name,
@@ -218,8 +230,11 @@ class MeasuredTrajectory:
             "odometry_file": path_text(files.odometry),
             "log": path_text(files.log),
             "truth": path_text(files.truth),
-            **settings_used(self.config),
         }
+
+    def item(self, case: str, method: str) -> MeasuredItem:
+        """Return the errors under names of a case and a method."""
+        return self.measures.item(case, method)
 
 
 def measure_trajectory_file(

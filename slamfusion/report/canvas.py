@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import io
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import rc_context  # noqa: TID251
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
@@ -30,6 +32,7 @@ __all__ = [
     "cut_cells",
     "pool_cells",
     "style_axes",
+    "to_form",
     "to_png",
     "unit_rgb",
     "write_note",
@@ -46,6 +49,13 @@ WIDTH_IN = 4.0
 _LONGEST_SIDE_CELLS = 760
 _LONGEST_SIDE_TURNED = 450
 _MARGIN_CELLS = 4
+# No dates and no random names in a file; letters as letters (42: TrueType).
+_SAME_BYTES: Any = {"svg.hashsalt": "slamfusion", "svg.fonttype": "none", "pdf.fonttype": 42}
+_NO_METADATA: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None},
+    "pdf": {"CreationDate": None},
+}
 
 
 def crop_box(shown: npt.NDArray[np.bool_]) -> CellBox:
@@ -118,11 +128,22 @@ def style_axes(axes: Axes) -> None:
 def to_png(figure: Figure) -> bytes:
     """Return the figure as the bytes of a PNG with a transparent background."""
     figure.patch.set_alpha(0.0)
+    return to_form(figure, "png")
+
+
+def to_form(figure: Figure, form: str) -> bytes:
+    """Return the figure as the bytes of a file; the same figure always gives the same bytes.
+
+    Args:
+        figure: on its own background.
+        form: ``png``, ``svg`` or ``pdf``; the text of the last two stays text.
+    """
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     # Maps are large flat areas: a higher level takes four times as long for a few percent.
-    level = {"compress_level": 3}
-    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs=level)
+    more: dict[str, Any] = {"pil_kwargs": {"compress_level": 3}} if form == "png" else {}
+    with rc_context(_SAME_BYTES):
+        figure.savefig(buffer, format=form, metadata=_NO_METADATA[form], **more)
     return buffer.getvalue()
 
 

@@ -205,6 +205,7 @@ FAILURES: dict[str, tuple[str, ...]] = {
     "slam": ("slam", "tinyslam", "absent.log", "-o", "out", "--device", "numpy"),
     "trajectory": ("trajectory", "absent.tum", "--truth", "other.tum"),
     "judge": ("judge", "absent.log", "absent.tum", "--device", "numpy"),
+    "compare": ("compare", "absent.zip", "other.zip"),
     "graph optimize": ("graph", "optimize", "absent.g2o"),
     "bench": ("bench", "--device", "abacus"),
     "show": ("show", "absent"),

@@ -28,6 +28,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from slamfusion.evaluation.records import RelationErrorsJson, TrajectoryErrorsJson
 from slamfusion.experiments import records as experiments
+from slamfusion.jobs import compare_records as comparisons
 from slamfusion.jobs import records as jobs
 from slamfusion.jobs import run_records as runs
 from slamfusion.jobs import tool_records as tools
@@ -43,7 +44,7 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "run": (runs.RunDocument,),
     "fuse": (jobs.FuseDocument, jobs.FailedFuseDocument),
     "align": (jobs.AlignDocument,),
-    "evaluate": (jobs.EvaluateDocument,),
+    "evaluate": (jobs.EvaluateDocument, jobs.CasesEvaluationDocument),
     "simulate": (tools.SimulateDocument,),
     "experiment cell-models": (experiments.CellModelsDocument,),
     "experiment occupancy-estimator": (experiments.EstimatorSweepDocument,),
@@ -52,8 +53,9 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "experiment failures": (experiments.ErrorTableDocument,),
     "experiment real-logs": (experiments.RealLogsDocument,),
     "slam": (runs.SlamDocument,),
-    "trajectory": (jobs.TrajectoryDocument,),
-    "judge": (jobs.JudgeDocument,),
+    "trajectory": (jobs.TrajectoryDocument, jobs.TrajectoriesDocument),
+    "judge": (jobs.JudgeDocument, jobs.JudgementsDocument),
+    "compare": (comparisons.CompareDocument,),
     "graph optimize": (tools.GraphOptimizeDocument,),
     "devices": (tools.DevicesDocument,),
     "show": (tools.ShowDocument,),

@@ -1,0 +1,183 @@
+"""Which map or path belongs to which truth or log, where a job is given several of each.
+
+A case is named by its truth or log. A file belongs to the case whose name stands in its own name,
+or in that of a folder above it, as words of their own: ``graph/intel.tum``, ``intel_graph.tum`` and
+``intel/graph.tum`` all belong to ``intel``, and what is left names the method: ``graph``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamfusion.errors import ConfigError
+
+__all__ = ["CaseFile", "Placed", "case_names", "files_by_case", "place_files"]
+
+# What parts words in a file name.
+_BETWEEN = r"[-_. ]+"
+
+
+@dataclass(frozen=True)
+class CaseFile:
+    """A file, and the case that it was said to belong to.
+
+    Attributes:
+        path: of the file.
+        case: as it was said; empty: its name tells.
+    """
+
+    path: Path
+    case: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> CaseFile:
+        """Return ``CASE=FILE`` in parts; a file whose own name has a ``=`` stays whole."""
+        case, _, rest = text.partition("=")
+        if not case or not rest or "/" in case or Path(text).exists():
+            return cls(Path(text))
+        return cls(Path(rest), case)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A map or path in its case.
+
+    Attributes:
+        case: its name.
+        method: what made it: what its name says beside the case.
+        path: of the file.
+    """
+
+    case: str
+    method: str
+    path: Path
+
+
+def case_names(files: Sequence[CaseFile]) -> list[str]:
+    """Return the names of the cases that truths or logs are of, one each, in order.
+
+    Args:
+        files: named by ``CASE=``, else by their stem.
+
+    Raises:
+        ConfigError: two have one name, or a name can be none of a folder.
+    """
+    names = [file.case or _stem(file.path) for file in files]
+    for name, count in Counter(names).items():
+        if count > 1:
+            message = f"{count} files of the case {name!r}; write another name: NAME=FILE"
+            raise ConfigError(message)
+        if name in {"", ".", ".."}:
+            message = f"{name!r} cannot name a case; write NAME=FILE"
+            raise ConfigError(message)
+    return names
+
+
+def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) -> dict[str, Path]:
+    """Return the file of each case that has one.
+
+    Args:
+        cases: their names; one alone has every file.
+        files: at most one a case.
+        what: they are, for messages.
+
+    Raises:
+        ConfigError: a file belongs to none of the cases, or to several; or two are of one.
+    """
+    found: dict[str, Path] = {}
+    for file in files:
+        case = _case_of(cases, file)
+        if case in found:
+            message = f"{what}: {found[case]} and {file.path} are both of {case!r}; give one a case"
+            raise ConfigError(message)
+        found[case] = file.path
+    return found
+
+
+def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]:
+    """Return of each map or path its case and its method, in the order given.
+
+    Methods are named alike in all cases: by the file's name without the case, and by as many of its
+    folders as tell the files of a case apart.
+
+    Args:
+        cases: their names; one alone has every file.
+        files: maps or paths.
+
+    Raises:
+        ConfigError: a file belongs to none of the cases, or to several.
+    """
+    own = [_case_of(cases, file) for file in files]
+    rests = [_rest(case, file.path) for case, file in zip(own, files, strict=True)]
+    for depth in range(1, max(map(len, rests), default=1) + 1):
+        methods = ["/".join(reversed(rest[:depth])) for rest in rests]
+        if len(set(zip(own, methods, strict=True))) == len(files):
+            break
+    seen: Counter[tuple[str, str]] = Counter()
+    placed = []
+    for case, method, file in zip(own, methods, files, strict=True):
+        seen[case, method] += 1
+        again = seen[case, method]
+        placed.append(Placed(case, method if again == 1 else f"{method}#{again}", file.path))
+    return placed
+
+
+def _case_of(cases: Sequence[str], file: CaseFile) -> str:
+    """Return the case of a file."""
+    known = ", ".join(cases)
+    if file.case:
+        if file.case not in cases:
+            message = f"{file.case}={file.path}: no case {file.case!r}; wanted one of {known}"
+            raise ConfigError(message)
+        return file.case
+    if len(cases) == 1:
+        return cases[0]
+    for part in _parts(file.path):
+        named = [case for case in cases if _word(case).search(part)]
+        # Of "intel" and "intel-910" the longer one is meant.
+        named = [
+            case
+            for case in named
+            if not any(case != other and _word(case).search(other) for other in named)
+        ]
+        if len(named) == 1:
+            return named[0]
+        if named:
+            message = f"{file.path}: of {' or '.join(named)}? write CASE={file.path}"
+            raise ConfigError(message)
+    message = (
+        f"{file.path}: its name says none of the cases {known}; write CASE={file.path}, with one "
+        "of them for CASE"
+    )
+    raise ConfigError(message)
+
+
+def _rest(case: str, path: Path) -> list[str]:
+    """Return what the parts of a path say beside the case, the file's name first."""
+    rests = [_word(case).sub("-", part).strip("-_. ") for part in _parts(path)]
+    return [rest for rest in rests if rest] or [_stem(path)]
+
+
+def _parts(path: Path) -> list[str]:
+    """Return the parts of a path as it was given, the file's stem first."""
+    folders = [part for part in path.parent.parts if part not in {"/", ".", ".."}]
+    return [_stem(path), *reversed(folders)]
+
+
+def _word(case: str) -> re.Pattern[str]:
+    """Return what finds a case as words of their own, with what parts them from others."""
+    return re.compile(rf"(?:^|{_BETWEEN}){re.escape(case)}(?:$|{_BETWEEN})", re.IGNORECASE)
+
+
+def _stem(path: Path) -> str:
+    """Return a file's name without its suffixes of a format and of gzip."""
+    from slamfusion.io.lines import strip_gz  # noqa: PLC0415  (OpenCV loads slowly)
+
+    name = path.name
+    if strip_gz(name) != name.lower():
+        name = name[: -len(".gz")]
+    return Path(name).stem or name

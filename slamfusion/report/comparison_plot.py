@@ -1,0 +1,172 @@
+"""The picture of several saved results: errors along the paths, and figures case by case.
+
+Unlike those of a page it stands alone, in a paper: on white, with the names in its legend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist  # noqa: TID251
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+
+from slamfusion.evaluation import MeasuredItem, figure_of
+from slamfusion.palette import INPUT_COLOURS
+from slamfusion.report.canvas import to_form, unit_rgb
+
+__all__ = ["comparison_plot"]
+
+# What is drawn at most: a picture of more is none that one reads.
+MOST_PATHS, MOST_FIGURES = 6, 6
+WIDTH_IN, ROW_IN, FOOT_IN = 7.0, 2.0, 0.45
+MARKERS, STYLES = "osD^vP", ("-", "--", "-.", ":")
+# Points of a line: more than a page shows.
+POINTS = 2000
+
+Sets = Mapping[str, Sequence[MeasuredItem]]
+
+
+def comparison_plot(sets: Sets, form: str) -> bytes:
+    """Draw saved results beside each other.
+
+    The first rows show single errors, a row for each kind of error of each case: along the path on
+    the left, and the share of the errors below each value on the right. The rows below show the
+    figures, a point for each map or path, those of one case and method joined by a line; where
+    each file has a single path, its errors say more.
+
+    Args:
+        sets: the maps or paths of each file of results, by its name.
+        form: ``png``, ``svg`` or ``pdf``.
+
+    Returns:
+        The bytes of the file; the same for the same results.
+    """
+    series = _drawn_series(sets)
+    has_several = any(len(items) > 1 for items in sets.values())
+    figures = _drawn_figures(sets) if has_several or not series else []
+    rows = len(series) + -(-len(figures) // 2)
+    figure = Figure(figsize=(WIDTH_IN, rows * ROW_IN + FOOT_IN), dpi=200, layout="constrained")
+    grid = figure.add_gridspec(rows + 1, 2, height_ratios=[*[ROW_IN] * rows, FOOT_IN])
+    for row, (case, name) in enumerate(series):
+        along, below = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
+        _draw_series(along, below, sets, case, name)
+    for number, name in enumerate(figures):
+        place = grid[len(series) + number // 2, number % 2]
+        _draw_figure(figure.add_subplot(place), sets, name)
+    _draw_legend(figure.add_subplot(grid[rows, :]), figure.axes)
+    return to_form(figure, form)
+
+
+def _draw_legend(axes: Axes, shown: Sequence[Axes]) -> None:
+    """Draw what the lines and points of all axes are, each once."""
+    handles: dict[str, Artist] = {}
+    for other in shown:
+        for handle, label in zip(*other.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    axes.set_axis_off()
+    legend = axes.legend(
+        list(handles.values()),
+        [""] * len(handles),
+        loc="center",
+        ncols=min(3, max(len(handles), 1)),
+        fontsize=7,
+        frameon=False,
+    )
+    for text, label in zip(legend.get_texts(), handles, strict=True):
+        text.set_parse_math(False)
+        text.set_text(label)
+
+
+def _drawn_series(sets: Sets) -> list[tuple[str, str]]:
+    """Return the (case, series) that most sets have; the leading kind of error of each case."""
+    counts: dict[tuple[str, str], int] = {}
+    for items in sets.values():
+        for key in {(item.case, name): None for item in items for name in item.series}:
+            counts[key] = counts.get(key, 0) + 1
+    leading: dict[str, str] = {}
+    for (case, name), count in counts.items():
+        known = leading.get(case)
+        if known is None or count > counts[case, known]:
+            leading[case] = name
+    return list(leading.items())[:MOST_PATHS]
+
+
+def _drawn_figures(sets: Sets) -> list[str]:
+    """Return the figures that every set has."""
+    known = [
+        dict.fromkeys(name for item in items for name in item.figures) for items in sets.values()
+    ]
+    return [name for name in known[0] if all(name in other for other in known)][:MOST_FIGURES]
+
+
+def _draw_series(along: Axes, below: Axes, sets: Sets, case: str, name: str) -> None:
+    """Draw single errors along the path, and the share of them below each value."""
+    start = min(
+        float(item.series[name].at[:, 0].min())
+        for items in sets.values()
+        for item in items
+        if item.case == case and name in item.series
+    )
+    for number, (label, items) in enumerate(sets.items()):
+        own = [item for item in items if item.case == case and name in item.series]
+        for nth, item in enumerate(own):
+            series = item.series[name]
+            order = np.argsort(series.at[:, 0], kind="stable")
+            step = -(-len(order) // POINTS)
+            look: dict[str, Any] = {
+                "color": unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)]),
+                "ls": STYLES[nth % len(STYLES)],
+                "lw": 0.9,
+                "label": label if len(own) == 1 else f"{label}: {item.method}",
+            }
+            kept = order[::step]
+            along.plot(series.at[kept, 0] - start, series.errors[kept], **look)
+            ranked = np.sort(series.errors)[::step]
+            below.plot(ranked, np.linspace(0.0, 1.0, len(ranked)), **look)
+    error = figure_of(name).label
+    travelled = name.startswith("rpe")
+    _finish(along, case, "metres travelled" if travelled else "seconds", error)
+    _finish(below, case, error, "share of errors below")
+    below.set_ylim(0.0, 1.02)
+
+
+def _draw_figure(axes: Axes, sets: Sets, name: str) -> None:
+    """Draw one figure of every map or path: a place for each set, lines for the same items."""
+    joined: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    for number, (label, items) in enumerate(sets.items()):
+        known = [item for item in items if name in item.figures]
+        values = [item.figures[name] for item in known]
+        colour = unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)])
+        marker = MARKERS[number % len(MARKERS)]
+        places = np.full(len(values), float(number))
+        axes.plot(places, values, color=colour, marker=marker, ls="", ms=4, label=label, zorder=3)
+        mean = float(np.mean(values))
+        axes.plot([number - 0.18, number + 0.18], [mean, mean], color=colour, lw=2.0)
+        cases = {item.case for item in known}
+        for item in known:
+            key = (item.case, "" if len(cases) == len(known) else item.method)
+            joined.setdefault(key, []).append((number, item.figures[name]))
+    for points in joined.values():
+        axes.plot(*zip(*points, strict=True), color="0.6", lw=0.7, zorder=1)
+    axes.set_xlim(-0.5, len(sets) - 0.5)
+    axes.set_xticks([])
+    _finish(axes, "", "", figure_of(name).label)
+    better = figure_of(name).larger_is_better
+    if better is not None:
+        axes.set_title(
+            "larger is better" if better else "smaller is better", fontsize=6.5, loc="right"
+        )
+
+
+def _finish(axes: Axes, title: str, x_label: str, y_label: str) -> None:
+    """Write what the axes show; names are drawn as they are written."""
+    axes.set_title(title, fontsize=7.5, loc="left", parse_math=False)
+    axes.set_xlabel(x_label, fontsize=7, parse_math=False)
+    axes.set_ylabel(y_label, fontsize=7, parse_math=False)
+    axes.tick_params(labelsize=6.5, width=0.6, length=2.5)
+    axes.grid(visible=True, lw=0.3, color="0.85")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)

@@ -1,0 +1,192 @@
+"""Several maps or paths in several cases, saved and compared, as a user asks for them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamfusion.cli.main import main
+from slamfusion.io import load_map, save_map, write_tum
+from slamfusion.io.carmen import write_carmen
+from slamfusion.trajectory import Trajectory
+from tests.cli.command import MAPS, TRUTH
+from tests.evidence.rooms import bent, circuit, recorded
+from tests.support.documents import check_document
+
+pytestmark = pytest.mark.once
+
+Ask = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Ask:
+    """Run a command in a folder of its own; return exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(list(words))
+        told = capsys.readouterr()
+        return int(ended.value.code or 0), told.out, told.err
+
+    return run
+
+
+def document(done: tuple[int, str, str], command: str) -> dict[str, Any]:
+    assert done[0] == 0, done[2]
+    found: dict[str, Any] = json.loads(done[1])
+    check_document(found, command)
+    return found
+
+
+def paths(folder: Path) -> None:
+    """Write two drives' truths, and a good and a bad path of each."""
+    stamps_s = np.arange(60.0)
+    for number, case in enumerate(("intel", "office")):
+        turn = np.linspace(0.0, 3.0 + number, 60)
+        truth = np.stack((4.0 * np.cos(turn), 4.0 * np.sin(turn), turn), axis=1)
+        write_tum(folder / f"{case}.tum", Trajectory(stamps_s, truth))
+        for method, error_m in (("good", 0.02), ("bad", 0.1)):
+            poses = truth.copy()
+            poses[:, 0] += error_m * np.sin(stamps_s + number)
+            (folder / method).mkdir(exist_ok=True)
+            write_tum(folder / method / f"{case}.tum", Trajectory(stamps_s, poses))
+
+
+TRUTHS = ("--truth", "intel.tum", "--truth", "office.tum")
+ALL = ("good/intel.tum", "good/office.tum", "bad/office.tum", "bad/intel.tum")
+
+
+def test_paths_of_several_truths_stand_in_one_table_with_means(ask: Ask, tmp_path: Path) -> None:
+    paths(tmp_path)
+    code, out, _ = ask("trajectory", *ALL, *TRUTHS, "--table", "out.csv")
+    assert code == 0
+    rows = [line.split("\t") for line in out.splitlines()]
+    assert [row[:2] for row in rows[2:8]] == [
+        *(["intel", "good"], ["office", "good"], ["office", "bad"], ["intel", "bad"]),
+        *(["mean of 2", "good"], ["mean of 2", "bad"]),
+    ]
+    with (tmp_path / "out-2.csv").open(encoding="utf-8") as file:
+        by_case = list(csv.DictReader(file))
+    assert [row["path"] for row in by_case] == ["good", "bad"]
+    for row in by_case:
+        mean = (float(row["intel"]) + float(row["office"])) / 2.0
+        assert float(row["mean"]) == pytest.approx(mean, abs=1e-4)
+
+    found = document(ask("trajectory", *ALL, *TRUTHS, "--json"), "trajectory")
+    cases = [item["case"] for item in found["trajectories"]]
+    assert cases == ["intel", "office", "office", "intel"]
+    ates = [item["ate"]["rmse"] for item in found["trajectories"] if item["method"] == "good"]
+    mean = next(item for item in found["means"] if item["method"] == "good")
+    assert mean["cases"] == 2
+    assert mean["figures"]["ate_rmse_m"] == pytest.approx(np.mean(ates))
+
+
+def test_one_path_is_as_it_was_and_one_that_fails_leaves_the_others(
+    ask: Ask, tmp_path: Path
+) -> None:
+    paths(tmp_path)
+    found = document(ask("trajectory", "good/intel.tum", *TRUTHS[:2], "--json"), "trajectory")
+    assert found["name"] == "intel"
+    assert "trajectories" not in found
+    late = Trajectory(np.arange(3.0) + 1e6, np.zeros((3, 3)))
+    write_tum(tmp_path / "late_intel.tum", late)
+    code, out, err = ask("trajectory", "late_intel.tum", *ALL, *TRUTHS)
+    assert code == 1
+    assert "mean of 2\tgood" in out
+    assert err.startswith("slamfusion: error: late_intel.tum: ")
+    assert len(err.splitlines()) == 1
+    for words in (("other.tum", *TRUTHS), ("x=good/intel.tum", *TRUTHS)):
+        code, _, err = ask("trajectory", *words)
+        assert code == 1
+        assert "intel, office" in err
+
+
+def test_results_are_saved_and_compared(ask: Ask, tmp_path: Path) -> None:
+    paths(tmp_path)
+    for method in ("good", "bad"):
+        files = [f"{method}/{case}.tum" for case in ("intel", "office")]
+        code, *_ = ask("trajectory", *files, *TRUTHS, "--save-results", f"{method}.zip")
+        assert code == 0
+    code, out, _ = ask("compare", "good.zip", "bad.zip", "--table", "out.md")
+    assert code == 0
+    assert "good against bad" in out
+    assert out.count("\tATE m\t") == 2  # along each of the two paths
+    assert "ATE rmse m | good | bad" in (tmp_path / "out.md").read_text(encoding="utf-8")
+    found = document(ask("compare", "bad.zip", "good.zip", "--json"), "compare")
+    ate = next(item for item in found["figures"] if item["figure"] == "ate_rmse_m")
+    assert ate["difference"] > 0.0
+    assert (ate["items_first"], ate["paired"]["count"]) == (2, 2)
+
+
+def test_wrong_use_is_refused_before_any_work(ask: Ask, tmp_path: Path) -> None:
+    paths(tmp_path)
+    for words in (
+        ("compare", "good.zip"),
+        ("compare", "a.zip", "b.zip", "--plot", "plot.jpg"),
+        ("trajectory", *ALL, *TRUTHS, "--save-results", "out.tar"),
+        ("trajectory", *ALL, *TRUTHS, "--report", "out", "--map", "map.yaml"),
+    ):
+        assert ask(*words)[0] == 2, words
+    assert not (tmp_path / "out").exists()
+
+
+def test_maps_of_several_truths(ask: Ask, tmp_path: Path) -> None:
+    """Both places are one here: what is measured is told by the tests of ``evaluate``."""
+    truth = load_map(TRUTH)
+    for case in ("hall", "yard"):
+        save_map(truth, tmp_path / case)
+        for name in MAPS[:2]:
+            (tmp_path / Path(name).stem).mkdir(exist_ok=True)
+            save_map(load_map(name), tmp_path / Path(name).stem / case)
+    maps = [f"map_{letter}/{case}.yaml" for letter in "ab" for case in ("hall", "yard")]
+    options = ("--truth", "hall.yaml", "--truth", "yard.yaml", "--no-align", "--device", "numpy")
+    found = document(
+        ask("evaluate", *maps, *options, "--json", "--save-results", "a.zip"), "evaluate"
+    )
+    assert [(item["case"], item["method"]) for item in found["maps"]] == [
+        (case, f"map_{letter}") for letter in "ab" for case in ("hall", "yard")
+    ]
+    errors = [item["error"] for item in found["maps"]]
+    assert errors[0] == errors[1] != errors[2] == errors[3]
+    assert [mean["figures"]["error"] for mean in found["means"]] == errors[::2]
+    assert found["truths"] == {"hall": "hall.yaml", "yard": "yard.yaml"}
+    assert (tmp_path / "a.zip").exists()
+
+
+def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
+    truth = circuit()
+    for case in ("north", "south"):
+        write_carmen(tmp_path / f"{case}.log", recorded(truth))
+        write_tum(tmp_path / f"{case}_good.tum", truth)
+    write_tum(tmp_path / "south_bent.tum", bent(truth, 0.2, 70))
+    files = ("north_good.tum", "south_good.tum", "south_bent.tum")
+    words = ("north.log", *files, "--log", "south.log", "--truth", "south=south_good.tum")
+    code, out, err = ask("judge", *words, "--save-results", "a.zip")
+    assert code == 0, err
+    assert "3 paths in 2 cases" in out
+    assert "south: The scans bear out good best" in out
+    assert "north: good is the only path" in out
+    assert "means are of different cases" in err
+    found = document(ask("judge", *words, "--json"), "judge")
+    assert [log["case"] for log in found["logs"]] == ["north", "south"]
+    assert [path["name"] for path in found["logs"][1]["paths"]] == ["good", "bent"]
+    # The scores of each scan say what the single log's test says.
+    code, out, _ = ask("compare", "a.zip", "a.zip")
+    assert code == 0
+    assert "log-likelihood a hit" in out
+
+
+def test_an_experiment_is_saved_too(ask: Ask) -> None:
+    code, *_ = ask("experiment", "cell-models", "-o", "out", "--save-results", "a.zip")
+    assert code == 0
+    found = document(ask("compare", "a.zip", "a.zip", "--json"), "compare")
+    assert found["results"][0]["command"] == "experiment cell-models"
+    assert len(found["results"][0]["items"]) == 12
+    assert found["figures"][0]["paired"]["t_test"] == 1.0
