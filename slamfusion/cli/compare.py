@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import click
 from slamfusion.cli.options import FILE, common_options, file_option
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.cli.table_files import table_option
+from slamfusion.cli.tables import NOTHING
 from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ __all__ = ["command", "print_comparison"]
 PLOT_FORMS = (".png", ".svg", ".pdf")
 # Of a table: figures of several sizes.
 DIGITS = 4
+MEANS = ("mean first", "mean second", "difference", "95 %")
 
 
 @click.command("compare")
@@ -74,11 +75,11 @@ def print_comparison(found: ComparedResults) -> None:
 def _print_figures(found: ComparedResults) -> None:
     """Print every figure of every two files."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
-    from slamfusion.experiments.table import p_text  # noqa: PLC0415  (loads slowly)
 
+    has_names = len(found.results) > 2
     rows = []
     for pair in found.pairs:
-        names = (pair.first.name, pair.second.name)
+        names = [pair.first.name, pair.second.name]
         for item in pair.figures:
             paired, unpaired = item.paired, item.unpaired
             rank_test = None
@@ -90,66 +91,70 @@ def _print_figures(found: ComparedResults) -> None:
             rows.append(
                 [
                     figure_of(item.figure).label,
-                    *names,
+                    *(names if has_names else []),
                     " and ".join(map(str, counts)),
-                    number(item.mean_first, DIGITS),
-                    number(item.mean_second, DIGITS),
-                    number(item.difference, DIGITS),
+                    *_means(item.mean_first, item.mean_second),
                     _interval(None if paired is None else paired.interval),
-                    "-" if item.p_value is None else p_text(item.p_value),
-                    "-" if rank_test is None else p_text(rank_test),
-                    "-" if item.better is None else names[item.better],
+                    _p_value(item.p_value),
+                    _p_value(rank_test),
+                    NOTHING if item.better is None else names[item.better],
                 ]
             )
     is_paired = any(pair.items.pairs for pair in found.pairs)
     columns = (
-        *("figure ", "first ", "second ", "pairs" if is_paired else "items"),
-        *("mean of first", "mean of second", "difference", "95 %"),
+        "figure ",
+        *(("first ", "second ") if has_names else ()),
+        "pairs" if is_paired else "items",
+        *MEANS,
         "p paired t" if is_paired else "p Welch",
         "p Wilcoxon" if is_paired else "p Mann-Whitney",
         "better ",
     )
-    print_table(columns, rows, title=_title(found), names=3)
+    print_table(columns, rows, title=_title(found), names=3 if has_names else 1)
 
 
 def _title(found: ComparedResults) -> str:
     if len(found.results) > 2:
         return f"Every two of {len(found.results)} results; p of the t-test after Holm"
-    return f"{found.results[0].name} against {found.results[1].name}"
+    return f"{found.results[0].name} (first) against {found.results[1].name} (second)"
 
 
 def _print_series(found: ComparedResults) -> None:
     """Print the errors that two paths have at the same times."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
-    from slamfusion.experiments.table import p_text  # noqa: PLC0415  (loads slowly)
 
-    rows: list[Sequence[str]] = []
-    for pair in found.pairs:
-        for item in pair.series:
-            own, test = item.comparison, item.comparison.paired
-            rows.append(
-                [
-                    item.first.case,
-                    _made_by(pair.first.name, item.first.method),
-                    _made_by(pair.second.name, item.second.method),
-                    figure_of(own.name).label,
-                    str(own.common),
-                    number(own.mean_first, DIGITS),
-                    number(own.mean_second, DIGITS),
-                    number(own.mean_first - own.mean_second, DIGITS),
-                    _interval(None if test is None else test.interval),
-                    "-" if test is None else p_text(test.t_test),
-                    "-" if test is None else p_text(test.wilcoxon),
-                ]
-            )
-    if not rows:
+    pairs = [(pair, item) for pair in found.pairs for item in pair.series]
+    if not pairs:
         return
-    columns = (
-        *("case ", "first ", "second ", "errors ", "at the same times"),
-        *("mean of first", "mean of second", "difference", "95 %", "p paired t", "p Wilcoxon"),
-    )
+    has_names = len(found.results) > 2 or len({item.first.method for _, item in pairs}) > 1
+    rows = []
+    for pair, item in pairs:
+        own, test = item.comparison, item.comparison.paired
+        names = [
+            _made_by(pair.first.name, item.first.method),
+            _made_by(pair.second.name, item.second.method),
+        ]
+        rows.append(
+            [
+                item.first.case,
+                *(names if has_names else []),
+                figure_of(own.name).label,
+                str(own.common),
+                *_means(own.mean_first, own.mean_second),
+                _interval(None if test is None else test.interval),
+                _p_value(None if test is None else test.t_test),
+                _p_value(None if test is None else test.wilcoxon),
+            ]
+        )
+    heads = ("case ", *(("first ", "second ") if has_names else ()), "errors ")
+    columns = (*heads, "common", *MEANS, "p paired t", "p Wilcoxon")
     title = "Errors along the paths; the pairs of the tests are means over spans of neighbours"
-    print_table(columns, rows, title=title, names=4)
+    print_table(columns, rows, title=title, names=len(heads))
+
+
+def _means(first: float, second: float) -> list[str]:
+    """Return two means and their difference as cells."""
+    return [number(value, DIGITS) for value in (first, second, first - second)]
 
 
 def _made_by(name: str, method: str) -> str:
@@ -157,8 +162,15 @@ def _made_by(name: str, method: str) -> str:
     return name if name == method else f"{name}: {method}"
 
 
+def _p_value(value: float | None) -> str:
+    """Return a p-value as a cell; a dash where there is none."""
+    from slamfusion.experiments.table import p_text  # noqa: PLC0415  (loads slowly)
+
+    return NOTHING if value is None else p_text(value)
+
+
 def _interval(interval: Interval | None) -> str:
     """Return an interval as a cell; a dash where there is none."""
     if interval is None:
-        return "-"
+        return NOTHING
     return f"{number(interval.low, DIGITS)} to {number(interval.high, DIGITS)}"

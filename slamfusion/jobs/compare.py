@@ -159,11 +159,16 @@ def compare_results(files: Sequence[str | Path]) -> ComparedResults:
         raise SlamFusionError(message)
     names = distinct_names([path.with_suffix("") for path in paths])
     results = [read_results(path, name) for path, name in zip(paths, names, strict=True)]
-    pairs = [_compared(first, second) for first, second in itertools.combinations(results, 2)]
+    pairs = [compare_pair(first, second) for first, second in itertools.combinations(results, 2)]
     return ComparedResults(tuple(results), paths, tuple(_corrected(pairs)))
 
 
-def _compared(first: SavedResults, second: SavedResults) -> ResultsPair:
+def compare_pair(first: SavedResults, second: SavedResults) -> ResultsPair:
+    """Compare two files of results; see ``compare_results``.
+
+    Raises:
+        SlamFusionError: they have no figure in common.
+    """
     items = pair_items(first.items, second.items)
     figures = compare_figures(items)
     if not figures:

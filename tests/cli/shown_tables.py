@@ -14,16 +14,31 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
-from slamfusion.cli import bench, devices, doctor, evaluate, experiment, fused, judge, run
+import numpy as np
+
+from slamfusion.cli import (
+    bench,
+    compare,
+    devices,
+    doctor,
+    evaluate,
+    experiment,
+    fused,
+    item_tables,
+    judge,
+    run,
+)
 from slamfusion.cli import trajectory as trajectories
 from slamfusion.config import NormalizeConfig
-from slamfusion.evaluation import compare_to_truth
+from slamfusion.evaluation import ErrorSeries, MeasuredItem, compare_to_truth
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
 from slamfusion.evidence.verdict import PathVerdict
 from slamfusion.experiments.sheets import Sheet
+from slamfusion.jobs.compare import ComparedResults, compare_pair
 from slamfusion.jobs.evaluate import Evaluation
+from slamfusion.jobs.results_file import SavedResults
 from slamfusion.jobs.tool_records import BenchEntryJson
 from tests.report.drawn import alignment, fusion, room
 
@@ -125,6 +140,42 @@ def _trajectory() -> None:
     )
 
 
+def _items() -> list[MeasuredItem]:
+    """Return two methods in two places."""
+    return [
+        MeasuredItem(
+            case,
+            method,
+            {
+                "ate_rmse_m": error_m,
+                "rpe_mean_m": error_m / 7.0,
+                "ate_rotation_mean_deg": 0.4 - error_m**2,
+            },
+            {
+                "ate_m": ErrorSeries(
+                    np.arange(40.0)[:, None], error_m + np.sin(np.arange(40.0)) / 99
+                )
+            },
+        )
+        for method, base_m in (("graph", 0.05), ("slam_toolbox", 0.07))
+        for case, error_m in (("intel", base_m), ("fr079", 1.3 * base_m))
+    ]
+
+
+def _several() -> None:
+    item_tables.print_items(_items(), "path", ("ate_rmse_m",))
+
+
+def _compare() -> None:
+    items = tuple(_items())
+    files = [
+        SavedResults(name, "trajectory", "0.1.0", own, {})
+        for name, own in (("graph", items[:2]), ("slam_toolbox", items[2:]))
+    ]
+    pair = compare_pair(*files)
+    compare.print_comparison(ComparedResults(tuple(files), (), (pair,)))
+
+
 def _experiment() -> None:
     heading = ("course, lidar", "tinyslam", "gmapping", "graph", "vote of the three", "weighted")
     figures = ("68.11 (4.02)", "71.60 (3.87)", "66.95 (12.40)", "60.32 (2.77)", "61.03 (2.91)")
@@ -190,6 +241,8 @@ SHOWN: dict[str, Callable[[], None]] = {
     "run": _run,
     "judge": _judge,
     "trajectory": _trajectory,
+    "trajectory, several": _several,
+    "compare": _compare,
     "experiment": _experiment,
     "devices": _devices,
     "doctor": lambda: _doctor(passed=True),

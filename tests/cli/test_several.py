@@ -116,9 +116,9 @@ def test_results_are_saved_and_compared(ask: Ask, tmp_path: Path) -> None:
         assert code == 0
     code, out, _ = ask("compare", "good.zip", "bad.zip", "--table", "out.md")
     assert code == 0
-    assert "good against bad" in out
+    assert "good (first) against bad (second)" in out
     assert out.count("\tATE m\t") == 2  # along each of the two paths
-    assert "ATE rmse m | good | bad" in (tmp_path / "out.md").read_text(encoding="utf-8")
+    assert "| ATE rmse m | 2 |" in (tmp_path / "out.md").read_text(encoding="utf-8")
     found = document(ask("compare", "bad.zip", "good.zip", "--json"), "compare")
     ate = next(item for item in found["figures"] if item["figure"] == "ate_rmse_m")
     assert ate["difference"] > 0.0
