@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, file_option
+from slamfusion.cli.options import FILE, check_picture, common_options, file_option
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.cli.table_files import table_option
 from slamfusion.cli.tables import NOTHING
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "print_comparison"]
 
-PLOT_FORMS = (".png", ".svg", ".pdf")
 # Of a table: figures of several sizes.
 DIGITS = 4
 MEANS = ("mean first", "mean second", "difference", "95 %")
@@ -47,10 +46,8 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
     if len(files) < 2:
         message = "give two files of --save-results or more"
         raise click.UsageError(message)
+    check_picture("--plot", plot_path)
     if plot_path is not None:
-        if plot_path.suffix.lower() not in PLOT_FORMS:
-            message = f"{plot_path}: wanted a name that ends in {', '.join(PLOT_FORMS)}"
-            raise click.BadParameter(message, param_hint="'--plot'")
         import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
 
         check_writable(plot_path.parent)

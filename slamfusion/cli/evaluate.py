@@ -13,6 +13,7 @@ from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
     CASE_FILE,
     case_option,
+    check_picture,
     common_options,
     file_option,
     map_resolution_option,
@@ -61,9 +62,7 @@ class _Request:
         if not self.truths and (self.report_dir or self.image_path):
             message = "--report and --image show the difference to a truth; give --truth MAP"
             raise click.UsageError(message)
-        if self.image_path is not None and self.image_path.suffix.lower() != ".png":
-            message = f"--image writes a PNG; call it {self.image_path.with_suffix('.png')}"
-            raise click.UsageError(message)
+        check_picture("--image", self.image_path)
         for folder in (self.report_dir, None if not self.image_path else self.image_path.parent):
             if folder is not None:
                 import slamfusion.report  # noqa: F401, PLC0415  (says early if its extra is missing)
@@ -93,7 +92,7 @@ class _Request:
     "Write the difference image of the map here; several maps add their names.",
 )
 @map_resolution_option
-@with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "device", "")
+@with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", "")
 @common_options
 @results_option
 @table_option

@@ -119,7 +119,7 @@ def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
     metavar="FILE",
     help="The best known trajectory of the recorded drive.",
 )
-@with_config("experiment.occupancy_estimator", "device", "")
+@with_config("experiment.occupancy_estimator", "report", "device", "")
 @common_options
 @results_option
 @table_option
@@ -242,7 +242,7 @@ def _drive_files(text: str) -> DriveFiles:
 @command.command("ground-obstacle")
 @OUTPUT
 @scheduler_option("the drives")
-@with_config("experiment.ground_obstacle", "device", "")
+@with_config("experiment.ground_obstacle", "report", "device", "")
 @common_options
 @results_option
 @table_option
@@ -277,7 +277,7 @@ def ground_obstacle(
 @command.command("failures")
 @OUTPUT
 @scheduler_option("the drives")
-@with_config("experiment.failures", "device", "")
+@with_config("experiment.failures", "report", "device", "")
 @common_options
 @results_option
 @table_option
@@ -322,7 +322,7 @@ def failures(
     metavar="DIR",
     help="Folder of the recordings, with mit-csail/ and intel/ in it.",
 )
-@with_config("device", "")
+@with_config("report", "device", "")
 @common_options
 @results_option
 @table_option

@@ -100,6 +100,7 @@ class _Outputs:
     "fusion.vote",
     "map_files",
     "evaluate",
+    "report",
     "device",
     "",
 )

@@ -86,7 +86,7 @@ class _Request:
 )
 @drive_files("paths", of_cases=True)
 @report_option("report_dir")
-@with_config("log", "trajectory", "device", "")
+@with_config("log", "trajectory", "report", "device", "")
 @common_options
 @results_option
 @table_option

@@ -15,6 +15,7 @@ import click
 
 from slamfusion.cli.output import Settings
 from slamfusion.config import (
+    PICTURE_FORMS,
     PUBLISHED,
     FieldInfo,
     Profiled,
@@ -30,6 +31,7 @@ __all__ = [
     "FILE",
     "ConfigOption",
     "case_option",
+    "check_picture",
     "common_options",
     "config_fields",
     "drive_files",
@@ -44,6 +46,7 @@ __all__ = [
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
+
 
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
@@ -193,6 +196,18 @@ def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[
         text: of help.
     """
     return click.option(name, parameter, type=FILE, metavar=metavar, help=text)
+
+
+def check_picture(name: str, path: Path | None) -> None:
+    """Refuse the name of a picture that cannot be written.
+
+    Args:
+        name: of the option.
+        path: its value; None: not given.
+    """
+    if path is not None and path.suffix.lower().removeprefix(".") not in PICTURE_FORMS:
+        message = f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}"
+        raise click.BadParameter(message, param_hint=f"'{name}'")
 
 
 def case_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:

@@ -166,6 +166,7 @@ class _ManyInputs(click.Command):
     "log",
     "evaluate",
     "trajectory",
+    "report",
     "device",
     "",
     base=RUN_DEFAULTS,

@@ -204,7 +204,16 @@ def _make_command(name: str) -> click.Command:
     @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
     @report_option("report")
     @_state_options(is_resumable=record.load is not None)
-    @with_config(f"producers.{name}", "log", "trajectory", "map_files", "device", "", base=base)
+    @with_config(
+        f"producers.{name}",
+        "log",
+        "trajectory",
+        "map_files",
+        "report",
+        "device",
+        "",
+        base=base,
+    )
     @common_options
     def run(log: Path, out: Path, config: RunConfig, as_json: bool, **asked: Any) -> int:
         request = _Request(log, _stem(out), **asked)

@@ -124,7 +124,7 @@ class _Request:
     "A map in the frame of EST, to draw the path over in the report.",
 )
 @report_option("report_dir")
-@with_config("trajectory", "log", "map_files")
+@with_config("trajectory", "log", "map_files", "report")
 @common_options
 @results_option
 @table_option

@@ -44,9 +44,11 @@ from slamfusion.config.graph import (
 )
 from slamfusion.config.ros import FusionNodeConfig, PlayerNodeConfig, ProducerNodeConfig
 from slamfusion.config.run import (
+    PICTURE_FORMS,
     DeviceConfig,
     LogConfig,
     MapFileConfig,
+    ReportConfig,
     RunConfig,
     SideBySideConfig,
     TrajectoryConfig,
@@ -83,6 +85,7 @@ from slamfusion.config.start import (
 __all__ = [
     "GMAPPING_PROFILES",
     "INTEGER_MAX",
+    "PICTURE_FORMS",
     "PUBLISHED",
     "START_FORM",
     "START_M",
@@ -123,6 +126,7 @@ __all__ = [
     "PlayerNodeConfig",
     "ProducerNodeConfig",
     "Profiled",
+    "ReportConfig",
     "RunConfig",
     "SideBySideConfig",
     "SimulateConfig",

@@ -14,13 +14,18 @@ from slamfusion.config.slam import GraphOptimizerConfig
 from slamfusion.config.start import checked_starts
 
 __all__ = [
+    "PICTURE_FORMS",
     "DeviceConfig",
     "LogConfig",
     "MapFileConfig",
+    "ReportConfig",
     "RunConfig",
     "SideBySideConfig",
     "TrajectoryConfig",
 ]
+
+# What pictures can be written as.
+PICTURE_FORMS = ("png", "svg", "pdf")
 
 
 @dataclass(frozen=True)
@@ -119,6 +124,15 @@ class DeviceConfig(Checked):
 
 
 @dataclass(frozen=True)
+class ReportConfig(Checked):
+    """What reports write beside their pages."""
+
+    pictures: tuple[Literal["svg", "pdf"], ...] = option(
+        (), "write the pictures of a report as these, too: svg, pdf, or both with a comma between"
+    )
+
+
+@dataclass(frozen=True)
 class RunConfig(Checked):
     """Everything that decides a result; written beside every result.
 
@@ -140,6 +154,7 @@ class RunConfig(Checked):
     experiment: ExperimentConfig = ExperimentConfig()
     graph_optimizer: GraphOptimizerConfig = GraphOptimizerConfig()
     run: SideBySideConfig = SideBySideConfig()
+    report: ReportConfig = ReportConfig()
     device: DeviceConfig = DeviceConfig()
     seed: int = option(0, "seed of every random number", low=0)
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)

@@ -125,7 +125,7 @@ def save_estimator_sweep(
     sentences = [verdict.sentence() for verdict in found]
     answers = [verdict.to_json() for verdict in found]
     document = plain({"verdicts": answers, "sentences": sentences, **circumstances(config, device)})
-    drawn = pictures.draw_sweep(results, stem)
+    drawn = pictures.draw_sweep(results, stem, config.report.pictures)
     files = write_results(
         folder, stem, results, text=_in_words(sentences), document=document, pictures=drawn
     )

@@ -16,6 +16,7 @@ from slamfusion.experiments.real_logs import RealLogTable
 from slamfusion.experiments.sheets import Tables
 from slamfusion.experiments.table import Results, measure_label
 from slamfusion.experiments.trials import Trial
+from slamfusion.report.canvas import in_form
 from slamfusion.report.experiment_report import (
     Difference,
     Line,
@@ -53,22 +54,25 @@ def draw_cell_values(rows: Sequence[CellModelRow]) -> bytes:
     )
 
 
-def draw_sweep(results: Results, stem: str) -> dict[str, bytes]:
+def draw_sweep(results: Results, stem: str, forms: Sequence[str] = ()) -> dict[str, bytes]:
     """Return a picture for each error, by file name: against cell size, a line for each method.
 
     Args:
         results: whose factors are drive, cell size and method.
         stem: start of the file names.
+        forms: that the pictures are wanted in beside PNG: ``svg``, ``pdf``.
     """
     pictures = {}
     for measure in results.measures():
         if measure != TIME:
             name = measure.rpartition("_")[0].replace("_", "-")
-            pictures[f"{stem}-{name}.png"] = sweep_picture(
+            picture = sweep_picture(
                 _sweep_panels(results, measure),
                 x_label="cell size in m",
                 y_label=measure_label(measure),
             )
+            for form in ("png", *forms):
+                pictures[f"{stem}-{name}.{form}"] = in_form(picture, form)
     return pictures
 
 

@@ -310,7 +310,7 @@ def write_results(
         results: what was run so far.
         text: Markdown that follows the tables: what they say in words.
         document: joins the JSON document; plain values without NaN.
-        pictures: PNG files by name.
+        pictures: files by name; of each one the PNG is shown in the Markdown.
 
     Returns:
         The files.
@@ -319,7 +319,7 @@ def write_results(
         MapFileError: a file cannot be written.
     """
     folder = Path(folder)
-    shown = "".join(f"\n![{name}]({name})\n" for name in pictures or {})
+    shown = "".join(f"\n![{name}]({name})\n" for name in pictures or {} if name.endswith(".png"))
     markdown = results.to_markdown() + (f"\n{text}\n" if text else "") + shown
     json_text = json.dumps({**results.to_json(), **(document or {})}, indent=2, allow_nan=False)
     contents = {

@@ -196,7 +196,8 @@ def write_evaluation(
         config: the effective configuration, written out in the report.
         device: what computed, in words.
         report: folder of the page and its pictures; None: no report.
-        image: PNG of the differences to the truth, several maps add their names; None: no picture.
+        image: picture (PNG, SVG or PDF) of the differences to the truth, several maps add their
+            names; None: no picture.
         name_each: a map alone adds its name, too.
         files: the set of files to join; default: one of its own.
 

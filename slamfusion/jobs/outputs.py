@@ -11,6 +11,8 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from slamfusion.config import PICTURE_FORMS
+
 __all__ = [
     "AGREEMENT",
     "AGREEMENT_END",
@@ -54,7 +56,7 @@ STORE_END = ".zarr"
 FUSED_PATH = FUSED + ".tum"
 # The record of a run that made a fused map: its JSON document.
 RUN_RECORD = FUSED + ".json"
-PAGE, PICTURES = "report.html", "[0-9][0-9]-*.png"
+PAGE, PICTURES = "report.html", "[0-9][0-9]-*"
 
 
 def output_files(stem: Path, *, probabilities: bool = False) -> list[Path]:
@@ -76,7 +78,10 @@ def failure_folder(folder: Path, results: Iterable[Path]) -> Path:
 def report_files(folder: Path) -> list[Path]:
     """Return the page and the pictures of a report that lies in a folder; empty without a page."""
     page = folder / PAGE
-    return [page, *sorted(folder.glob(PICTURES))] if page.exists() else []
+    if not page.exists():
+        return []
+    pictures = [folder.glob(f"{PICTURES}.{form}") for form in PICTURE_FORMS]
+    return [page, *sorted(path for paths in pictures for path in paths)]
 
 
 def remove_empty(*folders: Path) -> None:

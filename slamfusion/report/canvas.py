@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib import rc_context  # noqa: TID251
 from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.backend_bases import FigureCanvasBase  # noqa: TID251
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
@@ -27,9 +28,11 @@ __all__ = [
     "INK",
     "WIDTH_IN",
     "Classes",
+    "Drawing",
     "box_corner",
     "crop_box",
     "cut_cells",
+    "in_form",
     "pool_cells",
     "style_axes",
     "to_form",
@@ -125,10 +128,43 @@ def style_axes(axes: Axes) -> None:
         spine.set_linewidth(0.6)
 
 
-def to_png(figure: Figure) -> bytes:
+class Drawing(bytes):
+    """The bytes of a picture's PNG, which remember what was drawn: it is to be had as SVG, too."""
+
+    figure: Figure
+
+    @classmethod
+    def of(cls, figure: Figure) -> Drawing:
+        """Draw a figure."""
+        drawn = cls(to_form(figure, "png"))
+        # The pixels are in the bytes; the canvas would keep them a second time.
+        FigureCanvasBase(figure)
+        drawn.figure = figure
+        return drawn
+
+
+def to_png(figure: Figure) -> Drawing:
     """Return the figure as the bytes of a PNG with a transparent background."""
     figure.patch.set_alpha(0.0)
-    return to_form(figure, "png")
+    return Drawing.of(figure)
+
+
+def in_form(picture: bytes, form: str) -> bytes:
+    """Return a picture as the bytes of another form.
+
+    Args:
+        picture: the PNG that ``to_png`` made.
+        form: ``png``, ``svg`` or ``pdf``.
+
+    Raises:
+        TypeError: it is the PNG of no figure.
+    """
+    if form == "png":
+        return picture
+    if not isinstance(picture, Drawing):
+        message = f"wanted a picture that was drawn here, found {type(picture).__name__}"
+        raise TypeError(message)
+    return to_form(picture.figure, form)
 
 
 def to_form(figure: Figure, form: str) -> bytes:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from slamfusion.config import RunConfig
+from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import MapFileError
 from slamfusion.evaluation import MapError
 from slamfusion.fusion.records import Alignment
 from slamfusion.io.atomic import AtomicFiles, write_atomic
 from slamfusion.report import plots
+from slamfusion.report.canvas import in_form
 from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
 from slamfusion.report.page import Banner, Fact, Page, Section, circumstances, write_page
 
@@ -56,30 +57,31 @@ def write_evaluation_report(
     page = Page(
         "SLAMfusion evaluation", _banner(evaluations, searched), _facts(evaluations), sections
     )
-    return write_page(page, directory, files)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 def write_difference_image(
     evaluation: MapError, path: str | Path, files: AtomicFiles | None = None
 ) -> None:
-    """Write the difference to the truth as one PNG picture, in the colours of the report.
+    """Write the difference to the truth as one picture, in the colours of the report.
 
     Args:
         evaluation: of one map.
-        path: of the picture.
+        path: of the picture; its suffix says the form.
         files: the set of files to join; default: one of its own.
 
     Raises:
-        MapFileError: the file is not called ``.png``, or cannot be written.
+        MapFileError: the file is not called ``.png``, ``.svg`` or ``.pdf``, or cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() != ".png":
-        message = f"{path}: the difference image is a PNG; call it {path.with_suffix('.png').name}"
+    form = path.suffix.lower().removeprefix(".")
+    if form not in PICTURE_FORMS:
+        message = f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}"
         raise MapFileError(message)
     picture = plots.difference_picture(
         evaluation.difference, evaluation.resolution, evaluation.origin
     )
-    write_atomic(path, picture, files=files)
+    write_atomic(path, in_form(picture, form), files=files)
 
 
 def _banner(evaluations: Sequence[MapError], searched: Sequence[Alignment]) -> Banner:

@@ -229,7 +229,8 @@ def write_fusion_experiment(
     if len(tables) > TOP:
         sections.append(Section("In detail", "detail", tables=tables[TOP:]))
     sections.append(circumstances(config, device))
-    return write_page(Page(title, banner, facts, sections), directory)
+    page = Page(title, banner, facts, sections)
+    return write_page(page, directory, forms=config.report.pictures)
 
 
 def _difference(item: Difference) -> Picture:

@@ -94,7 +94,7 @@ def write_fusion_report(
     page = Page(
         "SLAMfusion report", fusion_banner(result, failure), _facts(result, evaluations), sections
     )
-    return write_page(page, directory, files)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 def write_failure_report(
@@ -160,7 +160,8 @@ def write_failure_report(
         Fact(f"0 of {len(grids)}", "maps fused", "bad"),
         Fact(str(sum(pair.accepted for pair in pairs)), f"of {len(pairs)} pairs accepted"),
     ]
-    return write_page(Page("SLAMfusion report", banner, facts, sections), directory, files)
+    page = Page("SLAMfusion report", banner, facts, sections)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 _YAW_TEXT = (

@@ -60,7 +60,7 @@ def write_judge_report(
         sections.append(_errors_section(verdict, known))
     sections.append(circumstances(config, device))
     page = Page("SLAMfusion judge", _banner(verdict, log, not_measured), _facts(verdict), sections)
-    return write_page(page, directory, files)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 def _banner(verdict: Verdict, log: str, not_measured: Sequence[str]) -> Banner:

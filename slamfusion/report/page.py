@@ -20,9 +20,10 @@ import numpy as np
 import yaml
 from markupsafe import Markup
 
-from slamfusion.config import RunConfig, to_mapping
+from slamfusion.config import PICTURE_FORMS, RunConfig, to_mapping
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.palette import Rgb
+from slamfusion.report.canvas import in_form
 from slamfusion.report.layers import Layers
 from slamfusion.version import __version__
 from slamfusion.viewer.front import bundled, front_end
@@ -195,7 +196,13 @@ def circumstances(config: RunConfig, device: str) -> Section:
     )
 
 
-def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = None) -> Path:
+def write_page(
+    page: Page,
+    directory: str | Path,
+    files: AtomicFiles | None = None,
+    *,
+    forms: Sequence[str] = (),
+) -> Path:
     """Write ``report.html`` and the pictures beside it, all or none.
 
     Pictures of an earlier report there that this one does not replace go.
@@ -204,6 +211,7 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         page: its pictures go into the page and, numbered, beside it.
         directory: made when it is missing; older files of the same names are replaced.
         files: the set of files to join; default: one of its own.
+        forms: what the pictures beside the page are written as, too: ``svg``, ``pdf``.
 
     Returns:
         The path of the page.
@@ -229,13 +237,19 @@ def write_page(page: Page, directory: str | Path, files: AtomicFiles | None = No
         version=__version__,
     )
     path = directory / "report.html"
-    earlier = set(directory.glob("[0-9][0-9]-*.png")) if path.exists() else set()
+    earlier = set(directory.glob("[0-9][0-9]-*.*")) if path.exists() else set()
+    beside = {
+        (directory / names[id(picture)]).with_suffix(f".{form}"): in_form(picture.png, form)
+        for picture in pictures
+        for form in ("png", *forms)
+    }
     with contextlib.nullcontext(files) if files is not None else AtomicFiles() as whole:
-        for picture in pictures:
-            whole.add(directory / names[id(picture)], picture.png)
+        for picture_path, data in beside.items():
+            whole.add(picture_path, data)
         whole.add(path, html.encode("utf-8", errors="replace"))
-        for picture_path in sorted(earlier - {directory / name for name in names.values()}):
-            whole.remove(picture_path)
+        for picture_path in sorted(earlier - beside.keys()):
+            if picture_path.suffix.removeprefix(".") in PICTURE_FORMS:
+                whole.remove(picture_path)
     return path
 
 

@@ -98,7 +98,7 @@ def write_run_report(
         sections.append(Section("The maps in numbers", "numbers", tables=tables))
     sections.append(circumstances(config, report.device))
     page = Page("SLAMfusion run", _banner(report), _facts(report), sections)
-    return write_page(page, directory, files)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 def _banner(report: RunReport) -> Banner:

@@ -116,7 +116,8 @@ def write_slam_report(
     # That nothing was noticed is no proof: the truth alone would be.
     banner = Banner("warn" if warnings else "plain", f"{name}: {judged} ({size})", warnings)
     shown = [*facts, *error_facts(relations, errors)]
-    return write_page(Page("SLAMfusion run", banner, shown, sections), directory, files)
+    page = Page("SLAMfusion run", banner, shown, sections)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 def _other_paths_pictures(

@@ -82,7 +82,8 @@ def write_trajectory_report(
         Fact(f"{trajectory.path_length_m():.1f} m", "travelled by the estimate"),
     ]
     banner = Banner("good", f"{trajectory.name}: its errors", _how_counted(relations, errors))
-    return write_page(Page("SLAMfusion trajectory", banner, facts, sections), directory, files)
+    page = Page("SLAMfusion trajectory", banner, facts, sections)
+    return write_page(page, directory, files, forms=config.report.pictures)
 
 
 def path_pictures(

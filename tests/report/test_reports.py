@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.config import PICTURE_FORMS, NormalizeConfig, ReportConfig, RunConfig
 from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth
 from slamfusion.report import (
@@ -24,6 +24,7 @@ from slamfusion.report import (
     write_failure_report,
     write_fusion_report,
 )
+from slamfusion.report.canvas import in_form
 from tests.report.drawn import NASTY, REASON, alignment, colours_of, fusion, room
 
 pytestmark = pytest.mark.once
@@ -278,8 +279,29 @@ def test_the_difference_image_is_a_png_with_all_its_colours(tmp_path: Path) -> N
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     assert image is not None
     assert {(28, 110, 225), (226, 45, 45), (18, 22, 28)} <= colours_of(image)
-    with pytest.raises(MapFileError, match=r"difference\.png"):
+    with pytest.raises(
+        MapFileError, match=r"difference\.jpg: wanted a name that ends in \.png, \.svg, \.pdf"
+    ):
         write_difference_image(evaluations()[0], tmp_path / "difference.jpg")
+
+
+def test_pictures_are_also_had_as_svg_and_pdf_the_same_bytes_each_time(tmp_path: Path) -> None:
+    config = replace(CONFIG, report=ReportConfig(("svg", "pdf")))
+    write_evaluation_report(evaluations()[:1], tmp_path, config=config)
+    first = {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
+    stems = {Path(name).stem for name in first}
+    assert first.keys() == {f"{stem}.{form}" for stem in stems for form in PICTURE_FORMS}
+    for name, data in first.items():
+        assert data.startswith({".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[name[-4:]])
+    write_evaluation_report(evaluations()[:1], tmp_path, config=config)
+    assert first == {path.name: path.read_bytes() for path in tmp_path.glob("0*")}
+    # A report without them leaves none of an earlier one.
+    write_evaluation_report(evaluations()[:1], tmp_path, config=CONFIG)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".html"}
+    write_difference_image(evaluations()[0], tmp_path / "difference.svg")
+    assert b"x in m" in (tmp_path / "difference.svg").read_bytes()
+    with pytest.raises(TypeError, match="wanted a picture that was drawn here"):
+        in_form(b"", "svg")
 
 
 def test_without_matplotlib_the_import_says_what_to_install() -> None:
