@@ -15,6 +15,7 @@ from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
 from slamfusion.cli.judge import print_verdict
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
+    CASE_FILE,
     FILE,
     common_options,
     drive_options,
@@ -34,6 +35,7 @@ from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.inputs import check_writable, real_path
 from slamfusion.jobs.outputs import (
@@ -51,11 +53,15 @@ if TYPE_CHECKING:
     from slamfusion.jobs.fused_path import DrivePath
     from slamfusion.jobs.run import LogRun
     from slamfusion.jobs.run_files import SavedRun
+    from slamfusion.jobs.trajectory import Measures
 
 __all__ = ["command"]
 
-# Of what may follow --inputs; no log has such a name.
-MAP_SUFFIXES = {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"}
+# Suffixes of what may follow an option's value as one more; no log has such a name.
+MORE = {
+    "--inputs": {".yaml", ".yml", ".pgm", ".png", ".bmp", ".pnm"},
+    "--paths": {".tum", ".csv"},
+}
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,7 @@ class _Request:
     log: Path
     out: Path
     maps: tuple[Path, ...]
+    paths: tuple[CaseFile, ...]
     resolution: float | None
     truth: Path | None
     truth_trajectory: Path | None
@@ -86,6 +93,7 @@ class _Request:
         given = (
             self.log,
             *self.maps,
+            *(file.path for file in self.paths),
             self.truth,
             self.truth_trajectory,
             self.relations,
@@ -107,21 +115,24 @@ class _Request:
 
 
 class _ManyInputs(click.Command):
-    """A command that takes ``--inputs A.yaml B.yaml`` for ``--inputs A.yaml --inputs B.yaml``."""
+    """A command that takes ``--inputs A.yaml B.yaml`` for ``--inputs A.yaml --inputs B.yaml``.
+
+    Likewise ``--paths A.tum B.tum``.
+    """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put ``--inputs`` before each map that follows another one."""
+        """Put the option before each map or path that follows another one."""
         spread: list[str] = []
-        wants, may_follow = False, False
+        option, wants = "", False
         for argument in args:
             if wants:
-                wants, may_follow = False, True
-            elif argument == "--inputs":
-                wants, may_follow = True, False
-            elif may_follow and Path(argument).suffix in MAP_SUFFIXES:
-                spread.append("--inputs")
+                wants = False
+            elif argument in MORE:
+                option, wants = argument, True
+            elif option and Path(argument).suffix in MORE[option]:
+                spread.append(option)
             else:
-                may_follow = False
+                option = ""
             spread.append(argument)
         return super().parse_args(ctx, spread)
 
@@ -145,6 +156,16 @@ class _ManyInputs(click.Command):
     type=FILE,
     metavar="MAP",
     help="Saved maps of other SLAMs that vote too: one or several.",
+)
+@click.option(
+    "--paths",
+    "paths",
+    multiple=True,
+    type=CASE_FILE,
+    metavar="PATH",
+    help="Paths that were found with these maps, each in its map's frame: judged by the scans and "
+    "fused as the producers' own. A path is that of the map whose name it says: MAP.tum, or "
+    "MAP=PATH.",
 )
 @file_option("--truth", "truth", "MAP", "The true map: errors of every map and the fused one.")
 @file_option(
@@ -201,6 +222,7 @@ def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) ->
             request.log,
             config,
             saved_maps=request.maps,
+            saved_paths=request.paths,
             resolution=request.resolution,
             relations=request.relations,
             odometry=request.odometry,
@@ -317,10 +339,29 @@ def _path_words(path: DrivePath) -> str:
     return f" ({'; '.join(words)})"
 
 
+def _path_errors(measures: Measures, with_relations: bool, with_truth: bool) -> list[str]:
+    """Return the errors of a path as cells of the columns that there are."""
+    relations, truth = measures.relations, measures.truth
+    cells = []
+    if with_relations:
+        cells += [
+            number(None if relations is None else relations.translation.mean, 4),
+            number(None if relations is None else relations.rotation_deg.mean, 3),
+        ]
+    if with_truth:
+        cells += [
+            number(None if truth is None else truth.ate.rmse, 4),
+            number(None if truth is None else truth.ate_rotation_deg.rmse, 3),
+        ]
+    return cells
+
+
 def _print_producers(run: LogRun) -> None:
     """Print a row for each producer, with the errors that are known."""
-    with_relations = any(item.measures.relations for item in run.results.values())
-    with_truth = any(item.measures.truth for item in run.results.values())
+    measured = [item.measures for item in run.results.values()]
+    measured += [saved.measures for saved in run.saved_paths.values()]
+    with_relations = any(measures.relations for measures in measured)
+    with_truth = any(measures.truth for measures in measured)
     columns = ["producer ", "scans", "used", "s", "ms a scan", "95 % ms", "MB", "match score"]
     columns += ["relations m", "relations deg"] if with_relations else []
     columns += ["ATE m", "ATE deg"] if with_truth else []
@@ -343,17 +384,9 @@ def _print_producers(run: LogRun) -> None:
             number(made.peak_memory_bytes / 1e6, 1),
             number(made.health.mean_match_score),
         ]
-        if with_relations:
-            errors = measures.relations
-            row += [
-                number(None if errors is None else errors.translation.mean, 4),
-                number(None if errors is None else errors.rotation_deg.mean, 3),
-            ]
-        if with_truth:
-            found = measures.truth
-            row += [
-                number(None if found is None or found.ate is None else found.ate.rmse, 4),
-                number(None if found is None else found.ate_rotation_deg.rmse, 3),
-            ]
-        rows.append(row)
+        rows.append([*row, *_path_errors(measures, with_relations, with_truth)])
+    for name, saved in run.saved_paths.items():
+        errors = _path_errors(saved.measures, with_relations, with_truth)
+        rows.append([name, *["-"] * (len(columns) - 1 - len(errors)), *errors])
+        notes.append("saved map with its path")
     print_table(columns, rows, notes=notes, title=f"Producers on {run.files.log}")

@@ -91,7 +91,7 @@ class PathVerdictJson(TypedDict):
     best: str
     """The path that the scans bear out best."""
     best_producer: str | None
-    """The same among paths that a producer made itself; null where there is none."""
+    """The same among paths that a SLAM made itself; null where there is none."""
     sentence: str
     """The verdict in words."""
     sure: bool

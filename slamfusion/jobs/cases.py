@@ -149,11 +149,20 @@ def _case_of(cases: Sequence[str], file: CaseFile) -> str:
         if named:
             message = f"{file.path}: of {' or '.join(named)}? write CASE={file.path}"
             raise ConfigError(message)
+    named = [case for case in cases if "/" in case and _has_all_words(file.path, case)]
+    if len(named) == 1:
+        return named[0]
     message = (
         f"{file.path}: its name says none of the cases {known}; write CASE={file.path}, with one "
         "of them for CASE"
     )
     raise ConfigError(message)
+
+
+def _has_all_words(path: Path, case: str) -> bool:
+    """Whether a path says every part of a case that is named with its folders."""
+    parts = _parts(path)
+    return all(any(_word(piece).search(part) for part in parts) for piece in case.split("/"))
 
 
 def _rest(case: str, path: Path) -> list[str]:

@@ -17,6 +17,7 @@ from slamfusion.evidence import Verdict, find_exclusions
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.drawn import DrawnRun, draw_run, is_drawn, voting_config
 from slamfusion.jobs.evaluate import Evaluation
@@ -28,27 +29,27 @@ from slamfusion.jobs.inputs import (
     Warn,
     as_path,
     device_for,
-    distinct_names,
     load_maps,
 )
 from slamfusion.jobs.map_log import PROGRESS_STEPS, LogFiles
-from slamfusion.jobs.outputs import DRAWN, FUSED
 from slamfusion.jobs.partial import Layers
 from slamfusion.jobs.produced import ProducerResult
 from slamfusion.jobs.run_stages import (
     Drive,
     draw_drive_layers,
     evaluate_drive_maps,
+    fuse_drive_paths,
     fuse_maps,
-    fuse_producer_paths,
     judge_drive_paths,
     measure_fused_path,
     measure_producers,
-    score_producer_paths,
+    measure_saved_paths,
+    score_drive_paths,
     stage_timer,
 )
+from slamfusion.jobs.saved_maps import SavedMaps, SavedPath
 from slamfusion.jobs.trajectory import Yardsticks
-from slamfusion.slam.registry import BUILT_IN, producer_names
+from slamfusion.slam.registry import BUILT_IN
 from slamfusion.slam.side_by_side import Outcome, SideBySide
 from slamfusion.trajectory import Trajectory
 
@@ -64,6 +65,7 @@ class LogRun:
     Attributes:
         files: where the log and what it is held against were read.
         saved_maps: files of other SLAMs' maps that voted too.
+        saved_paths: the paths of these that were given, by the maps' names.
         config: the settings in effect.
         outcomes: what became of each producer.
         grids: the producers' maps, then the saved ones.
@@ -91,6 +93,7 @@ class LogRun:
 
     files: LogFiles
     saved_maps: tuple[Path, ...]
+    saved_paths: Mapping[str, SavedPath]
     config: RunConfig
     outcomes: tuple[Outcome, ...]
     grids: tuple[OccupancyGrid, ...]
@@ -141,6 +144,7 @@ def run_log(
     config: RunConfig | None = None,
     *,
     saved_maps: Sequence[str | Path] = (),
+    saved_paths: Sequence[CaseFile] = (),
     resolution: float | None = None,
     relations: str | Path | None = None,
     odometry: str | Path | None = None,
@@ -160,6 +164,9 @@ def run_log(
         log: a CARMEN or tinySLAM log, or a ROS bag.
         config: settings of everything, ``run.producers`` among them; default: ``RUN_DEFAULTS``.
         saved_maps: of other SLAMs, which vote too: map_server YAML files, or bare images.
+        saved_paths: paths that were found with the saved maps, each in its map's frame and on the
+            clock of the log, may be sparse: what the scans say of them counts as for the
+            producers' own. Whose path each one is, its name tells; see ``slamfusion.jobs.cases``.
         resolution: metres per cell of bare images.
         relations: known motions between pairs of times: errors of the paths.
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
@@ -175,8 +182,9 @@ def run_log(
         not be measured are told in it and raise nothing.
 
     Raises:
-        ConfigError: no producer, an unknown one, or one given twice. ``StartError``: a start names
-            no producer and no saved map, or is one alone that says nothing of the others.
+        ConfigError: no producer, an unknown one, or one given twice; or a path of no saved map, or
+            two of one. ``StartError``: a start names no producer and no saved map, or is one alone
+            that says nothing of the others.
         LogError: the log cannot be opened.
         TrajectoryError: relations, odometry or truth cannot be read.
         MapFileError: a map cannot be read.
@@ -188,11 +196,10 @@ def run_log(
     files = LogFiles(
         Path(log), *map(as_path, (relations, odometry, truth, truth_map, scan_odometry))
     )
-    paths = tuple(map(Path, saved_maps))
+    saved = SavedMaps.of(saved_maps, saved_paths)
     names = config.run.producers or BUILT_IN
-    saved_names = _saved_names(paths)
     starts = place_starts(
-        config.start, (*names, *saved_names), config.fusion.reference, drive=names
+        config.start, (*names, *saved.names), config.fusion.reference, drive=names
     )
     with SideBySide(names, files.log, config, files.scan_odometry) as side_by_side:
         config = side_by_side.config
@@ -205,21 +212,20 @@ def run_log(
         held = Yardsticks.read(
             config, relations=files.relations, odometry=files.odometry, truth=files.truth
         )
-        maps = load_maps(paths, resolution, config.map_files, warn)
+        maps, others = saved.load(config, resolution, warn)
         device = device_for(config)
         outcomes = side_by_side.wait(_share_teller(progress))
     made = [outcome.run.grid for outcome in outcomes if outcome.run is not None]
-    renamed = [grid.with_name(name) for grid, name in zip(maps, saved_names, strict=True)]
-    grids = (*made, *renamed)
+    grids = (*made, *maps)
 
     stages = {"producers": time.perf_counter() - begun_s}
     timed = stage_timer(stages)
     drive = Drive(files, config, outcomes, held, device, progress)
     with timed("evidence"):
-        evidence, no_verdict = score_producer_paths(drive)
+        evidence, no_verdict = score_drive_paths(drive, others)
         exclusions = None if evidence is None else find_exclusions(evidence, device)
     with timed("path"):
-        fused_path = fuse_producer_paths(drive, evidence, exclusions)
+        fused_path = fuse_drive_paths(drive, evidence, exclusions)
     with timed("fusion"):
         layers = draw_drive_layers(drive, grids, exclusions, fused_path)
         fusion, failure = fuse_maps(drive, layers, len(maps), starts)
@@ -235,16 +241,21 @@ def run_log(
     if usable is not None and is_drawn(config):
         with timed("drawing"):
             drawn = draw_run(
-                lambda: drive.drawn_scans, fused_path, fusion, saved_names, config, device
+                lambda: drive.drawn_scans, fused_path, fusion, saved.names, config, device
             )
         fusion = drawn.fusion
     with timed("errors"):
         doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
         evaluations = evaluate_drive_maps(drive, grids, fusion, drawn.beside, true_map)
         results = measure_producers(drive, evaluations)
+        measures = measure_saved_paths(drive, others)
     return LogRun(
         files=files,
-        saved_maps=paths,
+        saved_maps=saved.files,
+        saved_paths={
+            name: SavedPath(saved.paths[name], path, measures[name])
+            for name, path in others.items()
+        },
         config=config,
         outcomes=outcomes,
         grids=grids,
@@ -276,9 +287,3 @@ def _share_teller(progress: Progress | None) -> Callable[[str, float], None] | N
         progress(name, round(PROGRESS_STEPS * share), PROGRESS_STEPS)
 
     return tell
-
-
-def _saved_names(paths: Sequence[Path]) -> list[str]:
-    """Return names for saved maps that no producer has."""
-    taken = {*producer_names(), FUSED, DRAWN}
-    return [f"{name} (saved)" if name in taken else name for name in distinct_names(paths)]

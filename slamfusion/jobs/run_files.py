@@ -141,6 +141,7 @@ def _add_report(files: AtomicFiles, run: LogRun, directory: Path) -> Path:
 
 def _reported(run: LogRun) -> RunReport:
     """Return what the report shows."""
+    from slamfusion.report.run_contents import ReportedPath  # noqa: PLC0415
     from slamfusion.report.run_report import ReportedRun, RunReport  # noqa: PLC0415
 
     runs = [
@@ -173,6 +174,10 @@ def _reported(run: LogRun) -> RunReport:
         if run.doubled is None
         else (run.doubled.inputs | {"fused map": run.doubled.fused}),
         fused_path=None if run.fused_path is None else run.fused_path.trajectory,
+        saved_paths=[
+            ReportedPath(saved.path, saved.measures.relations, saved.measures.truth)
+            for saved in run.saved_paths.values()
+        ],
         verdict=run.verdict,
         evaluations=[item.error for item in run.evaluations],
         evaluation_alignments=[item.alignment for item in run.evaluations],
@@ -226,6 +231,7 @@ def run_document(
         "drawn_map": None
         if run.drawn is None
         else drawn_document(run.drawn, files[DRAWN][0], run.config),
+        "saved_paths": [path.to_json() for path in run.saved_paths.values()],
         "evaluations": [item.to_json() for item in run.evaluations],
         "error": None if failure is None else str(failure),
         "not_measured": run.not_measured,

@@ -21,6 +21,7 @@ from slamfusion.jobs.records import (
     CircumstancesJson,
     EvaluationJson,
     FusionJson,
+    JudgedPathJson,
     MeasuresJson,
 )
 from slamfusion.slam.records import (
@@ -221,6 +222,8 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """The fused path; null where nothing was fused, or fewer than two producers have a path."""
     drawn_map: DrawnMapJson | None
     """The map drawn at the fused path; null where it was not asked for, or there is no path."""
+    saved_paths: Sequence[JudgedPathJson]
+    """The paths that were given with saved maps, and their errors."""
     evaluations: Sequence[EvaluationJson]
     """Errors of the inputs and of the fused map, with --truth."""
     error: str | None

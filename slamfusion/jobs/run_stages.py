@@ -14,9 +14,10 @@ from functools import cached_property
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evidence import Exclusions, PathEvidence, Verdict, reach_verdict
+from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
+from slamfusion.evidence import Exclusions, PathEvidence, Verdict, reach_verdict, with_path
 from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
+from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts
@@ -42,14 +43,20 @@ __all__ = [
     "Drive",
     "draw_drive_layers",
     "evaluate_drive_maps",
+    "fuse_drive_paths",
     "fuse_maps",
-    "fuse_producer_paths",
     "judge_drive_paths",
     "measure_fused_path",
     "measure_producers",
-    "score_producer_paths",
+    "measure_saved_paths",
+    "score_drive_paths",
     "stage_timer",
 ]
+
+
+# All paths of a drive are scored on the scans that each has a pose for; that of a saved map must
+# leave at least this share of them.
+LEAST_COVERED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +70,8 @@ class Drive:
         held: what paths are measured by.
         device: computes.
         progress: told the stage and how much of it is done; None: nobody.
+        saved_paths: of the saved maps, by name, at the times of the scans; ``score_drive_paths``
+            adds those that take part.
         troubles: what could not be measured, a sentence each; the stages add to it.
     """
 
@@ -72,6 +81,7 @@ class Drive:
     held: Yardsticks
     device: ComputeDevice
     progress: Progress | None
+    saved_paths: dict[str, Trajectory] = field(default_factory=dict)
     troubles: list[str] = field(default_factory=list)
 
     @cached_property
@@ -79,10 +89,10 @@ class Drive:
         """What was made, by the names of those producers that made something."""
         return {item.name: item.run for item in self.outcomes if item.run is not None}
 
-    @cached_property
+    @property
     def paths(self) -> Mapping[str, Trajectory]:
-        """The paths of these, by name; one may have no pose."""
-        return {name: run.trajectory for name, run in self.runs.items()}
+        """The paths of these, by name, one of which may have no pose; then those of saved maps."""
+        return {name: run.trajectory for name, run in self.runs.items()} | self.saved_paths
 
     @property
     def posed_paths(self) -> Mapping[str, Trajectory]:
@@ -176,25 +186,61 @@ def draw_drive_layers(
         return Layers.as_made(maps, drive.paths)
 
 
-def score_producer_paths(drive: Drive) -> tuple[PathEvidence | None, str | None]:
-    """Ask the scans what they say of the producers' paths; else return why they cannot tell."""
-    paths = drive.posed_paths
-    if not paths:
-        return None, "no producer has a path"
-    files = drive.files
-    try:
-        evidence = score_log_paths(
-            files.log, paths, drive.config, drive.device, files.scan_odometry
-        )
-    except SlamFusionError as error:
-        return None, str(error)
+def score_drive_paths(
+    drive: Drive, saved: Mapping[str, Trajectory]
+) -> tuple[PathEvidence | None, str | None]:
+    """Ask the scans what they say of the paths; else return why they cannot tell.
+
+    Args:
+        drive: what the producers made; it is given the saved paths that take part, and its troubles
+            are told why others do not.
+        saved: paths of the saved maps, by name, each in its map's frame; may be sparse.
+    """
+    reason, evidence = "no producer has a path", None
+    if paths := drive.posed_paths:
+        files = drive.files
+        try:
+            evidence = score_log_paths(
+                files.log, paths, drive.config, drive.device, files.scan_odometry
+            )
+        except SlamFusionError as error:
+            reason = str(error)
+    if evidence is None:
+        drive.troubles.extend(f"{name}: its path was not used: {reason}" for name in saved)
+        return None, reason
+    for name, path in saved.items():
+        try:
+            evidence = _with_saved_path(drive, evidence, name, path)
+        except SlamFusionError as error:
+            drive.troubles.append(f"{name}: its path was not used: {error}")
     return evidence, None
 
 
-def fuse_producer_paths(
+def _with_saved_path(
+    drive: Drive, evidence: PathEvidence, name: str, path: Trajectory
+) -> PathEvidence:
+    """Score the path of a saved map, too, and give it to the drive.
+
+    Raises:
+        TrajectoryError: it has a pose for too few of the scans, on which all paths are scored.
+    """
+    covered = cover_stamps(path, evidence.scans)
+    if covered.covered_share < LEAST_COVERED:
+        message = (
+            f"it has poses for {covered.covered_share:.0%} of the scans, wanted "
+            f"{LEAST_COVERED:.0%}: all paths are judged where each has one; give a longer path"
+        )
+        raise TrajectoryError(message)
+    evidence = with_path(evidence, name, path, drive.device)
+    own = covered.is_covered
+    drive.saved_paths[name] = Trajectory(evidence.scans.stamps_s[own], covered.poses[own], name)
+    return evidence
+
+
+def fuse_drive_paths(
     drive: Drive, evidence: PathEvidence | None, exclusions: Exclusions | None
 ) -> DrivePath | None:
-    """Fuse the producers' paths.
+    """Fuse the paths of the drive.
 
     Args:
         drive: what the producers made; its troubles are told what cannot be done.
@@ -244,7 +290,7 @@ def measure_fused_path(drive: Drive, path: DrivePath, fusion: FusionResult) -> D
 def judge_drive_paths(
     drive: Drive, evidence: PathEvidence, fused_path: DrivePath | None
 ) -> Verdict:
-    """Say which path the scans bear out: of the producers' paths and the fused one, if any."""
+    """Say which path the scans bear out: of the SLAMs' paths and the fused one, if any."""
     if fused_path is not None and fused_path.refined is not None:
         evidence = fused_path.refined.evidence
     return reach_verdict(evidence, tuple(drive.paths))
@@ -288,3 +334,29 @@ def measure_producers(drive: Drive, evaluations: Sequence[Evaluation]) -> dict[s
             outcome.run, measures, by_name.get(outcome.name), outcome.device
         )
     return results
+
+
+def measure_saved_paths(drive: Drive, paths: Mapping[str, Trajectory]) -> dict[str, Measures]:
+    """Measure the paths of saved maps; one that cannot be measured is told in the troubles.
+
+    Args:
+        drive: what they are measured by.
+        paths: as they were read, by name.
+    """
+    held = drive.held
+    scans = next((run.odometry for run in drive.runs.values()), None)
+    found = {}
+    for name, path in paths.items():
+        found[name] = Measures()
+        try:
+            found[name] = measure_trajectory(
+                path,
+                drive.config.trajectory,
+                relations=held.relations,
+                odometry=held.odometry,
+                scans=scans,
+                truth=held.truth,
+            )
+        except SlamFusionError as error:
+            drive.troubles.append(f"{name}: {error}")
+    return found

@@ -13,7 +13,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["ReportedRun", "RunReport"]
+__all__ = ["ReportedPath", "ReportedRun", "RunReport"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,21 @@ class ReportedRun:
 
 
 @dataclass(frozen=True, eq=False)
+class ReportedPath:
+    """A path that another SLAM found with its saved map.
+
+    Attributes:
+        path: in the frame of the map, named as it is.
+        relations: its errors on known relations.
+        errors: its errors against the truth.
+    """
+
+    path: Trajectory
+    relations: RelationErrors | None = None
+    errors: TrajectoryErrors | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class RunReport:
     """Everything that the page shows.
 
@@ -51,6 +66,7 @@ class RunReport:
         gaps: between the paths of producers in the fused frame.
         doubled: shares of doubled walls by name, that of the fused map as ``fused map``.
         fused_path: made of those of the producers, in the fused frame; None where there is none.
+        saved_paths: those of saved maps.
         verdict: what the scans say of the paths; None where they could not be asked.
         evaluations: errors of maps against the truth.
         evaluation_alignments: what each of them rests on.
@@ -71,6 +87,7 @@ class RunReport:
     gaps: Sequence[PathGap] = ()
     doubled: Mapping[str, float] | None = None
     fused_path: Trajectory | None = None
+    saved_paths: Sequence[ReportedPath] = ()
     verdict: Verdict | None = None
     evaluations: Sequence[MapError] = ()
     evaluation_alignments: Sequence[Alignment | None] = ()

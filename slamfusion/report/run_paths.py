@@ -12,7 +12,7 @@ from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.report import paths
 from slamfusion.report.page import Cell, Picture, Section, Table, number
-from slamfusion.report.run_contents import ReportedRun, RunReport
+from slamfusion.report.run_contents import ReportedPath, ReportedRun, RunReport
 from slamfusion.report.series import series_picture
 from slamfusion.slam.common.mapper import Series
 
@@ -95,8 +95,10 @@ def _together(
     placed: Mapping[str, Pose2],
     config: RunConfig,
 ) -> Picture:
-    """Return the paths of the producers that voted, with truth and odometry, in the fused map."""
+    """Return the paths whose maps were fused, with truth and odometry, in the fused map."""
     shown = [moved_path(item.run.trajectory, placed[item.run.name]) for item in together]
+    others = [item.path for item in report.saved_paths if item.path.name in placed]
+    shown += [moved_path(path, placed[path.name]) for path in others]
     first, start = together[0], placed[together[0].run.name]
     truth = None
     if report.truth is not None and first.errors is not None:
@@ -105,7 +107,7 @@ def _together(
     if odometry is not None:
         at = odometry.pose(int(odometry.nearest(first.run.trajectory.stamps_s[0])))
         odometry = moved_path(odometry, shown[0].pose(0).compose(at.inverse()))
-    names = [item.run.name for item in together]
+    names = [*(item.run.name for item in together), *(path.name for path in others)]
     sentences = []
     if truth is not None:
         sentences.append("The truth is laid on the first path as a whole.")
@@ -134,8 +136,11 @@ def _together(
 def path_errors_section(report: RunReport) -> list[Section]:
     """Return the errors of all paths in one table, and of each relation over time."""
     rows, pictures = [], []
-    for item in report.runs:
-        name = item.run.name
+    named: list[tuple[str, ReportedRun | ReportedPath]] = [
+        *((item.run.name, item) for item in report.runs),
+        *((item.path.name, item) for item in report.saved_paths),
+    ]
+    for name, item in named:
         if item.relations is not None:
             errors = item.relations
             used = f"{errors.relations_used} of {errors.relations_total}"
@@ -173,7 +178,7 @@ def path_errors_section(report: RunReport) -> list[Section]:
         "of it. ATE: of each pose after the best rigid motion of the whole; RPE: of the motion "
         "between two poses."
     )
-    columns = ("producer", "error", "mean", "std", "rmse", "median", "min", "max")
+    columns = ("path", "error", "mean", "std", "rmse", "median", "min", "max")
     table = Table("Errors of the paths", columns, rows)
     return [Section("Errors of the paths", "path-errors", text, pictures, [table])]
 

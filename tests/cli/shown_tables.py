@@ -102,6 +102,7 @@ def _run() -> None:
     ]
     log: Any = SimpleNamespace(
         results={"gmapping": SimpleNamespace(run=made, measures=measures)},
+        saved_paths={},
         outcomes=outcomes,
         files=SimpleNamespace(log="intel.log"),
     )

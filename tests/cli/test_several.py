@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamfusion.cli import run
 from slamfusion.cli.main import main
 from slamfusion.io import load_map, save_map, write_tum
 from slamfusion.io.carmen import write_carmen
+from slamfusion.jobs.cases import CaseFile
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import MAPS, TRUTH
 from tests.evidence.rooms import bent, circuit, recorded
@@ -190,3 +192,13 @@ def test_an_experiment_is_saved_too(ask: Ask) -> None:
     assert found["results"][0]["command"] == "experiment cell-models"
     assert len(found["results"][0]["items"]) == 12
     assert found["figures"][0]["paired"]["t_test"] == 1.0
+
+
+def test_maps_and_paths_may_follow_each_other() -> None:
+    words = "drive.txt -o out --inputs a.yaml b.yaml --paths a.tum b=c.csv --seed 3"
+    given = run.command.make_context("run", words.split()).params
+    assert given["maps"] == (Path("a.yaml"), Path("b.yaml"))
+    assert given["paths"] == (CaseFile(Path("a.tum")), CaseFile(Path("c.csv"), "b"))
+    assert given["log"] == Path("drive.txt")
+    behind = "--paths a.tum drive.log --inputs a.yaml -o out"
+    assert run.command.make_context("run", behind.split()).params["log"] == Path("drive.log")

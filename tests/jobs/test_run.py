@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,21 +14,27 @@ from scipy.spatial import KDTree
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.cells import wall_centres
-from slamfusion.evidence import FusedPath
+from slamfusion.evidence import FusedPath, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import drawn_scans
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
-from slamfusion.grid import trinary_cells
-from slamfusion.io import load_map, open_log, read_trajectory, save_map
+from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.io import load_map, open_log, read_trajectory, save_map, write_carmen, write_tum
+from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.drawn import draw_run
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
+from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.run import LogRun, run_log
 from slamfusion.jobs.run_files import SavedRun, save_run
+from slamfusion.jobs.run_stages import score_drive_paths
+from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import tree
+from tests.evidence.rooms import circuit, recorded
+from tests.slam.drives import CELL_M, draw_flat
 from tests.support.documents import check_document
 from tests.support.written_maps import fits, written_map
 
@@ -170,6 +178,81 @@ def assert_all_of_the_saved_map_is_there(run: LogRun) -> None:
     # Turned onto another lattice some cells are read twice, and some not at all.
     assert (saved.aligned >= 0).sum() == pytest.approx(known, rel=0.02)
     assert (run.usable.fused.cells[saved.aligned == 0] >= 0).all()
+
+
+def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
+    """It is in a frame of its own, and has a pose for each third scan."""
+    moved = Pose2(6.0, -2.0, 1.0)
+    walls = np.where(draw_flat() == 1, 100, 0).astype(np.int8)
+    save_map(OccupancyGrid(walls, CELL_M, moved), tmp_path / "karto" / "map")
+    truth = moved_path(read_trajectory(place / "truth.tum"), moved)
+    write_tum(tmp_path / "karto" / "poses.tum", Trajectory(truth.stamps_s[::3], truth.poses[::3]))
+    config = replace(RUN_DEFAULTS, run=replace(RUN_DEFAULTS.run, producers=("graph",)))
+    run = run_log(
+        place / "flat.log", config, truth=place / "truth.tum",
+        saved_maps=[tmp_path / "karto" / "map.yaml"],
+        saved_paths=[CaseFile(tmp_path / "karto" / "poses.tum")],
+    )  # fmt: skip
+    assert run.not_measured == ()
+    assert run.verdict is not None
+    assert {path.name for path in run.verdict.paths} == {"graph", "map", "fused"}
+    assert run.verdict.best_producer in {"graph", "map"}
+    # With one producer alone there would be no fused path, and nothing to draw at.
+    assert run.fused_path is not None
+    assert set(run.fused_path.trust) == {"graph", "map"}
+    assert run.fused_mode == "drawn"
+    (gap,) = run.fusion.gaps
+    assert {gap.a, gap.b} == {"graph", "map"}
+    assert gap.median_m < 0.1
+    document = save_run(run, tmp_path / "out").document
+    check_document(plain(document), "run")
+    (told,) = document["saved_paths"]
+    assert (told["name"], told["poses"]) == ("map", 11)
+    assert told["ate"]["rmse"] == pytest.approx(0.0, abs=1e-6)
+    own = next(item for item in document["path_evidence"] if item["name"] == "map")
+    assert own["own_poses_share"] == pytest.approx(1.0 / 3.0, abs=0.05)
+    assert own["covered_share"] > 0.9
+    page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
+    assert '<td class="plain">map</td><td class="plain">ATE, place m</td>' in page
+
+
+def test_a_path_that_cannot_be_used_is_told_and_the_map_votes(tmp_path: Path) -> None:
+    truth = circuit()
+    write_carmen(tmp_path / "drive.log", recorded(truth))
+    scans = judged_scans(open_log(tmp_path / "drive.log"))
+    evidence = score_paths(scans, {"graph": truth}, NumpyDevice())
+    drive: Any = SimpleNamespace(
+        posed_paths={"graph": truth},
+        saved_paths={},
+        troubles=[],
+        files=LogFiles(tmp_path / "drive.log"),
+        config=RUN_DEFAULTS,
+        device=NumpyDevice(),
+    )
+    begin = Trajectory(truth.stamps_s[:4], truth.poses[:4])
+    late = Trajectory(truth.stamps_s + 1e6, truth.poses)
+    found, reason = score_drive_paths(drive, {"begin": begin, "late": late, "whole": truth})
+    assert reason is None
+    assert found is not None
+    assert set(found.scores) == {"graph", "whole"}
+    assert set(drive.saved_paths) == {"whole"}
+    assert found.scores["graph"].consistency == evidence.scores["graph"].consistency
+    short, never = drive.troubles
+    assert short.startswith("begin: its path was not used: it has poses for ")
+    assert "wanted 50%" in short
+    assert never.startswith("late: its path was not used: it has poses for 0% of the scans")
+
+
+def test_a_path_belongs_to_a_saved_map(place: Path) -> None:
+    path = CaseFile(place / "truth.tum")
+    with pytest.raises(ConfigError, match=r"a path of which map\? give its map with --inputs"):
+        run_log(place / "flat.log", saved_paths=[path])
+    maps = ["a/map.yaml", "b/map.yaml"]
+    found = SavedMaps.of(maps, [CaseFile(Path("b/map.tum"))])
+    assert found.paths == {"b/map": Path("b/map.tum")}
+    with pytest.raises(ConfigError, match="says none of the cases a/map, b/map"):
+        SavedMaps.of(maps, [path])
+    assert SavedMaps.of(["graph.yaml"], [path]).paths == {"graph (saved)": path.path}
 
 
 def test_where_nothing_can_be_drawn_the_maps_vote(place: Path) -> None:

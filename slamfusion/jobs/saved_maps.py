@@ -1,0 +1,105 @@
+"""What other SLAMs made of a drive: their saved maps, and the paths that they found with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import ConfigError
+from slamfusion.grid import OccupancyGrid
+from slamfusion.io import read_trajectory
+from slamfusion.jobs.cases import CaseFile, files_by_case
+from slamfusion.jobs.inputs import Warn, distinct_names, load_maps
+from slamfusion.jobs.outputs import DRAWN, FUSED
+from slamfusion.jobs.records import JudgedPathJson
+from slamfusion.jobs.trajectory import Measures
+from slamfusion.slam.registry import producer_names
+from slamfusion.trajectory import Trajectory
+
+__all__ = ["SavedMaps", "SavedPath"]
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPath:
+    """The path that another SLAM found with its saved map.
+
+    Attributes:
+        file: of the poses.
+        path: as they were read, named as the map is.
+        measures: their errors.
+    """
+
+    file: Path
+    path: Trajectory
+    measures: Measures
+
+    def to_json(self) -> JudgedPathJson:
+        """Return the path and its errors for a JSON document."""
+        return {
+            **self.measures.to_json(),
+            "name": self.path.name,
+            "file": str(self.file),
+            "poses": len(self.path),
+            "path_length_m": self.path.path_length_m(),
+        }
+
+
+@dataclass(frozen=True)
+class SavedMaps:
+    """Files of saved maps, and of the paths of some of them.
+
+    Attributes:
+        files: of the maps.
+        names: of these, as the run calls them: no producer has one.
+        paths: of the poses, by the map's name.
+    """
+
+    files: tuple[Path, ...]
+    names: tuple[str, ...]
+    paths: Mapping[str, Path]
+
+    @classmethod
+    def of(cls, maps: Sequence[str | Path], paths: Sequence[CaseFile]) -> SavedMaps:
+        """Name maps, and find whose each path is: see ``slamfusion.jobs.cases``.
+
+        Raises:
+            ConfigError: a path of no map, or two of one.
+        """
+        files = tuple(map(Path, maps))
+        own = distinct_names(files)
+        if paths and not files:
+            message = f"{paths[0].path}: a path of which map? give its map with --inputs MAP"
+            raise ConfigError(message)
+        taken = {*producer_names(), FUSED, DRAWN}
+        names = [f"{name} (saved)" if name in taken else name for name in own]
+        found = files_by_case(own, paths, "--paths")
+        return cls(
+            files,
+            tuple(names),
+            {name: found[key] for key, name in zip(own, names, strict=True) if key in found},
+        )
+
+    def load(
+        self, config: RunConfig, resolution: float | None, warn: Warn
+    ) -> tuple[list[OccupancyGrid], dict[str, Trajectory]]:
+        """Return the maps and the paths, named.
+
+        Args:
+            config: ``map_files`` and ``log`` say how they are read.
+            resolution: metres per cell of bare images.
+            warn: told in a sentence what is doubtful about a map.
+
+        Raises:
+            MapFileError: a map cannot be read.
+            TrajectoryError: a path is damaged.
+            OSError: a file cannot be opened.
+        """
+        grids = load_maps(self.files, resolution, config.map_files, warn)
+        named = [grid.with_name(name) for grid, name in zip(grids, self.names, strict=True)]
+        paths = {
+            name: replace(read_trajectory(file, config.log), name=name)
+            for name, file in self.paths.items()
+        }
+        return named, paths
