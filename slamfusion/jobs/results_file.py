@@ -46,6 +46,8 @@ MANIFEST, DOCUMENT, ITEMS, SERIES = "manifest.json", "document.json", "items.jso
 # What a file of results may unpack to: a thousand paths of ten thousand poses.
 MOST_BYTES = 2**29
 READ_BYTES = 2**20
+# Of what is wrong with a file, in a message.
+WHY_CHARACTERS = 150
 # A zip holds dates; one and the same keeps the bytes of equal results equal.
 NO_DATE = (1980, 1, 1, 0, 0, 0)
 # What zipfile raises for files that are none.
@@ -214,9 +216,9 @@ def read_results(path: str | Path, name: str | None = None) -> SavedResults:
             with zipfile.ZipFile(file) as packed:
                 return _Reader(where, packed).read(name or where.stem)
         except _BROKEN as error:
-            found, why = "a damaged one or none", str(error)
+            found, why = "a damaged one or none", _short(error)
         except (NotImplementedError, RuntimeError) as error:
-            found, why = "one that is packed in another way", str(error)
+            found, why = "one that is packed in another way", _short(error)
     message = f"{where}: wanted a zip of --save-results, found {found} ({why}); save it again"
     raise ResultsFileError(message)
 
@@ -333,8 +335,15 @@ class _Reader:
             raise self._damaged(name, "it is missing") from None
 
     def _damaged(self, entry: str, what: object) -> ResultsFileError:
-        message = f"{self.where}: its {entry} is damaged: {what}; save the results again"
+        what = _short(what)
+        message = f"{self.where}: its {_short(entry)} is damaged: {what}; save the results again"
         return ResultsFileError(message)
+
+
+def _short(what: object) -> str:
+    """Return the words of an error, which may name anything that stands in the file."""
+    text = str(what)
+    return text if len(text) <= WHY_CHARACTERS else f"{text[:WHY_CHARACTERS]}..."
 
 
 def _text(record: Any, key: str) -> str:

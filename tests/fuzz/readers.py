@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import GmappingConfig, GraphConfig
+from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.evaluation.distances import load_distances
 from slamfusion.evaluation.odometry import read_odometry
 from slamfusion.evaluation.relations import read_relations
@@ -22,6 +24,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import load_map, open_log, read_trajectory
 from slamfusion.io.images import encode_image
 from slamfusion.io.scan_odometry import read_scan_odometry
+from slamfusion.jobs.results_file import read_results, write_results_file
 from slamfusion.pose_graph.g2o import read_g2o
 from slamfusion.sim.courses import load_course
 from slamfusion.slam.gmapping.slam import Gmapping
@@ -176,6 +179,30 @@ def live_state() -> bytes:
     return state.to_bytes()
 
 
+def results(folder: Path) -> bytes:
+    """Return saved results of one path."""
+    series = {"ate_m": ErrorSeries(np.arange(4.0)[:, None], np.full(4, 0.1))}
+    items = [MeasuredItem("flat", "graph", {"ate_rmse_m": 0.1}, series)]
+    path = folder / "results.zip"
+    write_results_file(path, command="trajectory", arguments=(), document={}, items=items)
+    return path.read_bytes()
+
+
+def part_of_results(whole: bytes, name: str) -> Seed:
+    """Return one file in saved results, which is read in the place of the good one."""
+    with zipfile.ZipFile(io.BytesIO(whole)) as packed:
+        entries = {entry: packed.read(entry) for entry in packed.namelist()}
+
+    def read(path: Path) -> object:
+        other = path.with_name("repacked.zip")
+        with zipfile.ZipFile(other, "w") as packed:
+            for entry, data in {**entries, name: path.read_bytes()}.items():
+                packed.writestr(entry, data)
+        return read_results(other)
+
+    return Seed("results", Path(name).name, entries[name], read)
+
+
 def states(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], object]]]:
     """Return a state of each mapper that has one, and what reads it."""
     scans, _ = drive(4)
@@ -246,6 +273,11 @@ def seeds(folder: Path) -> list[Seed]:
         Seed("picture", "a.png", encoded("png"), as_pixels, is_text=False),
         Seed("picture", "a.bmp", encoded("bmp"), as_pixels, is_text=False),
         Seed("live state", "fusion.state", live_state(), as_live_state, is_text=False),
+    ]
+    saved = results(folder)
+    found.append(Seed("results", "a.zip", saved, read_results, is_text=False))
+    found += [
+        part_of_results(saved, name) for name in ("manifest.json", "items.json", "series/0001.csv")
     ]
     for name, (data, read) in states(folder).items():
         found.append(Seed("state", f"{name}.state", data, read, is_text=False))
