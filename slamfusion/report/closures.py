@@ -12,16 +12,16 @@ from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import Rgb
 from slamfusion.report.canvas import to_png, unit_rgb
-from slamfusion.report.page import LegendEntry, Picture
-from slamfusion.report.paths import (
-    ESTIMATE_COLOUR,
-    _draw_grid,
-    _draw_marks,
-    _extent_of,
-    _grid_extent,
-    _map_axes,
+from slamfusion.report.map_axes import (
+    draw_grid,
+    draw_marks,
+    grid_extent,
+    map_axes,
     mark_legend,
+    path_extent,
 )
+from slamfusion.report.page import LegendEntry, Picture
+from slamfusion.report.paths import ESTIMATE_COLOUR
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
@@ -47,8 +47,8 @@ def closures_picture(
         grid: the map under them.
         normalize: what counts as wall and as free in it.
     """
-    figure, axes = _map_axes(_extent_of(path.poses).grown(_grid_extent(grid, normalize)))
-    _draw_grid(axes, grid, normalize)
+    figure, axes = map_axes(path_extent(path.poses).grown(grid_extent(grid, normalize)))
+    draw_grid(axes, grid, normalize)
     x, y = path.poses[:, 0], path.poses[:, 1]
     axes.plot(x, y, color=unit_rgb(ESTIMATE_COLOUR), lw=0.8, scalex=False, scaley=False)
     for colour, is_shown in ((BELIEVED_COLOUR, True), (OUTLIER_COLOUR, False)):
@@ -76,7 +76,7 @@ def closures_picture(
             scalex=False,
             scaley=False,
         )
-    _draw_marks(axes, path.poses)
+    draw_marks(axes, path.poses)
     return to_png(figure)
 
 

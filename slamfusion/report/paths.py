@@ -6,7 +6,6 @@ See ``canvas`` for the look.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,39 +14,39 @@ from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.collections import LineCollection  # noqa: TID251
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
-from matplotlib.ticker import FuncFormatter, MaxNLocator  # noqa: TID251
-from matplotlib.transforms import Affine2D  # noqa: TID251
+from matplotlib.ticker import FuncFormatter  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
-from slamfusion.grid import OccupancyGrid, trinary_cells
-from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.grid import OccupancyGrid
+from slamfusion.palette import INPUT_COLOURS, Rgb
 from slamfusion.report.canvas import (
     DPI,
     INK,
     WIDTH_IN,
-    box_corner,
-    crop_box,
-    cut_cells,
-    pool_cells,
     style_axes,
     to_png,
     unit_rgb,
     write_note,
 )
+from slamfusion.report.map_axes import (
+    draw_grid,
+    draw_marks,
+    grid_extent,
+    map_axes,
+    mark_legend,
+    path_extent,
+)
 from slamfusion.report.page import LegendEntry
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
-    "END_COLOUR",
     "ESTIMATE_COLOUR",
     "ODOMETRY_COLOUR",
     "OTHERS_COLOUR",
     "REVISIT_COLOUR",
-    "START_COLOUR",
     "TRUTH_COLOUR",
     "error_picture",
-    "mark_legend",
     "others_legend",
     "path_picture",
     "paths_legend",
@@ -66,8 +65,6 @@ TRUTH_COLOUR: Rgb = (28, 126, 214)
 ODOMETRY_COLOUR: Rgb = (104, 112, 122)
 OTHERS_COLOUR: Rgb = (103, 65, 217)
 REVISIT_COLOUR: Rgb = (232, 89, 12)
-START_COLOUR: Rgb = (47, 158, 68)
-END_COLOUR: Rgb = (110, 0, 60)
 INK_RGB: Rgb = (20, 22, 26)
 
 # Ends of both colour scales that would vanish on white are cut off.
@@ -75,34 +72,12 @@ _TIME_SPAN = (0.15, 0.82)
 _ERROR_SPAN = (0.30, 1.0)
 # What odometry may add to the picture on each side: drift over the edge is cut off.
 _DRIFT_SHARE = 0.25
-_LEAST_DRIFT_M = 1.0
-_LONGEST = 1.25 * WIDTH_IN
 _POINTS = 4000
 # The other paths are drawn faintly; those that lie on each other add up.
 _OTHERS_OPACITY = 0.35
 _OTHERS_POINTS = 400_000
 # Errors below this are drawn here: a logarithmic axis has no zero.
 _LEAST_M, _LEAST_DEG = 1e-4, 1e-3
-
-
-@dataclass(frozen=True)
-class _Extent:
-    """A box in the map frame, metres."""
-
-    low: npt.NDArray[np.float64]
-    high: npt.NDArray[np.float64]
-
-    @property
-    def size(self) -> npt.NDArray[np.float64]:
-        return np.asarray(self.high - self.low)
-
-    def grown(self, other: _Extent, most: float | None = None) -> _Extent:
-        """Return the box with another taken in, by at most ``most`` of its size a side."""
-        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
-        if most is not None:
-            limit = max(most * float(self.size.max()), _LEAST_DRIFT_M)
-            low, high = np.maximum(low, self.low - limit), np.minimum(high, self.high + limit)
-        return _Extent(low, high)
 
 
 def path_picture(
@@ -123,9 +98,9 @@ def path_picture(
         label: what the values are, with their unit.
     """
     poses = trajectory.poses
-    extent = _extent_of(poses)
+    extent = path_extent(poses)
     if grid is not None:
-        extent = extent.grown(_grid_extent(grid, normalize))
+        extent = extent.grown(grid_extent(grid, normalize))
     if values is None:
         label = "seconds since the start"
         shown = trajectory.stamps_s - trajectory.stamps_s[0]
@@ -133,9 +108,9 @@ def path_picture(
     else:
         shown = np.asarray(values, dtype=np.float64)
         colours = _part(colormaps["YlOrRd"], _ERROR_SPAN)
-    figure, axes = _map_axes(extent, bar=True)
+    figure, axes = map_axes(extent, bar=True)
     if grid is not None:
-        _draw_grid(axes, grid, normalize)
+        draw_grid(axes, grid, normalize)
     top = float(shown.max()) or 1.0
     lines = LineCollection(
         list(_segments(poses[:, :2])),
@@ -146,7 +121,7 @@ def path_picture(
     )
     lines.set_array((shown[:-1] + shown[1:]) / 2.0)
     axes.add_collection(lines, autolim=False)
-    _draw_marks(axes, poses)
+    draw_marks(axes, poses)
     # The bar stands in a strip of its own, so that the map keeps its shape.
     box = axes.get_position()
     strip = figure.add_axes((box.x1 + 0.025, box.y0, 0.022, box.height))
@@ -176,19 +151,19 @@ def paths_picture(
         grid: a map to draw under them.
         normalize: what counts as wall and as free in it.
     """
-    extent = _extent_of(trajectory.poses)
+    extent = path_extent(trajectory.poses)
     if grid is not None:
-        extent = extent.grown(_grid_extent(grid, normalize))
+        extent = extent.grown(grid_extent(grid, normalize))
     if truth is not None:
-        extent = extent.grown(_extent_of(truth.poses))
+        extent = extent.grown(path_extent(truth.poses))
     if odometry is not None:
-        extent = extent.grown(_extent_of(odometry.poses), _DRIFT_SHARE)
+        extent = extent.grown(path_extent(odometry.poses), _DRIFT_SHARE)
     beliefs = [other for other in others if len(other)]
     for belief in beliefs:
-        extent = extent.grown(_extent_of(belief.poses), _DRIFT_SHARE)
-    figure, axes = _map_axes(extent)
+        extent = extent.grown(path_extent(belief.poses), _DRIFT_SHARE)
+    figure, axes = map_axes(extent)
     if grid is not None:
-        _draw_grid(axes, grid, normalize)
+        draw_grid(axes, grid, normalize)
     _draw_others(axes, beliefs)
     layers = (
         (odometry, ODOMETRY_COLOUR, 0.9, "-"),
@@ -199,7 +174,7 @@ def paths_picture(
         if path is not None:
             x, y = path.poses[:, 0], path.poses[:, 1]
             axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
-    _draw_marks(axes, trajectory.poses)
+    draw_marks(axes, trajectory.poses)
     return to_png(figure)
 
 
@@ -220,16 +195,16 @@ def run_paths_picture(
         grid: a map to draw under them.
         normalize: what counts as wall and as free in it.
     """
-    extent = _extent_of(paths[0].poses)
+    extent = path_extent(paths[0].poses)
     if grid is not None:
-        extent = extent.grown(_grid_extent(grid, normalize))
+        extent = extent.grown(grid_extent(grid, normalize))
     for path in (*paths[1:], *([] if truth is None else [truth])):
-        extent = extent.grown(_extent_of(path.poses))
+        extent = extent.grown(path_extent(path.poses))
     if odometry is not None:
-        extent = extent.grown(_extent_of(odometry.poses), _DRIFT_SHARE)
-    figure, axes = _map_axes(extent)
+        extent = extent.grown(path_extent(odometry.poses), _DRIFT_SHARE)
+    figure, axes = map_axes(extent)
     if grid is not None:
-        _draw_grid(axes, grid, normalize)
+        draw_grid(axes, grid, normalize)
     layers = [] if odometry is None else [(odometry, ODOMETRY_COLOUR, 0.8, "-")]
     last = len(paths) - 1
     for index, path in reversed(list(enumerate(paths))):
@@ -243,7 +218,7 @@ def run_paths_picture(
         axes.plot(
             x, y, color=unit_rgb(INK_RGB), lw=0.8, ls=(0, (3.0, 2.0)), scalex=False, scaley=False
         )
-    _draw_marks(axes, paths[0].poses)
+    draw_marks(axes, paths[0].poses)
     return to_png(figure)
 
 
@@ -343,11 +318,6 @@ def others_legend(count: int) -> tuple[LegendEntry, ...]:
     )
 
 
-def mark_legend() -> tuple[LegendEntry, ...]:
-    """Return what the marks on a path mean."""
-    return LegendEntry("start (circle)", START_COLOUR), LegendEntry("end (square)", END_COLOUR)
-
-
 def revisit_legend() -> tuple[LegendEntry, ...]:
     """Return what the colours of ``relations_picture`` mean."""
     return (
@@ -359,33 +329,6 @@ def revisit_legend() -> tuple[LegendEntry, ...]:
 # --- parts ---------------------------------------------------------------------------------------
 
 
-def _map_axes(extent: _Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
-    """Return axes of the shape of a place, in metres, with room for a colour bar beside them."""
-    margin = 0.03 * float(extent.size.max()) + 0.2
-    low, high = extent.low - margin, extent.high + margin
-    wide, tall = (float(side) for side in high - low)
-    left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.08
-    width = WIDTH_IN - left - right
-    height = width * tall / wide
-    if height > _LONGEST:
-        width, height = max(_LONGEST * wide / tall, 1.0), _LONGEST
-    height = max(height, 0.6)
-    size = (width + left + right, height + bottom + top)
-    figure = Figure(figsize=size, dpi=DPI)
-    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
-    # Where a side was widened for the lettering, the place shows more around it.
-    scale = max(wide / width, tall / height)
-    middle = (low + high) / 2.0
-    axes.set_xlim(middle[0] - scale * width / 2, middle[0] + scale * width / 2)
-    axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
-    for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
-        axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
-    axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
-    axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
-    style_axes(axes)
-    return figure, axes
-
-
 def _stacked() -> tuple[Figure, Sequence[Axes]]:
     """Return two axes above each other with one x axis."""
     figure = Figure(figsize=(WIDTH_IN, 3.2), dpi=DPI)
@@ -393,31 +336,6 @@ def _stacked() -> tuple[Figure, Sequence[Axes]]:
     lower = figure.add_axes((0.155, 0.125, 0.825, 0.37), sharex=upper)
     upper.tick_params(labelbottom=False)
     return figure, (upper, lower)
-
-
-def _draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:
-    """Draw a map in the colours of ``plots.map_picture`` where it lies."""
-    cells = trinary_cells(grid.cells, normalize)
-    box = crop_box(cells != -1)
-    pooled, factor = pool_cells(cut_cells(cells, box), grid.origin)
-    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
-    # Unknown cells have no colour here: around the map there is nothing either.
-    rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
-    corner = box_corner(grid.origin, box, grid.resolution)
-    side = factor * grid.resolution
-    turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
-    limits = axes.get_xlim(), axes.get_ylim()
-    axes.imshow(
-        rgba,
-        origin="lower",
-        interpolation="nearest",
-        extent=(0.0, pooled.shape[1] * side, 0.0, pooled.shape[0] * side),
-        transform=turned + axes.transData,
-        aspect="auto",
-    )
-    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
-    axes.set_xlim(limits[0])
-    axes.set_ylim(limits[1])
 
 
 def _draw_others(axes: Axes, others: Sequence[Trajectory]) -> None:
@@ -432,39 +350,6 @@ def _draw_others(axes: Axes, others: Sequence[Trajectory]) -> None:
 def _kept(count: int, step: int) -> npt.NDArray[np.int64]:
     """Return the indices at a fixed stride, and the last."""
     return np.append(np.arange(0, count - 1, step), count - 1)
-
-
-def _draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
-    """Mark the first and the last pose; where they are one place both are seen."""
-    for pose, colour, marker, size in (
-        (poses[0], START_COLOUR, "o", 8.5),
-        (poses[-1], END_COLOUR, "s", 4.0),
-    ):
-        axes.plot(
-            [pose[0]],
-            [pose[1]],
-            marker=marker,
-            ms=size,
-            color=unit_rgb(colour),
-            markeredgecolor="white",
-            markeredgewidth=0.7,
-            ls="none",
-            scalex=False,
-            scaley=False,
-        )
-
-
-def _extent_of(poses: npt.NDArray[np.float64]) -> _Extent:
-    return _Extent(poses[:, :2].min(axis=0), poses[:, :2].max(axis=0))
-
-
-def _grid_extent(grid: OccupancyGrid, normalize: NormalizeConfig) -> _Extent:
-    """Return the box of what the map knows."""
-    box = crop_box(trinary_cells(grid.cells, normalize) != -1)
-    corner = box_corner(grid.origin, box, grid.resolution)
-    wide, tall = box.width * grid.resolution, box.height * grid.resolution
-    corners = corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)])
-    return _Extent(corners.min(axis=0), corners.max(axis=0))
 
 
 def _segments(places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -11,6 +11,7 @@ from slamfusion.evaluation import ErrorStatistics
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.report import paths
+from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.page import Cell, Picture, Section, Table, number
 from slamfusion.report.run_contents import ReportedPath, ReportedRun, RunReport
 from slamfusion.report.series import series_picture
@@ -43,7 +44,7 @@ def paths_section(report: RunReport, config: RunConfig) -> Section:
                 f"path-{item.run.name}",
                 paths.path_picture(item.run.trajectory, grid=item.run.grid, normalize=normalize),
                 f"{item.run.name}: its path over its map",
-                legend=paths.mark_legend(),
+                legend=mark_legend(),
             )
             for item in report.runs
         ]

@@ -11,6 +11,7 @@ from slamfusion.geometry import Pose2, compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import paths
+from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.page import (
     Banner,
     Cell,
@@ -112,7 +113,7 @@ def path_pictures(
             paths.path_picture(trajectory, grid=grid, normalize=normalize),
             "The path over the map" if grid is not None else "The path",
             f"{len(trajectory)} poses, {trajectory.path_length_m():.1f} m.",
-            legend=paths.mark_legend(),
+            legend=mark_legend(),
         )
     ]
     true = None
@@ -163,7 +164,7 @@ def truth_section(
             ),
             "Where the error is",
             "The estimated path, coloured by the distance from the true place.",
-            legend=paths.mark_legend(),
+            legend=mark_legend(),
         ),
     ]
     pair = f"{errors.config.rpe_delta:g} {errors.config.rpe_unit}"

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
-from slamfusion.report import paths, plots
+from slamfusion.report import map_axes, paths, plots
 
 pytestmark = pytest.mark.once
 
@@ -66,7 +66,7 @@ TOGETHER = {
     "overlay of three": plots.layer_colours(3),
     "overlay of four": plots.layer_colours(4),
     "path and truth": (paths.ESTIMATE_COLOUR, paths.TRUTH_COLOUR),
-    "start and end": (paths.START_COLOUR, paths.END_COLOUR),
+    "start and end": (map_axes.START_COLOUR, map_axes.END_COLOUR),
     "difference": tuple(
         rgb for text, rgb in plots.DIFFERENCE_COLOURS.values() if text.endswith("wall")
     ),

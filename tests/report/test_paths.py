@@ -16,7 +16,7 @@ from slamfusion.evaluation import RelationErrors, TrajectoryErrors, trajectory_e
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import Rgb
-from slamfusion.report import Fact, paths, write_slam_report, write_trajectory_report
+from slamfusion.report import Fact, map_axes, paths, write_slam_report, write_trajectory_report
 from slamfusion.report.page import Cell, Table
 from slamfusion.slam.common.mapper import Series
 from slamfusion.trajectory import Trajectory
@@ -85,7 +85,7 @@ def truth_errors() -> TrajectoryErrors:
 
 def test_up_is_up_and_both_ends_are_marked() -> None:
     image = pixels(paths.path_picture(corner()))
-    start, end = centre(image, paths.START_COLOUR), centre(image, paths.END_COLOUR)
+    start, end = centre(image, map_axes.START_COLOUR), centre(image, map_axes.END_COLOUR)
     assert start[0] < 0.3
     assert end[0] > 0.6
     assert end[1] < 0.3
@@ -173,7 +173,7 @@ def test_other_paths_are_faint_and_under_the_estimate() -> None:
     assert not near(apart, paths.OTHERS_COLOUR).any()
     # Below the estimate in the picture, where it is below in the world.
     rows, _ = np.nonzero(purple(apart)[:, : apart.shape[1] // 2])
-    assert rows.mean() / apart.shape[0] > centre(apart, paths.START_COLOUR)[1]
+    assert rows.mean() / apart.shape[0] > centre(apart, map_axes.START_COLOUR)[1]
 
 
 def test_a_belief_held_by_many_is_darker() -> None:

@@ -1,0 +1,159 @@
+"""A map with axes in metres, on which paths are drawn: its extent, its cells, marks on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes  # noqa: TID251
+from matplotlib.figure import Figure  # noqa: TID251
+from matplotlib.ticker import MaxNLocator  # noqa: TID251
+from matplotlib.transforms import Affine2D  # noqa: TID251
+
+from slamfusion.config import NormalizeConfig
+from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.report.canvas import (
+    DPI,
+    INK,
+    WIDTH_IN,
+    box_corner,
+    crop_box,
+    cut_cells,
+    pool_cells,
+    style_axes,
+    unit_rgb,
+)
+from slamfusion.report.page import LegendEntry
+
+__all__ = [
+    "END_COLOUR",
+    "START_COLOUR",
+    "Extent",
+    "draw_grid",
+    "draw_marks",
+    "grid_extent",
+    "map_axes",
+    "mark_legend",
+    "path_extent",
+]
+
+START_COLOUR: Rgb = (47, 158, 68)
+END_COLOUR: Rgb = (110, 0, 60)
+
+# A box grows by this at least where its growth is limited to a share of its size.
+_LEAST_GROWTH_M = 1.0
+_LONGEST = 1.25 * WIDTH_IN
+
+
+@dataclass(frozen=True)
+class Extent:
+    """A box in the map frame, metres."""
+
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+
+    @property
+    def size(self) -> npt.NDArray[np.float64]:
+        """(2,) float64: width and height, metres."""
+        return np.asarray(self.high - self.low)
+
+    def grown(self, other: Extent, most: float | None = None) -> Extent:
+        """Return the box with another taken in, by at most ``most`` of its size a side."""
+        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        if most is not None:
+            limit = max(most * float(self.size.max()), _LEAST_GROWTH_M)
+            low, high = np.maximum(low, self.low - limit), np.minimum(high, self.high + limit)
+        return Extent(low, high)
+
+
+def mark_legend() -> tuple[LegendEntry, ...]:
+    """Return what the marks on a path mean."""
+    return LegendEntry("start (circle)", START_COLOUR), LegendEntry("end (square)", END_COLOUR)
+
+
+def map_axes(extent: Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
+    """Return axes of the shape of a place, in metres, with room for a colour bar beside them."""
+    margin = 0.03 * float(extent.size.max()) + 0.2
+    low, high = extent.low - margin, extent.high + margin
+    wide, tall = (float(side) for side in high - low)
+    left, right, bottom, top = 0.5, (0.72 if bar else 0.08), 0.4, 0.08
+    width = WIDTH_IN - left - right
+    height = width * tall / wide
+    if height > _LONGEST:
+        width, height = max(_LONGEST * wide / tall, 1.0), _LONGEST
+    height = max(height, 0.6)
+    size = (width + left + right, height + bottom + top)
+    figure = Figure(figsize=size, dpi=DPI)
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    # Where a side was widened for the lettering, the place shows more around it.
+    scale = max(wide / width, tall / height)
+    middle = (low + high) / 2.0
+    axes.set_xlim(middle[0] - scale * width / 2, middle[0] + scale * width / 2)
+    axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
+    for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(1.8 * inches)), steps=[1, 2, 5, 10]))
+    axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
+    axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
+    style_axes(axes)
+    return figure, axes
+
+
+def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> None:
+    """Draw a map in the colours of ``plots.map_picture`` where it lies."""
+    cells = trinary_cells(grid.cells, normalize)
+    box = crop_box(cells != -1)
+    pooled, factor = pool_cells(cut_cells(cells, box), grid.origin)
+    palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
+    # Unknown cells have no colour here: around the map there is nothing either.
+    rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
+    corner = box_corner(grid.origin, box, grid.resolution)
+    side = factor * grid.resolution
+    turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
+    limits = axes.get_xlim(), axes.get_ylim()
+    axes.imshow(
+        rgba,
+        origin="lower",
+        interpolation="nearest",
+        extent=(0.0, pooled.shape[1] * side, 0.0, pooled.shape[0] * side),
+        transform=turned + axes.transData,
+        aspect="auto",
+    )
+    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
+    axes.set_xlim(limits[0])
+    axes.set_ylim(limits[1])
+
+
+def draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
+    """Mark the first and the last pose; where they are one place both are seen."""
+    for pose, colour, marker, size in (
+        (poses[0], START_COLOUR, "o", 8.5),
+        (poses[-1], END_COLOUR, "s", 4.0),
+    ):
+        axes.plot(
+            [pose[0]],
+            [pose[1]],
+            marker=marker,
+            ms=size,
+            color=unit_rgb(colour),
+            markeredgecolor="white",
+            markeredgewidth=0.7,
+            ls="none",
+            scalex=False,
+            scaley=False,
+        )
+
+
+def path_extent(poses: npt.NDArray[np.float64]) -> Extent:
+    """Return the box of the places of poses, (N, 3) x, y, yaw."""
+    return Extent(poses[:, :2].min(axis=0), poses[:, :2].max(axis=0))
+
+
+def grid_extent(grid: OccupancyGrid, normalize: NormalizeConfig) -> Extent:
+    """Return the box of what the map knows."""
+    box = crop_box(trinary_cells(grid.cells, normalize) != -1)
+    corner = box_corner(grid.origin, box, grid.resolution)
+    wide, tall = box.width * grid.resolution, box.height * grid.resolution
+    corners = corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)])
+    return Extent(corners.min(axis=0), corners.max(axis=0))
