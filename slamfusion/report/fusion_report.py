@@ -20,6 +20,7 @@ from slamfusion.report.maps import (
     input_picture,
     layer_legend,
     pair_overlay,
+    pairs_section,
     statistics_table,
     yaw_pictures,
 )
@@ -52,7 +53,7 @@ __all__ = [
     "write_fusion_report",
 ]
 
-# Overlays of failed pairs: with ten inputs there are 45.
+# Overlays of failed pairs.
 _MOST_OVERLAYS = 12
 
 
@@ -125,12 +126,6 @@ def write_failure_report(
         SlamFusionError: the directory cannot be written.
     """
     normalize = config.fusion.normalize
-    by_name = {grid.name: grid for grid in grids}
-    overlays = [
-        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize)
-        for pair in pairs[:_MOST_OVERLAYS]
-        if pair.reference in by_name and pair.moving in by_name
-    ]
     sections = [
         Section(
             "Inputs",
@@ -141,16 +136,7 @@ def write_failure_report(
         )
     ]
     if pairs:
-        sections.append(
-            Section(
-                "Pairs",
-                "pairs",
-                "Each pair laid over each other under the best alignment that was found. Where "
-                "two maps agree their colours add up to white.",
-                [picture for picture in overlays if picture is not None],
-                alignment_table("All pairs", pairs),
-            )
-        )
+        sections.append(pairs_section(grids, pairs, normalize, most_overlays=_MOST_OVERLAYS))
         curves = yaw_pictures(pairs)
         if curves:
             sections.append(Section("Score over yaw", "yaw", _YAW_TEXT, curves))

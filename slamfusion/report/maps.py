@@ -23,6 +23,7 @@ __all__ = [
     "input_picture",
     "layer_legend",
     "pair_overlay",
+    "pairs_section",
     "statistics_table",
     "yaw_pictures",
 ]
@@ -83,6 +84,37 @@ def pair_overlay(
         tone="plain" if alignment.accepted else "bad",
         badge="" if alignment.accepted else "rejected",
         legend=layer_legend((reference.name, moving.name)),
+    )
+
+
+def pairs_section(
+    grids: Sequence[OccupancyGrid],
+    pairs: Sequence[Alignment],
+    normalize: NormalizeConfig,
+    *,
+    most_overlays: int,
+) -> Section:
+    """Return the pairs that were tried where nothing was fused: overlays of the first, and all.
+
+    Args:
+        grids: the inputs.
+        pairs: every pair that was aligned.
+        normalize: what counts as wall and as free.
+        most_overlays: with ten inputs there are 45 pairs.
+    """
+    by_name = {grid.name: grid for grid in grids}
+    overlays = [
+        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize)
+        for pair in pairs[:most_overlays]
+        if pair.reference in by_name and pair.moving in by_name
+    ]
+    return Section(
+        "Pairs",
+        "pairs",
+        "Each pair laid over each other under the best alignment that was found. Where two maps "
+        "agree their colours add up to white.",
+        [overlay for overlay in overlays if overlay is not None],
+        alignment_table("All pairs", pairs),
     )
 
 

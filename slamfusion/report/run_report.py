@@ -19,10 +19,9 @@ from slamfusion.report.fusion_report import (
     statistics_section,
 )
 from slamfusion.report.maps import (
-    alignment_table,
     error_section,
     input_picture,
-    pair_overlay,
+    pairs_section,
     statistics_table,
 )
 from slamfusion.report.page import (
@@ -49,10 +48,6 @@ BYTES_PER_MB = 1e6
 MOST_OVERLAYS = 6
 # The fused path among those of the verdict.
 FUSED_PATH = "fused"
-YAW_NOTE = (
-    "An overlay shows a pair under the best alignment that was found; where two maps agree their "
-    "colours add up to white."
-)
 
 
 def write_run_report(
@@ -86,7 +81,10 @@ def write_run_report(
             sections.append(dissent_section(report.result, shown_box(report.result)))
         sections.append(alignment_section(report.result, only_doubtful=True))
     elif report.pairs:
-        sections.append(_pairs_section(report, config))
+        normalize = config.fusion.normalize
+        sections.append(
+            pairs_section(report.grids, report.pairs, normalize, most_overlays=MOST_OVERLAYS)
+        )
     sections += path_errors_section(report)
     if report.evaluations:
         sections.append(error_section(report.evaluations, report.evaluation_alignments))
@@ -248,18 +246,6 @@ def _over_time(run: ProducerRun) -> list[Series]:
         stamps_s = run.trajectory.stamps_s[-len(scores) :]
         series.insert(0, Series("match score", "", stamps_s, scores, limit))
     return series
-
-
-def _pairs_section(report: RunReport, config: RunConfig) -> Section:
-    """Return the pairs that were tried where nothing was fused."""
-    by_name = {grid.name: grid for grid in report.grids}
-    overlays = [
-        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, config.fusion.normalize)
-        for pair in report.pairs[:MOST_OVERLAYS]
-        if pair.reference in by_name and pair.moving in by_name
-    ]
-    shown = [overlay for overlay in overlays if overlay is not None]
-    return Section("Pairs", "pairs", YAW_NOTE, shown, alignment_table("All pairs", report.pairs))
 
 
 def _timings_section(report: RunReport) -> Section:
