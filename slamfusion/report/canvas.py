@@ -33,6 +33,7 @@ __all__ = [
     "crop_box",
     "cut_cells",
     "in_form",
+    "plain_text",
     "pool_cells",
     "style_axes",
     "to_form",
@@ -186,6 +187,11 @@ def to_form(figure: Figure, form: str) -> bytes:
 def write_note(axes: Axes, text: str) -> None:
     """Say in words what the dotted line of the axes is."""
     axes.set_title(text, loc="right", color=INK, fontsize=7, pad=2.5)
+
+
+def plain_text(text: str) -> str:
+    """Return text that matplotlib draws as it is written: a ``$`` starts no formula."""
+    return text.replace("$", r"\$")
 
 
 def unit_rgb(rgb: Rgb) -> tuple[float, float, float]:

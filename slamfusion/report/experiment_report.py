@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
 from slamfusion.report import plots
-from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png
+from slamfusion.report.canvas import DPI, INK, WIDTH_IN, plain_text, style_axes, to_png
 from slamfusion.report.page import (
     Banner,
     Fact,
@@ -109,7 +109,7 @@ def sweep_picture(panels: Sequence[Panel], *, x_label: str, y_label: str) -> byt
                 color=_COLOURS[number % len(_COLOURS)],
                 marker=_MARKERS[number % len(_MARKERS)],
                 ls=_STYLES[number % len(_STYLES)],
-                label=_plain(line.label),
+                label=plain_text(line.label),
                 ms=3.5,
                 lw=1.1,
                 elinewidth=0.8,
@@ -143,7 +143,7 @@ def cell_values_picture(panels: Sequence[Panel]) -> bytes:
                 color=_COLOURS[number % len(_COLOURS)],
                 marker=_MARKERS[number % len(_MARKERS)],
                 ls=_STYLES[number % len(_STYLES)],
-                label=_plain(line.label),
+                label=plain_text(line.label),
                 ms=3.0,
                 lw=1.1,
                 clip_on=False,
@@ -261,7 +261,7 @@ def _finish(axes: Axes, panel: Panel, y_label: str) -> None:
     legend_rows = -(-len(panel.lines) // _LEGEND_COLUMNS)
     axes.set_ylabel(y_label, color=INK, fontsize=7.5)
     axes.set_title(
-        _plain(panel.title),
+        plain_text(panel.title),
         loc="left",
         color=INK,
         fontsize=8,
@@ -278,8 +278,3 @@ def _finish(axes: Axes, panel: Panel, y_label: str) -> None:
         handlelength=2.6,
     )
     style_axes(axes)
-
-
-def _plain(text: str) -> str:
-    """Return text that matplotlib draws as it is written: a ``$`` starts no formula."""
-    return text.replace("$", r"\$")

@@ -13,6 +13,7 @@ from slamfusion.report.canvas import (
     DPI,
     INK,
     WIDTH_IN,
+    plain_text,
     style_axes,
     to_png,
     unit_rgb,
@@ -73,8 +74,8 @@ def series_picture(series: Sequence[Series], *, start_s: float | None = None) ->
         if item.limit is not None:
             axes.axhline(item.limit, color=INK, lw=0.8, ls=":")
             write_note(axes, f"limit {item.limit:.4g}")
-        axes.set_title(_plain(item.name), loc="left", color=INK, fontsize=7.5, pad=3)
-        axes.set_ylabel(_plain(item.unit), color=INK, fontsize=7.5)
+        axes.set_title(plain_text(item.name), loc="left", color=INK, fontsize=7.5, pad=3)
+        axes.set_ylabel(plain_text(item.unit), color=INK, fontsize=7.5)
         axes.set_ylim(*_span(item))
         axes.set_xlim(from_s - room_s, end_s + room_s)
         style_axes(axes)
@@ -110,8 +111,3 @@ def _thinned(
     kept = (pair + step * np.arange(len(rows))[:, None]).ravel()
     kept = np.append(kept, np.arange(count, len(x)))
     return x[kept], y[kept]
-
-
-def _plain(text: str) -> str:
-    """Return text that matplotlib draws as it is written: a ``$`` starts no formula."""
-    return text.replace("$", r"\$")
