@@ -18,6 +18,7 @@ from matplotlib.ticker import FuncFormatter  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
+from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.palette import INPUT_COLOURS, Rgb
 from slamfusion.report.canvas import (
@@ -47,6 +48,7 @@ __all__ = [
     "REVISIT_COLOUR",
     "TRUTH_COLOUR",
     "error_picture",
+    "laid_on_start",
     "others_legend",
     "path_picture",
     "paths_legend",
@@ -78,6 +80,12 @@ _OTHERS_OPACITY = 0.35
 _OTHERS_POINTS = 400_000
 # Errors below this are drawn here: a logarithmic axis has no zero.
 _LEAST_M, _LEAST_DEG = 1e-4, 1e-3
+
+
+def laid_on_start(odometry: Trajectory, path: Trajectory) -> Trajectory:
+    """Return raw odometry in the frame of a path: where that begins, both are one pose."""
+    at = odometry.pose(int(odometry.nearest(path.stamps_s[0])))
+    return moved_path(odometry, path.pose(0).compose(at.inverse()))
 
 
 def path_picture(

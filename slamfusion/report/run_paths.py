@@ -15,6 +15,7 @@ from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.page import Cell, Picture, Section, Table, number
 from slamfusion.report.run_contents import ReportedPath, ReportedRun, RunReport
 from slamfusion.report.series import series_picture
+from slamfusion.report.trajectory_report import FIGURES, figure_cells
 from slamfusion.slam.common.mapper import Series
 
 __all__ = ["path_errors_section", "paths_section"]
@@ -106,8 +107,7 @@ def _together(
         truth = moved_path(report.truth, start.compose(first.errors.pose_truth_estimate.inverse()))
     odometry = first.run.odometry
     if odometry is not None:
-        at = odometry.pose(int(odometry.nearest(first.run.trajectory.stamps_s[0])))
-        odometry = moved_path(odometry, shown[0].pose(0).compose(at.inverse()))
+        odometry = paths.laid_on_start(odometry, shown[0])
     names = [*(item.run.name for item in together), *(path.name for path in others)]
     sentences = []
     if truth is not None:
@@ -179,15 +179,11 @@ def path_errors_section(report: RunReport) -> list[Section]:
         "of it. ATE: of each pose after the best rigid motion of the whole; RPE: of the motion "
         "between two poses."
     )
-    columns = ("path", "error", "mean", "std", "rmse", "median", "min", "max")
+    columns = ("path", "error", *FIGURES)
     table = Table("Errors of the paths", columns, rows)
     return [Section("Errors of the paths", "path-errors", text, pictures, [table])]
 
 
 def _figures(name: str, what: str, statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
     """Return a row of figures; dashes where there are none."""
-    values = [
-        None if statistics is None else getattr(statistics, figure)
-        for figure in ("mean", "std", "rmse", "median", "min", "max")
-    ]
-    return [Cell(name), Cell(what), *(number(value, digits) for value in values)]
+    return [Cell(name), Cell(what), *figure_cells(statistics, digits)]

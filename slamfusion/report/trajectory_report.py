@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import ErrorStatistics, RelationErrors, TrajectoryErrors
-from slamfusion.geometry import Pose2, compose_poses
+from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import paths
@@ -27,14 +27,16 @@ from slamfusion.report.page import (
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
+    "FIGURES",
     "error_facts",
+    "figure_cells",
     "path_pictures",
     "relations_section",
     "truth_section",
     "write_trajectory_report",
 ]
 
-_FIGURES = ("mean", "std", "rmse", "median", "min", "max")
+FIGURES = ("mean", "std", "rmse", "median", "min", "max")
 
 
 def write_trajectory_report(
@@ -82,7 +84,8 @@ def write_trajectory_report(
         Fact(f"{len(trajectory)}", "poses"),
         Fact(f"{trajectory.path_length_m():.1f} m", "travelled by the estimate"),
     ]
-    banner = Banner("good", f"{trajectory.name}: its errors", _how_counted(relations, errors))
+    headline = f"{trajectory.name}: {_judged(relations, errors)}"
+    banner = Banner("plain", headline, _how_counted(relations, errors))
     page = Page("SLAMfusion trajectory", banner, facts, sections)
     return write_page(page, directory, files, forms=config.report.pictures)
 
@@ -118,11 +121,10 @@ def path_pictures(
     ]
     true = None
     if truth is not None and errors is not None:
-        true = _moved(truth, errors.pose_truth_estimate.inverse())
+        true = moved_path(truth, errors.pose_truth_estimate.inverse())
     wheels = None
     if odometry is not None and len(odometry):
-        start = odometry.pose(int(odometry.nearest(trajectory.stamps_s[0])))
-        wheels = _moved(odometry, trajectory.pose(0).compose(start.inverse()))
+        wheels = paths.laid_on_start(odometry, trajectory)
     if true is not None or wheels is not None:
         png = paths.paths_picture(
             trajectory, truth=true, odometry=wheels, grid=grid, normalize=normalize
@@ -144,8 +146,8 @@ def truth_section(
     errors: TrajectoryErrors, *, config: RunConfig, grid: OccupancyGrid | None = None
 ) -> Section:
     """Return the errors against the truth: along the path, on the map, and as a table."""
-    back = errors.pose_truth_estimate.inverse()
-    matched = Trajectory(errors.stamps_s, compose_poses(_array(back), errors.aligned), errors.name)
+    aligned = Trajectory(errors.stamps_s, errors.aligned, errors.name)
+    matched = moved_path(aligned, errors.pose_truth_estimate.inverse())
     pictures = [
         Picture(
             "error-along-path",
@@ -231,6 +233,21 @@ def error_facts(relations: RelationErrors | None, errors: TrajectoryErrors | Non
     return facts
 
 
+def figure_cells(statistics: ErrorStatistics | None, digits: int) -> list[Cell]:
+    """Return the ``FIGURES`` of an error as cells; dashes where there are none."""
+    values = [None if statistics is None else getattr(statistics, name) for name in FIGURES]
+    return [number(value, digits) for value in values]
+
+
+def _judged(relations: RelationErrors | None, errors: TrajectoryErrors | None) -> str:
+    """Return the error in words; how much is good is for the reader to say."""
+    if errors is not None:
+        return f"{errors.ate.rmse:.3f} m from the truth (ATE, root mean square)"
+    if relations is not None:
+        return f"{relations.translation.mean:.4f} m off a relation, in the mean"
+    return "nothing was measured"
+
+
 def _how_counted(
     relations: RelationErrors | None, errors: TrajectoryErrors | None
 ) -> Sequence[tuple[str, str]]:
@@ -256,26 +273,7 @@ def _table(title: str, rows: Sequence[tuple[str, ErrorStatistics | None, int]]) 
     """Return a table of figures, dashes where there are none."""
     return Table(
         title,
-        ("error", *_FIGURES),
-        [
-            [
-                Cell(name),
-                *(
-                    number(None if figures is None else getattr(figures, figure), digits)
-                    for figure in _FIGURES
-                ),
-            ]
-            for name, figures, digits in rows
-        ],
+        ("error", *FIGURES),
+        [[Cell(name), *figure_cells(figures, digits)] for name, figures, digits in rows],
         "std is that of the population; min and max are the best and the worst.",
     )
-
-
-def _moved(trajectory: Trajectory, motion: Pose2) -> Trajectory:
-    """Return a trajectory in another frame."""
-    poses = compose_poses(_array(motion), trajectory.poses)
-    return Trajectory(trajectory.stamps_s, poses, trajectory.name)
-
-
-def _array(pose: Pose2) -> tuple[float, float, float]:
-    return pose.x, pose.y, pose.yaw_rad
