@@ -23,7 +23,7 @@ from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.inputs import check_writable, real_path
-from slamfusion.jobs.outputs import SUFFIXES, output_files
+from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
     from slamfusion.jobs.produced import ProducerResult
@@ -286,4 +286,4 @@ def _print(result: ProducerResult, request: _Request) -> None:
     for path in request.outputs():
         print(path)
     if request.report is not None:
-        print(request.report / "report.html")
+        print(request.report / PAGE)

@@ -47,7 +47,7 @@ HELLO_S, SEEN_S = 10.0, 60.0
 # Between two batches to one page; and when nothing is new, a sign of life, seconds.
 PAUSE_S, ALIVE_S = 0.1, 2.0
 COMMAND_S = 20.0
-START_S, END_S = 20.0, 5.0
+END_S = 5.0
 
 # Codes of closed sockets (RFC 6455): refused by policy; come again later.
 REFUSED, BUSY = 1008, 1013

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from slamfusion.errors import ConfigError
 from slamfusion.page.protocol import MESSAGE_BYTES
@@ -127,7 +128,7 @@ def test_a_name_that_was_made_to_lead_here_gets_none(server: PageServer) -> None
     with (
         create_connection(("127.0.0.1", server.port)) as sock,
         pytest.raises(InvalidStatus, match="403"),
-        connect(f"ws://{evil}/ws", sock=sock, origin=f"http://{evil}"),  # type: ignore[arg-type]
+        connect(f"ws://{evil}/ws", sock=sock, origin=Origin(f"http://{evil}")),
     ):
         pass
 
