@@ -27,6 +27,7 @@ from slamfusion.evaluation.map_error import (
     MISSING_WALL,
     MapError,
     compare_to_truth,
+    maps_of_differences,
 )
 from slamfusion.evaluation.measured import (
     ErrorSeries,
@@ -151,6 +152,7 @@ __all__ = [
     "holm_corrected",
     "load_distances",
     "map_figures",
+    "maps_of_differences",
     "match_odometry",
     "mean_interval",
     "method_means",

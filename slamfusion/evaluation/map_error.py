@@ -7,6 +7,7 @@ ICARSC 2016.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -33,7 +34,15 @@ from slamfusion.evaluation.wall_faces import (
     wall_thickness,
 )
 from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY, OccupancyGrid, known_box, trinary_cells
+from slamfusion.grid import (
+    FREE,
+    IDENTITY,
+    OCCUPIED,
+    UNKNOWN,
+    OccupancyGrid,
+    known_box,
+    trinary_cells,
+)
 
 __all__ = [
     "AGREE_FREE",
@@ -46,6 +55,7 @@ __all__ = [
     "MISSING_WALL",
     "MapError",
     "compare_to_truth",
+    "maps_of_differences",
 ]
 
 # Codes of ``MapError.difference``.
@@ -70,8 +80,47 @@ _DIFFERENCE = np.array(
 )
 
 
+def _told_cells() -> npt.NDArray[np.int8]:
+    """Return the cell of the truth and of the map by code; unknown where a code leaves it open."""
+    classes = (UNKNOWN, FREE, OCCUPIED)
+    told = np.full((2, int(_DIFFERENCE.max()) + 1), UNKNOWN, dtype=np.int8)
+    for code in range(told.shape[1]):
+        found = np.nonzero(np.equal(_DIFFERENCE, code))
+        for side, its_classes in zip(told, found, strict=True):
+            if len(set(its_classes)) == 1:
+                side[code] = classes[its_classes[0]]
+    return told
+
+
+_TRUE_CELLS, _MAP_CELLS = _told_cells()
+
 _SSIM_SIGMA_CELLS = 1.5
 _SSIM_WINDOW_CELLS = 11
+
+
+def maps_of_differences(
+    differences: Mapping[str, npt.NDArray[np.int8]], resolution: float, origin: Pose2
+) -> tuple[OccupancyGrid, list[OccupancyGrid]]:
+    """Return the truth and the maps as far as the codes of their differences tell them.
+
+    A true wall that a map lacks is unknown in it, whatever it has there; a wall that all maps have
+    too many is unknown in the truth.
+
+    Args:
+        differences: at least one, by the name of the map (H, W) int8, codes of this module.
+        resolution: metres per cell.
+        origin: pose of the lower-left corner of cell [0, 0].
+
+    Raises:
+        ValueError: they differ in shape.
+    """
+    # What one difference leaves open of the truth another may tell.
+    truth = np.max([_TRUE_CELLS[codes] for codes in differences.values()], axis=0)
+    maps = [
+        OccupancyGrid(_MAP_CELLS[codes], resolution, origin, name)
+        for name, codes in differences.items()
+    ]
+    return OccupancyGrid(truth, resolution, origin, "truth"), maps
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,17 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import MapFileError
-from slamfusion.evaluation.map_error import (
-    AGREE_FREE,
-    AGREE_UNKNOWN,
-    AGREE_WALL,
-    EXTRA_FREE,
-    EXTRA_WALL,
-    MISSING_FREE,
-    MISSING_WALL,
-)
+from slamfusion.evaluation import maps_of_differences
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.grid import OccupancyGrid
 
 __all__ = ["FOLDER", "Example", "example_file", "example_maps", "examples_in", "read_example"]
 
@@ -31,19 +23,6 @@ __all__ = ["FOLDER", "Example", "example_file", "example_maps", "examples_in", "
 FOLDER = "trials"
 SUFFIX = ".npz"
 MAP, RESOLUTION = "map ", "resolution"
-
-# Cells of the map and of the truth by code of the difference. Where a map lacks a true wall its own
-# cell is not kept, and where it has one too many that of the truth is not.
-_CELLS = {
-    AGREE_UNKNOWN: (UNKNOWN, UNKNOWN),
-    AGREE_FREE: (FREE, FREE),
-    AGREE_WALL: (OCCUPIED, OCCUPIED),
-    MISSING_WALL: (UNKNOWN, OCCUPIED),
-    EXTRA_WALL: (OCCUPIED, UNKNOWN),
-    MISSING_FREE: (UNKNOWN, FREE),
-    EXTRA_FREE: (FREE, UNKNOWN),
-}
-MAP_CELLS, TRUE_CELLS = np.array([_CELLS[code] for code in sorted(_CELLS)], dtype=np.int8).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +81,7 @@ def example_maps(folder: Path, name: str) -> tuple[OccupancyGrid, list[Occupancy
     """
     try:
         example = read_example(folder, name)
-        # A wall that a map has too many hides the truth there, and another map may tell it.
-        truth = np.max([TRUE_CELLS[codes] for codes in example.differences.values()], axis=0)
-        maps = [
-            OccupancyGrid(MAP_CELLS[codes], example.resolution, Pose2(), method)
-            for method, codes in example.differences.items()
-        ]
-        return OccupancyGrid(truth, example.resolution, Pose2(), "truth"), maps
+        return maps_of_differences(example.differences, example.resolution, Pose2())
     except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
         path = example_file(folder, name)
         message = f"{path}: cannot be read as the maps of a drive ({error}); run it again"

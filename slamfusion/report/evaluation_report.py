@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from slamfusion.config import PICTURE_FORMS, RunConfig
@@ -12,6 +13,7 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.io.atomic import AtomicFiles, write_atomic
 from slamfusion.report import plots
 from slamfusion.report.canvas import in_form
+from slamfusion.report.layers import error_layers
 from slamfusion.report.maps import alignment_table, error_section, yaw_pictures
 from slamfusion.report.page import Banner, Fact, Page, Section, circumstances, write_page
 
@@ -48,7 +50,8 @@ def write_evaluation_report(
     if not evaluations:
         message = "an evaluation report needs at least one evaluated map"
         raise ValueError(message)
-    sections = [error_section(evaluations, alignments)]
+    section = error_section(evaluations, alignments)
+    sections = [replace(section, layers=error_layers(evaluations))]
     searched = [alignment for alignment in alignments if alignment is not None]
     if searched:
         tables = alignment_table("Alignment to the truth", searched)

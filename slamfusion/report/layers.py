@@ -1,18 +1,20 @@
-"""The maps of a fusion as layers of a page: shown or not, over each other, asked cell by cell."""
+"""The maps of a report as layers: shown or not, over each other, asked cell by cell."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from slamfusion.evaluation import MapError, maps_of_differences
 from slamfusion.fusion.records import FusionResult, InputRecord
 from slamfusion.geometry import Pose2
+from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
 
-__all__ = ["MOST_CELLS", "Layers", "fusion_layers"]
+__all__ = ["MOST_CELLS", "Layers", "error_layers", "fusion_layers", "map_layers"]
 
 # A browser keeps five bytes of each: six maps of 4000 x 4000 are drawn, and more are not.
 MOST_CELLS = 100_000_000
@@ -43,20 +45,13 @@ def fusion_layers(result: FusionResult, paths: Mapping[str, Trajectory] | None =
         paths: by input in the frame of its map, and as ``fused`` in the fused frame.
     """
     placed = [record for record in result.inputs if record.accepted or record.alignment]
-    cells = [record.grid.cells.size for record in placed]
-    total = sum(cells) + 2 * result.fused.cells.size
-    if total > MOST_CELLS:
-        text = (
-            f"These maps have {total / 1e6:.0f} million cells in all, and a page draws at most "
-            f"{MOST_CELLS / 1e6:.0f} million as layers; the pictures below are smaller. "
-            "`slamfusion show` draws the maps from their files."
-        )
-        return Layers("", text)
-    scene = Scene("report", is_live=False, clock=lambda: 0.0, level=LEVEL)
+    too_large = _too_large(result.fused, result.agreement, *(record.grid for record in placed))
+    if too_large is not None:
+        return too_large
+    scene = _scene()
     scene.put_status([_told(record, result.reference) for record in placed])
     for name, path in (paths or {}).items():
-        for x_m, y_m, _ in path.poses:
-            scene.put_point(name if name == FUSED else layer_name(name), float(x_m), float(y_m))
+        _put_path(scene, name if name == FUSED else layer_name(name), path)
     scene.put_map(FUSED, result.fused, "fused")
     scene.put_map(AGREEMENT, result.agreement, "agreement")
     for record in placed:
@@ -65,11 +60,70 @@ def fusion_layers(result: FusionResult, paths: Mapping[str, Trajectory] | None =
     return Layers(_recorded(scene), note)
 
 
+def map_layers(grid: OccupancyGrid, path: Trajectory) -> Layers:
+    """Return a map and the path in its frame."""
+    too_large = _too_large(grid)
+    if too_large is not None:
+        return too_large
+    scene = _scene()
+    scene.put_status([])
+    _put_path(scene, grid.name, path)
+    scene.put_map(grid.name, grid, "fused")
+    return Layers(_recorded(scene), _NOTE)
+
+
+def error_layers(evaluations: Sequence[MapError]) -> Layers:
+    """Return maps over the truth, as far as their differences tell them; the first is shown.
+
+    Args:
+        evaluations: at least one, all against one truth.
+    """
+    first = evaluations[0]
+    differences = {item.name: item.difference for item in evaluations}
+    truth, maps = maps_of_differences(differences, first.resolution, first.origin)
+    too_large = _too_large(truth, *maps)
+    if too_large is not None:
+        return too_large
+    scene = _scene()
+    names = [f"{grid.name} (map)" if grid.name == first.truth else grid.name for grid in maps]
+    in_place = {"votes": None, "reason": "", "score": None, "transform": [0.0, 0.0, 0.0]}
+    scene.put_status([{"name": name, **in_place} for name in names])
+    scene.put_map(first.truth, truth, "fused")
+    for number, (name, grid) in enumerate(zip(names, maps, strict=True)):
+        scene.put_map(name, grid, "input", is_shown=number == 0)
+    return Layers(_recorded(scene), f"{_NOTE} {_LACKING}")
+
+
 _NOTE = (
     "Drag the map, or click it and use the wheel, the arrow keys, + and -; 0 shows all of it. "
     "Point at a cell, or move the cross to it by keys, to see who says what there."
 )
+_LACKING = "A true wall that a map lacks is shown as unknown in it."
 _HIDDEN = "An input that has no vote lies where it fits best, and is hidden at first."
+
+
+def _too_large(*grids: OccupancyGrid) -> Layers | None:
+    """Return what is shown in the place of maps that are too large; None where they are not."""
+    cells = sum(grid.cells.size for grid in grids)
+    if cells <= MOST_CELLS:
+        return None
+    text = (
+        f"These maps have {cells / 1e6:.0f} million cells in all, and a page draws at most "
+        f"{MOST_CELLS / 1e6:.0f} million as layers; the pictures below are smaller. "
+        "`slamfusion show` draws maps from their files."
+    )
+    return Layers("", text)
+
+
+def _scene() -> Scene:
+    """Return a scene in which nothing depends on the time of day."""
+    return Scene("report", is_live=False, clock=lambda: 0.0, level=LEVEL)
+
+
+def _put_path(scene: Scene, name: str, path: Trajectory) -> None:
+    """Put the poses of a path, in the frame of the map of that name."""
+    for x_m, y_m, _ in path.poses:
+        scene.put_point(name, float(x_m), float(y_m))
 
 
 def _told(record: InputRecord, reference: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report import paths
 from slamfusion.report.closures import closure_pictures
+from slamfusion.report.layers import map_layers
 from slamfusion.report.maps import input_picture, statistics_table
 from slamfusion.report.page import (
     Banner,
@@ -101,7 +102,9 @@ def write_slam_report(
             normalize=normalize,
         ),
     ]
-    sections = [Section("Map and path", "map", "", pictures, [statistics_table([grid], normalize)])]
+    tables_of_map = [statistics_table([grid], normalize)]
+    layers = map_layers(grid, trajectory)
+    sections = [Section("Map and path", "map-and-path", "", pictures, tables_of_map, layers=layers)]
     if errors is not None:
         sections.append(truth_section(errors, config=config, grid=grid))
     if relations is not None:

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.config import RunConfig
+from slamfusion.config import NormalizeConfig, RunConfig
+from slamfusion.evaluation import compare_to_truth
 from slamfusion.fusion.records import InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.report import write_fusion_report
-from slamfusion.report.layers import MOST_CELLS, fusion_layers
+from slamfusion.report import write_fusion_report, write_slam_report
+from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers, map_layers
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, alignment, fusion, room
-from tests.report.test_reports import read
+from tests.report.test_reports import check_scripts, read
 from tests.viewer.maps import painted, tiles
 
 pytestmark = pytest.mark.once
@@ -84,12 +85,46 @@ def test_larger_maps_are_pictures_alone_and_the_page_says_so(tmp_path: Path) -> 
     side = int(np.sqrt(MOST_CELLS / 2)) + 1
     cells = np.broadcast_to(np.int8(-1), (side, side))
     huge = OccupancyGrid(cells, 0.05, Pose2(), "fused")
-    assert fusion_layers(replace(result, fused=huge)).recorded == ""
     few = replace(result, inputs=result.inputs[:1])
-    layers = fusion_layers(replace(few, fused=huge))
+    layers = fusion_layers(replace(few, fused=huge, agreement=huge))
+    assert layers.recorded == ""
     assert layers.note.startswith("These maps have 100 million cells in all, and a page draws at")
     path = write_fusion_report(few, tmp_path, config=RunConfig())
     assert "Drag the map" in read(path).text
+
+
+def test_maps_against_the_truth_are_told_by_their_differences() -> None:
+    truth, other = room("truth", 7), room("truth", 3)
+    evaluations = [
+        compare_to_truth(grid, truth, normalize=NormalizeConfig(), tolerance_m=0.1)
+        for grid in (other, room("graph", 4))
+    ]
+    messages, data = told(error_layers(evaluations).recorded)
+    shown = {layer["name"]: layer["is_shown"] for layer in messages["layer"]}
+    assert shown == {"truth": True, "truth (map)": True, "graph": False}
+    assert "event" not in messages  # nobody was asked to vote
+    height, width = evaluations[0].difference.shape
+    cells = {name: painted(tiles(data, name), height, width, (0, 0)) for name in shown}
+    known = truth.cells[4:-4, 4:-4]
+    assert known.shape == (height, width)
+    # What one map hides of the truth the other tells, but where both have a wall too many.
+    assert np.mean(cells["truth"] == known) > 0.99
+    assert np.all((cells["truth"] == known) | (cells["truth"] == -1))
+    is_right = other.cells[4:-4, 4:-4] == cells["truth (map)"]
+    assert np.all(is_right | (known == 100))
+
+
+def test_a_map_is_shown_with_the_path_in_its_frame(tmp_path: Path) -> None:
+    grid = room("graph", 1)
+    path = Trajectory(np.arange(2.0), np.array([[0, 500, 0], [1, 501, 0.0]]), "graph")
+    messages, data = told(map_layers(grid, path).recorded)
+    (layer,), (trail,) = messages["layer"], messages["trail"]
+    assert layer["name"] == trail["name"] == "graph"
+    assert trail["points"] == [[0, 500], [1, 501]]
+    cells = painted(tiles(data, "graph"), grid.height, grid.width, (0, 0))
+    assert np.array_equal(cells, grid.cells)
+    page = write_slam_report(tmp_path, name="graph", grid=grid, trajectory=path, config=RunConfig())
+    check_scripts(read(page))
 
 
 def test_the_same_fusion_gives_the_same_layers() -> None:

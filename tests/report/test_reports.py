@@ -163,7 +163,8 @@ def test_names_are_escaped_and_run_nothing(report: Path) -> None:
 
 
 def test_a_page_without_layers_runs_no_script(tmp_path: Path) -> None:
-    page = read(write_evaluation_report(evaluations(), tmp_path, config=CONFIG))
+    grids = [room("left", 1), room("right", 2)]
+    page = read(write_failure_report(grids, [], "they do not fit", tmp_path, config=CONFIG))
     assert not page.scripts
     assert "script-src" not in page.policy
 

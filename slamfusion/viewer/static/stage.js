@@ -85,7 +85,8 @@ export class Stage {
 
   /** Where the frame of a map lies in the fused one; null while nobody knows. */
   transformOf(name) {
-    return name === "fused" ? ORIGIN : this.inputOf(name)?.transform ?? null;
+    if (this.maps.layers.get(name)?.kind === "fused") return ORIGIN;
+    return this.inputOf(name)?.transform ?? null;
   }
 
   placeOf(name, layer) {
