@@ -178,7 +178,10 @@ def _facts(report: RunReport) -> list[Fact]:
 def _maps_section(report: RunReport, config: RunConfig) -> Section:
     """Return the fused map, the producers' maps, how they lie on each other, where they agree."""
     result = report.result
-    text = "Each input lies in its own frame, as it was made; the fused map in the reference's."
+    text = (
+        "In its picture each input lies in its own frame, as it was made; the fused map in that of "
+        "the reference, and so do all layers."
+    )
     if result is None:
         pictures = [input_picture(grid, config.fusion.normalize) for grid in report.grids]
         return Section("Maps", "maps", text, pictures)

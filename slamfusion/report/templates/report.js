@@ -7,6 +7,7 @@ byId("viewer").hidden = false;
 const stage = new Stage(true);
 for (const message of told.messages) stage.take(message);
 byId("show-paths").closest("p").hidden = stage.trails.size === 0;
+byId("difference").closest("p").hidden = byId("first").options.length < 2;
 
 async function takeTiles() {
   for (const packed of told.tiles) {
