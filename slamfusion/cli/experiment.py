@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from slamfusion.cli.fleet import asked_scheduler, scheduler_option
-from slamfusion.cli.options import FILE, common_options, with_config
+from slamfusion.cli.options import FILE, case_option, common_options, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError
+from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     )
     from slamfusion.experiments.sheets import Tables
     from slamfusion.jobs.results_file import InputFile
+    from slamfusion.jobs.saved_maps import SavedMaps
 
 __all__ = ["command"]
 
@@ -322,27 +324,39 @@ def failures(
     metavar="DIR",
     help="Folder of the recordings, with mit-csail/ and intel/ in it.",
 )
+@case_option("--inputs", "maps", "MAP", "Saved map of another SLAM, of a drive whose name it says.")
+@case_option(
+    "--paths", "paths", "PATH", "The path that was found with such a map, named as that is."
+)
 @with_config("report", "device", "")
 @common_options
 @results_option
 @table_option
 def real_logs(
-    folder: Path, datasets: Path, config: RunConfig, results_path: Path | None, as_json: bool
+    folder: Path,
+    datasets: Path,
+    maps: tuple[CaseFile, ...],
+    paths: tuple[CaseFile, ...],
+    config: RunConfig,
+    results_path: Path | None,
+    as_json: bool,
 ) -> int:
     """Compare three producers and their fusions on recorded drives: mit-csail and Intel.
 
     Against the map drawn from the best trajectory known, the nearest thing to the truth. A drive
-    whose files are not in the folder is skipped, and named.
+    whose files are not in the folder is skipped, and named. Maps of other SLAMs are measured and
+    vote, too: intel/karto.yaml and intel_karto.yaml are karto's of intel, or intel=MAP.
     """
-    from slamfusion.experiments import compare_on_logs, logs_there  # noqa: PLC0415
+    from slamfusion.experiments import compare_on_logs, logs_there, other_slams  # noqa: PLC0415
     from slamfusion.experiments.documents import save_real_logs  # noqa: PLC0415
 
     names = logs_there(datasets, notice)
+    others = other_slams(names, maps, paths)
     device = _prepare(folder, config)
     with progress_bar() as progress:
-        table = compare_on_logs(datasets, names, config, device, progress)
+        table = compare_on_logs(datasets, names, config, device, progress, others)
     document = save_real_logs(folder, table, config, device.name)
-    save_results(results_path, document, table.items, lambda: _log_inputs(datasets, names))
+    save_results(results_path, document, table.items, lambda: _log_inputs(datasets, names, others))
     if as_json:
         print_json(document)
     else:
@@ -386,12 +400,18 @@ def _drive_inputs(recorded: Sequence[DriveFiles]) -> list[InputFile]:
     ]
 
 
-def _log_inputs(folder: Path, names: Sequence[str]) -> list[InputFile]:
-    """Return the files of drives of the data sets."""
+def _log_inputs(
+    folder: Path, names: Sequence[str], others: Mapping[str, SavedMaps]
+) -> list[InputFile]:
+    """Return the files of drives of the data sets, and of other SLAMs' maps and paths of them."""
     from slamfusion.experiments import REAL_LOGS  # noqa: PLC0415
-    from slamfusion.jobs.results_file import InputFile  # noqa: PLC0415
+    from slamfusion.jobs.results_file import InputFile, map_inputs  # noqa: PLC0415
 
-    return [
+    saved = [item for name in names for item in map_inputs("map", name, others[name].files)]
+    saved += [
+        InputFile("path", name, path) for name in names for path in others[name].paths.values()
+    ]
+    return saved + [
         InputFile(role, name, folder / path)
         for name in names
         for role, path in (("log", REAL_LOGS[name].log), ("truth", REAL_LOGS[name].reference))

@@ -22,7 +22,13 @@ from slamfusion.experiments.examples import read_example
 from slamfusion.experiments.failures import compare_failures, failure_trials
 from slamfusion.experiments.ground_obstacle import compare_with_obstacle, obstacle_trials
 from slamfusion.experiments.occupancy_estimator import sweep_estimators, verdicts
-from slamfusion.experiments.real_logs import REAL_LOGS, RealLogTable, compare_on_logs, logs_there
+from slamfusion.experiments.real_logs import (
+    REAL_LOGS,
+    RealLogTable,
+    compare_on_logs,
+    logs_there,
+    other_slams,
+)
 from slamfusion.experiments.sheets import write_error_table
 from slamfusion.experiments.table import Results, Run, repeat, write_results
 from slamfusion.experiments.trials import Trial, TrialRecord
@@ -47,6 +53,7 @@ __all__ = [
     "logs_there",
     "model_sentences",
     "obstacle_trials",
+    "other_slams",
     "read_drive",
     "read_example",
     "repeat",

@@ -139,7 +139,7 @@ def drive_layers(
     """Take out of producers' maps what they drew after they had left the others, as ``run`` does.
 
     Args:
-        maps: of the producers; every one has a path.
+        maps: of the producers, and of other SLAMs; one without a path takes part as it is.
         weighed: the paths.
         recorded: scans of the drive.
         fed: what each producer was fed, by name.
@@ -148,7 +148,8 @@ def drive_layers(
     Raises:
         TrajectoryError: the scans of a producer are not those of its path.
     """
-    paths = {grid.name: weighed.paths[grid.name] for grid in maps}
+    names = [grid.name for grid in maps if grid.name in weighed.paths]
+    paths = {name: weighed.paths[name] for name in names}
     filling = None
     if FUSED_PATH in weighed.paths:
         filling = Filling(weighed.paths[FUSED_PATH], lambda: drawn_scans(recorded))
@@ -197,7 +198,8 @@ def draw_paths(
     """
     rays = drawn_scans(scans)
     found: dict[str, OccupancyGrid | None] = {}
-    for name in (*BUILT_IN, FUSED_PATH):
+    others = [name for name in weighed.paths if name not in {*BUILT_IN, FUSED_PATH}]
+    for name in (*BUILT_IN, *others, FUSED_PATH):
         method = DRAWN if name == FUSED_PATH else drawn_at(name)
         found[method] = None
         if name in weighed.paths:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,8 +19,9 @@ import numpy as np
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation import MapError, MeasuredItem, doubled_wall_share
+from slamfusion.evidence import judged_scans
 from slamfusion.experiments.drive_paths import (
     DRAWN,
     FUSED_PATH,
@@ -33,8 +35,10 @@ from slamfusion.experiments.sheets import Sheet
 from slamfusion.experiments.voting import BARE, FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
+from slamfusion.jobs.cases import CaseFile, place_files
 from slamfusion.jobs.fuse_drive import produce_maps
 from slamfusion.jobs.inputs import Warn
+from slamfusion.jobs.saved_maps import SavedMaps, free_name, path_at_scans
 from slamfusion.slam.common.mapper import MapJob
 from slamfusion.slam.graph.node_map import Node, NodeMap
 from slamfusion.slam.registry import BUILT_IN, settings_of
@@ -48,8 +52,11 @@ __all__ = [
     "RealLogTable",
     "compare_on_logs",
     "logs_there",
+    "other_slams",
     "reference_map",
 ]
+
+_LOG = logging.getLogger(__name__)
 
 NAME = "real-logs"
 TITLE = "Fusion on recorded drives"
@@ -150,7 +157,8 @@ class RealLogTable:
         rows: of each drive the producers, the ways to vote, and the reference map.
         notes: what went wrong, by drive and method.
         references: what the reference map of each drive was drawn from.
-        choices: the producer of each drive whose path the scans bear out best, where they can tell.
+        choices: the SLAM of each drive whose path the scans bear out best, where they can tell.
+        others: SLAMs whose saved maps took part beside the producers, by drive.
     """
 
     title: str
@@ -158,10 +166,17 @@ class RealLogTable:
     notes: Mapping[tuple[str, str], str]
     references: Mapping[str, str]
     choices: Mapping[str, str] = field(default_factory=dict)
+    others: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def logs(self) -> list[str]:
         """Return the drives, in order."""
         return list(dict.fromkeys(row.log for row in self.rows))
+
+    def _best_input(self, log: str) -> str:
+        """Return the SLAM of a drive whose map has the smallest error."""
+        errors = self._errors(log)
+        inputs = (*BUILT_IN, *self.others.get(log, ()))
+        return min((name for name in inputs if name in errors), key=errors.__getitem__)
 
     def _errors(self, log: str) -> dict[str, float]:
         """Return the [F16] errors of a drive, by method."""
@@ -170,7 +185,7 @@ class RealLogTable:
     def ratios(self, log: str) -> dict[str, float]:
         """Return the error of every way to vote over that of the drive's best input."""
         errors = self._errors(log)
-        best = min(errors[name] for name in BUILT_IN if name in errors)
+        best = errors[self._best_input(log)]
         return {mode: errors[mode] / best for mode in FUSIONS if mode in errors}
 
     def overall(self) -> dict[str, RatiosJson]:
@@ -211,8 +226,7 @@ class RealLogTable:
         """Return each way to vote against the best input, and over all drives."""
         lines = []
         for log in self.logs():
-            errors = self._errors(log)
-            best = min((name for name in BUILT_IN if name in errors), key=errors.__getitem__)
+            best = self._best_input(log)
             lines += [
                 f"{log}: {mode} {100.0 * (ratio - 1.0):+.1f} % against {best}, the best input."
                 for mode, ratio in self.ratios(log).items()
@@ -257,6 +271,7 @@ class RealLogTable:
             ],
             "references": dict(self.references),
             "choices": dict(self.choices),
+            "others": {log: list(names) for log, names in self.others.items()},
         }
 
 
@@ -289,6 +304,7 @@ def compare_on_logs(
     config: RunConfig,
     device: ComputeDevice,
     progress: Progress | None = None,
+    others: Mapping[str, SavedMaps] | None = None,
 ) -> RealLogTable:
     """Run the producers on recorded drives, fuse their maps in every way, and measure all maps.
 
@@ -298,6 +314,8 @@ def compare_on_logs(
         config: settings of producers and fusion.
         device: computes.
         progress: told the drives, and the scans of each producer.
+        others: saved maps of other SLAMs, with their paths or without, by drive; see
+            ``other_slams``.
 
     Raises:
         LogError, TrajectoryError: a file cannot be read.
@@ -308,23 +326,67 @@ def compare_on_logs(
     notes: dict[tuple[str, str], str] = {}
     references: dict[str, str] = {}
     choices: dict[str, str] = {}
+    took_part: dict[str, Sequence[str]] = {}
     for name in names:
-        part = _compare_on_log(folder, name, config, device, progress)
+        saved = (others or {}).get(name, SavedMaps((), (), {}))
+        part = _compare_on_log(folder, name, config, device, progress, saved)
         rows += part.rows
         notes |= part.notes
         references |= part.references
         choices |= part.choices
-    return RealLogTable(TITLE, tuple(rows), notes, references, choices)
+        took_part |= part.others
+    return RealLogTable(TITLE, tuple(rows), notes, references, choices, took_part)
+
+
+def other_slams(
+    names: Sequence[str], maps: Sequence[CaseFile], paths: Sequence[CaseFile]
+) -> dict[str, SavedMaps]:
+    """Return the saved maps of other SLAMs, and the paths that were found with them, by drive.
+
+    Whose drive a file is of, and by which SLAM, its name tells; see ``slamfusion.jobs.cases``.
+
+    Args:
+        names: of the drives.
+        maps: of other SLAMs.
+        paths: of some of these.
+
+    Raises:
+        ConfigError: a file is of no drive, or a path of no map.
+    """
+    own = place_files(names, maps)
+    files = {(item.case, item.method): item.path for item in own}
+    found = {}
+    for item in place_files(names, paths):
+        of_drive = [key for key in files if key[0] == item.case]
+        key = of_drive[0] if len(of_drive) == 1 else (item.case, item.method)
+        if key not in files or key in found:
+            message = f"{item.path}: which map of {item.case} is it of? name it as that is"
+            raise ConfigError(message)
+        found[key] = item.path
+    return {
+        name: SavedMaps(
+            tuple(path for (case, _), path in files.items() if case == name),
+            tuple(free_name(method) for case, method in files if case == name),
+            {free_name(method): path for (case, method), path in found.items() if case == name},
+        )
+        for name in names
+    }
 
 
 def _compare_on_log(
-    folder: Path, name: str, config: RunConfig, device: ComputeDevice, progress: Progress | None
+    folder: Path,
+    name: str,
+    config: RunConfig,
+    device: ComputeDevice,
+    progress: Progress | None,
+    saved: SavedMaps,
 ) -> RealLogTable:
     """Return the maps of one drive."""
     files = REAL_LOGS[name]
     scans = tuple(open_log(folder / files.log, config.log))
     trajectory = read_trajectory(folder / files.reference, config.log)
     reference, count = reference_map(scans, trajectory, config, device)
+    others, their_paths = saved.load(config, None, _LOG.warning)
 
     def tell(producer: str, done: int, total: int) -> None:
         if progress is not None:
@@ -336,13 +398,16 @@ def _compare_on_log(
     if not made.grids:
         message = f"{name}: no producer made a map ({'; '.join(notes.values())})"
         raise SlamFusionError(message)
-    align = replace(config.fusion.align, shared_frame=True)
+    # Saved maps may have any frame.
+    align = replace(config.fusion.align, shared_frame=not others)
     # The reference is drawn from scans as well: its walls have no backs either.
     vote = replace(config.fusion.vote, solid_walls=False)
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
-    weighed = weigh_paths(scans, made.paths, device, notes)
-    layers = drive_layers(made.grids, weighed, scans, fed, device)
-    fused = vote_every_way(layers, config, device, notes)
+    at_scans = _at_scans(their_paths, scans, notes)
+    weighed = weigh_paths(scans, {**made.paths, **at_scans}, device, notes)
+    fed |= dict.fromkeys(at_scans, scans)
+    layers = drive_layers([*made.grids, *others], weighed, scans, fed, device)
+    fused = vote_every_way(layers, config, device, notes, shared_frame=not others)
 
     del fused[BARE]  # here all votes are
     errors = path_errors(weighed, trajectory, SAME_TIME_S)
@@ -351,7 +416,8 @@ def _compare_on_log(
     drawn = draw_paths(scans, weighed, reference.resolution, config, device)
 
     rows = []
-    for method, grid in {**made.maps, **fused, **drawn}.items():
+    maps = {**made.maps, **{grid.name: grid for grid in others}}
+    for method, grid in {**maps, **fused, **drawn}.items():
         if grid is not None:
             found = against_truth(grid, reference, config, device)
             doubled = _doubled(grid, config)
@@ -360,7 +426,21 @@ def _compare_on_log(
     why = {(name, what): text for what, text in notes.items()}
     drawn_from = f"{count} of {len(scans)} scans at {files.source}"
     choices = {name: weighed.choice} if weighed.choice else {}
-    return RealLogTable(TITLE, tuple(rows), why, {name: drawn_from}, choices)
+    took_part = {name: saved.names} if others else {}
+    return RealLogTable(TITLE, tuple(rows), why, {name: drawn_from}, choices, took_part)
+
+
+def _at_scans(
+    paths: Mapping[str, Trajectory], scans: Sequence[LogScan], notes: dict[str, str]
+) -> dict[str, Trajectory]:
+    """Return paths of other SLAMs at the scans; ``notes`` are told which were not used, and why."""
+    found = {}
+    for name, path in paths.items():
+        try:
+            found[name] = path_at_scans(path, judged_scans(scans))
+        except SlamFusionError as error:
+            notes[f"{name}, path"] = str(error)
+    return found
 
 
 def _doubled(grid: OccupancyGrid, config: RunConfig) -> float:

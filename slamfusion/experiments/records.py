@@ -346,7 +346,9 @@ class RealLogTableJson(TypedDict):
     references: Mapping[str, str]
     """What the reference map of each drive was drawn from."""
     choices: Mapping[str, str]
-    """The producer of each drive whose path the scans bear out best, where they can tell."""
+    """The SLAM of each drive whose path the scans bear out best, where they can tell."""
+    others: Mapping[str, Sequence[str]]
+    """SLAMs whose saved maps took part beside the producers, by drive."""
 
 
 class RealLogsDocument(RealLogTableJson, CircumstancesJson):

@@ -39,6 +39,8 @@ def vote_every_way(
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
+    *,
+    shared_frame: bool = True,
 ) -> dict[str, OccupancyGrid | None]:
     """Return the fused map of every way to vote; all have the same voters, or the same one map.
 
@@ -47,6 +49,7 @@ def vote_every_way(
         config: settings of the fusion.
         device: computes.
         notes: told, by method, what went wrong.
+        shared_frame: all maps are of producers of this drive.
 
     Returns:
         By way to vote, then by ``BARE``; None where there is no map at all.
@@ -56,7 +59,7 @@ def vote_every_way(
         notes[PLAIN] = "no map was made"
         return dict.fromkeys(ways)
     notes |= {f"{PLAIN}, {vote.name} in part": vote.sentence() for vote in layers.partial}
-    plain = _vote_plainly(layers, config, device, notes)
+    plain = _vote_plainly(layers, config, device, notes, shared_frame=shared_frame)
     if isinstance(plain, OccupancyGrid):
         return dict.fromkeys(ways, plain)
     settings: dict[str, FusionConfig] = {mode: _voting(config.fusion, mode) for mode in FUSIONS}
@@ -70,6 +73,8 @@ def _vote_plainly(
     config: RunConfig,
     device: ComputeDevice,
     notes: dict[str, str],
+    *,
+    shared_frame: bool,
 ) -> FusionResult | OccupancyGrid:
     """Return the plain vote, or the map to go on with alone; ``notes`` say what went wrong."""
     first, *others = layers.grids
@@ -77,7 +82,7 @@ def _vote_plainly(
         notes[PLAIN] = f"{first.name} alone: it made the only map"
         return first
     config = replace(config, fusion=_voting(config.fusion, PLAIN))
-    fusion = fuse_layers(layers, config, device, shared_frame=True)
+    fusion = fuse_layers(layers, config, device, shared_frame=shared_frame)
     if fusion.result is None:
         best = fusion.fallback or first
         notes[PLAIN] = f"{best.name} alone: {fusion.failure}"

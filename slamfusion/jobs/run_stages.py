@@ -14,10 +14,9 @@ from functools import cached_property
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
-from slamfusion.errors import AlignmentError, SlamFusionError, TrajectoryError
+from slamfusion.errors import AlignmentError, SlamFusionError
 from slamfusion.evidence import Exclusions, PathEvidence, Verdict, reach_verdict, with_path
 from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
-from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import Starts
@@ -34,6 +33,7 @@ from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.partial import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.produced import ProducerResult, measure_run
+from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.slam.side_by_side import Outcome
@@ -52,11 +52,6 @@ __all__ = [
     "score_drive_paths",
     "stage_timer",
 ]
-
-
-# All paths of a drive are scored on the scans that each has a pose for; that of a saved map must
-# leave at least this share of them.
-LEAST_COVERED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,16 +219,9 @@ def _with_saved_path(
     Raises:
         TrajectoryError: it has a pose for too few of the scans, on which all paths are scored.
     """
-    covered = cover_stamps(path, evidence.scans)
-    if covered.covered_share < LEAST_COVERED:
-        message = (
-            f"it has poses for {covered.covered_share:.0%} of the scans, wanted "
-            f"{LEAST_COVERED:.0%}: all paths are judged where each has one; give a longer path"
-        )
-        raise TrajectoryError(message)
+    at_scans = path_at_scans(path, evidence.scans)
     evidence = with_path(evidence, name, path, drive.device)
-    own = covered.is_covered
-    drive.saved_paths[name] = Trajectory(evidence.scans.stamps_s[own], covered.poses[own], name)
+    drive.saved_paths[name] = at_scans
     return evidence
 
 

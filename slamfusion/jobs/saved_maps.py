@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamfusion.config import RunConfig
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, TrajectoryError
+from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import read_trajectory
 from slamfusion.jobs.cases import CaseFile, files_by_case
@@ -18,7 +20,11 @@ from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import producer_names
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["SavedMaps", "SavedPath"]
+__all__ = ["LEAST_COVERED", "SavedMaps", "SavedPath", "free_name", "path_at_scans"]
+
+# All paths of a drive are scored on the scans that each has a pose for; that of a saved map must
+# leave at least this share of them.
+LEAST_COVERED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +78,7 @@ class SavedMaps:
         if paths and not files:
             message = f"{paths[0].path}: a path of which map? give its map with --inputs MAP"
             raise ConfigError(message)
-        taken = {*producer_names(), FUSED, DRAWN}
-        names = [f"{name} (saved)" if name in taken else name for name in own]
+        names = [free_name(name) for name in own]
         found = files_by_case(own, paths, "--paths")
         return cls(
             files,
@@ -103,3 +108,29 @@ class SavedMaps:
             for name, file in self.paths.items()
         }
         return named, paths
+
+
+def free_name(name: str) -> str:
+    """Return the name of a saved map, changed where a producer or a fused map has it."""
+    return f"{name} (saved)" if name in {*producer_names(), FUSED, DRAWN} else name
+
+
+def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:
+    """Return a path's poses at the scans of its drive, also where odometry carries it.
+
+    Args:
+        path: on the clock of the scans; may be sparse.
+        scans: of the drive.
+
+    Raises:
+        TrajectoryError: it has a pose for too few of the scans.
+    """
+    covered = cover_stamps(path, scans)
+    if covered.covered_share < LEAST_COVERED:
+        message = (
+            f"it has poses for {covered.covered_share:.0%} of the scans, wanted "
+            f"{LEAST_COVERED:.0%}: all paths are judged where each has one; give a longer path"
+        )
+        raise TrajectoryError(message)
+    own = covered.is_covered
+    return Trajectory(scans.stamps_s[own], covered.poses[own], path.name)

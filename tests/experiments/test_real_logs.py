@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import csv
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyDevice
+from slamfusion.compute import NumpyDevice, open_device
 from slamfusion.config import RunConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation import compare_to_truth
-from slamfusion.experiments import REAL_LOGS, RealLogTable, compare_on_logs
-from slamfusion.experiments.real_logs import REFERENCE, RealLogRow, reference_map
+from slamfusion.evidence.drawn_map import draw_map, drawn_scans
+from slamfusion.experiments import REAL_LOGS, RealLogTable, compare_on_logs, other_slams
+from slamfusion.experiments.real_logs import REFERENCE, RealLog, RealLogRow, reference_map
 from slamfusion.experiments.voting import FUSIONS
+from slamfusion.fusion.path_check import moved_path
+from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.io import save_map, write_carmen, write_tum
+from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.saved_maps import SavedMaps
 from slamfusion.slam.registry import BUILT_IN
 from slamfusion.trajectory import Trajectory
 from tests.experiments.drives import room
+from tests.slam.drives import drive
 from tests.support.datasets import ABSENT, DATASETS
 
 CONFIG = RunConfig()
@@ -104,12 +112,47 @@ def test_tables_hold_every_map() -> None:
     assert len(table().to_json()["maps"]) == 8
 
 
+def test_maps_of_other_slams_are_told_by_their_names() -> None:
+    maps = [CaseFile(Path(text)) for text in ("intel/karto.yaml", "graph_intel.yaml")]
+    found = other_slams(["intel", "mit-csail"], maps, [CaseFile(Path("karto/intel.tum"))])
+    assert found["mit-csail"] == SavedMaps((), (), {})
+    assert found["intel"].names == ("karto", "graph (saved)")
+    assert found["intel"].paths == {"karto": Path("karto/intel.tum")}
+    for path in ("hector/intel.tum", "karto/mit-csail.tum"):
+        with pytest.raises(ConfigError, match=r"which map of .* is it of"):
+            other_slams(["intel", "mit-csail"], maps, [CaseFile(Path(path))])
+
+
+def test_another_slam_takes_part_with_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, poses = drive(24)
+    stamps_s = np.array([item.scan.stamp_s for item in scans])
+    true = Trajectory(stamps_s, np.array([(pose.x, pose.y, pose.yaw_rad) for pose in poses]))
+    write_carmen(tmp_path / "flat.log", scans)
+    write_tum(tmp_path / "flat.tum", true)
+    device, moved = open_device("auto"), moved_path(true, Pose2(4.0, 1.0, 0.5))
+    grid = draw_map(drawn_scans(scans), moved, device, resolution=0.05, name="karto")
+    save_map(grid, tmp_path / "karto_flat")
+    write_tum(tmp_path / "karto_flat.tum", moved)
+    monkeypatch.setitem(REAL_LOGS, "flat", RealLog("flat.log", "flat.tum", "the truth"))
+    maps, paths = ([CaseFile(tmp_path / f"karto_flat.{form}")] for form in ("yaml", "tum"))
+    others = other_slams(["flat"], maps, paths)
+    found = compare_on_logs(tmp_path, ["flat"], CONFIG, device, None, others)
+    rows = {row.method: row for row in found.rows}
+    assert {*BUILT_IN, *FUSIONS, "karto", "karto, drawn", REFERENCE} <= rows.keys()
+    assert rows["karto"].path_error_m == pytest.approx(0.0, abs=1e-6)
+    assert rows["karto"].error is not None
+    assert rows["karto"].error.wall_recall == pytest.approx(1.0, abs=0.1)
+    assert found.others == {"flat": ("karto",)}
+    assert "majority without karto" not in {what for _, what in found.notes}
+    assert "karto" in {item.method for item in found.items()}
+
+
 @pytest.mark.full
 @pytest.mark.datasets
 @pytest.mark.skipif(not (DATASETS / REAL_LOGS["intel"].log).exists(), reason=ABSENT)
 def test_on_intel_the_fused_map_is_near_the_best_and_doubles_fewer_walls() -> None:
-    from slamfusion.compute import open_device  # noqa: PLC0415
-
     found = compare_on_logs(DATASETS, ["intel"], CONFIG, open_device("auto"))
     assert found.notes == {}
     assert found.ratios("intel")["majority"] < 1.15
