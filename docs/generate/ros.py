@@ -203,6 +203,19 @@ SERVICES = (
         "writes it to save_path, into a folder that is there; answers the path, or why not",
     ),
     Service(
+        "save_map_as",
+        "rcl_interfaces/SetParametersAtomically",
+        "fusion",
+        "the same with path, format (pgm, png, bmp), mode (trinary, scale, raw), free_thresh and "
+        "occupied_thresh, each if given; the path stays in the folder of save_path",
+    ),
+    Service(
+        "load_map",
+        "nav_msgs/LoadMap",
+        "fusion",
+        "a saved map becomes an input, or is read again; answers it, or that there is none",
+    ),
+    Service(
         "reset",
         "std_srvs/Trigger",
         "fusion",

@@ -36,6 +36,9 @@ class _Client(Protocol):
     def call(self, service: str) -> LiveAnswerDocument:
         """Call a service."""
 
+    def save_as(self, **rules: str) -> LiveAnswerDocument:
+        """Save the fused map."""
+
     def set(self, name: str, value: str) -> LiveAnswerDocument:
         """Set a parameter."""
 
@@ -116,10 +119,25 @@ def _words(line: LiveLineJson) -> str:
 
 
 @command.command("save")
+@click.option(
+    "--path", metavar="PATH", help="Where, without an ending. [default: the node's save_path]"
+)
+@click.option(
+    "--format", "image_format", type=click.Choice(["pgm", "png", "bmp"]), help="Of the picture."
+)
+@click.option("--mode", type=click.Choice(["trinary", "scale", "raw"]), help="Of the map's values.")
 @_node_options
-def save_command(client: _Client, as_json: bool) -> int:
-    """Save the fused map where the node's save_path says."""
-    return _tell(client.call("save_map"), as_json)
+def save_command(
+    client: _Client,
+    path: str | None,
+    image_format: str | None,
+    mode: str | None,
+    as_json: bool,
+) -> int:
+    """Save the fused map: where the node's save_path says, or into that folder."""
+    rules = {"path": path, "format": image_format, "mode": mode}
+    given = {name: value for name, value in rules.items() if value is not None}
+    return _tell(client.save_as(**given) if given else client.call("save_map"), as_json)
 
 
 @command.command("reset")

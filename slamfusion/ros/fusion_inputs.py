@@ -15,7 +15,7 @@ from rclpy.validate_topic_name import validate_topic_name
 
 from slamfusion.compute.layout import MOST_INPUTS
 from slamfusion.config import FusionNodeConfig
-from slamfusion.errors import ConfigError
+from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.ros.base import Level, NodeBase, invalid_name
 from slamfusion.ros.discovery import Discovery
@@ -93,7 +93,7 @@ class FusionInputs:
             raise ConfigError(message)
         self.entries = input_names(given)
         self.sources: dict[str, MapSource] = {}
-        self._saved: frozenset[str] = frozenset()
+        self._saved: dict[str, OccupancyGrid] = {}
         # Topics, resolved, of inputs that were removed and not added again.
         self._unwanted: set[str] = set()
         self._load: Callable[[str, str], OccupancyGrid | None] = lambda *_: None
@@ -128,11 +128,31 @@ class FusionInputs:
         found = self._discovery.look(settings, {*self._topics(self.entries), *self._unwanted})
         if not found:
             return
-        entries = [*self.entries.values(), *found]
-        (result,) = self._base.node.set_parameters([Parameter("inputs", value=entries)])
-        if not result.successful:
-            text = f"found and not fused: {', '.join(found)}: {result.reason}"
+        problem = self._ask([*self.entries.values(), *found])
+        if problem:
+            text = f"found and not fused: {', '.join(found)}: {problem}"
             self._base.diagnostics.add("not fused", Level.WARN, text, SHOWN_S)
+
+    def load(self, entry: str) -> tuple[OccupancyGrid | None, str]:
+        """Let a saved map be an input, read again where it is one; return it, or why not."""
+        others = [other for other in self.entries.values() if other != entry]
+        if len(others) < len(self.entries):
+            try:
+                self._load("", entry)
+            except SlamFusionError as error:
+                return None, str(error)
+            if problem := self._ask(others):
+                return None, problem
+        if problem := self._ask([*others, entry]):
+            return None, problem
+        name = next(name for name, other in self.entries.items() if other == entry)
+        return self._saved[name], ""
+
+    def _ask(self, entries: Sequence[str]) -> str:
+        """Set the parameter; return why it was refused, empty where it was not."""
+        parameter = Parameter("inputs", Parameter.Type.STRING_ARRAY, [*entries])
+        (result,) = self._base.node.set_parameters([parameter])
+        return "" if result.successful else str(result.reason)
 
     def _checked(self, entries: Sequence[str]) -> dict[str, str]:
         """Return what is to be fused from now on by name, and load what is saved of it.
@@ -202,7 +222,8 @@ class FusionInputs:
             gone = [source for name, source in self.sources.items() if name in removed]
             self._removed += removed
             self._fresh = [grid for grid in self._fresh if grid.name not in removed] + saved
-            self._saved = self._saved - {*removed} | {grid.name for grid in saved}
+            kept = {name: grid for name, grid in self._saved.items() if name not in removed}
+            self._saved = kept | {grid.name: grid for grid in saved}
             self.sources = {name: sources[name] for name in names if name in sources}
             self.entries = names
         self._unwanted -= {*self._topics(names)}

@@ -259,6 +259,10 @@ class FusionNode(NodeBase):
         """Say why no input votes."""
         return self._session.snapshot.nothing_fused
 
+    def load_input(self, entry: str) -> tuple[grids.OccupancyGrid | None, str]:
+        """Let a saved map be an input; return it, or why not."""
+        return self._inputs.load(entry)
+
     def ask_reset(self) -> None:
         """Let the worker begin a new fused frame."""
         self._session.ask_reset()

@@ -1,54 +1,58 @@
-"""``FusionServices``: what the fusion node answers: its map, a saved map, a new frame."""
+"""``FusionServices``: what the fusion node answers: its map, saved maps, a new frame."""
 
 from __future__ import annotations
 
-import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from nav_msgs.msg import OccupancyGrid
-from nav_msgs.srv import GetMap
+from nav_msgs.srv import GetMap, LoadMap
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import Trigger
 
-from slamfusion import grid as grids
-from slamfusion.config import FusionNodeConfig
-from slamfusion.errors import SlamFusionError
-from slamfusion.io.map_server import save_map
+from slamfusion.grid import OccupancyGrid
+from slamfusion.ros import messages
 from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.fused_output import MAP_TOPIC
+from slamfusion.ros.input_entries import FILE_PREFIX
+from slamfusion.ros.map_saver import SHOWN_S, MapSaver, Saved
 
-__all__ = ["FusionServices", "Served", "save_target"]
+try:
+    # With nav2, in a sourced ROS.
+    from nav2_msgs.srv import LoadMap as Nav2LoadMap
+    from nav2_msgs.srv import SaveMap as Nav2SaveMap
+except ImportError:
+    Nav2LoadMap = Nav2SaveMap = None
 
-SHOWN_S = 10.0
+__all__ = ["SAVE_AS", "FusionServices", "Served"]
+
+SAVE_AS = "save_map_as"
+# What a request of ``save_map_as`` may say, as ``slamfusion.io.save_map`` calls it.
+RULES = {
+    "path": "path",
+    "format": "image_format",
+    "mode": "mode",
+    "free_thresh": "free_thresh",
+    "occupied_thresh": "occupied_thresh",
+}
 
 
-class Served(Protocol):
-    """What the services ask of the node.
-
-    Attributes:
-        settings: of now.
-        published: the last published map as message and as grid; None before the first.
-    """
-
-    settings: FusionNodeConfig
-
-    @property
-    def published(self) -> tuple[OccupancyGrid, grids.OccupancyGrid] | None:
-        """The last published map."""
-
-    def nothing_fused(self) -> str:
-        """Say why there is no map."""
+class Served(Saved, Protocol):
+    """What the services ask of the node."""
 
     def ask_reset(self) -> None:
         """Let a new fused frame begin, soon."""
 
+    def load_input(self, entry: str) -> tuple[OccupancyGrid | None, str]:
+        """Let a saved map be an input; return it, or why not."""
+
 
 class FusionServices:
-    """The services ``get_map``, ``save_map`` and ``reset``.
+    """The services ``get_map``, ``save_map``, ``save_map_as``, ``load_map`` and ``reset``.
 
-    ``save_map`` writes into the folder of the ``save_path`` that the node was started with, or into
-    one below it that is there; what the parameter is set to later leads nowhere else.
+    Where nav2 is installed ``~/save_map`` and ``~/load_map`` have its types.
 
     Args:
         base: the node.
@@ -58,11 +62,19 @@ class FusionServices:
     def __init__(self, base: NodeBase, served: Served) -> None:
         self._base = base
         self._served = served
-        self._root = Path(os.path.realpath(Path(served.settings.save_path).parent))
-        node = base.node
-        node.create_service(GetMap, "get_map", self._serve(self._get_map))
-        node.create_service(Trigger, "save_map", self._serve(self._save_map))
-        node.create_service(Trigger, "reset", self._serve(self._reset))
+        self._saver = MapSaver(base, served)
+        services = [
+            (GetMap, "get_map", self._get_map),
+            (Trigger, "save_map", self._save_map),
+            (SetParametersAtomically, SAVE_AS, self._save_map_as),
+            (LoadMap, "load_map", self._load_map),
+            (Trigger, "reset", self._reset),
+        ]
+        if Nav2SaveMap is not None:
+            services.append((Nav2SaveMap, "~/save_map", self._save_for_nav2))
+            services.append((Nav2LoadMap, "~/load_map", self._load_map))
+        for kind, name, answer in services:
+            base.node.create_service(kind, name, self._serve(answer))
 
     def carry_out(self, name: str) -> tuple[bool, str]:
         """Do what the service ``save`` or ``reset`` does, and return its answer."""
@@ -70,12 +82,12 @@ class FusionServices:
         response = self._serve(answer)(None, Trigger.Response())
         return bool(response.success), str(response.message)
 
-    def _serve(self, answer: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
+    def _serve(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """Return a service's callback that cannot bring the node down."""
 
-        def callback(_: Any, response: Any) -> Any:
+        def callback(request: Any, response: Any) -> Any:
             try:
-                return answer(response)
+                return answer(request, response)
             except Exception as error:  # noqa: BLE001  (a node must outlive a request)
                 self._base.log.error(traceback.format_exc())
                 text = f"{type(error).__name__}: {error}"
@@ -86,7 +98,7 @@ class FusionServices:
 
         return callback
 
-    def _get_map(self, response: Any) -> Any:
+    def _get_map(self, _: Any, response: Any) -> Any:
         """Answer the last published map; without cells before the first."""
         published = self._served.published
         if published is None:
@@ -95,55 +107,65 @@ class FusionServices:
             response.map = published[0]
         return response
 
-    def _save_map(self, response: Any) -> Any:
-        """Write the last published map."""
-        published = self._served.published
-        if published is None:
-            response.success, response.message = False, self._served.nothing_fused()
-            return response
-        try:
-            target = save_target(self._served.settings.save_path, self._root)
-            path, _ = save_map(published[1], target)
-        except (SlamFusionError, OSError) as error:
-            response.success, response.message = False, f"not saved: {error}"
-            self._base.diagnostics.add("save", Level.WARN, response.message, SHOWN_S)
-            return response
-        response.success, response.message = True, str(path.resolve())
-        self._base.log.info(f"the fused map is saved as {response.message!r}")
+    def _save_map(self, _: Any, response: Any) -> Any:
+        """Write the last published map where ``save_path`` says."""
+        response.success, response.message = self._saver.save()
         return response
 
-    def _reset(self, response: Any) -> Any:
+    def _save_map_as(self, request: Any, response: Any) -> Any:
+        """Write the last published map as the request says."""
+        given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
+        result = response.result
+        odd = [name for name in given if name not in RULES]
+        texts = [name for name in ("path", "format", "mode") if name in given]
+        wrong = [name for name in texts if not isinstance(given[name], str)]
+        wrong += [n for n in given if n not in texts and not isinstance(given[n], (int, float))]
+        if odd or wrong:
+            wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
+            found = ", ".join(f"{name} = {given[name]!r}" for name in odd or wrong)
+            result.successful, result.reason = False, f"not saved: wanted {wanted}, found {found}"
+            return response
+        rules = {RULES[name]: value for name, value in given.items()}
+        result.successful, result.reason = self._saver.save(**rules)
+        return response
+
+    def _save_for_nav2(self, request: Any, response: Any) -> Any:
+        """Write the last published map as nav2's map saver would; zeros and '' are defaults."""
+        if not f"/{request.map_topic or MAP_TOPIC}".endswith(f"/{MAP_TOPIC}"):
+            text = f"not saved: wanted the topic {MAP_TOPIC}, found {request.map_topic!r}"
+            self._base.diagnostics.add("save", Level.WARN, text, SHOWN_S)
+            response.result = False
+            return response
+        rules = {
+            "image_format": request.image_format,
+            "mode": request.map_mode,
+            "free_thresh": request.free_thresh,
+            "occupied_thresh": request.occupied_thresh,
+        }
+        given = {name: value for name, value in rules.items() if value}
+        response.result, _ = self._saver.save(request.map_url or None, **given)
+        return response
+
+    def _load_map(self, request: Any, response: Any) -> Any:
+        """Let a saved map be an input, and answer it."""
+        path = str(request.map_url).removeprefix("file://")
+        grid, problem = self._served.load_input(f"{FILE_PREFIX}{path}")
+        if grid is not None:
+            response.result = LoadMap.Response.RESULT_SUCCESS
+            stamp = self._base.node.get_clock().now().to_msg()
+            response.map = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
+            return response
+        response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
+        if not path or not Path(path).expanduser().exists():
+            response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
+        text = f"not loaded: {problem}"
+        self._base.diagnostics.add("load", Level.WARN, text, SHOWN_S)
+        return response
+
+    def _reset(self, _: Any, response: Any) -> Any:
         """Let a new fused frame begin."""
         self._base.log.warning("reset was called: the newest maps begin a new fused frame")
         self._served.ask_reset()
         response.success = True
         response.message = "the newest maps begin a new fused frame"
         return response
-
-
-def save_target(save_path: str, root: Path) -> Path:
-    """Return where a map is written, without an ending.
-
-    Args:
-        save_path: as the parameter says now; relative to the working folder.
-        root: the folder that it must not leave, without links.
-
-    Raises:
-        SlamFusionError: it names no file, leaves ``root`` (also by a link), or its folder is not
-            there.
-    """
-    given = Path(save_path)
-    if given.name in {"", ".."} or "\0" in save_path:
-        message = f"save_path {save_path!r} names no file; add a name"
-        raise SlamFusionError(message)
-    folder = Path(os.path.realpath(given.parent))
-    if folder != root and root not in folder.parents:
-        message = (
-            f"save_path {save_path!r} leads out of {str(root)!r}, the folder that the node was "
-            "started with; name a path in it, or start the node with another save_path"
-        )
-        raise SlamFusionError(message)
-    if not folder.is_dir():
-        message = f"save_path {save_path!r}: there is no folder {str(folder)!r}; make it first"
-        raise SlamFusionError(message)
-    return folder / given.name

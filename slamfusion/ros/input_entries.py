@@ -11,7 +11,7 @@ from slamfusion.errors import ConfigError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 
-__all__ = ["MAP_SUFFIX", "entry_for", "input_names", "load_saved", "topic_of"]
+__all__ = ["FILE_PREFIX", "MAP_SUFFIX", "entry_for", "input_names", "load_saved", "topic_of"]
 
 FILE_PREFIX = "file:"
 MAP_SUFFIX = "/map"

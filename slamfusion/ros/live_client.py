@@ -11,6 +11,7 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -22,6 +23,7 @@ from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.tool_records import LiveAnswerDocument, LiveLineJson, LiveStatusDocument
 from slamfusion.ros import qos
 from slamfusion.ros.base import DIAGNOSTICS_TOPIC, Level
+from slamfusion.ros.fusion_services import SAVE_AS
 from slamfusion.ros.fusion_status import ENTRY, FUSION, PREFIX
 from slamfusion.ros.input_entries import entry_for
 from slamfusion.ros.parameters import names_of
@@ -85,13 +87,23 @@ class LiveClient:
 
     def call(self, service: str) -> LiveAnswerDocument:
         """Call ``save_map`` or ``reset`` and return the answer."""
-        folder = self._target.rpartition("/")[0]
-        client = self._node.create_client(Trigger, f"{folder}/{service}")
-        self._wait(client.service_is_ready, f"the service {folder}/{service}")
-        future = client.call_async(Trigger.Request())
-        self._wait(future.done, f"an answer of {folder}/{service}")
+        future = self._client(Trigger, service).call_async(Trigger.Request())
+        self._wait(future.done, f"an answer of {service}")
         response = future.result()
         return {"success": bool(response.success), "message": str(response.message)}
+
+    def save_as(self, **rules: str) -> LiveAnswerDocument:
+        """Save the fused map and return the answer.
+
+        Args:
+            rules: path, without an ending; format (pgm, png or bmp); mode (trinary, scale or raw).
+        """
+        client = self._client(SetParametersAtomically, SAVE_AS)
+        given = [Parameter(name, value=value).to_parameter_msg() for name, value in rules.items()]
+        future = client.call_async(SetParametersAtomically.Request(parameters=given))
+        self._wait(future.done, f"an answer of {SAVE_AS}")
+        result = future.result().result
+        return {"success": bool(result.successful), "message": str(result.reason)}
 
     def set(self, name: str, value: str) -> LiveAnswerDocument:
         """Set a parameter to a value as YAML writes it, and return the answer."""
@@ -128,6 +140,13 @@ class LiveClient:
             raise LiveNodeError(message)
         entries = [entry for entry in self._entries() if entry != inputs[name]]
         return self._set(Parameter(INPUTS, value=entries), f"{name} is no input any more")
+
+    def _client(self, kind: Any, service: str) -> Any:
+        """Return a client of a service in the node's namespace, when it is there."""
+        folder = self._target.rpartition("/")[0]
+        client = self._node.create_client(kind, f"{folder}/{service}")
+        self._wait(client.service_is_ready, f"the service {folder}/{service}")
+        return client
 
     def _entries(self) -> list[str]:
         """Return what the node fuses."""

@@ -7,11 +7,18 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
+from nav_msgs.srv import LoadMap
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+
 from slamfusion.cli.program import run_program
+from slamfusion.io.map_server import load_map, save_map
+from slamfusion.ros import messages
 from slamfusion.ros.live_client import LiveClient, LiveNodeError
 from tests.cli.command import INSTALLED
 from tests.fusion.live.maps import three
@@ -22,6 +29,37 @@ from tests.support.documents import check_document
 pytestmark = [pytest.mark.ros, pytest.mark.once]
 
 NODE = "robot1/fusion"
+
+
+def save_as_refuses_what_it_does_not_know(observer: Observer) -> None:
+    for name, value in (("colour", "red"), ("mode", 5), ("free_thresh", "low"), ("mode", "odd")):
+        given = [Parameter(name, value=value).to_parameter_msg()]
+        request = SetParametersAtomically.Request(parameters=given)
+        result = observer.call(SetParametersAtomically, "robot1/save_map_as", request).result
+        assert not result.successful
+        assert result.reason.startswith("not saved: ")
+        assert str(value) in result.reason
+
+
+def a_saved_map_becomes_an_input(observer: Observer, folder: Path) -> None:
+    def load(url: str) -> LoadMap.Response:
+        return observer.call(LoadMap, "robot1/load_map", LoadMap.Request(map_url=url))
+
+    yaml, _ = save_map(three()["c"], folder / "plan")
+    answer = load(f"file://{yaml}")
+    assert answer.result == LoadMap.Response.RESULT_SUCCESS
+    found = messages.grid_from_message(answer.map, "plan")
+    assert np.array_equal(found.cells, load_map(yaml).cells)
+    observer.wait_status(f"{NODE}: input plan", "walls match")
+    # It is read again, as it is by then.
+    save_map(three()["b"], folder / "plan")
+    assert len(load(str(yaml)).map.data) == three()["b"].cells.size
+    observer.wait_status(f"{NODE}: fusion", "plan is removed from the inputs", "3 of 4 inputs vote")
+    (folder / "plan.yaml").write_text("image: none.pgm")
+    assert load(str(yaml)).result == LoadMap.Response.RESULT_INVALID_MAP_DATA
+    observer.wait_status(f"{NODE}: input plan", "walls match")  # the one before stays
+    assert load(str(folder / "none.yaml")).result == LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
+    observer.wait_status(f"{NODE}: fusion", "not loaded: ", "none.yaml")
 
 
 def test_a_running_fusion_answers(
@@ -54,6 +92,15 @@ def test_a_running_fusion_answers(
     saved = live("save")
     assert saved == {"success": True, "message": str(tmp_path / "lab.yaml")}
     assert (tmp_path / "lab.pgm").exists()
+    other = str(tmp_path / "other")
+    saved = live("save", "--path", other, "--format", "bmp", "--mode", "raw")
+    assert saved == {"success": True, "message": f"{other}.yaml"}
+    assert np.array_equal(load_map(f"{other}.yaml").cells, load_map(tmp_path / "lab.yaml").cells)
+    assert (tmp_path / "other.bmp").exists()
+    refused = live("save", "--path", "/nowhere/lab", code=1)
+    assert "not saved: path '/nowhere/lab' leads out of" in refused["message"]
+    save_as_refuses_what_it_does_not_know(observer)
+    a_saved_map_becomes_an_input(observer, tmp_path)
     assert live("set", "max_publish_rate_hz", "2.5")["success"]
     refused = live("set", "max_publish_rate_hz", "-1.0", code=1)
     assert not refused["success"]
