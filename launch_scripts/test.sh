@@ -31,8 +31,8 @@ install_all() {
         install_into "$venv" dev
     fi
     if "$venv/bin/python" -c 'import rclpy' >/dev/null 2>&1; then
-        "$root/launch_scripts/build_tf2_msgs.sh" "$venv/bin/python" ||
-            say "no tf2_msgs: the tests of /tf are skipped"
+        "$root/launch_scripts/build_messages.sh" "$venv/bin/python" ||
+            say "no tf2_msgs, no map_msgs: the tests of /tf and of map updates are skipped"
     fi
     make_venv "$jazzy"
     install_into "$jazzy" test "$constraints" "$root/launch_scripts/lock-jazzy.txt"

@@ -60,7 +60,7 @@ class Topic:
         writers, readers: of our nodes; ``producers`` stands for the three.
         qos: what is written, or asked for where only others write it.
         text: what it carries.
-        needs_tf2: only there where tf2_msgs is; None: no matter.
+        needs_tf2: only there where tf2_msgs is (a sourced ROS's messages); None: no matter.
     """
 
     name: str
@@ -111,6 +111,15 @@ TOPICS = (
         ("fusion", "player"),
         MAP,
         "the map of one SLAM, in frame NAME_map (in a namespace robot1/NAME_map)",
+    ),
+    Topic(
+        "NAME/map_updates",
+        "map_msgs/OccupancyGridUpdate",
+        (),
+        ("fusion",),
+        STREAM,
+        "what changed of a map, from costmaps and SLAMs of others; where map_msgs is installed",
+        needs_tf2=True,
     ),
     Topic(
         "NAME/map_metadata",

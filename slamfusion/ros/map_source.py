@@ -19,6 +19,7 @@ from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.clocks import Clocks
 from slamfusion.ros.heartbeat import Heartbeat
 from slamfusion.ros.input_entries import MAP_SUFFIX
+from slamfusion.ros.map_updates import MapUpdates
 from slamfusion.ros.stamps import Stamps
 
 __all__ = ["HeardPose", "MapSource"]
@@ -52,7 +53,7 @@ class MapSource:
     Args:
         base: the node.
         name: of the input.
-        topic: of its maps.
+        topic: of its maps; what changed of them is heard beside it, see ``MapUpdates``.
         lost_after_s: an input whose process gave no sign of life for this long is lost, and one
             that nobody publishes; may be replaced by ``ask``.
         stamps: of all inputs.
@@ -94,6 +95,7 @@ class MapSource:
         self._lock = threading.Lock()
         self._newest: tuple[Any, float] | None = None
         self._durability: DurabilityPolicy | None = None
+        self._updates = MapUpdates(base, name, topic, self._keep)
         self._subscription = self._listen()
         self._heartbeat: Heartbeat | None = None
         self._poses: Any = None
@@ -130,6 +132,7 @@ class MapSource:
     def close(self) -> None:
         """Hear nothing more."""
         self._base.node.destroy_subscription(self._subscription)
+        self._updates.close()
         if self._poses is not None:
             self._base.node.destroy_subscription(self._poses)
         if self._heartbeat is not None:
@@ -162,6 +165,7 @@ class MapSource:
         self.silent_since_s = None
         if self._heartbeat is not None:
             self._heartbeat.forgive()
+        self._updates.keep(message)
         with self._lock:
             self._newest = message, time.monotonic()
         self._on_map()

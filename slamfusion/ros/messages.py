@@ -39,6 +39,7 @@ __all__ = [
     "stamp_s",
     "to_stamp",
     "transform_to_message",
+    "updated_map",
 ]
 
 NS = 10**9
@@ -254,6 +255,43 @@ def grid_to_message(grid: grids.OccupancyGrid, frame_id: str, stamp: Time) -> Oc
     data.frombytes(grid.cells.reshape(-1).view(np.uint8).data)
     message.data = data
     return message
+
+
+def updated_map(message: OccupancyGrid, update: Any) -> OccupancyGrid:
+    """Return a map with the cells of an update; the map that is given stays as it is.
+
+    Args:
+        message: the map.
+        update: map_msgs/OccupancyGridUpdate: x, y of its lower left cell in the map, width and
+            height in cells, and the cells, row by row from the lowest.
+
+    Raises:
+        GridError: it is empty, lies outside of the map or in another frame, or either has another
+            number of cells than its sides say.
+    """
+    info, header = message.info, update.header
+    x, y, width, height = (int(n) for n in (update.x, update.y, update.width, update.height))
+    box = f"{width} x {height} cells at column {x} and row {y}"
+    if header.frame_id.lstrip("/") not in {"", message.header.frame_id.lstrip("/")}:
+        text = f"it is in {header.frame_id!r}, and the map in {message.header.frame_id!r}"
+        raise GridError(text)
+    if len(update.data) != width * height or not update.data:
+        text = f"{len(update.data)} cells sent for {box}"
+        raise GridError(text)
+    if min(x, y) < 0 or x + width > info.width or y + height > info.height:
+        text = f"{box} lie outside of a map of {info.width} x {info.height}"
+        raise GridError(text)
+    if len(message.data) != info.width * info.height:
+        text = f"the map has {len(message.data)} cells for {info.width} x {info.height}"
+        raise GridError(text)
+    data = array("b", message.data)
+    cells = np.frombuffer(data, dtype=np.int8).reshape(info.height, info.width)
+    part = np.array(update.data, dtype=np.int8).reshape(height, width)
+    cells[y : y + height, x : x + width] = part
+    updated = OccupancyGrid(info=info)
+    updated.header.frame_id, updated.header.stamp = message.header.frame_id, header.stamp
+    updated.data = data
+    return updated
 
 
 # --- scans -----------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
-"""The suite's own tf2_msgs, built by ``launch_scripts/build_tf2_msgs.sh``; never a user's.
+"""The suite's own tf2_msgs and map_msgs, built by ``build_messages.sh``; never a user's.
 
-A sourced ROS has its own, which is used then.
+A sourced ROS has its own, which are used then.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ VERSION = f"python{sys.version_info.major}.{sys.version_info.minor}"
 PACKAGES = PREFIX / "lib" / VERSION / "site-packages"
 IS_BUILT = (PACKAGES / "tf2_msgs").is_dir()
 
-ABSENT = "tf2_msgs is not built for this Python: launch_scripts/build_tf2_msgs.sh builds it"
+ABSENT = "{} is not built for this Python: launch_scripts/build_messages.sh builds it"
 
 
 def environment() -> dict[str, str]:
@@ -39,12 +39,12 @@ def environment() -> dict[str, str]:
 
 
 def use() -> None:
-    """Let this process import it, which has started without its libraries on the path."""
+    """Let this process import them, which has started without their libraries on the path."""
     if not IS_BUILT or importlib.util.find_spec("tf2_msgs") is not None:
         return
     sys.path.append(str(PACKAGES))
     # The generated code loads these by their bare names; those that are loaded are found.
-    libraries = list((PREFIX / "lib").glob("libtf2_msgs__*.so"))
+    libraries = list((PREFIX / "lib").glob("lib*_msgs__*.so"))
     for _ in range(len(libraries)):
         for path in list(libraries):
             try:
@@ -54,7 +54,7 @@ def use() -> None:
             libraries.remove(path)
 
 
-def skip_without() -> None:
-    """Skip a test that is about ``/tf``."""
-    if importlib.util.find_spec("tf2_msgs") is None:
-        pytest.skip(ABSENT)
+def skip_without(package: str = "tf2_msgs") -> None:
+    """Skip a test that is about messages of a package, those of ``/tf`` unless named."""
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(ABSENT.format(package))

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Build tf2_msgs for the tests into .venv-tf2/prefix; the Python package index does not have it.
-# It is for this suite alone: no user's environment is touched, and a sourced ROS has its own.
-# build_tf2_msgs.sh [PYTHON]: for this Python's version; default: that of .venv.
+# Build tf2_msgs and map_msgs for the tests into .venv-tf2/prefix; the Python package index does not
+# have them. They are for this suite alone: no user's environment is touched, and a sourced ROS has
+# its own. build_messages.sh [PYTHON]: for this Python's version; default: that of .venv.
 set -euo pipefail
 # shellcheck source=launch_scripts/setup.sh
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
@@ -11,7 +11,7 @@ folder="$root/.venv-tf2"
 prefix="$folder/prefix"
 venv="$folder/venv"
 if [ -n "${ROS_DISTRO:-}" ]; then
-    say "ROS_DISTRO is set: its tf2_msgs is used"
+    say "ROS_DISTRO is set: its messages are used"
     exit 0
 fi
 
@@ -36,11 +36,11 @@ command -v cmake >/dev/null || missing+=(cmake)
 command -v g++ >/dev/null || missing+=(g++)
 command -v make >/dev/null || missing+=(make)
 if [ ${#missing[@]} -gt 0 ]; then
-    can_install_packages || die "tf2_msgs needs ${missing[*]} to be built; install them"
+    can_install_packages || die "tf2_msgs and map_msgs need ${missing[*]} to be built; install them"
     apt_install "${missing[@]}"
 fi
 
-say "building tf2_msgs for the tests into $prefix"
+say "building tf2_msgs and map_msgs for the tests into $prefix"
 rm -rf "$folder"
 "$python" -m venv "$venv"
 "$venv/bin/python" -m pip install -qq "${packages[@]}"
@@ -50,43 +50,59 @@ rm -rf "$folder"
 grep -rlE '/opt/python/[^;"]+' "$venv"/share/*/cmake |
     xargs -r sed -i -E "s#/opt/python/[^;\"]*#$venv/include#g"
 
-source_folder="$folder/tf2_msgs"
-mkdir -p "$source_folder/msg"
-echo "geometry_msgs/TransformStamped[] transforms" >"$source_folder/msg/TFMessage.msg"
-cat >"$source_folder/package.xml" <<'XML'
+log="$folder/build.log"
+# build_package NAME VERSION MESSAGE DEPENDENCY: one message, whose text is read from stdin.
+build_package() {
+    local source_folder="$folder/$1"
+    mkdir -p "$source_folder/msg"
+    cat >"$source_folder/msg/$3.msg"
+    cat >"$source_folder/package.xml" <<XML
 <?xml version="1.0"?>
 <package format="3">
-  <name>tf2_msgs</name>
-  <version>0.36.0</version>
-  <description>The message of /tf, for the tests.</description>
+  <name>$1</name>
+  <version>$2</version>
+  <description>One message, for the tests.</description>
   <maintainer email="nobody@example.org">The SLAMfusion developers</maintainer>
   <license>MIT</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
   <buildtool_depend>rosidl_default_generators</buildtool_depend>
-  <depend>geometry_msgs</depend>
+  <depend>$4</depend>
   <exec_depend>rosidl_default_runtime</exec_depend>
   <member_of_group>rosidl_interface_packages</member_of_group>
   <export><build_type>ament_cmake</build_type></export>
 </package>
 XML
-cat >"$source_folder/CMakeLists.txt" <<'CMAKE'
+    cat >"$source_folder/CMakeLists.txt" <<CMAKE
 cmake_minimum_required(VERSION 3.16)
-project(tf2_msgs)
+project($1)
 find_package(ament_cmake REQUIRED)
-find_package(geometry_msgs REQUIRED)
+find_package($4 REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
-rosidl_generate_interfaces(${PROJECT_NAME} "msg/TFMessage.msg" DEPENDENCIES geometry_msgs)
+rosidl_generate_interfaces(\${PROJECT_NAME} "msg/$3.msg" DEPENDENCIES $4)
 ament_package()
 CMAKE
+    {
+        PATH="$venv/bin:$PATH" AMENT_PREFIX_PATH="$venv" CMAKE_PREFIX_PATH="$venv" cmake \
+            -S "$source_folder" -B "$folder/build-$1" -DCMAKE_INSTALL_PREFIX="$prefix" \
+            -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF &&
+            PATH="$venv/bin:$PATH" AMENT_PREFIX_PATH="$venv" cmake --build "$folder/build-$1" -j2 &&
+            cmake --install "$folder/build-$1"
+    } >>"$log" 2>&1 || die "$1 does not build; see $log"
+    rm -rf "$folder/build-$1"
+}
 
-log="$folder/build.log"
-{
-    PATH="$venv/bin:$PATH" AMENT_PREFIX_PATH="$venv" CMAKE_PREFIX_PATH="$venv" cmake \
-        -S "$source_folder" -B "$folder/build" -DCMAKE_INSTALL_PREFIX="$prefix" \
-        -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF &&
-        PATH="$venv/bin:$PATH" AMENT_PREFIX_PATH="$venv" cmake --build "$folder/build" -j2 &&
-        cmake --install "$folder/build"
-} >"$log" 2>&1 || die "tf2_msgs does not build; see $log"
-# What was needed to build it is large, and nothing of it is needed to use it.
-rm -rf "$folder/build" "$venv"
+# The texts are those of ROS: the types must be the same.
+build_package tf2_msgs 0.36.0 TFMessage geometry_msgs <<'MSG'
+geometry_msgs/TransformStamped[] transforms
+MSG
+build_package map_msgs 2.4.1 OccupancyGridUpdate std_msgs <<'MSG'
+std_msgs/Header header
+int32 x
+int32 y
+uint32 width
+uint32 height
+int8[] data
+MSG
+# What was needed to build them is large, and nothing of it is needed to use them.
+rm -rf "$venv"
 printf '%s\n' "$wanted" >"$stamp"
