@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamfusion.cli.evaluate import print_evaluations
+from slamfusion.cli.fleet import scheduler_option
 from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
 from slamfusion.cli.judge import print_verdict
 from slamfusion.cli.next_steps import print_next_steps
@@ -31,6 +32,7 @@ from slamfusion.cli.output import (
     print_table,
     progress_bar,
 )
+from slamfusion.cli.run_many import run_many
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
@@ -138,7 +140,7 @@ class _ManyInputs(click.Command):
 
 
 @click.command("run", cls=_ManyInputs)
-@click.argument("log", type=FILE)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
 @click.option(
     "-o",
     "--output",
@@ -146,7 +148,8 @@ class _ManyInputs(click.Command):
     required=True,
     type=FILE,
     metavar="DIR",
-    help="Write here: each producer's map, path and record, the fused map and path, the record of "
+    help="Write here, of several logs into a folder for each: each producer's map, path and "
+    "record, the fused map and path, the record of "
     "the run (fused.json), and report/.",
 )
 @click.option(
@@ -177,6 +180,7 @@ class _ManyInputs(click.Command):
 )
 @drive_options("paths")
 @map_resolution_option
+@scheduler_option("several logs")
 @with_config(
     "run",
     "fusion",
@@ -195,17 +199,32 @@ class _ManyInputs(click.Command):
 @common_options
 @table_option
 def command(
-    log: Path, out: Path, starts: GivenStarts, config: RunConfig, as_json: bool, **asked: Any
+    logs: tuple[Path, ...],
+    out: Path,
+    starts: GivenStarts,
+    scheduler: str | None,
+    config: RunConfig,
+    as_json: bool,
+    **asked: Any,
 ) -> int:
     """Map the scans in LOG with all producers side by side, fuse their maps, report.
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag. A producer that fails is named and left out; at
     least two maps have to fit each other. Settings of the producers stand in --config.
 
+    Of several logs each is run alone, with its results in DIR/NAME, after the log's file.
+
     A fused map with everything beside it replaces the results of an earlier run in DIR, all at
     once. A run without one leaves them as they are; what it made goes to DIR/failed then.
     """
-    request = _Request(log, out, **asked)
+    if len(logs) > 1:
+        with start_errors(starts):
+            config = with_starts(config, starts)
+        return run_many(logs, out, config, scheduler, asked, as_json=as_json)
+    if scheduler is not None:
+        message = "--scheduler does several logs; the producers on one run side by side anyway"
+        raise click.UsageError(message)
+    request = _Request(logs[0], out, **asked)
     request.check()
     debug = click.get_current_context().ensure_object(Settings).debug
     with start_errors(starts):

@@ -35,8 +35,8 @@ SAME_RESOLUTION = 1e-4
 BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
 ALIGNED_CELLS = 3000
-# Cells of all maps that are aligned as they are: 130 maps of 700 x 700.
-ALL_ALIGNED_CELLS = 1 << 26
+# Cells of all maps that are aligned as they are: 85 maps of 700 x 700, whose fields take a GB.
+ALL_ALIGNED_CELLS = 5 << 23
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from slamfusion.jobs.records import (
     FusionJson,
     JudgedPathJson,
     MeasuresJson,
+    SettingsJson,
 )
 from slamfusion.slam.records import (
     ProducerRunJson,
@@ -38,8 +39,10 @@ __all__ = [
     "ProducerJson",
     "RunDocument",
     "RunFilesJson",
+    "RunOfLogJson",
     "RunProducerJson",
     "RunRecordDocument",
+    "RunsDocument",
     "SlamDocument",
     "SlamProducerJson",
 ]
@@ -236,3 +239,35 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     """Wall time of each stage, seconds."""
     time_s: float
     """Wall time of all, seconds."""
+
+
+class RunOfLogJson(TypedDict):
+    """What came of one of several logs."""
+
+    log: str
+    """The log."""
+    folder: str | None
+    """Folder of its files; null where none were written."""
+    fused: str | None
+    """YAML file of the fused map; null where nothing was fused."""
+    record: str | None
+    """The document of this run alone, as a file; null where nothing was fused."""
+    report: str | None
+    """Folder of the report; null where none was written."""
+    fused_count: int
+    """Inputs that voted."""
+    best: str | None
+    """The path that the scans bear out best; null where they could not be asked."""
+    error: str | None
+    """Why nothing was fused; null where it was."""
+    warnings: Sequence[str]
+    """What is doubtful, a sentence each."""
+    time_s: float | None
+    """Wall time, seconds; null where the log could not be run."""
+
+
+class RunsDocument(SettingsJson):
+    """``slamfusion run`` of several logs; exit code 1 where one of them has an ``error``."""
+
+    runs: Sequence[RunOfLogJson]
+    """The logs, in the order given."""

@@ -119,9 +119,6 @@ def test_no_scheduler_and_a_store_that_exists_are_one_line(tmp_path: Path) -> No
     assert_one_line_failure(run(*fuse, tmp_path / "out.zarr"), "out.zarr exists", "remove it")
     assert run(*fuse, tmp_path / "new.zarr", "--report", tmp_path / "page").returncode == 2
     assert [item.name for item in tmp_path.iterdir()] == ["out.zarr"]
-    pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
-    away = run(*fuse, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
-    assert_one_line_failure(away, "no Dask scheduler answers at tcp://127.0.0.1:9")
 
 
 @pytest.mark.parametrize("command", ["align", "evaluate"])

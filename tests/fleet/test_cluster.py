@@ -11,10 +11,14 @@ from collections.abc import Iterator
 import pytest
 
 from slamfusion.compute import ComputeDevice, open_device
-from slamfusion.config import FusionConfig, RunConfig, VoteConfig
+from slamfusion.config import AlignConfig, FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import ConfigError, FleetError
 from slamfusion.fleet import InProcess, Scheduler, open_scheduler
 from slamfusion.fleet.worker import WorkerFacts, worker_device
+from slamfusion.fusion.align import align_features
+from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.fusion.records import FusionResult
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.version import __version__
@@ -59,11 +63,6 @@ def outcome(result: FusionResult) -> tuple[object, ...]:
     return hashlib.sha256(cells).hexdigest(), places, pairs
 
 
-@pytest.fixture(scope="module")
-def wanted(device: ComputeDevice) -> tuple[object, ...]:
-    return outcome(fuse_maps(SITE, CONFIG, device).result)
-
-
 def test_tasks_are_done_by_workers_and_errors_come_back(cluster: Scheduler) -> None:
     assert cluster.slots == 2
     tasks = [cluster.submit(half, number) for number in range(0, 40, 2)]
@@ -81,8 +80,34 @@ def test_another_client_finds_the_scheduler_by_its_address(cluster: Scheduler) -
 
 
 def test_a_killed_worker_costs_a_retry_and_not_a_byte(
-    cluster: Scheduler, device: ComputeDevice, wanted: tuple[object, ...]
+    cluster: Scheduler, device: ComputeDevice
 ) -> None:
+    settings = PairSettings(AlignConfig(prove=False), 21, thorough=False)
+    grids = [normalize_grid(grid, 0.05, CONFIG.fusion.normalize, device) for grid in SITE[:5]]
+    features = [GridFeatures(grid, device) for grid in grids]
+    tasks = AlignmentTasks(cluster, settings)
+    for moving in features[1:]:
+        tasks.begin(features[0], moving, None)
+    killed = cluster.submit(os.getpid).result()
+    os.kill(killed, signal.SIGKILL)
+    for moving in features[1:]:
+        found = tasks.result(features[0], moving, None)
+        wanted = align_features(
+            features[0], moving, settings.config, device, pairs=21, thorough=False
+        )
+        assert found.to_json() == {**wanted.to_json(), "time_s": found.time_s}
+    # Kernels are built once a worker, whatever it was asked.
+    asked = [cluster.submit(process_and_devices) for _ in range(8)]
+    opened = dict(task.result() for task in asked)
+    assert killed not in opened
+    assert set(opened.values()) == {1}
+
+
+@pytest.mark.full
+def test_maps_fused_by_workers_are_the_same_bytes_also_when_one_is_killed(
+    cluster: Scheduler, device: ComputeDevice
+) -> None:
+    wanted = outcome(fuse_maps(SITE, CONFIG, device).result)
     victims: list[int] = []
 
     def kill_one(_: str, done: int, __: int) -> None:
@@ -91,23 +116,12 @@ def test_a_killed_worker_costs_a_retry_and_not_a_byte(
             victims.append(cluster.submit(os.getpid).result())
             os.kill(victims[0], signal.SIGKILL)
 
-    fused = fuse_maps(SITE, CONFIG, device, scheduler=cluster, progress=kill_one)
-    assert victims
-    assert outcome(fused.result) == wanted
-    # Kernels are built once a worker, whatever it was asked.
-    tasks = [cluster.submit(process_and_devices) for _ in range(8)]
-    found = dict(task.result() for task in tasks)
-    assert victims[0] not in found
-    assert set(found.values()) == {1}
-
-
-@pytest.mark.full
-def test_maps_fused_by_workers_are_the_same_bytes(
-    cluster: Scheduler, device: ComputeDevice, wanted: tuple[object, ...]
-) -> None:
     with open_scheduler(processes=2) as processes:
         for scheduler in (InProcess(), processes, cluster):
             assert outcome(fuse_maps(SITE, CONFIG, device, scheduler=scheduler).result) == wanted
+    fused = fuse_maps(SITE, CONFIG, device, scheduler=cluster, progress=kill_one)
+    assert victims
+    assert outcome(fused.result) == wanted
 
 
 def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import AlignmentError, MapFileError, MemoryBudgetError
 from slamfusion.fusion import stored_vote
+from slamfusion.fusion.lattice_vote import vote_on_lattice
+from slamfusion.fusion.pipeline import AlignedInputs, align_inputs
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
@@ -41,7 +44,13 @@ def device() -> ComputeDevice:
 def test_the_store_holds_what_fuse_makes(
     tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wanted = fuse_maps(SITE, CONFIG, device).result
+    found: list[AlignedInputs] = []
+
+    def align(*given: Any, **named: Any) -> AlignedInputs:
+        found.append(align_inputs(*given, **named))
+        return found[0]
+
+    monkeypatch.setattr(fuse_store, "align_inputs", align)
     monkeypatch.setattr(stored_vote, "TILE", 128)
     monkeypatch.setattr(fuse_store, "TILE", 128)
     told: list[str] = []
@@ -49,7 +58,18 @@ def test_the_store_holds_what_fuse_makes(
         SITE, tmp_path / "out.zarr", CONFIG, device, progress=lambda what, *_: told.append(what)
     )
     assert told.count("vote") > 4
-    groups = (wanted, *wanted.others)
+    (aligned,) = found
+    groups = [
+        vote_on_lattice(
+            SITE if members is aligned.group else aligned.grids_of(members),
+            members,
+            aligned.lattices,
+            aligned.others if members is aligned.group else {},
+            CONFIG.fusion,
+            device,
+        )
+        for members in (aligned.group, *aligned.group.others)
+    ]
     assert len(stored.stores) == len(groups)
     for whole, result, store, stem in zip(
         groups, (stored.result, *stored.result.others), stored.stores, stored.stems, strict=True

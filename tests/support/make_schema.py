@@ -41,7 +41,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # What each command may print; after a failure, any of them prints a ``FailureDocument`` alone.
 DOCUMENTS: dict[str, tuple[type, ...]] = {
-    "run": (runs.RunDocument,),
+    "run": (runs.RunDocument, runs.RunsDocument),
     "fuse": (jobs.FuseDocument, jobs.FailedFuseDocument),
     "align": (jobs.AlignDocument,),
     "evaluate": (jobs.EvaluateDocument, jobs.CasesEvaluationDocument),

@@ -1,0 +1,95 @@
+"""``slamfusion run`` with several logs: each one a task, with a folder of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slamfusion.cli.fleet import asked_scheduler
+from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.config import RunConfig
+from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.outputs import FUSED, PAGE, REPORT
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.run_many import RunOfLog
+
+__all__ = ["run_many"]
+
+# What belongs to one log.
+OF_ONE_LOG = ("truth", "truth_trajectory", "relations", "odometry", "scan_odometry")
+
+
+def run_many(
+    logs: Sequence[Path],
+    out: Path,
+    config: RunConfig,
+    scheduler: str | None,
+    asked: Mapping[str, Any],
+    *,
+    as_json: bool,
+) -> int:
+    """Run the main job on each log, and say what came of each."""
+    from slamfusion.jobs.run_many import log_tasks, run_logs, runs_document  # noqa: PLC0415
+
+    _check(out, config, asked)
+    tasks = log_tasks(
+        logs, out, asked["maps"], asked["resolution"], probabilities=asked["probabilities"]
+    )
+    with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
+        runs = run_logs(tasks, config, fleet, progress)
+    for run in runs:
+        for sentence in run.warnings:
+            notice(f"{run.log.name}: {sentence}")
+    if as_json:
+        print_json(runs_document(runs, config))
+    else:
+        _print(runs)
+    failed = [run for run in runs if run.error is not None]
+    if failed:
+        words = "; ".join(f"{run.log.name}: {run.error}" for run in failed)
+        message = f"{len(failed)} of {len(runs)} logs have no fused map ({words})"
+        raise SlamFusionError(message)
+    return 0
+
+
+def _check(out: Path, config: RunConfig, asked: Mapping[str, Any]) -> None:
+    """Refuse what cannot end well before any work."""
+    for name in OF_ONE_LOG:
+        if asked[name] is not None:
+            option = "--" + name.replace("_", "-")
+            message = f"{option} belongs to one log; run each log that has such a file alone"
+            raise click.UsageError(message)
+    if config.start:
+        message = "--start belongs to one log; run each log that needs it alone"
+        raise click.UsageError(message)
+    if out.exists() and not out.is_dir():
+        message = f"-o {out} is not a folder; name one for the folders of the logs"
+        raise click.UsageError(message)
+    check_writable(out)
+
+
+def _print(runs: Sequence[RunOfLog]) -> None:
+    """Print a row for each log, and where the reports lie."""
+    print_table(
+        ("log ", "fused", "best path ", "s", "fused map "),
+        [
+            [
+                run.log.name,
+                str(run.fused) if run.fused else "-",
+                run.best or "-",
+                number(run.time_s, 1),
+                f"{run.folder / FUSED}.yaml" if run.folder and run.error is None else "-",
+            ]
+            for run in runs
+        ],
+        notes=["" if run.error is None else f"NO FUSED MAP: {run.error}" for run in runs],
+        title=f"{len(runs)} logs",
+    )
+    for run in runs:
+        if run.folder is not None:
+            print(f"report:    {run.folder / REPORT / PAGE}")

@@ -1,0 +1,184 @@
+"""The main job on many logs: each one a task, with results in a folder of its own."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import FleetError, SlamFusionError
+from slamfusion.fleet import InProcess, Scheduler
+from slamfusion.jobs.documents import path_text, settings_used
+from slamfusion.jobs.inputs import Progress, distinct_names
+from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
+from slamfusion.jobs.run_records import RunOfLogJson, RunsDocument
+
+__all__ = ["LogTask", "RunOfLog", "log_tasks", "run_logs", "runs_document"]
+
+
+@dataclass(frozen=True)
+class LogTask:
+    """What is done with one log.
+
+    Attributes:
+        log: the log.
+        folder: of the results.
+        saved_maps: of other SLAMs, which vote too.
+        resolution: metres per cell of bare images among these.
+        probabilities: also write the producers' maps with their probabilities.
+    """
+
+    log: Path
+    folder: Path
+    saved_maps: tuple[Path, ...] = ()
+    resolution: float | None = None
+    probabilities: bool = False
+
+
+@dataclass(frozen=True)
+class RunOfLog:
+    """What came of one log.
+
+    Attributes:
+        log: the log.
+        folder: where its files lie: the folder of the task, or ``failed`` in it, see ``save_run``;
+            None: there are none.
+        fused: inputs that voted; 0: there is no fused map.
+        best: the path that the scans bear out best; None where they could not be asked.
+        error: why there is no fused map; None where there is one.
+        warnings: what is doubtful, a sentence each.
+        time_s: wall time.
+    """
+
+    log: Path
+    folder: Path | None
+    fused: int
+    best: str | None
+    error: str | None
+    warnings: tuple[str, ...]
+    time_s: float | None
+
+    def to_json(self) -> RunOfLogJson:
+        """Return what a JSON document says of it."""
+        is_fused = self.folder is not None and self.error is None
+        return {
+            "log": str(self.log),
+            "folder": path_text(self.folder),
+            "fused": f"{self.folder / FUSED}.yaml" if self.folder and is_fused else None,
+            "record": str(self.folder / RUN_RECORD) if self.folder and is_fused else None,
+            "report": str(self.folder / REPORT) if self.folder else None,
+            "fused_count": self.fused,
+            "best": self.best,
+            "error": self.error,
+            "warnings": self.warnings,
+            "time_s": self.time_s,
+        }
+
+
+def log_tasks(
+    logs: Sequence[Path],
+    folder: Path,
+    saved_maps: Sequence[Path] = (),
+    resolution: float | None = None,
+    *,
+    probabilities: bool = False,
+) -> tuple[LogTask, ...]:
+    """Return a task for each log, with results in ``folder/NAME``.
+
+    NAME is the log's file without its ending, and what tells it from the others where there are
+    several of one name: its ending, or as many of its folders as that takes.
+    """
+    names = [name.replace("/", "-") for name in distinct_names(logs)]
+    stems = [Path(name).stem for name in names]
+    names = stems if len(set(stems)) == len(stems) else names
+    return tuple(
+        LogTask(
+            log.absolute(),
+            folder.absolute() / name,
+            tuple(path.absolute() for path in saved_maps),
+            resolution,
+            probabilities,
+        )
+        for log, name in zip(logs, names, strict=True)
+    )
+
+
+def run_logs(
+    tasks: Sequence[LogTask],
+    config: RunConfig,
+    scheduler: Scheduler | None = None,
+    progress: Progress | None = None,
+) -> tuple[RunOfLog, ...]:
+    """Run the main job on each log, and write its files; see ``run_log`` and ``save_run``.
+
+    Logs are read and results are written where the tasks are done: workers of other machines need
+    the same folders under the same names.
+
+    Args:
+        tasks: their folders differ.
+        config: settings of everything.
+        scheduler: does the tasks; default: one after the other, here.
+        progress: told how many are done.
+
+    Returns:
+        What came of each, in order. One that fails is told there and raises nothing.
+
+    Raises:
+        FleetError: those that do the tasks are gone.
+    """
+    scheduler = scheduler or InProcess(config.device.device)
+    handed = {scheduler.submit(run_one, task, config): task for task in tasks}
+    done: dict[LogTask, RunOfLog] = {}
+    for job in scheduler.completed(list(handed)):
+        task = handed[job]
+        found, host = job.result()
+        done[task] = found if host == socket.gethostname() else _from_afar(found, host)
+        if progress is not None:
+            progress("logs", len(done), len(tasks))
+    return tuple(done[task] for task in tasks)
+
+
+def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
+    """Run the main job on a log; return what came of it, and the machine that did it."""
+    # Where the task is done, not where it is handed over: the SLAMs load slowly.
+    from slamfusion.jobs.run import run_log  # noqa: PLC0415
+    from slamfusion.jobs.run_files import save_run  # noqa: PLC0415
+
+    warnings: list[str] = []
+    try:
+        run = run_log(
+            task.log,
+            config,
+            saved_maps=task.saved_maps,
+            resolution=task.resolution,
+            warn=warnings.append,
+        )
+        saved = save_run(run, task.folder, probabilities=task.probabilities)
+    except FleetError:
+        raise
+    except (SlamFusionError, OSError) as error:
+        words = " ".join(str(error).split())
+        return RunOfLog(task.log, None, 0, None, words, (), None), socket.gethostname()
+    warnings += [f"no map: {item.name}: {item.reason}" for item in run.failed]
+    found = RunOfLog(
+        task.log,
+        saved.folder,
+        0 if run.usable is None else len(run.usable.accepted),
+        None if run.verdict is None else run.verdict.to_json()["best"],
+        None if run.failure is None else str(run.failure),
+        tuple(warnings),
+        saved.document["time_s"],
+    )
+    return found, socket.gethostname()
+
+
+def runs_document(runs: Sequence[RunOfLog], config: RunConfig) -> RunsDocument:
+    """Return what ``slamfusion run`` prints as JSON of several logs."""
+    return {"runs": [run.to_json() for run in runs], **settings_used(config)}
+
+
+def _from_afar(run: RunOfLog, host: str) -> RunOfLog:
+    """Return a run with the name of the machine in its error: a folder may be missing there."""
+    return run if run.error is None else replace(run, error=f"{run.error} (on {host})")

@@ -1,0 +1,109 @@
+"""The main job on several logs: each alone, a folder for each, and one that fails is told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamfusion.cli.program import run_program
+from slamfusion.io import write_carmen
+from slamfusion.jobs import run_many
+from slamfusion.jobs.defaults import RUN_DEFAULTS
+from slamfusion.jobs.run_many import RunOfLog, log_tasks, run_logs
+from tests.slam.drives import drive
+from tests.support.documents import check_document
+
+pytestmark = pytest.mark.once
+
+
+def test_folders_are_called_as_the_logs_are() -> None:
+    def names(*logs: str) -> list[str]:
+        tasks = log_tasks([Path(log) for log in logs], Path("/out"))
+        assert all(task.folder.parent == Path("/out") for task in tasks)
+        assert all(task.log.is_absolute() for task in tasks)
+        return [task.folder.name for task in tasks]
+
+    assert names("/x/a.log", "/x/b.bag") == ["a", "b"]
+    assert names("/x/a.log", "/x/a.bag") == ["a.log", "a.bag"]
+    assert names("/x/a.log", "/y/a.log") == ["x-a", "y-a"]
+
+
+def test_logs_that_fail_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.log").write_text("hello\n")
+    logs = [str(tmp_path / name) for name in ("bad.log", "none.log")]
+    assert run_program(["run", *logs, "-o", str(tmp_path / "out"), "--json"]) == 1
+    printed = capsys.readouterr()
+    assert "2 of 2 logs have no fused map (bad.log: " in printed.err
+    document: dict[str, Any] = json.loads(printed.out)
+    check_document(document, "run", failed=True)
+    bad, none = document["runs"]
+    assert "there is no laser in it" in bad["error"]
+    assert "none.log" in none["error"]
+    assert run_program(["run", *logs, "-o", str(tmp_path / "out")]) == 1
+    printed = capsys.readouterr()
+    assert "bad.log\t-\t-\t-\t-\tNO FUSED MAP: " in printed.out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.full
+def test_a_log_that_fails_is_told_and_the_others_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scans, _ = drive(64)
+    write_carmen(tmp_path / "good.log", scans)
+    (tmp_path / "bad.log").write_text("hello\n")
+    logs = [str(tmp_path / name) for name in ("bad.log", "good.log")]
+    code = run_program(
+        ["run", *logs, "-o", str(tmp_path / "out"), "--producers", "tinyslam,graph", "--json"]
+    )
+    printed = capsys.readouterr()
+    assert code == 1
+    assert "1 of 2 logs have no fused map (bad.log: " in printed.err
+    document: dict[str, Any] = json.loads(printed.out)
+    check_document(document, "run", failed=True)
+    bad, good = document["runs"]
+    assert (bad["folder"], bad["fused"], bad["fused_count"]) == (None, None, 0)
+    assert "there is no laser in it" in bad["error"]
+    assert (good["error"], good["fused_count"]) == (None, 2)
+    assert good["best"] in {"tinyslam", "graph", "fused"}
+    record = json.loads(Path(good["record"]).read_text(encoding="utf-8"))
+    assert record["fused"] == good["fused"] == str(tmp_path / "out" / "good" / "fused.yaml")
+    assert Path(good["report"], "report.html").is_file()
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["good"]
+
+
+@pytest.mark.parametrize("option", ["--truth", "--relations", "--odometry"])
+def test_what_belongs_to_one_log_is_refused_of_several(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    words = ["run", "a.log", "b.log", "-o", str(tmp_path), option, "file"]
+    assert run_program(words) == 2
+    assert f"{option} belongs to one log" in capsys.readouterr().err
+
+
+def test_a_scheduler_is_for_several_logs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_program(["run", "a.log", "-o", str(tmp_path), "--scheduler", "local"]) == 2
+    assert "--scheduler does several logs" in capsys.readouterr().err
+
+
+def test_an_error_of_another_machine_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def elsewhere(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
+        error = "no such file" if task.log.stem == "a" else None
+        return RunOfLog(task.log, None, 0, None, error, (), None), "robot-7"
+
+    monkeypatch.setattr(run_many, "run_one", elsewhere)
+    tasks = log_tasks([tmp_path / "a.log", tmp_path / "b.log"], tmp_path)
+    told: list[tuple[str, int, int]] = []
+    first, second = run_logs(
+        tasks, replace(RUN_DEFAULTS), progress=lambda *words: told.append(words)
+    )
+    assert (first.error, second.error) == ("no such file (on robot-7)", None)
+    assert told == [("logs", 1, 2), ("logs", 2, 2)]
