@@ -186,6 +186,12 @@ class DaskCluster:
                 "--scheduler local"
             )
             raise FleetError(message) from None
+        except TypeError:  # what Dask says of an address that begins with tls, without certificates
+            message = (
+                f"{self._where} wants certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+                "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT and ..._KEY to files"
+            )
+            raise FleetError(message) from None
         self._ends.callback(client.close, timeout=ANSWER_S)
         return client
 

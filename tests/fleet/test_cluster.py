@@ -132,6 +132,11 @@ def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert time.monotonic() - began_s < 20.0  # not the minutes that Dask would try
 
 
+def test_tls_without_certificates_says_where_they_are_named() -> None:
+    with pytest.raises(FleetError, match="wants certificates: set DASK_DISTRIBUTED__COMM__TLS__CA"):
+        open_scheduler("tls://127.0.0.1:9")
+
+
 def test_a_scheduler_without_workers_says_how_to_start_some(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
