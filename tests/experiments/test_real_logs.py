@@ -123,6 +123,7 @@ def test_maps_of_other_slams_are_told_by_their_names() -> None:
             other_slams(["intel", "mit-csail"], maps, [CaseFile(Path(path))])
 
 
+@pytest.mark.full
 def test_another_slam_takes_part_with_its_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
