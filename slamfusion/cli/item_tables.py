@@ -27,8 +27,7 @@ def print_items(items: Sequence[MeasuredItem], what: str, leading: Sequence[str]
         for name in leading:
             if any(name in item.figures for item in items):
                 _print_by_case(items, cases, name, what)
-    counts = {len(methods) for methods in _methods(items).values()}
-    if len(counts) > 1:
+    if len({frozenset(item.case for item in own) for own in _methods(items).values()}) > 1:
         notice("means are of different cases: not every method has a result in each of them")
 
 

@@ -13,7 +13,7 @@ from matplotlib.artist import Artist  # noqa: TID251
 from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
-from slamfusion.evaluation import MeasuredItem, figure_of
+from slamfusion.evaluation import ErrorSeries, MeasuredItem, figure_of
 from slamfusion.palette import INPUT_COLOURS
 from slamfusion.report.canvas import to_form, unit_rgb
 
@@ -25,6 +25,8 @@ WIDTH_IN, ROW_IN, FOOT_IN = 7.0, 2.0, 0.45
 MARKERS, STYLES = "osD^vP", ("-", "--", "-.", ":")
 # Points of a line: more than a page shows.
 POINTS = 2000
+# An error that is so many times the median one is drawn on a logarithmic axis.
+LARGE = 50.0
 
 Sets = Mapping[str, Sequence[MeasuredItem]]
 
@@ -104,15 +106,15 @@ def _drawn_figures(sets: Sets) -> list[str]:
 
 def _draw_series(along: Axes, below: Axes, sets: Sets, case: str, name: str) -> None:
     """Draw single errors along the path, and the share of them below each value."""
-    start = min(
-        float(item.series[name].at[:, 0].min())
-        for items in sets.values()
-        for item in items
-        if item.case == case and name in item.series
-    )
-    for number, (label, items) in enumerate(sets.items()):
-        own = [item for item in items if item.case == case and name in item.series]
-        for nth, item in enumerate(own):
+    shown = {
+        label: [item for item in items if item.case == case and name in item.series]
+        for label, items in sets.items()
+    }
+    every = [item.series[name] for items in shown.values() for item in items]
+    start = min(float(series.at[:, 0].min()) for series in every)
+    scale = _scale(every)
+    for number, (label, items) in enumerate(shown.items()):
+        for nth, item in enumerate(items):
             series = item.series[name]
             order = np.argsort(series.at[:, 0], kind="stable")
             step = -(-len(order) // POINTS)
@@ -120,17 +122,28 @@ def _draw_series(along: Axes, below: Axes, sets: Sets, case: str, name: str) -> 
                 "color": unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)]),
                 "ls": STYLES[nth % len(STYLES)],
                 "lw": 0.9,
-                "label": label if len(own) == 1 else f"{label}: {item.method}",
+                "label": label if len(items) == 1 else f"{label}: {item.method}",
             }
-            kept = order[::step]
-            along.plot(series.at[kept, 0] - start, series.errors[kept], **look)
             ranked = np.sort(series.errors)[::step]
             below.plot(ranked, np.linspace(0.0, 1.0, len(ranked)), **look)
+            if series.at.shape[1] > 1:  # relations are no line
+                look |= {"ls": "", "marker": MARKERS[nth % len(MARKERS)], "ms": 1.5}
+            kept = order[::step]
+            along.plot(series.at[kept, 0] - start, series.errors[kept], **look)
     error = figure_of(name).label
     travelled = name.startswith("rpe")
     _finish(along, case, "metres travelled" if travelled else "seconds", error)
     _finish(below, case, error, "share of errors below")
+    along.set_yscale(scale)
+    below.set_xscale(scale)
     below.set_ylim(0.0, 1.02)
+
+
+def _scale(series: Sequence[ErrorSeries]) -> str:
+    """Return ``log`` where the worst errors would hide all others on a linear axis."""
+    values = np.concatenate([item.errors for item in series])
+    usual = float(np.median(values))
+    return "log" if values.min() >= 0.0 and float(values.max()) > LARGE * usual > 0.0 else "linear"
 
 
 def _draw_figure(axes: Axes, sets: Sets, name: str) -> None:

@@ -13,6 +13,7 @@ from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.jobs.compare import compare_results, write_comparison_plot
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.results_file import InputFile, write_results_file
+from slamfusion.report import comparison_plot
 from tests.support.documents import check_document
 
 CASES = ("intel", "mit", "office", "hall")
@@ -149,3 +150,10 @@ def test_figures_are_drawn_for_several_maps(tmp_path: Path) -> None:
     write_comparison_plot(compare_results(files), tmp_path / "plot.svg")
     text = (tmp_path / "plot.svg").read_text(encoding="utf-8")
     assert all(f">{words}<" in text for words in ("F1", "larger is better", "old", "new"))
+
+
+@pytest.mark.parametrize(("worst", "scale"), [(0.2, "linear"), (40.0, "log"), (-40.0, "linear")])
+def test_one_large_error_does_not_hide_the_others(worst: float, scale: str) -> None:
+    usual = path_item("intel", "x", 0.1).series["ate_m"]
+    large = ErrorSeries(np.array([[1.0]]), np.array([worst]))
+    assert comparison_plot._scale([usual, large]) == scale
