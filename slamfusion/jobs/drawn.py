@@ -65,7 +65,7 @@ def draw_run(
         scans: returns those of the log; called where something is drawn.
         path: the fused path; None where there is none.
         fusion: of the maps, by vote.
-        saved: names of inputs that no producer made.
+        saved: names of inputs whose paths are not in the fused one: they vote beside what is drawn.
         config: ``fusion.vote.mode`` and ``run.draw`` say what is wanted.
         device: draws.
     """

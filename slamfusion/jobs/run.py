@@ -240,9 +240,9 @@ def run_log(
     drawn = DrawnRun(fusion)
     if usable is not None and is_drawn(config):
         with timed("drawing"):
-            drawn = draw_run(
-                lambda: drive.drawn_scans, fused_path, fusion, saved.names, config, device
-            )
+            # What a map with a path knows is in the fused path.
+            voting = [name for name in saved.names if name not in drive.saved_paths]
+            drawn = draw_run(lambda: drive.drawn_scans, fused_path, fusion, voting, config, device)
         fusion = drawn.fusion
     with timed("errors"):
         doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)

@@ -201,6 +201,8 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     assert run.fused_path is not None
     assert set(run.fused_path.trust) == {"graph", "map"}
     assert run.fused_mode == "drawn"
+    assert run.usable is not None
+    assert set(run.usable.weights) == {"drawn"}, "its path holds all that its map knows"
     (gap,) = run.fusion.gaps
     assert {gap.a, gap.b} == {"graph", "map"}
     assert gap.median_m < 0.1
