@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["run_many"]
 
 # What belongs to one log.
-OF_ONE_LOG = ("truth", "truth_trajectory", "relations", "odometry", "scan_odometry")
+OF_ONE_LOG = ("paths", "truth", "truth_trajectory", "relations", "odometry", "scan_odometry")
 
 
 def run_many(
@@ -60,7 +60,7 @@ def run_many(
 def _check(out: Path, config: RunConfig, asked: Mapping[str, Any]) -> None:
     """Refuse what cannot end well before any work."""
     for name in OF_ONE_LOG:
-        if asked[name] is not None:
+        if asked[name]:
             option = "--" + name.replace("_", "-")
             message = f"{option} belongs to one log; run each log that has such a file alone"
             raise click.UsageError(message)

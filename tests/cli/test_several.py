@@ -134,6 +134,7 @@ def test_wrong_use_is_refused_before_any_work(ask: Ask, tmp_path: Path) -> None:
         ("compare", "a.zip", "b.zip", "--plot", "plot.jpg"),
         ("trajectory", *ALL, *TRUTHS, "--save-results", "out.tar"),
         ("trajectory", *ALL, *TRUTHS, "--report", "out", "--map", "map.yaml"),
+        ("run", "a.log", "b.log", "-o", "out", "--inputs", "a.yaml", "--paths", "a.tum"),
     ):
         assert ask(*words)[0] == 2, words
     assert not (tmp_path / "out").exists()
@@ -199,6 +200,6 @@ def test_maps_and_paths_may_follow_each_other() -> None:
     given = run.command.make_context("run", words.split()).params
     assert given["maps"] == (Path("a.yaml"), Path("b.yaml"))
     assert given["paths"] == (CaseFile(Path("a.tum")), CaseFile(Path("c.csv"), "b"))
-    assert given["log"] == Path("drive.txt")
+    assert given["logs"] == (Path("drive.txt"),)
     behind = "--paths a.tum drive.log --inputs a.yaml -o out"
-    assert run.command.make_context("run", behind.split()).params["log"] == Path("drive.log")
+    assert run.command.make_context("run", behind.split()).params["logs"] == (Path("drive.log"),)
