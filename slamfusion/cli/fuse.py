@@ -185,7 +185,10 @@ def _fuse_into_store(
 ) -> int:
     """Fuse maps tile by tile, and say what came of it."""
     from slamfusion.io.map_store import check_store  # noqa: PLC0415
-    from slamfusion.jobs.fuse import failed_fuse_document, fusion_sentences  # noqa: PLC0415
+    from slamfusion.jobs.fuse_documents import (  # noqa: PLC0415
+        failed_fuse_document,
+        fusion_sentences,
+    )
     from slamfusion.jobs.fuse_store import fuse_into_store  # noqa: PLC0415
 
     check_store(store)
@@ -221,7 +224,8 @@ def _fuse_into_store(
 
 def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) -> None:
     """Print the alignments, the evaluation and where everything went."""
-    from slamfusion.jobs.fuse import fusion_sentences, group_stems  # noqa: PLC0415
+    from slamfusion.jobs.fuse import group_stems  # noqa: PLC0415
+    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
 
     print_alignments(fused.result)
     for sentence in fusion_sentences(fused.result, fused.doubled):
@@ -257,7 +261,8 @@ def _report_failure(
 
     The report of an earlier fusion stays, as its map does.
     """
-    from slamfusion.jobs.fuse import failed_fuse_document, write_failed_fusion  # noqa: PLC0415
+    from slamfusion.jobs.fuse import write_failed_fusion  # noqa: PLC0415
+    from slamfusion.jobs.fuse_documents import failed_fuse_document  # noqa: PLC0415
 
     if report_dir is not None:
         write_failed_fusion(error, grids, config, report_dir, device=device)

@@ -329,7 +329,7 @@ def _print(run: LogRun, saved: SavedRun) -> None:
 
 def _print_alignments(run: LogRun) -> None:
     """Print how the maps lie to each other, and what came of their vote."""
-    from slamfusion.jobs.fuse import fusion_sentences  # noqa: PLC0415
+    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
 
     if run.usable is not None and run.doubled is not None:
         print_alignments(run.usable)

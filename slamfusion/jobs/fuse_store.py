@@ -24,13 +24,8 @@ from slamfusion.grid import OCCUPIED
 from slamfusion.io import AtomicFiles, save_map
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
 from slamfusion.jobs.documents import circumstances
-from slamfusion.jobs.fuse import (
-    AllRequiredError,
-    agreement_stem,
-    check_count,
-    fusion_document,
-    group_document,
-)
+from slamfusion.jobs.fuse import AllRequiredError, check_count
+from slamfusion.jobs.fuse_documents import agreement_stem, fusion_document, group_document
 from slamfusion.jobs.inputs import GivenMaps, MapInput, Progress, Warn, as_grids, device_for
 from slamfusion.jobs.outputs import FUSED, group_stem
 from slamfusion.jobs.records import FuseDocument

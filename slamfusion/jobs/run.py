@@ -21,7 +21,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.drawn import DrawnRun, draw_run, is_drawn, voting_config
 from slamfusion.jobs.evaluate import Evaluation
-from slamfusion.jobs.fuse import DoubledWalls
+from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import (

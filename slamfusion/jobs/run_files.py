@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from slamfusion.io import AtomicFiles, save_map, write_tum
 from slamfusion.jobs.documents import circumstances, record_bytes
-from slamfusion.jobs.fuse import failure_document, fusion_document
+from slamfusion.jobs.fuse_documents import failure_document, fusion_document
 from slamfusion.jobs.fused_path import drawn_document
 from slamfusion.jobs.outputs import (
     AGREEMENT,

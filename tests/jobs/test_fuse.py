@@ -20,11 +20,11 @@ from slamfusion.io import AtomicFiles, load_map, save_map
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.fuse import (
     AllRequiredError,
-    failed_fuse_document,
     fuse_maps,
     save_fused_maps,
     write_failed_fusion,
 )
+from slamfusion.jobs.fuse_documents import failed_fuse_document
 from tests.fusion.drawings import building, degraded
 from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document

@@ -212,6 +212,8 @@ FAILURES: dict[str, tuple[str, ...]] = {
     # There is no such node, or no ROS.
     **{f"live {name}": ("live", name, "--timeout", "0.1") for name in LIVE},
     "live set": ("live", "set", "max_publish_rate_hz", "1.0", "--timeout", "0.1"),
+    "live add": ("live", "add", "robot", "--timeout", "0.1"),
+    "live remove": ("live", "remove", "robot", "--timeout", "0.1"),
 }
 
 

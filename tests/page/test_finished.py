@@ -16,7 +16,8 @@ from slamfusion.experiments.examples import Example, example_file
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import save_map, write_tum
-from slamfusion.jobs.fuse import DoubledWalls, FusedMaps, save_fused_maps
+from slamfusion.jobs.fuse import FusedMaps, save_fused_maps
+from slamfusion.jobs.fuse_documents import DoubledWalls
 from slamfusion.jobs.inputs import GivenMaps
 from slamfusion.jobs.records import FuseDocument
 from slamfusion.page.feed import Feed

@@ -1,0 +1,248 @@
+"""What is said of a fusion of maps: its JSON document, and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slamfusion.config import RunConfig
+from slamfusion.errors import AlignmentError
+from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
+from slamfusion.fusion.records import (
+    Alignment,
+    AlignmentJson,
+    Fusion,
+    FusionResult,
+    InputRecord,
+    StoredFusion,
+)
+from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.documents import circumstances, path_text
+from slamfusion.jobs.inputs import NO_FILES, GivenMaps
+from slamfusion.jobs.outputs import AGREEMENT_END
+from slamfusion.jobs.records import (
+    DoubledWallsJson,
+    FailedFuseDocument,
+    FusedGroupJson,
+    FusionJson,
+    NoAlignmentJson,
+    UnalignedInputJson,
+)
+
+__all__ = [
+    "DoubledWalls",
+    "agreement_stem",
+    "failed_fuse_document",
+    "failure_document",
+    "fusion_document",
+    "fusion_sentences",
+    "group_document",
+]
+
+NO_ALIGNMENT: NoAlignmentJson = {
+    "dx_m": None,
+    "dy_m": None,
+    "yaw_rad": None,
+    "score": None,
+    "overlap": None,
+    "error": None,
+    "runner_up": None,
+    "bound_gap": None,
+    "time_s": None,
+}
+
+
+@dataclass(frozen=True)
+class DoubledWalls:
+    """Shares of the wall cells that have a parallel wall close by, the trace of a slip.
+
+    Attributes:
+        inputs: by name, of each input as it was given.
+        fused: of the fused map.
+        added: of the fused map, doubled there and in no input.
+    """
+
+    inputs: dict[str, float]
+    fused: float
+    added: float
+
+    @classmethod
+    def of(cls, result: FusionResult, config: RunConfig) -> DoubledWalls:
+        """Measure a fusion."""
+        normalize = config.fusion.normalize
+        shares = {
+            record.name: doubled_wall_share(record.grid, normalize=normalize)
+            for record in result.inputs
+        }
+        layers = (record.layer for record in result.accepted if record.layer is not None)
+        aligned = ((layer.cells, layer.box) for layer in layers)
+        return cls(shares, *fused_doubled_shares(np.sign(result.fused.cells), aligned))
+
+    def to_json(self) -> DoubledWallsJson:
+        """Return the shares for a JSON document."""
+        return {"inputs": self.inputs, "fused": self.fused, "added_by_fusion": self.added}
+
+
+def agreement_stem(stem: Path) -> Path:
+    """Return the path, without suffix, of the agreement map beside a fused map."""
+    return stem.with_name(stem.name + AGREEMENT_END)
+
+
+def failed_fuse_document(
+    error: AlignmentError,
+    grids: Sequence[OccupancyGrid],
+    config: RunConfig,
+    device: str,
+    given: GivenMaps = NO_FILES,
+) -> FailedFuseDocument:
+    """Return what ``slamfusion fuse`` prints as JSON where nothing was fused.
+
+    Args:
+        error: why not.
+        grids: the inputs.
+        config: the settings in effect.
+        device: what computed, in words.
+        given: the files of the inputs.
+    """
+    return {
+        **failure_document(grids, error.pairs, str(error)),
+        "fused": None,
+        "agreement": None,
+        "store": None,
+        "groups": [],
+        "evaluations": [],
+        **given.to_json(),
+        "error": str(error),
+        **circumstances(config, device),
+        "time_s": None,
+    }
+
+
+def fusion_document(
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None
+) -> FusionJson:
+    """Return what a JSON document says of a fusion; doubled walls where they were measured."""
+    return {
+        "inputs": [_input(record, result.reference) for record in result.inputs],
+        "reference": result.reference,
+        "fused_count": len(result.accepted),
+        "phantom_cells": result.phantom_cells,
+        "wall_backs": result.wall_backs,
+        "doubled_wall_share": None if doubled is None else doubled.to_json(),
+        "weights": result.weights,
+        "pairs": [pair.to_json() for pair in result.pairs],
+        "copies": {
+            record.name: record.copy_of for record in result.copies if record.copy_of is not None
+        },
+    }
+
+
+def failure_document(
+    grids: Sequence[OccupancyGrid], pairs: Sequence[Alignment], reason: str
+) -> FusionJson:
+    """Return the same keys where nothing was fused.
+
+    Args:
+        grids: the inputs.
+        pairs: every pair that was aligned; may be empty.
+        reason: why nothing was fused; that of an input in no pair.
+    """
+    return {
+        "inputs": [
+            {
+                **NO_ALIGNMENT,
+                "name": grid.name,
+                "reference": None,
+                "accepted": False,
+                "reason": _reason(grid.name, pairs, reason),
+            }
+            for grid in grids
+        ],
+        "reference": None,
+        "fused_count": 0,
+        "phantom_cells": None,
+        "wall_backs": None,
+        "doubled_wall_share": None,
+        "weights": {},
+        "pairs": [pair.to_json() for pair in pairs],
+        "copies": {},
+    }
+
+
+def fusion_sentences(
+    result: FusionResult | StoredFusion, doubled: DoubledWalls | None
+) -> tuple[str, ...]:
+    """Say how many inputs were fused, what became of the others, and what the vote added."""
+    text = f"fused {len(result.accepted)} of {len(result.inputs)} inputs"
+    if result.rejected:
+        reasons = ", ".join(f"{record.name}: {record.reason}" for record in result.rejected)
+        text += f"; rejected: {reasons}"
+    for record in result.copies:
+        text += f"; {record.name}: {record.reason}"
+    if result.others:
+        text += f"; {further_groups(result)}"
+    share = "" if doubled is None else f"{doubled.added:.1%} of the walls doubled by the fusion, "
+    added = (
+        f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
+        f"{share}{result.time_s:.2f} s"
+    )
+    return text, added
+
+
+def further_groups(result: FusionResult | StoredFusion) -> str:
+    """Say which inputs are fused apart from the largest group."""
+    groups = [", ".join(record.name for record in other.accepted) for other in result.others]
+    return "fused apart, as they share nothing with these: " + "; ".join(groups)
+
+
+def group_document(result: Fusion, stem: Path | None, store: Path | None = None) -> FusedGroupJson:
+    """Return what is said of one group.
+
+    Args:
+        result: the fusion.
+        stem: path of its map without suffix; None: it has no such files.
+        store: that holds it; None: none does.
+    """
+    return {
+        "fused": None if stem is None else f"{stem}.yaml",
+        "agreement": None if stem is None else f"{agreement_stem(stem)}.yaml",
+        "store": path_text(store),
+        "reference": result.reference,
+        "inputs": [
+            record.alignment.to_json() for record in result.accepted if record.alignment is not None
+        ],
+        "weights": result.weights,
+    }
+
+
+def _input(record: InputRecord, reference: str | None) -> AlignmentJson | UnalignedInputJson:
+    """Return one input's record: its alignment, and what became of it."""
+    if record.alignment is None:
+        return {
+            **NO_ALIGNMENT,
+            "name": record.name,
+            "reference": reference,
+            "accepted": record.accepted,
+            "reason": record.reason,
+        }
+    return {
+        **record.alignment.to_json(),
+        "name": record.name,
+        "accepted": record.accepted,
+        "reason": record.reason,
+    }
+
+
+def _reason(name: str, pairs: Sequence[Alignment], otherwise: str) -> str:
+    """Return why an input found no partner: the reason of its best rejected pair."""
+    rejected = [
+        pair for pair in pairs if name in {pair.reference, pair.moving} and not pair.accepted
+    ]
+    if not rejected:
+        return otherwise
+    best = max(rejected, key=lambda pair: pair.score)
+    other = best.reference if best.moving == name else best.moving
+    return f"against {other}: {best.reason}"
