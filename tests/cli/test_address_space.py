@@ -44,10 +44,10 @@ def test_without_room_for_opencl_numpy_computes(tmp_path: Path) -> None:
     (line,) = done.stderr.splitlines()
     assert line.startswith("OpenCL needs 5120 MiB of address space, but only ")
     assert "raise the limit (ulimit -v unlimited), set POCL_MAX_PTHREAD_COUNT=1: NumPy" in line
-    assert len(tree(tmp_path)) == 4
+    assert len(tree(tmp_path)) == 5
     done = run(*arguments, "--device", "pthread", env=THREADS, limits=limits)
     assert_one_line_failure(done, "OpenCL needs 5120 MiB", "run with `--device numpy`")
-    assert len(tree(tmp_path)) == 4
+    assert len(tree(tmp_path)) == 5
 
 
 @pytest.mark.parametrize(("told", "threads"), [("1", 1), ("64", 4), ("", 4), ("0", 4), ("x", 4)])

@@ -102,7 +102,7 @@ def assert_same_pixels(page: Any, message: OccupancyGrid) -> None:
     assert grid.height < 700, "the map has to fit into the window"
     for name in PRODUCERS:
         page.uncheck(f'#layers li[data-name="{name}"] input[type=checkbox]')
-    page.uncheck("#paths")
+    page.uncheck("#show-paths")
     page.click("#pixels")
     wanted = np.empty((*grid.cells.shape, 3), dtype=np.uint8)
     for value, rgb in ((-1, UNKNOWN_RGB), (0, FREE_RGB), (100, WALL_RGB)):
