@@ -161,12 +161,7 @@ class NodeBase:
         diagnostics: what is wrong now.
         is_stopped: whether ``stop`` was called.
         exit_code: of the process, see ``stop``.
-        rest: the executor rests so many times as long as it has worked, 20 ms at most; 0: never.
-            rclpy looks at every subscription each time it wakes, so what that costs grows with the
-            square of the inputs; while it rests messages gather, and it wakes less often.
     """
-
-    rest = 0.0
 
     def __init__(
         self, name: str, *, context: Any = None, arguments: Sequence[str] | None = None
@@ -201,6 +196,15 @@ class NodeBase:
 
     def close(self) -> None:
         """End threads; called once, before the node is destroyed."""
+
+    @property
+    def rest(self) -> float:
+        """How many times as long as it has worked the executor rests, 20 ms at most; 0: never.
+
+        rclpy looks at every subscription each time it wakes, so what that costs grows with the
+        square of their number; while it rests messages gather, and it wakes less often.
+        """
+        return 0.0
 
     # --- what a node has ---------------------------------------------------------------------
 

@@ -50,6 +50,8 @@ CHANGEABLE = (
 # and shows itself on the page.
 TURN_S, LOOK_S, LOOK_AROUND_S, SHOW_S = 0.02, 0.1, 1.0, 0.5
 SHOWN_S = 10.0
+# From so many inputs on the executor rests so many times as long as it works.
+MANY, REST = 8, 3.0
 
 
 def make_node(_: str, **options: Any) -> NodeBase:
@@ -92,16 +94,13 @@ class FusionNode(NodeBase):
         MapFileError: a saved map cannot be read.
     """
 
-    # The worker has three quarters of the interpreter, however many inputs there are.
-    rest = 3.0
-
     def __init__(self, *, context: Any = None, arguments: Any = None) -> None:
         super().__init__("fusion", context=context, arguments=arguments)
         node = self.node
         self.settings = declare(
             node, FusionNodeConfig, changeable=CHANGEABLE, on_change=self._on_settings
         )
-        is_open = self.settings.discover is not None
+        is_open = bool(self.settings.discover)
         outputs = MAP_TOPIC, AGREEMENT_TOPIC
         self._inputs = FusionInputs(self, outputs, is_open=is_open, on_change=self._on_inputs)
         names = tuple(self._inputs.entries)
@@ -169,6 +168,11 @@ class FusionNode(NodeBase):
             f"frame {self.settings.fused_frame!r}"
         )
         self._wake()
+
+    @property
+    def rest(self) -> float:
+        """Leave the worker three quarters of the interpreter, where inputs are many."""
+        return REST if len(self._inputs.sources) >= MANY else 0.0
 
     # --- callbacks, in the executor's thread -------------------------------------------------
 
