@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 
 from slamfusion.config import FusionNodeConfig
-from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.base import NodeBase
 
 __all__ = ["Discovery", "fits"]
 
@@ -47,19 +47,18 @@ class Discovery:
         self._outputs = tuple(outputs)
         self._looked_s = float("-inf")
 
-    def look(self, settings: FusionNodeConfig, known: Collection[str]) -> list[str]:
-        """Return new topics in order, as entries of ``inputs``; not more often than asked.
+    def look(self, settings: FusionNodeConfig) -> list[str]:
+        """Return the topics that fit, whole names in order; none before it is time to look again.
 
         Args:
             settings: say what fits and how often to look.
-            known: topics, resolved, that are inputs, or are not to be.
         """
         now_s = time.monotonic()
-        if settings.discover is None or now_s - self._looked_s < 1.0 / settings.discovery_rate_hz:
+        if not settings.discover or now_s - self._looked_s < 1.0 / settings.discovery_rate_hz:
             return []
         self._looked_s = now_s
         patterns = [self._whole(part.strip()) for part in settings.discover.split(",")]
-        topics = sorted(
+        return sorted(
             topic
             for topic, types in self._base.node.get_topic_names_and_types()
             if MAP_TYPE in types
@@ -67,19 +66,13 @@ class Discovery:
             and not self._is_output(topic)
             and self._base.node.count_publishers(topic)
         )
-        text = f"no topic of type nav_msgs/OccupancyGrid fits discover {settings.discover!r} yet"
-        if topics or known:
-            self._base.diagnostics.clear("discover")
-        else:
-            self._base.diagnostics.add("discover", Level.WARN, text)
-        return [self._entry(topic) for topic in topics if topic not in known]
 
     def _whole(self, pattern: str) -> str:
         """Return a pattern in the node's namespace, where it does not begin with a slash."""
         space = str(self._base.node.get_namespace()).rstrip("/")
         return pattern if pattern.startswith("/") else f"{space}/{pattern}"
 
-    def _entry(self, topic: str) -> str:
+    def entry(self, topic: str) -> str:
         """Return a topic as relative as it can be: robots are called by their own namespaces."""
         space = str(self._base.node.get_namespace()).rstrip("/") + "/"
         return topic.removeprefix(space) if topic.startswith(space) else topic

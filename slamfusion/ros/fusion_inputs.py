@@ -124,12 +124,18 @@ class FusionInputs:
         self._replace(self._checked(entries))
 
     def discover(self, settings: FusionNodeConfig) -> None:
-        """Let topics that fit ``discover`` be inputs, not those that were removed."""
-        found = self._discovery.look(settings, {*self._topics(self.entries), *self._unwanted})
-        if not found:
-            return
-        problem = self._ask([*self.entries.values(), *found])
-        if problem:
+        """Let topics that fit ``discover`` be inputs, as many as can be; not those removed."""
+        topics = self._discovery.look(settings)
+        known = {*self._topics(self.entries), *self._unwanted} if topics else set()
+        found = [self._discovery.entry(topic) for topic in topics if topic not in known]
+        room = MOST_INPUTS - len(self.entries)
+        if found[room:]:
+            text = (
+                f"found and not fused: {', '.join(found[room:])}; at most {MOST_INPUTS} can be: "
+                "remove others (slamfusion live remove NAME)"
+            )
+            self._base.diagnostics.add("not fused", Level.WARN, text, SHOWN_S)
+        if found[:room] and (problem := self._ask([*self.entries.values(), *found[:room]])):
             text = f"found and not fused: {', '.join(found)}: {problem}"
             self._base.diagnostics.add("not fused", Level.WARN, text, SHOWN_S)
 
