@@ -205,14 +205,16 @@ class FusionInputs:
 
     def _change(self, entries: Sequence[str]) -> None:
         """Take other inputs, and say who came and who left."""
-        names, before = self._checked(entries), self.entries
-        removed = _others(before, names)
+        names, before = input_names(entries, self.entries), self.entries
+        removed, added = _others(before, names), _others(names, before)
+        if not {*added.values()} <= self._loaded.keys():  # it was checked, as a rule
+            self._checked(entries)
         self._replace(names)
         self._unwanted |= {*self._topics(removed)}
         for name, entry in removed.items():
             text = f"{name} is removed from the inputs ({entry}), and its vote with it"
             self._base.diagnostics.add(f"removed {name}", Level.WARN, text, SHOWN_S)
-        for name, entry in _others(names, before).items():
+        for name, entry in added.items():
             self._base.log.info(f"{name} is an input now ({entry})")
         self._on_change([*removed])
 

@@ -12,12 +12,17 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 from nav_msgs.msg import OccupancyGrid
+from rclpy.parameter import Parameter
 
 from slamfusion.cli.program import run_program
+from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
 from slamfusion.io.map_server import save_map
 from slamfusion.ros import qos
+from slamfusion.ros.base import NodeBase
 from slamfusion.ros.discovery import fits
+from slamfusion.ros.fusion_inputs import FusionInputs
 from slamfusion.ros.input_entries import entry_for, input_names, topic_of
 from tests.fusion.live.maps import three, touched
 from tests.ros.fused import Makers, fused_without_ros, share_equal
@@ -177,3 +182,64 @@ def test_what_is_no_name_is_refused() -> None:
     for name in ("", "/", "a=b", "a,b", "file:lab"):
         with pytest.raises(ConfigError, match="is no name of an input"):
             entry_for(name)
+
+
+class Listener:
+    """Stands for the source of a topic's maps; it hears nothing."""
+
+    frame = ""
+    is_waiting = False
+
+    def __init__(self, name: str, topic: str) -> None:
+        self.name, self.topic = name, topic
+        self.is_closed = False
+
+    def take(self) -> None:
+        return None
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def fusion_inputs(observer: Observer, *entries: str) -> tuple[NodeBase, FusionInputs]:
+    """Return the inputs of a node in this process, which listens to nothing."""
+    words = ["--ros-args", "-p", f"inputs:=[{','.join(entries)}]"] if entries else []
+    base = NodeBase("fusing", context=observer.node.context, arguments=words)
+    inputs = FusionInputs(
+        base, ("fused/map",), is_open=not entries, on_change=lambda removed: removed.sort()
+    )
+    inputs.begin(lambda *_: None, Listener)  # type: ignore[arg-type]
+    return base, inputs
+
+
+def test_what_finds_no_room_is_named_and_the_others_are_fused(observer: Observer) -> None:
+    base, inputs = fusion_inputs(observer)
+    for number in range(MOST_INPUTS + 2):
+        observer.publisher(OccupancyGrid, f"robot{number:02}/map", qos.MAP)
+    settings = FusionNodeConfig(discover="robot*/map", discovery_rate_hz=10.0)
+    until_s = time.monotonic() + 20.0
+    while "not fused" not in base.diagnostics.worst()[1] or len(inputs.entries) < MOST_INPUTS:
+        assert time.monotonic() < until_s, inputs.entries
+        inputs.discover(settings)
+        time.sleep(0.02)
+    assert len(inputs.sources) == MOST_INPUTS
+    assert "at most 32 can be: remove others" in base.diagnostics.worst()[1]
+    base.node.destroy_node()
+
+
+def test_one_that_is_put_in_the_place_of_another_comes_after_it(observer: Observer) -> None:
+    base, inputs = fusion_inputs(observer, "a=x/map", "b/map")
+    before = inputs.sources["a"]
+    (answer,) = base.node.set_parameters([Parameter("inputs", value=["a=y/map", "b/map"])])
+    assert answer.successful
+    assert inputs.sources["a"].topic == "y/map"
+    assert before.is_closed  # type: ignore[attr-defined]
+    assert inputs.is_waiting
+    assert inputs.take().removed == ["a"]
+    assert not inputs.is_waiting
+    assert inputs.take().removed == []
+    # A text with commas is as good as a list.
+    (answer,) = base.node.set_parameters([Parameter("inputs", value="b/map, c/map")])
+    assert answer.successful
+    assert [*inputs.sources] == ["b", "c"]
+    base.node.destroy_node()
