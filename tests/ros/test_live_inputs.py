@@ -24,6 +24,7 @@ from slamfusion.ros.base import NodeBase
 from slamfusion.ros.discovery import fits
 from slamfusion.ros.fusion_inputs import FusionInputs
 from slamfusion.ros.input_entries import entry_for, input_names, topic_of
+from slamfusion.ros.live_client import LiveClient, LiveNodeError
 from tests.fusion.live.maps import three, touched
 from tests.ros.fused import Makers, fused_without_ros, share_equal
 from tests.ros.live import Observer, Processes, values
@@ -32,6 +33,15 @@ from tests.support.documents import check_document
 pytestmark = pytest.mark.ros
 
 FUSION = "fusion: fusion"
+
+
+def names(observer: Observer) -> list[str]:
+    """Return the inputs that the node tells of next, in order."""
+    statuses = observer.statuses()
+    statuses.clear()
+    observer.wait(lambda: FUSION in statuses, what="diagnostics")
+    start = "fusion: input "
+    return [name.removeprefix(start) for name in statuses if name.startswith(start)]
 
 
 def tell_a_clock_that_is_off(makers: Makers) -> None:
@@ -44,6 +54,25 @@ def tell_a_clock_that_is_off(makers: Makers) -> None:
     makers.observer.wait_status(FUSION, *words)
 
 
+def refuse_what_cannot_be() -> None:
+    """Each is refused in one line, and the inputs stay as they are."""
+    with LiveClient("fusion", 30.0) as client:
+        for answer, said in (
+            (client.add("a"), "inputs names one map twice"),
+            (client.add("again", "/a/map"), "inputs names one map twice"),
+            (client.add("a", "d/map"), "inputs calls two maps 'a'"),
+            (client.add("bad", "no topic"), "is no topic name"),
+            (client.add("gone", "file:/nowhere/lab.yaml"), "/nowhere/lab.yaml"),
+            (client.set("inputs", "[]"), "one at least must stay"),
+            (client.set("inputs", "5"), "wanted a list of names, found 5"),
+        ):
+            assert not answer["success"]
+            assert said in answer["message"]
+            assert "\n" not in answer["message"]
+        with pytest.raises(LiveNodeError, match="no input 'z'; the inputs are a, b, yard, lab"):
+            client.remove("z")
+
+
 @pytest.mark.once
 def test_inputs_come_and_go_while_the_node_runs(
     processes: Processes,
@@ -51,16 +80,11 @@ def test_inputs_come_and_go_while_the_node_runs(
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    def live(*words: str, code: int = 0) -> str:
-        assert run_program(["live", *words, "--json"]) == code
-        document = json.loads(capfd.readouterr().out or "{}")
-        if document:
-            check_document(document, f"live {words[0]}", failed=bool(code))
-        return str(document.get("message", ""))
-
-    def names() -> list[str]:
-        assert run_program(["live", "status", "--json"]) == 0
-        return [line["name"] for line in json.loads(capfd.readouterr().out)["inputs"]]
+    def live(*words: str) -> str:
+        assert run_program(["live", *words, "--json"]) == 0
+        document = json.loads(capfd.readouterr().out)
+        check_document(document, f"live {words[0]}")
+        return str(document["message"])
 
     makers = Makers(observer, "ab")
     maps = observer.collect(OccupancyGrid, "fused/map", qos.MAP)
@@ -82,7 +106,7 @@ def test_inputs_come_and_go_while_the_node_runs(
     makers.start("c")
     makers.send(three()["c"])
     observer.wait_status(FUSION, "all 3 inputs vote")
-    assert names() == ["a", "b", "c"]
+    assert names(observer) == ["a", "b", "c"]
     assert "b is an input now (b/map)" in node.text()
 
     # One that is removed takes its vote with it, and is not found again.
@@ -94,7 +118,7 @@ def test_inputs_come_and_go_while_the_node_runs(
     makers.send(touched(three()["c"], 1))
     makers.send(touched(three()["a"], 1))
     observer.wait(lambda: len(maps) > count, what="a map without c")
-    assert names() == ["a", "b"]
+    assert names(observer) == ["a", "b"]
     assert node.text().count("c is removed") == 1
 
     # Under another name, its last map is heard at once, as a new input's; so is a saved map.
@@ -103,26 +127,11 @@ def test_inputs_come_and_go_while_the_node_runs(
     yaml, _ = save_map(three()["b"], tmp_path / "lab")
     live("add", "lab", "--topic", f"file:{yaml}")
     observer.wait_status(FUSION, "all 4 inputs vote")
-    assert names() == ["a", "b", "yard", "lab"]
+    assert names(observer) == ["a", "b", "yard", "lab"]
     assert values(observer.statuses()["fusion: input yard"])["entry"] == "yard=c/map"
 
-    # What cannot be is refused in one line, and nothing has changed.
-    for words, said in (
-        (("add", "a"), "inputs names one map twice"),
-        (("add", "again", "--topic", "/a/map"), "inputs names one map twice"),
-        (("add", "a", "--topic", "d/map"), "inputs calls two maps 'a'"),
-        (("add", "bad", "--topic", "no topic"), "is no topic name"),
-        (("add", "gone", "--topic", "file:/nowhere/lab.yaml"), "/nowhere/lab.yaml"),
-        (("set", "inputs", "[]"), "one at least must stay"),
-        (("set", "inputs", "5"), "wanted a list of names, found 5"),
-    ):
-        message = live(*words, code=1)
-        assert said in message, message
-        assert "\n" not in message
-    assert run_program(["live", "remove", "z"]) == 1
-    assert "no input 'z'; the inputs are a, b, yard, lab" in capfd.readouterr().err
-    assert names() == ["a", "b", "yard", "lab"]
-
+    refuse_what_cannot_be()
+    assert names(observer) == ["a", "b", "yard", "lab"]
     tell_a_clock_that_is_off(makers)
 
     # One whose publisher has gone is not forgotten, but dead as others are.
