@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.cores import usable_cores
@@ -43,6 +43,8 @@ REACH_CELLS, FILTERS_CELLS = 48, 32
 WHOLE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 1024, 384
 # Cells behind its own wall at which a ray is asked whether anything is ahead of it at all.
 CLEAR_FROM_CELLS = 2.5
+# Cells of a part whose distances to walls take as long as what they save a ray.
+RAY_CELLS = 30
 # Distances of doubled walls, cells.
 NEAR, FAR = 2.0, 8.0
 
@@ -99,9 +101,15 @@ def fused_doubled_shares(
         walls = np.zeros(window.shape, dtype=np.bool_)
         own = walls[box.row0 - row :, box.col0 - col :]
         own[: cells.shape[0], : cells.shape[1]] = cells == 1
-        asked = ndimage.binary_dilation(window, iterations=2)
-        window &= ~ndimage.binary_dilation(doubled_wall_cells(walls, where=asked), iterations=2)
+        window &= ~_grown(doubled_wall_cells(walls, where=_grown(window)))
     return share, int(np.count_nonzero(doubled)) / considered
+
+
+def _grown(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return cells, and those within two steps along rows and columns of one."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    grown = cv2.dilate(np.ascontiguousarray(cells).view(np.uint8), cross, iterations=2)
+    return np.asarray(grown).view(np.bool_)
 
 
 def doubled_wall_cells(
@@ -290,17 +298,24 @@ class _Surroundings:
     Attributes:
         level: (H, W) float32, 1 at a wall; a border that no ray leaves is free.
         corners: see ``_corner_counts``.
-        clear: (H, W) float32, cells around a cell's centre in which no sample is a wall.
     """
 
     def __init__(self, walls: npt.NDArray[np.bool_]) -> None:
         self.level, self.corners = walls.astype(np.float32), _corner_counts(walls)
-        distance = cv2.distanceTransform((~walls).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+        self._walls = walls
+
+    @cached_property
+    def clear(self) -> F32:
+        """(H, W) float32, cells around a cell's centre in which no sample is a wall."""
+        distance = cv2.distanceTransform(
+            (~self._walls).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5
+        )
         # A sample meets a wall whose centre is less than a cell away along both axes; it may lie
         # half a cell along both from the centre at which this is read; and the distance is of
         # steps over 5 x 5 cells, at most 3 % too large.
-        self.clear = np.asarray(distance, dtype=np.float32) * np.float32(0.97)
-        self.clear -= np.float32(1.5 * math.sqrt(2.0))
+        clear = np.asarray(distance, dtype=np.float32) * np.float32(0.97)
+        clear -= np.float32(1.5 * math.sqrt(2.0))
+        return clear
 
     def are_walls(
         self, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
@@ -340,6 +355,7 @@ def _next_wall(
     own_end = np.zeros(x.shape)
     hits: list[npt.NDArray[np.intp]] = []
     hits_at: list[float] = []
+    asks_ahead = x.size * RAY_CELLS > around.level.size
     # Rays that go on: their numbers, and what is asked of them each step, side by side in memory.
     rays = np.arange(x.size)
     for step in range(1, int(2 * far / _STEP_CELLS) + 1):
@@ -352,11 +368,12 @@ def _next_wall(
         hits.append(rays[is_other])
         hits_at += [t] * len(hits[-1])
         goes_on = ~is_other & (t - own_end < far - 1.0) & (own_end <= far)
-        # A few samples behind the own wall: nothing is there up to the end of the ray, as a rule.
-        leaves = np.flatnonzero(goes_on & (t - own_end == CLEAR_FROM_CELLS))
-        end = own_end[leaves] + (far - 1.0)
-        clear = around.clear_around(x[leaves] + end * nx[leaves], y[leaves] + end * ny[leaves])
-        goes_on[leaves[clear > end - (t + _STEP_CELLS)]] = False
+        if asks_ahead:
+            # A few samples behind the own wall: nothing is there up to the ray's end, as a rule.
+            leaves = np.flatnonzero(goes_on & (t - own_end == CLEAR_FROM_CELLS))
+            end = own_end[leaves] + (far - 1.0)
+            clear = around.clear_around(x[leaves] + end * nx[leaves], y[leaves] + end * ny[leaves])
+            goes_on[leaves[clear > end - (t + _STEP_CELLS)]] = False
         if not goes_on.any():
             break
         rays, own_end = rays[goes_on], own_end[goes_on]
