@@ -22,12 +22,13 @@ from slamfusion.fusion.start import place_starts
 from slamfusion.fusion.stored_vote import prepare_stored_vote
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import AtomicFiles, save_map
+from slamfusion.io.atomic import write_atomic
 from slamfusion.io.map_store import MapStore, check_store, read_stored_map
-from slamfusion.jobs.documents import circumstances
+from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, check_count
 from slamfusion.jobs.fuse_documents import agreement_stem, fusion_document, group_document
 from slamfusion.jobs.inputs import GivenMaps, MapInput, Progress, Warn, as_grids, device_for
-from slamfusion.jobs.outputs import FUSED, group_stem
+from slamfusion.jobs.outputs import FUSED, group_stem, record_file
 from slamfusion.jobs.records import FuseDocument
 
 __all__ = ["StoredMaps", "fuse_into_store"]
@@ -145,7 +146,10 @@ def fuse_into_store(
         time_s=time.perf_counter() - began_s,
     )
     given = given or GivenMaps.of(maps, resolution)
-    return StoredMaps(config, whole, stores, tuple(written), given)
+    stored = StoredMaps(config, whole, stores, tuple(written), given)
+    if written[0] is not None:
+        write_atomic(record_file(stem), record_bytes(stored.to_json()))
+    return stored
 
 
 def _check_all(aligned: AlignedInputs, device: ComputeDevice) -> None:

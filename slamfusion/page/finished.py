@@ -165,8 +165,12 @@ def _read_record(path: Path) -> Finished:
     level = "good" if verdict.get("sure") else "plain"
     found.scene.put_status(told, headline=sentence, level=level, figures=figures)
     if path.name == RUN_RECORD and "producers" in record:
-        names = [str(item.get("name")) for item in inputs if item.get("accepted")]
-        _put_paths(found.scene, stem.parent, [FUSED, *names])
+        names = [FUSED, *(str(item.get("name")) for item in inputs if item.get("accepted"))]
+        given = {item.get("name"): item.get("file") for item in record.get("saved_paths") or ()}
+        for name in names:
+            own = given.get(name)
+            file = stem.with_name(f"{name}.tum") if own is None else _found(Path(own), stem)
+            _put_path(found.scene, name, file)
     return found
 
 
@@ -242,13 +246,17 @@ def _unlaid(name: str, reason: str) -> dict[str, Any]:
     }
 
 
-def _put_paths(shown: Scene, folder: Path, names: Sequence[str]) -> None:
-    """Put the poses of the paths beside the maps."""
-    for name in names:
-        path = folder / f"{name}.tum"
-        if path.exists():
-            for x_m, y_m, _ in read_trajectory(path).poses:
-                shown.put_point(name, float(x_m), float(y_m))
+def _put_path(shown: Scene, name: str, file: Path) -> None:
+    """Put the poses of a path in the frame of the map of that name; one that is gone is left."""
+    if not file.exists():
+        return
+    try:
+        poses = read_trajectory(file).poses
+    except SlamFusionError as error:
+        shown.put_event("error", f"the path of {name} is not shown: {error}")
+        return
+    for x_m, y_m, _ in poses:
+        shown.put_point(name, float(x_m), float(y_m))
 
 
 # --- maps without a record --------------------------------------------------------------------
@@ -270,7 +278,8 @@ def _read_maps(folder: Path, files: dict[str, Path]) -> Finished:
     told = [_unlaid(name, "as its own frame has it") for name in names]
     words = f"{len(ordered)} maps; no record says how they lie to each other"
     found.scene.put_status(told, headline=words, level="plain", figures={})
-    _put_paths(found.scene, folder, [FUSED, *names])
+    for name in (FUSED, *names):
+        _put_path(found.scene, name, folder / f"{name}.tum")
     return found
 
 

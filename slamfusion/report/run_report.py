@@ -186,7 +186,9 @@ def _maps_section(report: RunReport, config: RunConfig) -> Section:
         pictures = [input_picture(grid, config.fusion.normalize) for grid in report.grids]
         return Section("Maps", "maps", text, pictures)
     voted = {record.name for record in result.accepted}
-    paths = {item.run.name: item.run.trajectory for item in report.runs if item.run.name in voted}
+    found = {item.run.name: item.run.trajectory for item in report.runs}
+    found |= {item.path.name: item.path for item in report.saved_paths}
+    paths = {name: path for name, path in found.items() if name in voted}
     if report.fused_path is not None:
         paths[FUSED_PATH] = report.fused_path
     section = fused_section(result, shown_box(result), paths)

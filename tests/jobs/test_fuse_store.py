@@ -20,6 +20,7 @@ from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.map_store import read_stored_map
 from slamfusion.jobs import fuse_store
+from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, fuse_maps
 from slamfusion.jobs.fuse_store import fuse_into_store
 from tests.support.documents import check_document
@@ -87,6 +88,7 @@ def test_the_store_holds_what_fuse_makes(
         assert np.array_equal(load_map(f"{stem}.yaml").cells, whole.fused.cells)
     document = stored.to_json()
     check_document(dict(document), "fuse")
+    assert (tmp_path / "out.json").read_bytes() == record_bytes(document)
     assert document["store"] == str(tmp_path / "out.zarr")
     assert document["fused"] == str(tmp_path / "out.yaml")
     assert document["groups"][0]["store"] == document["store"]

@@ -97,6 +97,21 @@ def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
     ]
 
 
+def test_the_path_of_a_saved_map_is_shown_and_a_damaged_one_named(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    poses = np.array([[3.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    path = tmp_path / "elsewhere" / "b-path.tum"
+    write_tum(path, Trajectory(np.array([0.0, 1.0]), poses, "b"))
+    write_run(tmp_path, saved_paths=[{"name": "b", "file": str(path)}])
+    (tmp_path / "a.tum").write_text("nonsense\n", encoding="utf-8")
+    messages, _ = read_finished(tmp_path).scene.since(0)
+    assert texts(messages, "trail") == [
+        {"type": "trail", "name": "b", "points": [[3.0, 0.0], [4.0, 0.0]]}
+    ]
+    events = [item["text"] for item in texts(messages, "event")]
+    assert any(text.startswith("the path of a is not shown: ") for text in events)
+
+
 def test_maps_without_a_record_lie_as_their_frames_say(tmp_path: Path) -> None:
     write_run(tmp_path)
     (tmp_path / "fused.json").unlink()
