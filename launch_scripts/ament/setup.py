@@ -28,7 +28,9 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.jobs": ["schema.json"],
+        f"{NAME}.page": ["static/*"],
         f"{NAME}.report": ["templates/*"],
+        f"{NAME}.viewer": ["static/*"],
         f"{NAME}.kernels": ["*.cl", "*.h"],
     },
     data_files=[

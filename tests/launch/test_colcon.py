@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.once
 
+# Files of the package that are no modules.
+PLACES = ("page/static", "report/templates", "viewer/static")
 EXECUTABLES = {f"{name}_node" for name in NODES} | {"slamfusion"}
 
 
@@ -68,16 +70,18 @@ def test_the_library_of_the_workspace_is_used_with_all_its_files(workspace: Path
         "from slamfusion.jobs.records import load_schema; from importlib.metadata import version; "
         "folder = pathlib.Path(slamfusion.__file__).parent; "
         "print(version('slamfusion'), load_schema('fuse')['$ref'], folder, kernel_folder(), "
-        "*(folder / 'report' / 'templates').iterdir(), sep='\\n')"
+        f"*(item for place in {PLACES} for item in (folder / place).iterdir()), sep='\\n')"
     ).replace("$", r"\$")
     found = sourced(workspace, f'python3 -c "{code}"').splitlines()
-    number, document, package, kernels, *templates = found
+    number, document, package, kernels, *files = found
     assert number == __version__
     assert document == "#/$defs/fuse"
     assert str(workspace) in package
     assert str(workspace) in kernels
-    assert {Path(item).name for item in templates} == {
-        item.name for item in (ROOT / "slamfusion" / "report" / "templates").iterdir()
+    assert {"/".join(Path(item).parts[-3:]) for item in files} == {
+        f"{place}/{item.name}"
+        for place in PLACES
+        for item in (ROOT / "slamfusion" / place).iterdir()
     }
 
 
