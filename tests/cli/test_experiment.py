@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from slamfusion.experiments.drive_paths import DRAWN, drawn_at
+from slamfusion.experiments.examples import example_maps
 from slamfusion.experiments.voting import BARE, FUSIONS
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.registry import BUILT_IN
@@ -169,6 +170,9 @@ def test_real_logs_skips_what_is_not_there(tmp_path: Path) -> None:
     assert {f"real-logs.{kind}" for kind in ("csv", "md", "json")} < set(files)
     assert len([name for name in files if name.endswith(".png")]) == len([*methods, *drawn])
     assert "12 of 12 scans" in (out / "report.html").read_text(encoding="utf-8")
+    truth, maps = example_maps(out, "mit-csail")
+    assert [grid.name for grid in maps] == [*methods, *drawn]
+    assert all(grid.cells.shape == truth.cells.shape for grid in maps)
 
 
 def test_real_logs_without_any_is_one_line(tmp_path: Path) -> None:
