@@ -121,6 +121,8 @@ class FusionNode(NodeBase):
             start=declare_starts(node, names, may_come=is_open),
         )
         self._stamps, self._clocks = Stamps(self.clock_s), Clocks(self.clock_s, self.diagnostics)
+        # Before the inputs: of what has come the odometry is heard first, and then the poses.
+        self._frames = FusedFrames(self, self.settings)
         callbacks = self._wake, self._on_pose
         self._inputs.begin(
             lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
@@ -140,14 +142,12 @@ class FusionNode(NodeBase):
 
         self._outbox = Outbox(self.settings.max_publish_rate_hz)
         self._services = FusionServices(self, self)
-        page = None
-        if self.settings.page:
-            page = LivePage(self, self.settings, self._services.carry_out)
+        carry_out = self._services.carry_out
+        page = LivePage(self, self.settings, carry_out) if self.settings.page else None
         self._page = page
         self._output = FusedOutput(
             self, self.settings, self._outbox, *([] if page is None else [page.put_fused])
         )
-        self._frames = FusedFrames(self, self.settings)
         self._writers = Writers(self, MAP_TOPIC)
         self._memory = Memory(self, fusion, self.settings.state_path, names)
         if (kept := self._memory.restored) is not None:
