@@ -35,8 +35,6 @@ SAME_RESOLUTION = 1e-4
 BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
 ALIGNED_CELLS = 3000
-# Cells of all maps that are aligned as they are: 85 maps of 700 x 700, whose fields take a GB.
-ALL_ALIGNED_CELLS = 5 << 23
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +109,19 @@ def check_resampling(
 def coarsening(grids: Sequence[OccupancyGrid], resolution: float) -> int:
     """Return how many times coarser the cells are on which grids are aligned than those fused.
 
-    1 but for maps so large, or so many, that their fields would not fit into memory. Alignments are
-    told in metres and are finer than a cell, so a coarser copy costs less than one fused cell.
+    1 but for maps so large that their fields would not fit into memory. Alignments are told in
+    metres and are finer than a cell, so a coarser copy costs less than one fused cell.
 
     Args:
         grids: one or more.
         resolution: of the fused cells, metres.
     """
-    boxes = [(box, grid) for grid in grids if (box := grid.known_box()) is not None]
-    sides = [max(box.height, box.width) * grid.resolution for box, grid in boxes]
-    area = math.fsum(box.area * grid.resolution**2 for box, grid in boxes)
-    of_one = max(sides, default=0.0) / resolution / ALIGNED_CELLS
-    of_all = math.sqrt(area / resolution**2 / ALL_ALIGNED_CELLS)
-    return max(1, math.ceil(of_one), math.ceil(of_all))
+    sides = [
+        max(box.height, box.width) * grid.resolution
+        for grid in grids
+        if (box := grid.known_box()) is not None
+    ]
+    return max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
 
 
 def _cells_at(grid: OccupancyGrid, resolution: float) -> int:

@@ -60,6 +60,8 @@ class PreparedInputs:
                 self._normalized[grid.name] = self._at(grid, self._factor)
             except GridError as error:
                 self.reasons[grid.name] = str(error)
+            if self._factor > 1:
+                return_freed_memory()
         self.features = {
             name: GridFeatures(grid, device) for name, grid in self._normalized.items()
         }
