@@ -23,7 +23,6 @@ from slamfusion.fleet.worker import WorkerFacts, do_alone, facts_of_worker
 from slamfusion.version import __version__
 
 try:
-    import dask
     import distributed
 except ImportError as missing:
     _MESSAGE = f"a scheduler needs Dask ({missing}); pip install 'slamfusion[fleet]'"
@@ -38,8 +37,6 @@ Result = TypeVar("Result")
 ANSWER_S, WORKERS_S, NO_WORKERS_S = 5.0, 5.0, 60.0
 # How often a task that is waited for is looked after, seconds.
 LOOK_S = 2.0
-# Workers that may die of one task before it is to blame.
-DEATHS = 3
 
 
 class DaskCluster:
@@ -67,9 +64,7 @@ class DaskCluster:
         self.device, self._where = device, where
         self._ends = contextlib.ExitStack()
         self._futures: set[Any] = set()
-        for name in ("distributed", "tornado.application", "asyncio"):
-            # What they say of workers that come and go is told here in a sentence, or no news.
-            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._ends.enter_context(_without_log())
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
@@ -130,7 +125,7 @@ class DaskCluster:
             return future.result()
         except distributed.KilledWorker as error:
             message = (
-                f"{DEATHS + 1} workers of {self._where} died of one task, the last at "
+                f"several workers of {self._where} died of one task, the last at "
                 f"{error.last_worker.address}; out of memory, perhaps: give workers more, or start "
                 "fewer on a machine"
             )
@@ -175,10 +170,8 @@ class DaskCluster:
         return cluster
 
     def _connect(self, address: Any) -> Any:
-        settings = {"distributed.scheduler.allowed-failures": DEATHS}
         try:
-            with dask.config.set(settings):
-                client = distributed.Client(address, timeout=ANSWER_S)
+            client = distributed.Client(address, timeout=ANSWER_S)
         except (OSError, distributed.TimeoutError, ValueError) as error:
             message = (
                 f"no Dask scheduler answers at {self._where} within {ANSWER_S:g} s "
@@ -212,6 +205,20 @@ class DaskCluster:
             time.sleep(0.1)
         found = self._client.run(facts_of_worker, self.device, on_error="return")
         return check_workers(self._where, found, warn)
+
+
+@contextlib.contextmanager
+def _without_log() -> Iterator[None]:
+    """Silence what Dask logs: of workers that come and go a sentence is told here, or no news."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 class _OnCluster(Task[Result]):

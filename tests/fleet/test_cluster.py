@@ -22,7 +22,7 @@ from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.fusion.records import FusionResult
 from slamfusion.jobs.fuse import fuse_maps
 from slamfusion.version import __version__
-from tests.fleet.test_scheduler import half
+from tests.fleet.test_scheduler import end_by_force, half
 from tests.support.sites import many_maps
 
 pytest.importorskip("distributed", reason="Dask comes with the fleet extra")
@@ -122,6 +122,14 @@ def test_maps_fused_by_workers_are_the_same_bytes_also_when_one_is_killed(
     fused = fuse_maps(SITE, CONFIG, device, scheduler=cluster, progress=kill_one)
     assert victims
     assert outcome(fused.result) == wanted
+
+
+@pytest.mark.full
+def test_a_task_that_kills_its_workers_ends_the_job(cluster: Scheduler) -> None:
+    lost = cluster.submit(end_by_force, 0)
+    with pytest.raises(FleetError, match=r"several workers of local:2 died of one task, the last"):
+        lost.result()
+    assert cluster.submit(half, 4).result() == 2
 
 
 def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
