@@ -64,6 +64,8 @@ class DaskCluster:
         self.device, self._where = device, where
         self._ends = contextlib.ExitStack()
         self._futures: set[Any] = set()
+        self._known: list[str] = []
+        self._known_s = 0.0
         self._ends.enter_context(_without_log())
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -189,8 +191,13 @@ class DaskCluster:
         return client
 
     def _addresses(self) -> list[str]:
-        """Return the addresses of the workers that there are."""
-        return list(self._client.scheduler_info(n_workers=-1)["workers"])
+        """Return the addresses of the workers that there are, or were a moment ago."""
+        now_s = time.monotonic()
+        if not self._known or now_s - self._known_s > LOOK_S:
+            # Asks the scheduler, which takes milliseconds; who hands over tasks asks often.
+            self._known = list(self._client.scheduler_info(n_workers=-1)["workers"])
+            self._known_s = now_s
+        return self._known
 
     def _look_at_workers(self, warn: Callable[[str], None]) -> dict[str, WorkerFacts]:
         """Ask the workers what they are; refuse those that cannot do the same work."""
