@@ -142,6 +142,8 @@ start() {
 # A fusion that is started again goes on in its frame; the next session begins another one, unless
 # a parameter file names a state_path.
 session="$(mktemp -d)"
+# What holds for all nodes, one of them says.
+export SLAMFUSION_SESSION="$session"
 
 stop_all() {
     trap '' INT TERM HUP

@@ -29,6 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from slamfusion.errors import ConfigError
 from slamfusion.ros import qos
 from slamfusion.ros.parameters import TypedNode, unknown_parameters
+from slamfusion.ros.session import is_first_to_say
 
 __all__ = ["Diagnostics", "Level", "NodeBase", "Status", "invalid_name", "run_node"]
 
@@ -85,7 +86,15 @@ class Diagnostics:
         self._now: dict[str, tuple[Level, str, float | None]] = {}
         self._counts: dict[str, int] = {}
 
-    def add(self, key: str, level: Level, text: str, for_s: float | None = None) -> None:
+    def add(
+        self,
+        key: str,
+        level: Level,
+        text: str,
+        for_s: float | None = None,
+        *,
+        is_of_all: bool = False,
+    ) -> None:
         """Say that something is wrong.
 
         Args:
@@ -93,12 +102,15 @@ class Diagnostics:
             level: how bad.
             text: why, for people, with what to do.
             for_s: it is over after this time, seconds; default: until ``clear``.
+            is_of_all: as true of the nodes started with this one: one of them says it in the log.
         """
         until_s = None if for_s is None else time.monotonic() + for_s
         with self._lock:
             is_new = key not in self._alive()
             self._now[key] = (level, text, until_s)
             self._counts[key] = self._counts.get(key, 0) + 1
+        if is_new and is_of_all:
+            is_new = is_first_to_say(text)
         # Two calls: rclpy ties a place in the code to one level.
         if is_new and level == Level.ERROR:
             self._log.error(text)

@@ -26,7 +26,9 @@ class _Diagnosed(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Add one record, under the name of who warns."""
         if record.name in LOGGERS:
-            self._diagnostics.add(f"device {record.name}", Level.WARN, record.getMessage())
+            self._diagnostics.add(
+                f"device {record.name}", Level.WARN, record.getMessage(), is_of_all=True
+            )
 
 
 def open_node_device(wanted: str, diagnostics: Diagnostics) -> ComputeDevice:

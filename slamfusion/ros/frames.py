@@ -20,6 +20,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io.transforms import KEEP_S, Mount, TransformError, TransformTree
 from slamfusion.ros import qos
 from slamfusion.ros.messages import stamp_s
+from slamfusion.ros.session import is_first_to_say
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -54,7 +55,8 @@ def _topics(node: Any) -> tuple[tuple[Any, str, Any], tuple[Any, str, Any]]:
     """Return message type, topic and quality of moving and of static transforms."""
     if TFMessage is not None:
         return (TFMessage, TF_TOPIC, qos.TF), (TFMessage, TF_STATIC_TOPIC, qos.TF_STATIC)
-    node.get_logger().warning(WITHOUT_TF2, once=True)
+    if is_first_to_say(WITHOUT_TF2):
+        node.get_logger().warning(WITHOUT_TF2, once=True)
     static = qos.latched(100)
     return (TransformStamped, PLAIN_TOPIC, qos.TF), (TransformStamped, PLAIN_STATIC_TOPIC, static)
 

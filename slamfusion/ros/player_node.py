@@ -19,6 +19,7 @@ from slamfusion.ros.parameters import declare, declare_names
 from slamfusion.ros.player_answers import AGAIN_S, Answers
 from slamfusion.ros.player_maps import MapSaver
 from slamfusion.ros.player_output import SCAN_TOPIC, ScanSender
+from slamfusion.ros.player_progress import ProgressLines
 
 __all__ = ["PlayerNode", "make_node"]
 
@@ -84,6 +85,7 @@ class PlayerNode(NodeBase):
         self._sender = ScanSender(self, self.settings)
         timeout_s = self.settings.lockstep_timeout_s
         self._answers = Answers(self, self.wait_for, self._interrupt, timeout_s)
+        self._progress = ProgressLines(self.log.info)
         self._rounds = 0
         self._due_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
@@ -162,6 +164,7 @@ class PlayerNode(NodeBase):
                     self._run_clock(item.scan.stamp_s, wait_s)
                 before_s = self._sender.stamp_s
                 self._sender.send(item)
+                self._progress.tell(self._log.fraction_read, f"{self._sender.sent} scans")
                 if self.settings.lockstep:
                     self._wait_for_answers(item, before_s)
                 elif before_s is None and self.wait_for:

@@ -1,0 +1,28 @@
+"""What nodes that were started together say once for all of them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import suppress
+from pathlib import Path
+
+__all__ = ["SESSION_VARIABLE", "is_first_to_say"]
+
+# A folder for as long as the nodes run; ``slamfusion.sh`` makes one. Without it each speaks for
+# itself.
+SESSION_VARIABLE = "SLAMFUSION_SESSION"
+
+
+def is_first_to_say(text: str) -> bool:
+    """Return whether no node of this session has said the same; whoever asks is taken to say it."""
+    folder = os.environ.get(SESSION_VARIABLE)
+    if not folder:
+        return True
+    said = Path(folder) / f"said-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    try:
+        with suppress(FileNotFoundError, PermissionError):  # the folder is gone: say it
+            said.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
