@@ -1,11 +1,15 @@
 """The launch files: every name in them is one that the code has, and what they start fits together.
 
-``launch`` is not on the package index, so they are read: by ``launch_reader``.
+``launch`` is not on the package index, so they are read: by ``launch_reader``. Where a sourced ROS
+has ``ros2 launch``, that reads them, too.
 """
 
 from __future__ import annotations
 
 import ast
+import re
+import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -53,6 +57,17 @@ def test_a_file_compiles_and_uses_only_what_it_declares(path: Path):
     assert known
     used = [call.args[0] for call in calls(path, "LaunchConfiguration")]
     assert {ast.literal_eval(item) for item in used if isinstance(item, ast.Constant)} <= known
+
+
+@pytest.mark.skipif(
+    shutil.which("ros2") is None, reason="no ros2 launch: source a ROS; a stand-in reads the files"
+)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_ros2_launch_reads_the_same_arguments(path: Path):
+    command = ["ros2", "launch", str(path), "--show-args"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert done.returncode == 0, done.stderr
+    assert set(re.findall(r"^ *'(\w+)':", done.stdout, re.MULTILINE)) == declared(path)
 
 
 @pytest.mark.parametrize("path", SINGLE, ids=lambda path: path.name)
