@@ -73,7 +73,7 @@ def test_tasks_are_done_by_workers_and_errors_come_back(cluster: Scheduler) -> N
 
 
 def test_another_client_finds_the_scheduler_by_its_address(cluster: Scheduler) -> None:
-    address = cluster._client.scheduler.address  # type: ignore[attr-defined]
+    address = cluster._client.scheduler.address
     with open_scheduler(address) as other:
         assert other.slots == 2
         assert other.submit(half, 8).result() == 4

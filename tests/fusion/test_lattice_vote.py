@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,23 +15,32 @@ from slamfusion.errors import GridError
 from slamfusion.fusion import FusionResult, lattice_vote
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.lattice_vote import vote_on_lattice
-from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import random_cells
 
 SIZE = 0.1
+Places = list[tuple[OccupancyGrid, Pose2]]
 
 
 def aligned(name: str, transform: Pose2) -> Alignment:
     return Alignment("map 0", name, transform, True, "", 1.0, 1.0, 0.0, None, None, 0.0)
 
 
-def voted(
-    places: list[tuple[OccupancyGrid, Pose2]], device: ComputeDevice, **vote: Any
-) -> FusionResult:
-    """Return the vote of maps that lie at given places in the first one's frame."""
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Maps that lie at given places in the first one's frame, and how they vote."""
+
+    grids: list[OccupancyGrid]
+    members: Members
+    normalized: dict[str, NormalizedGrid]
+    config: FusionConfig
+
+
+def placed(places: Places, device: ComputeDevice, **vote: Any) -> Placed:
+    """Prepare maps for a vote."""
     grids = [grid.with_name(f"map {n}") for n, (grid, _) in enumerate(places)]
     normalized = {
         grid.name: normalize_grid(grid, SIZE, NormalizeConfig(), device) for grid in grids
@@ -41,10 +50,18 @@ def voted(
     }
     config = FusionConfig(vote=replace(VoteConfig(extent="union"), **vote))
     members = Members("map 0", alignments)
-    return vote_on_lattice(grids, members, normalized.__getitem__, {}, config, device)
+    return Placed(grids, members, normalized, config)
 
 
-def scattered(count: int) -> list[tuple[OccupancyGrid, Pose2]]:
+def voted(places: Places, device: ComputeDevice, **vote: Any) -> FusionResult:
+    """Return the vote of maps that lie at given places in the first one's frame."""
+    ready = placed(places, device, **vote)
+    return vote_on_lattice(
+        ready.grids, ready.members, ready.normalized.__getitem__, {}, ready.config, device
+    )
+
+
+def scattered(count: int) -> Places:
     """Return small maps at overlapping places, turned by any angle."""
     rng = np.random.default_rng(count)
     return [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,31 +14,20 @@ from slamfusion.errors import ConfigError
 from slamfusion.fleet import InProcess
 from slamfusion.fusion import stored_vote
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice_vote import vote_on_lattice
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.stored_vote import PackedCells, prepare_stored_vote
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from tests.fusion.test_lattice_vote import SIZE, aligned, scattered
-
-Places = list[tuple[OccupancyGrid, Pose2]]
+from tests.fusion.test_lattice_vote import SIZE, Places, aligned, placed, scattered, voted
 
 
 def both_votes(
     places: Places, device: ComputeDevice, **vote: Any
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return fused cells, agreement, phantom cells and origin of a vote in memory and in tiles."""
-    grids = [grid.with_name(f"map {n}") for n, (grid, _) in enumerate(places)]
-    normalized = {
-        grid.name: normalize_grid(grid, SIZE, NormalizeConfig(), device) for grid in grids
-    }
-    alignments = {
-        grid.name: aligned(grid.name, pose) for grid, (_, pose) in zip(grids, places, strict=True)
-    }
-    config = FusionConfig(vote=replace(VoteConfig(extent="union"), **vote))
-    members = Members("map 0", alignments)
-    whole = vote_on_lattice(grids, members, normalized.__getitem__, {}, config, device)
-    ready = prepare_stored_vote(members, normalized.__getitem__, config)
+    whole = voted(places, device, **vote)
+    inputs = placed(places, device, **vote)
+    ready = prepare_stored_vote(inputs.members, inputs.normalized.__getitem__, inputs.config)
     fused, agreement = np.full(ready.shape, -1, np.int8), np.full(ready.shape, -1, np.int8)
     phantom_cells = 0
     for tile, decided in ready.decide(InProcess("auto")):

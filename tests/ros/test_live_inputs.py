@@ -217,7 +217,7 @@ def fusion_inputs(observer: Observer, *entries: str) -> tuple[NodeBase, FusionIn
     inputs = FusionInputs(
         base, ("fused/map",), is_open=not entries, on_change=lambda removed: removed.sort()
     )
-    inputs.begin(lambda *_: None, Listener)  # type: ignore[arg-type]
+    inputs.begin(lambda *_: None, Listener)
     return base, inputs
 
 
@@ -242,7 +242,7 @@ def test_one_that_is_put_in_the_place_of_another_comes_after_it(observer: Observ
     (answer,) = base.node.set_parameters([Parameter("inputs", value=["a=y/map", "b/map"])])
     assert answer.successful
     assert inputs.sources["a"].topic == "y/map"
-    assert before.is_closed  # type: ignore[attr-defined]
+    assert before.is_closed
     assert inputs.is_waiting
     assert inputs.take().removed == ["a"]
     assert not inputs.is_waiting

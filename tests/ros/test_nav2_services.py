@@ -62,7 +62,7 @@ def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.Monke
     for name in ("Nav2SaveMap", "Nav2LoadMap"):  # their types only name the service
         monkeypatch.setattr(f"slamfusion.ros.fusion_services.{name}", object)
     node = Node(tmp_path)
-    FusionServices(node, node)  # type: ignore[arg-type]
+    FusionServices(node, node)
 
     def save(**fields: Any) -> bool:
         return bool(node.answers["~/save_map"](asked(**fields), SimpleNamespace()).result)
