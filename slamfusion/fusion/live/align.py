@@ -281,10 +281,13 @@ class Aligner:
         centre, turn, _ = track.apart(a, b)
         return centre > self.live.jump_m or turn > self.live.jump_rad
 
+    def is_worth_a_move(self, track: Track, a: Pose2, b: Pose2) -> bool:
+        """Whether two transforms carry an input's map far enough apart to go by the other."""
+        return track.apart(a, b)[2] >= self.live.hold_cells * self.fixed().resolution
+
     def believe(self, track: Track, moved: Pose2, pair: Alignment, *, is_tracked: bool) -> None:
         """Let an input vote, at its old transform where the new one is nearly the same."""
-        hold_m = self.live.hold_cells * self.fixed().resolution
-        if track.transform is None or track.apart(track.transform, moved)[2] >= hold_m:
+        if track.transform is None or self.is_worth_a_move(track, track.transform, moved):
             track.transform = moved
             track.relay = True
         track.score, track.overlap = pair.score, pair.overlap

@@ -30,6 +30,8 @@ The rules, for a robot that drives by the fused map:
 * **Reference.** It is the input that others are aligned to. It hands over when it is lost or
   removed, when its walls moved, or when two others agree with each other and not with it; never
   because another looks better.
+* **Growth.** Inputs that come back by the last fused map are young; while it knows more than they
+  do the reference is laid onto it again as it grows, so that the frame stays (``live.anchor``).
 * **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
   One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
   decides, or else the last map that was agreed on: the one that still fits it goes on. Where both

@@ -26,10 +26,12 @@ class Recovered:
 
     Attributes:
         reference: the input that others are aligned to from now on; None without.
+        held: the last fused map, which it fits; None without.
         problem: why nobody votes, one line; None: as before.
     """
 
     reference: Track | None = None
+    held: Held | None = None
     problem: str | None = None
 
 
@@ -73,7 +75,7 @@ def recover(
         if group and track not in group:
             track.refuse(f"does not fit {LAST_FUSED}")
     if group:
-        return Recovered(max(group, key=lambda track: track.walls))
+        return Recovered(max(group, key=lambda track: track.walls), last)
     return _search(last, tracks, names, aligner)
 
 
@@ -122,6 +124,8 @@ def _search(last: Held, tracks: Sequence[Track], names: str, aligner: Aligner) -
         is_done = not aligner.confirm(chosen, [last]) if jumped else aligner.search(chosen, last)
         if is_done and not chosen.votes:
             chosen.tried = (chosen.version, names, IN_VAIN)
+        if chosen.votes:
+            return Recovered(held=last)
     return Recovered(problem=f"no input fits {LAST_FUSED}")
 
 

@@ -9,6 +9,7 @@ from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.cancel import CancelledSearchError
 from slamfusion.fusion.live.align import Aligner
+from slamfusion.fusion.live.anchor import Anchor
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
 from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.recovery import recover
@@ -47,6 +48,7 @@ class InputSupervisor:
         self._aligner = Aligner(config, live, device, starts)
         self._config = self._aligner.config
         self._live = live
+        self._anchor = Anchor()
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
         self._now_s = 0.0
         self._fused: Callable[[], OccupancyGrid | None] = lambda: None
@@ -108,6 +110,7 @@ class InputSupervisor:
         if self.lattice is None:
             self._begin()
         elif self._choose_reference():
+            self._anchor.settle(self.tracks[self.reference], self.tracks.values(), self._aligner)
             self._realign(is_idle=is_idle)
         else:
             self._recover()
@@ -263,8 +266,9 @@ class InputSupervisor:
         """Go by the last fused map: no input is left to align to."""
         live = [track for track in self.tracks.values() if track.is_live]
         found = recover(live, self._aligner, self._fused)
-        if found.problem is not None:
-            self.problem = found.problem
+        self.problem = self.problem if found.problem is None else found.problem
+        if found.held is not None:
+            self._anchor.keep(found.held)
         if found.reference is not None:
             self._hand_over(found.reference)
 

@@ -1,0 +1,70 @@
+"""Hold the fused frame by the last fused map until the maps that came back have outgrown it.
+
+Inputs that come back by the last fused map are often young, and a young map straightens while it
+grows: what it draws far from where it began is then off by more and more. So the reference is laid
+onto that fused map again as it grows, and all that stand with it are carried along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from slamfusion.fusion.live.align import Aligner, Held
+from slamfusion.fusion.live.track import Track
+
+__all__ = ["Anchor"]
+
+# The reference is laid onto the last fused map again when it has this many times the walls.
+GROWTH = 1.2
+# Share of that map's wall cells from which a map that came back says as much as it does.
+GROWN = 0.75
+
+
+class Anchor:
+    """The last fused map from before inputs came back, for as long as it knows more than they do.
+
+    Attributes:
+        held: that map; None where there is none, or it is outgrown.
+    """
+
+    def __init__(self) -> None:
+        """Start without one."""
+        self.held: Held | None = None
+        self._laid: tuple[str, int] = ("", 0)
+
+    @property
+    def walls(self) -> int:
+        """Wall cells of the map."""
+        return 0 if self.held is None else len(self.held.features.wall_points)
+
+    def keep(self, held: Held) -> None:
+        """Take the last fused map that inputs came back by, unless a fuller one is held."""
+        if len(held.features.wall_points) > self.walls:
+            self.held, self._laid = held, ("", 0)
+
+    def settle(self, reference: Track, tracks: Iterable[Track], aligner: Aligner) -> None:
+        """Lay the reference onto the map again if it has grown, and carry along who stands with it.
+
+        One that fits there no more is left where it is: the place may have changed.
+
+        Args:
+            reference: the input that others are aligned to.
+            tracks: all inputs.
+            aligner: tracks the reference, and knows which motions are worth a move.
+        """
+        name, walls = self._laid
+        if self.held is None or (reference.name == name and reference.walls < GROWTH * walls):
+            return
+        self._laid = (reference.name, reference.walls)
+        last, told = reference.transform, (reference.score, reference.overlap)
+        fit = aligner.fit(reference, self.held)
+        reference.mismatch, (reference.score, reference.overlap) = "", told
+        moved = None if fit is None else fit[1]
+        if moved and last and aligner.is_worth_a_move(reference, last, moved):
+            correction = moved.compose(last.inverse())
+            for track in tracks:
+                if track.stands and track.transform is not None:
+                    track.transform = correction.compose(track.transform)
+                    track.relay = True
+        if reference.walls >= GROWN * self.walls:
+            self.held = None

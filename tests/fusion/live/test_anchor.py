@@ -1,0 +1,99 @@
+"""The fused frame stays where the last fused map has it, though what comes back is young."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.geometry import Pose2
+from slamfusion.grid import UNKNOWN, OccupancyGrid
+from tests.fusion.drawings import off_by
+from tests.fusion.live.maps import Drive, littered, moved_frame, share_standing, started, three
+
+pytestmark = pytest.mark.once
+
+# As a young map straightens while it grows: few walls near its middle move by a cell.
+TURN_RAD = 0.03
+
+
+def young(grid: OccupancyGrid, half_m: float) -> OccupancyGrid:
+    """Return what a map holds within a square around its middle, as when a drive begins."""
+    rows, cols = np.indices(grid.cells.shape)
+    row, col = np.argwhere(grid.cells >= 0).mean(axis=0)
+    half = half_m / grid.resolution
+    near = (abs(rows - row) <= half) & (abs(cols - col) <= half)
+    return replace(grid, cells=np.where(near, grid.cells, UNKNOWN).astype(np.int8))
+
+
+def turn(grid: OccupancyGrid) -> Pose2:
+    """Return a small turn about a map's middle."""
+    row, col = np.argwhere(grid.cells >= 0).mean(axis=0)
+    about = Pose2(*grid.cell_centres(np.array([row]), np.array([col]))[0], 0.0)
+    return about.compose(Pose2(0.0, 0.0, TURN_RAD)).compose(about.inverse())
+
+
+def begun_anew(device: ComputeDevice, names: str) -> Drive:
+    """Return a drive on which all were lost, and some have begun new maps."""
+    drive = started(device)
+    for name in "abc":
+        drive.live.drop(name, "its producer is gone")
+    drive.step()
+    drive.step(*(young(three()[name], 1.5) for name in names))
+    assert drive.accepted() in names, [drive.input(name).reason for name in names]
+    return drive
+
+
+def grow(drive: Drive, names: str, *halves_m: float) -> None:
+    """Let the maps grow, turned a little."""
+    for half_m in halves_m:
+        for name in names:
+            grid = three()[name]
+            drive.maybe(young(moved_frame(grid, turn(grid)), half_m))
+
+
+@pytest.mark.parametrize("names", ["b", "abc"])
+def test_maps_that_begin_anew_grow_into_the_frame_of_before(
+    device: ComputeDevice, names: str
+) -> None:
+    drive = begun_anew(device, names)
+    old = {name: drive.input(name).transform for name in names}
+    grow(drive, names, 2.5, 4.0, 9.0)
+    assert drive.accepted() == names
+    for name, grid in three().items():
+        if name in names:
+            before, after = old[name], drive.input(name).transform
+            assert before is not None
+            assert after is not None
+            right = before.compose(turn(grid).inverse())
+            shift, degrees = off_by(moved_frame(grid, turn(grid)), after, right)
+            assert shift < 1.0, name
+            assert degrees < 0.3, name
+            assert drive.input(name).score > 0.5
+    assert drive.live._supervisor._anchor.held is None, "outgrown"
+
+
+def test_of_two_such_maps_the_one_that_knows_more_is_kept(device: ComputeDevice) -> None:
+    drive = begun_anew(device, "b")
+    held = drive.live._supervisor._anchor.held
+    assert held is not None
+    drive.live.drop("b", "its producer is gone")
+    drive.step()
+    drive.step(young(three()["c"], 1.5))
+    assert drive.accepted() == "c"
+    assert drive.live._supervisor._anchor.held is held
+
+
+def test_a_place_that_changed_leaves_the_frame_where_it_is(device: ComputeDevice) -> None:
+    drive = begun_anew(device, "b")
+    before, fused = drive.input("b").transform, drive.fused
+    assert fused is not None
+    changed = three()["b"]
+    for _ in range(2):
+        drive.step(littered(young(changed, 4.0), 1, 0.9))
+    assert drive.input("b").transform == before
+    assert drive.accepted() == "b"
+    assert drive.fused is not None
+    assert share_standing(fused, drive.fused) > 0.95
