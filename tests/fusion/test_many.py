@@ -91,6 +91,7 @@ def test_groups_of_many_maps_lie_in_their_places(
     assert all(pair.decision == "accepted" for pair in over)
 
 
+@pytest.mark.once
 def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
     site: ManyMaps,
     features: dict[str, GridFeatures],
@@ -119,6 +120,7 @@ def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
     assert max(errors.values()) < RIGHT_M
 
 
+@pytest.mark.once
 def test_starts_say_which_pairs_are_searched(
     site: ManyMaps, features: dict[str, GridFeatures], device: ComputeDevice
 ) -> None:

@@ -213,6 +213,7 @@ def test_a_file_size_limit_leaves_the_old_map(tmp_path: Path) -> None:
     assert tree(tmp_path) == before
 
 
+@pytest.mark.once
 def test_a_reader_never_meets_half_a_file(tmp_path: Path) -> None:
     """Another process replaces a file over and over; every read sees one whole version."""
     path = tmp_path / "busy"

@@ -349,6 +349,7 @@ def test_a_log_of_one_scan_is_a_log(tmp_path: Path) -> None:
     assert len(list(log_of(tmp_path, flaser(1)))) == 1
 
 
+@pytest.mark.once
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     def peak(scans: int) -> int:
         path = write_lines(

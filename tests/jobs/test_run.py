@@ -137,6 +137,7 @@ def test_a_start_that_names_no_input_ends_the_run_before_any_work(place: Path) -
             run_log(place / "flat.log", replace(RUN_DEFAULTS, start=start), saved_maps=saved)
 
 
+@pytest.mark.once
 def test_a_saved_map_is_searched_around_its_start_in_the_frame_of_the_drive(
     place: Path, tmp_path: Path
 ) -> None:

@@ -29,7 +29,12 @@ def other_devices() -> list[str]:
 
 @pytest.fixture(
     scope="session",
-    params=[POCL, SINGLE_THREAD, pytest.param(SIMULATOR, marks=pytest.mark.once), *other_devices()],
+    params=[
+        POCL,
+        pytest.param(SINGLE_THREAD, marks=pytest.mark.once),
+        pytest.param(SIMULATOR, marks=pytest.mark.once),
+        *other_devices(),
+    ],
 )
 def device(request: pytest.FixtureRequest) -> ComputeDevice:
     """The device of each device in turn."""

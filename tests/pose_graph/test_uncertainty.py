@@ -134,6 +134,7 @@ def test_gate_is_by_how_much_chi2_rises_with_the_edge() -> None:
     assert len(gates(uncertainty, graph.poses, candidates.chosen(np.zeros(3, bool))).errors) == 0
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("deviation_m", [1.0, 5.0, 500.0])
 def test_chance_is_how_many_motions_between_places_agree_as_well(deviation_m: float) -> None:
     """Asked of motions between places drawn anew, each turned any way."""

@@ -167,6 +167,7 @@ def test_the_recording_says_where_the_people_were() -> None:
     assert np.mean(found < 0.4) > 0.99
 
 
+@pytest.mark.once
 def test_a_track_that_slips_turns_the_robot_unseen_by_its_odometry() -> None:
     recording = recorded("yard-tracks")
     drive = recording.course.drive
