@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamfusion.config import RunConfig, to_mapping
-from slamfusion.io.json_values import plain
+from slamfusion.json_values import plain
 
 if TYPE_CHECKING:
     from slamfusion.jobs.records import CircumstancesJson, SettingsJson

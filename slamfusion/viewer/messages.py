@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.io.json_values import plain
+from slamfusion.json_values import plain
 
 __all__ = ["FASTEST", "TILE", "decode_tile", "encode_tile", "to_text"]
 
