@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from slamfusion.cli.output import (
     print_table,
     progress_bar,
 )
+from slamfusion.cli.run_checks import check_run
 from slamfusion.cli.run_many import run_many
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.cli.table_files import table_option
@@ -39,16 +39,13 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
-from slamfusion.jobs.inputs import check_writable, real_path
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
-    FAILED,
     FUSED,
     FUSED_PATH,
     PAGE,
     REPORT,
-    possible_outputs,
 )
 
 if TYPE_CHECKING:
@@ -84,36 +81,18 @@ class _Request:
 
     def check(self) -> None:
         """Refuse what cannot end well before any work."""
-        if importlib.util.find_spec("matplotlib") is None:
-            import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
         if self.odometry is not None and self.relations is None:
             message = "--odometry carries poses to the times of relations; give --relations FILE"
             raise click.UsageError(message)
-        if self.out.exists() and not self.out.is_dir():
-            message = f"-o {self.out} is not a folder; name one for the maps and the report"
-            raise click.UsageError(message)
-        given = (
+        read = (
             self.log,
-            *self.maps,
             *(file.path for file in self.paths),
-            self.truth,
             self.truth_trajectory,
             self.relations,
             self.odometry,
             self.scan_odometry,
         )
-        # Also the image of a map that is named by its YAML file.
-        inputs = {real_path(path) for path in given if path is not None}
-        inputs |= {real_path(path).with_suffix(".pgm") for path in (*self.maps, self.truth) if path}
-        for path in self.possible_outputs():
-            if real_path(path) in inputs:
-                message = f"-o {self.out} would replace the input {path}; choose another folder"
-                raise click.UsageError(message)
-        check_writable(self.out)
-
-    def possible_outputs(self) -> list[Path]:
-        """Return every file that a run into this folder may write or remove, but for reports."""
-        return [*possible_outputs(self.out), *possible_outputs(self.out / FAILED)]
+        check_run(self.out, [self.out], read, [*self.maps, self.truth])
 
 
 class _ManyInputs(click.Command):
@@ -234,7 +213,7 @@ def command(
 def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) -> int:
     """Run, write, print."""
     from slamfusion.jobs.run import run_log  # noqa: PLC0415
-    from slamfusion.jobs.run_files import save_run  # noqa: PLC0415
+    from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
     with progress_bar() as progress:
         run = run_log(
@@ -250,7 +229,7 @@ def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) ->
             scan_odometry=request.scan_odometry,
             progress=progress,
             warn=notice,
-            prepare=_load_report,
+            prepare=load_report,
         )
     saved = save_run(run, request.out, probabilities=request.probabilities)
     _tell(run, debug=debug)
@@ -266,11 +245,6 @@ def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) ->
         message = f"{reason} (what was made lies in {saved.folder}{earlier})"
         raise SlamFusionError(message)
     return 0
-
-
-def _load_report() -> None:
-    """Load what draws the report; where its extra is damaged that ends the run at once."""
-    import slamfusion.report.run_report  # noqa: F401, PLC0415
 
 
 def _tell(run: LogRun, *, debug: bool) -> None:

@@ -10,9 +10,9 @@ import click
 
 from slamfusion.cli.fleet import asked_scheduler
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.run_checks import check_run
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.inputs import check_writable
 from slamfusion.jobs.outputs import FUSED, PAGE, REPORT
 
 if TYPE_CHECKING:
@@ -36,10 +36,11 @@ def run_many(
     """Run the main job on each log, and say what came of each."""
     from slamfusion.jobs.run_many import log_tasks, run_logs, runs_document  # noqa: PLC0415
 
-    _check(out, config, asked)
+    _refuse_files_of_one_log(config, asked)
     tasks = log_tasks(
         logs, out, asked["maps"], asked["resolution"], probabilities=asked["probabilities"]
     )
+    check_run(out, [task.folder for task in tasks], logs, asked["maps"])
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         runs = run_logs(tasks, config, fleet, progress)
     for run in runs:
@@ -57,8 +58,8 @@ def run_many(
     return 0
 
 
-def _check(out: Path, config: RunConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse what cannot end well before any work."""
+def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:
+    """Refuse what says something of one log alone."""
     for name in OF_ONE_LOG:
         if asked[name]:
             option = "--" + name.replace("_", "-")
@@ -67,10 +68,6 @@ def _check(out: Path, config: RunConfig, asked: Mapping[str, Any]) -> None:
     if config.start:
         message = "--start belongs to one log; run each log that needs it alone"
         raise click.UsageError(message)
-    if out.exists() and not out.is_dir():
-        message = f"-o {out} is not a folder; name one for the folders of the logs"
-        raise click.UsageError(message)
-    check_writable(out)
 
 
 def _print(runs: Sequence[RunOfLog]) -> None:

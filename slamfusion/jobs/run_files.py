@@ -42,7 +42,7 @@ from slamfusion.slam.side_by_side import Outcome
 if TYPE_CHECKING:
     from slamfusion.report.run_report import RunReport
 
-__all__ = ["SavedRun", "run_document", "save_run"]
+__all__ = ["SavedRun", "load_report", "run_document", "save_run"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +62,15 @@ class SavedRun:
     files: Mapping[str, Sequence[Path]]
     stages: Mapping[str, float]
     document: RunDocument
+
+
+def load_report() -> None:
+    """Load what draws the report: where its extra is missing or damaged, that is said at once.
+
+    Raises:
+        SlamFusionError: matplotlib is missing or damaged.
+    """
+    import slamfusion.report.run_report  # noqa: F401, PLC0415
 
 
 def save_run(run: LogRun, folder: str | Path, *, probabilities: bool = False) -> SavedRun:

@@ -144,7 +144,7 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
     """Run the main job on a log; return what came of it, and the machine that did it."""
     # Where the task is done, not where it is handed over: the SLAMs load slowly.
     from slamfusion.jobs.run import run_log  # noqa: PLC0415
-    from slamfusion.jobs.run_files import save_run  # noqa: PLC0415
+    from slamfusion.jobs.run_files import load_report, save_run  # noqa: PLC0415
 
     warnings: list[str] = []
     try:
@@ -154,6 +154,7 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
             saved_maps=task.saved_maps,
             resolution=task.resolution,
             warn=warnings.append,
+            prepare=load_report,
         )
         saved = save_run(run, task.folder, probabilities=task.probabilities)
     except FleetError:
