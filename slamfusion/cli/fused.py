@@ -39,10 +39,10 @@ def print_alignments(result: Fusion) -> None:
 
 def tell_left_out(result: Fusion) -> None:
     """Name on stderr the inputs that have no vote."""
-    for record in result.rejected:
-        notice(f"rejected: {record.name}: {record.reason}")
-    for record in result.copies:
-        notice(f"{record.name}: {record.reason}; --keep-duplicates counts each")
+    from slamfusion.jobs.fuse_documents import left_out_sentences  # noqa: PLC0415  (loads slowly)
+
+    for sentence in left_out_sentences(result):
+        notice(sentence)
 
 
 def print_pairs(pairs: Sequence[Alignment], device: str) -> None:

@@ -11,7 +11,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fleet import scheduler_option
-from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
+from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.judge import print_verdict
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
@@ -249,31 +249,11 @@ def _run(request: _Request, config: RunConfig, *, as_json: bool, debug: bool) ->
 
 def _tell(run: LogRun, *, debug: bool) -> None:
     """Name on stderr what was left out, and what is doubtful."""
-    for outcome in run.failed:
-        notice(f"no map: {outcome.name}: {outcome.reason}")
-        if debug and outcome.detail:
-            print(outcome.detail, file=sys.stderr)
-    if run.fusion.result is not None:
-        tell_left_out(run.fusion.result)
-    for sentence in run.layers.sentences():
+    for sentence in run.sentences():
         notice(sentence)
-    _tell_warnings(run)
-    if run.no_verdict is not None:
-        notice(f"no verdict on the paths: {run.no_verdict}")
-    if run.why_voted is not None:
-        notice(f"the fused map is not drawn, the maps vote ({run.fused_mode}): {run.why_voted}")
-    if run.fused_path is not None and run.fused_path.refined is None:
-        notice(f"all paths count alike in the fused path: {run.no_verdict}")
-
-
-def _tell_warnings(run: LogRun) -> None:
-    """Say what speaks against the maps, each sentence once."""
-    said: dict[str, list[str]] = {}
-    for name, result in run.results.items():
-        for sentence in result.run.warnings():
-            said.setdefault(sentence, []).append(name)
-    for sentence, names in said.items():
-        notice(f"{', '.join(names)}: {sentence}")
+    for outcome in run.failed:
+        if debug and outcome.detail:
+            print(f"{outcome.name}: {outcome.detail}", file=sys.stderr)
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:

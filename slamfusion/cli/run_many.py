@@ -50,12 +50,25 @@ def run_many(
         print_json(runs_document(runs, config))
     else:
         _print(runs)
+    if reason := _failure(runs):
+        raise SlamFusionError(reason)
+    return 0
+
+
+def _failure(runs: Sequence[RunOfLog]) -> str:
+    """Return of which logs there is no fused map, or not every measure; empty: of none."""
     failed = [run for run in runs if run.error is not None]
+    unmeasured = [run for run in runs if run.error is None and run.not_measured]
+    reasons = []
     if failed:
         words = "; ".join(f"{run.log.name}: {run.error}" for run in failed)
-        message = f"{len(failed)} of {len(runs)} logs have no fused map ({words})"
-        raise SlamFusionError(message)
-    return 0
+        reasons.append(f"{len(failed)} of {len(runs)} logs have no fused map ({words})")
+    if unmeasured:
+        words = "; ".join(f"{run.log.name}: {', '.join(run.not_measured)}" for run in unmeasured)
+        reasons.append(
+            f"of {len(unmeasured)} of {len(runs)} logs not all could be measured ({words})"
+        )
+    return "; ".join(reasons)
 
 
 def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> None:

@@ -40,6 +40,7 @@ __all__ = [
     "fusion_document",
     "fusion_sentences",
     "group_document",
+    "left_out_sentences",
 ]
 
 NO_ALIGNMENT: NoAlignmentJson = {
@@ -190,6 +191,14 @@ def fusion_sentences(
         f"{share}{result.time_s:.2f} s"
     )
     return text, added
+
+
+def left_out_sentences(result: Fusion) -> list[str]:
+    """Say of each input that has no vote why not."""
+    rejected = [f"rejected: {record.name}: {record.reason}" for record in result.rejected]
+    return rejected + [
+        f"{record.name}: {record.reason}; --keep-duplicates counts each" for record in result.copies
+    ]
 
 
 def further_groups(result: FusionResult | StoredFusion) -> str:

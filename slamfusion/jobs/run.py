@@ -21,7 +21,7 @@ from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.drawn import DrawnRun, draw_run, is_drawn, voting_config
 from slamfusion.jobs.evaluate import Evaluation
-from slamfusion.jobs.fuse_documents import DoubledWalls
+from slamfusion.jobs.fuse_documents import DoubledWalls, left_out_sentences
 from slamfusion.jobs.fuse_drive import DriveFusion
 from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.inputs import (
@@ -137,6 +137,26 @@ class LogRun:
     def grid(self) -> OccupancyGrid | None:
         """The fused map: cells in {-1, 0, 100}; None where there is none that may be used."""
         return None if self.usable is None else self.usable.fused
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return what was left out and what is doubtful; ``not_measured`` and ``failure`` apart."""
+        found = [f"no map: {outcome.name}: {outcome.reason}" for outcome in self.failed]
+        if self.fusion.result is not None:
+            found += left_out_sentences(self.fusion.result)
+        found += self.layers.sentences()
+        by_sentence: dict[str, list[str]] = {}
+        for name, result in self.results.items():
+            for sentence in result.run.warnings():
+                by_sentence.setdefault(sentence, []).append(name)
+        found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
+        if self.no_verdict is not None:
+            found.append(f"no verdict on the paths: {self.no_verdict}")
+        if self.why_voted is not None:
+            why = f"the maps vote ({self.fused_mode}): {self.why_voted}"
+            found.append(f"the fused map is not drawn, {why}")
+        if self.fused_path is not None and self.fused_path.refined is None:
+            found.append(f"all paths count alike in the fused path: {self.no_verdict}")
+        return tuple(found)
 
 
 def run_log(

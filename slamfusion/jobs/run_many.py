@@ -6,6 +6,7 @@ import socket
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import FleetError, SlamFusionError
@@ -14,6 +15,10 @@ from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import Progress, distinct_names
 from slamfusion.jobs.outputs import FUSED, REPORT, RUN_RECORD
 from slamfusion.jobs.run_records import RunOfLogJson, RunsDocument
+
+if TYPE_CHECKING:
+    from slamfusion.jobs.run import LogRun
+    from slamfusion.jobs.run_files import SavedRun
 
 __all__ = ["LogTask", "RunOfLog", "log_tasks", "run_logs", "runs_document"]
 
@@ -50,6 +55,7 @@ class RunOfLog:
         error: why there is no fused map; None where there is one.
         warnings: what is doubtful, a sentence each.
         time_s: wall time.
+        not_measured: what could not be measured, a sentence each.
     """
 
     log: Path
@@ -59,6 +65,28 @@ class RunOfLog:
     error: str | None
     warnings: tuple[str, ...]
     time_s: float | None
+    not_measured: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, log: Path, run: LogRun, saved: SavedRun, warnings: Sequence[str]) -> RunOfLog:
+        """Return what is told of a run.
+
+        Args:
+            log: the log.
+            run: what was made.
+            saved: where its files lie.
+            warnings: what was told of its inputs.
+        """
+        return cls(
+            log,
+            saved.folder,
+            0 if run.usable is None else len(run.usable.accepted),
+            None if run.verdict is None else run.verdict.best,
+            None if run.failure is None else str(run.failure),
+            (*warnings, *run.sentences()),
+            saved.document["time_s"],
+            run.not_measured,
+        )
 
     def to_json(self) -> RunOfLogJson:
         """Return what a JSON document says of it."""
@@ -73,6 +101,7 @@ class RunOfLog:
             "best": self.best,
             "error": self.error,
             "warnings": self.warnings,
+            "not_measured": self.not_measured,
             "time_s": self.time_s,
         }
 
@@ -161,18 +190,9 @@ def run_one(task: LogTask, config: RunConfig) -> tuple[RunOfLog, str]:
         raise
     except (SlamFusionError, OSError) as error:
         words = " ".join(str(error).split())
-        return RunOfLog(task.log, None, 0, None, words, (), None), socket.gethostname()
-    warnings += [f"no map: {item.name}: {item.reason}" for item in run.failed]
-    found = RunOfLog(
-        task.log,
-        saved.folder,
-        0 if run.usable is None else len(run.usable.accepted),
-        None if run.verdict is None else run.verdict.to_json()["best"],
-        None if run.failure is None else str(run.failure),
-        tuple(warnings),
-        saved.document["time_s"],
-    )
-    return found, socket.gethostname()
+        failed = RunOfLog(task.log, None, 0, None, words, tuple(warnings), None)
+        return failed, socket.gethostname()
+    return RunOfLog.of(task.log, run, saved, warnings), socket.gethostname()
 
 
 def runs_document(runs: Sequence[RunOfLog], config: RunConfig) -> RunsDocument:

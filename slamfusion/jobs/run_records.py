@@ -261,13 +261,15 @@ class RunOfLogJson(TypedDict):
     error: str | None
     """Why nothing was fused; null where it was."""
     warnings: Sequence[str]
-    """What is doubtful, a sentence each."""
+    """What was left out and what is doubtful, a sentence each."""
+    not_measured: Sequence[str]
+    """What could not be measured, a sentence each."""
     time_s: float | None
     """Wall time, seconds; null where the log could not be run."""
 
 
 class RunsDocument(SettingsJson):
-    """``slamfusion run`` of several logs; exit code 1 where one of them has an ``error``."""
+    """``slamfusion run`` of several logs; exit code 1 for an ``error`` or ``not_measured``."""
 
     runs: Sequence[RunOfLogJson]
     """The logs, in the order given."""

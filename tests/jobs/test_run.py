@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from slamfusion.compute import NumpyDevice
 from slamfusion.errors import ConfigError, SlamFusionError, StartError
 from slamfusion.evaluation.cells import wall_centres
-from slamfusion.evidence import FusedPath, judged_scans, score_paths
+from slamfusion.evidence import FusedPath, UndecidedSpan, judged_scans, score_paths
 from slamfusion.evidence.drawn_map import drawn_scans
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.geometry import Pose2
@@ -29,8 +29,10 @@ from slamfusion.jobs.fused_path import DrivePath
 from slamfusion.jobs.map_log import LogFiles
 from slamfusion.jobs.run import LogRun, run_log
 from slamfusion.jobs.run_files import SavedRun, save_run
+from slamfusion.jobs.run_many import RunOfLog
 from slamfusion.jobs.run_stages import score_drive_paths
 from slamfusion.jobs.saved_maps import SavedMaps
+from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import tree
 from tests.evidence.rooms import circuit, recorded
@@ -86,6 +88,47 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert failed.document["drawn_map"] is None
     after = tree(tmp_path / "out")
     assert {name: after[name] for name in before} == before
+    assert_all_that_is_doubtful_is_told(run, saved)
+
+
+def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
+    """Of several logs as of one: what the job says of this run, had it gone less well."""
+    assert run.usable is not None
+    first, second = run.usable.inputs
+    left_out = [
+        replace(first, accepted=False, reason="it fits nothing"),
+        replace(second, copy_of=first.name, reason="a copy"),
+    ]
+    fusion = replace(run.fusion, result=replace(run.usable, inputs=left_out))
+    results = {
+        name: replace(result, run=replace(result.run, stopped_by="deadline"))
+        for name, result in run.results.items()
+    }
+    less = replace(
+        run,
+        outcomes=(*run.outcomes, Outcome("gmapping", None, "it was killed", "")),
+        fusion=fusion,
+        layers=replace(run.layers, undecided=(UndecidedSpan(1.0, 2.0),)),
+        results=results,
+        no_verdict="no scan saw a wall twice",
+        why_voted="there is no path",
+        not_measured=("the fused path: no pose in time",),
+    )
+    found = RunOfLog.of(Path("flat.log"), less, saved, ["flat.yaml: it is odd"])
+    assert found.not_measured == less.not_measured
+    assert run.verdict is not None
+    assert (found.best, found.error) == (run.verdict.best, None)
+    (stopped,) = [text for text in found.warnings if "stopped at the deadline" in text]
+    assert stopped.startswith("tinyslam, graph: ")
+    assert [text for text in found.warnings if text != stopped] == [
+        "flat.yaml: it is odd",
+        "no map: gmapping: it was killed",
+        f"rejected: {first.name}: it fits nothing",
+        f"{second.name}: a copy; --keep-duplicates counts each",
+        *less.layers.sentences(),
+        "no verdict on the paths: no scan saw a wall twice",
+        "the fused map is not drawn, the maps vote (consensus): there is no path",
+    ]
 
 
 def assert_path_and_drawing_lie_on_the_fused_map(run: LogRun, saved: SavedRun, out: Path) -> None:

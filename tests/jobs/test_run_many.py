@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -132,3 +133,27 @@ def test_an_error_of_another_machine_names_it(
     )
     assert (first.error, second.error) == ("no such file (on robot-7)", None)
     assert told == [("logs", 1, 2), ("logs", 2, 2)]
+
+
+def test_what_could_not_be_measured_is_told_by_the_code_as_of_one_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def mapped(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
+        troubles = ("the fused path: no pose in time",) if task.log.stem == "a" else ()
+        done = RunOfLog(task.log, task.folder, 3, "graph", None, (), 1.0, troubles)
+        return done, socket.gethostname()
+
+    monkeypatch.setattr(run_many, "run_one", mapped)
+    words = ["run", "a.log", "b.log", "-o", str(tmp_path), "--json"]
+    assert run_program(words) == 1
+    printed = capsys.readouterr()
+    assert printed.err == (
+        "slamfusion: error: of 1 of 2 logs not all could be measured "
+        "(a.log: the fused path: no pose in time)\n"
+    )
+    document: dict[str, Any] = json.loads(printed.out)
+    check_document(document, "run", failed=True)
+    assert [run["not_measured"] for run in document["runs"]] == [
+        ["the fused path: no pose in time"],
+        [],
+    ]
