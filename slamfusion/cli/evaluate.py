@@ -115,14 +115,15 @@ def command(config: RunConfig, **asked: Any) -> int:
 def _evaluate_one(request: _Request, config: RunConfig) -> int:
     """Measure maps against one truth, or measured distances alone."""
     from slamfusion.jobs.evaluate import (  # noqa: PLC0415
+        distance_items,
         evaluate_document,
         evaluate_maps,
         evaluated_items,
         write_evaluation,
     )
 
-    if request.truths:
-        place_files(case_names(request.truths), request.maps)  # refuses other cases
+    cases = case_names(request.truths)
+    placed = place_files(cases, request.maps) if cases else []
     grids = load_maps(request.paths, request.resolution, config.map_files, notice)
     evaluations: Sequence[Evaluation] = ()
     truth_path, device = None, None
@@ -148,8 +149,8 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: evaluated_items(evaluations, distances),
-        lambda: _inputs(request, {} if truth_path is None else {"": truth_path}),
+        lambda: [*evaluated_items(placed, evaluations), *distance_items(distances)],
+        lambda: _inputs(request, {} if truth_path is None else {cases[0]: truth_path}),
     )
     if request.as_json:
         print_json(document)
@@ -163,7 +164,7 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
 
 def _evaluate_cases(request: _Request, config: RunConfig) -> int:
     """Measure maps against several truths, each against its own."""
-    from slamfusion.jobs.evaluate import evaluated_items  # noqa: PLC0415
+    from slamfusion.jobs.evaluate import distance_items  # noqa: PLC0415
     from slamfusion.jobs.several import evaluate_cases, write_case_evaluations  # noqa: PLC0415
 
     cases = case_names(request.truths)
@@ -186,7 +187,7 @@ def _evaluate_cases(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: [*found.items(), *evaluated_items((), distances)],
+        lambda: [*found.items(), *distance_items(distances)],
         lambda: _inputs(request, truths),
     )
     if request.as_json:

@@ -114,7 +114,7 @@ def _judge_one(request: _Request, config: RunConfig) -> int:
     (case,) = held.logs
     found = judge_paths(
         held.logs[case],
-        [item.path for item in placed],
+        {item.method: item.path for item in placed},
         config,
         relations=held.relations.get(case),
         odometry=held.odometry.get(case),

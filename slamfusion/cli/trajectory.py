@@ -160,7 +160,7 @@ def _measure_one(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: [found.item(placed.case, found.estimate.name)],
+        lambda: [found.item(placed.case, placed.method)],
         lambda: held.inputs([placed]),
     )
     if request.as_json:

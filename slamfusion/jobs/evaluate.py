@@ -20,12 +20,14 @@ from slamfusion.fusion import align_grids
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
+from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
 from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
 
 __all__ = [
     "Evaluation",
+    "distance_items",
     "evaluate_document",
     "evaluate_maps",
     "evaluated_items",
@@ -139,11 +141,22 @@ def measure_distances(
 
 
 def evaluated_items(
-    evaluations: Sequence[Evaluation], distances: Sequence[DistanceComparison]
+    placed: Sequence[Placed], evaluations: Sequence[Evaluation]
 ) -> list[MeasuredItem]:
-    """Return the figures of maps: against the truth, and against measured distances."""
-    items = [found.item(found.error.truth, found.error.name) for found in evaluations]
-    return items + [
+    """Return the figures of maps against truths.
+
+    Args:
+        placed: the maps' cases and methods.
+        evaluations: of these, in the same order.
+    """
+    return [
+        found.item(item.case, item.method) for item, found in zip(placed, evaluations, strict=True)
+    ]
+
+
+def distance_items(distances: Sequence[DistanceComparison]) -> list[MeasuredItem]:
+    """Return the figures of maps against measured distances, a case of their own."""
+    return [
         MeasuredItem(
             "measured distances", found.name, {"distance_error_mean_m": found.mean_absolute_error_m}
         )

@@ -17,7 +17,12 @@ from slamfusion.evaluation import MeasuredItem, method_means
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import circumstances, settings_used
-from slamfusion.jobs.evaluate import Evaluation, evaluate_maps, write_evaluation
+from slamfusion.jobs.evaluate import (
+    Evaluation,
+    evaluate_maps,
+    evaluated_items,
+    write_evaluation,
+)
 from slamfusion.jobs.inputs import Progress, Warn, device_for, load_maps
 from slamfusion.jobs.judge import JudgedPaths, judge_paths, write_judgement
 from slamfusion.jobs.records import (
@@ -117,10 +122,7 @@ class CaseEvaluations:
 
     def items(self) -> list[MeasuredItem]:
         """Return the figures of each map."""
-        return [
-            evaluation.item(placed.case, placed.method)
-            for placed, evaluation in zip(self.placed, self.evaluations, strict=True)
-        ]
+        return evaluated_items(self.placed, self.evaluations)
 
     def to_json(self) -> CasesEvaluationDocument:
         """Return what ``slamfusion evaluate`` prints as JSON, without measured distances."""

@@ -16,6 +16,7 @@ from slamfusion.cli.main import main
 from slamfusion.io import load_map, save_map, write_tum
 from slamfusion.io.carmen import write_carmen
 from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.results_file import read_results
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import MAPS, TRUTH
 from tests.evidence.rooms import bent, circuit, recorded
@@ -125,6 +126,42 @@ def test_results_are_saved_and_compared(ask: Ask, tmp_path: Path) -> None:
     ate = next(item for item in found["figures"] if item["figure"] == "ate_rmse_m")
     assert ate["difference"] > 0.0
     assert (ate["items_first"], ate["paired"]["count"]) == (2, 2)
+
+
+def named_in(file: Path) -> set[tuple[str, str]]:
+    """Return case and method of each item of saved results."""
+    return {(item.case, item.method) for item in read_results(file).items}
+
+
+def test_results_of_one_case_are_named_as_those_of_several(ask: Ask, tmp_path: Path) -> None:
+    """So that ``compare`` pairs them, and sees where the truths are not the same."""
+    paths(tmp_path)
+    one, several = ("--save-results", "one.zip"), ("--save-results", "several.zip")
+    assert ask("trajectory", "good/intel.tum", *TRUTHS[:2], *one)[0] == 0
+    assert named_in(tmp_path / "one.zip") == {("intel", "good")}
+
+    grid = load_map(TRUTH)
+    for stem in ("hall", "yard", "map_a/hall", "map_b/hall", "map_a/yard"):
+        save_map(grid, tmp_path / stem)
+    maps = ("map_a/hall.yaml", "map_b/hall.yaml")
+    options = ("--truth", "lab=hall.yaml", "--no-align", "--device", "numpy")
+    named = [f"lab={path}" for path in maps]
+    assert ask("evaluate", *named, *options, *one)[0] == 0
+    more = ("map_a/yard.yaml", "--truth", "yard.yaml")
+    assert ask("evaluate", *named, *more, *options, *several)[0] == 0
+    assert named_in(tmp_path / "one.zip") == {("lab", "map_a/hall"), ("lab", "map_b/hall")}
+    assert named_in(tmp_path / "one.zip") < named_in(tmp_path / "several.zip")
+    assert ("truth", "lab") in read_results(tmp_path / "one.zip").yardsticks
+
+    truth = circuit()
+    for case in ("north", "south"):
+        write_carmen(tmp_path / f"{case}.log", recorded(truth))
+        write_tum(tmp_path / "own" / f"{case}.tum", truth)
+    words = ("judge", "north.log", "own/north.tum", "--device", "numpy")
+    assert ask(*words, *one)[0] == 0
+    assert ask(*words, "own/south.tum", "--log", "south.log", *several)[0] == 0
+    assert named_in(tmp_path / "one.zip") == {("north", "own")}
+    assert named_in(tmp_path / "one.zip") < named_in(tmp_path / "several.zip")
 
 
 def test_wrong_use_is_refused_before_any_work(ask: Ask, tmp_path: Path) -> None:
