@@ -23,7 +23,7 @@ from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
+from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, shared_case_names
 from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
@@ -80,9 +80,7 @@ class _Request:
         """Return the paths in their cases, and what they are held against there."""
         from slamfusion.jobs.several import CaseFiles  # noqa: PLC0415  (loads slowly)
 
-        named = [file for file in (*self.truths, *self.relations) if file.case]
-        cases = list(dict.fromkeys(file.case for file in named))
-        cases = cases or case_names(self.truths or self.relations)
+        cases = shared_case_names(self.truths, self.relations)
         held = CaseFiles(
             relations=files_by_case(cases, self.relations, "--relations"),
             odometry=files_by_case(cases, self.odometry, "--odometry"),

@@ -15,7 +15,14 @@ from pathlib import Path
 
 from slamfusion.errors import ConfigError
 
-__all__ = ["CaseFile", "Placed", "case_names", "files_by_case", "place_files"]
+__all__ = [
+    "CaseFile",
+    "Placed",
+    "case_names",
+    "files_by_case",
+    "place_files",
+    "shared_case_names",
+]
 
 # What parts words in a file name.
 _BETWEEN = r"[-_. ]+"
@@ -75,6 +82,24 @@ def case_names(files: Sequence[CaseFile]) -> list[str]:
             message = f"{name!r} cannot name a case; write NAME=FILE"
             raise ConfigError(message)
     return names
+
+
+def shared_case_names(*kinds: Sequence[CaseFile]) -> list[str]:
+    """Return the names of the cases that files of several kinds are of, one each, in order.
+
+    The kind of most files names them; of as many, one of which a name was given. Names that were
+    given with files of the other kinds follow.
+
+    Args:
+        kinds: files at most one a case each, as truths and relations.
+
+    Raises:
+        ConfigError: see ``case_names``.
+    """
+    leading = max(kinds, key=lambda files: (len(files), any(file.case for file in files)))
+    names = case_names(leading)
+    others = {file.case: file for files in kinds for file in files if file.case}
+    return case_names([*leading, *(others[name] for name in others if name not in names)])
 
 
 def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) -> dict[str, Path]:

@@ -105,6 +105,12 @@ def test_one_path_is_as_it_was_and_one_that_fails_leaves_the_others(
     assert "mean of 2\tgood" in out
     assert err.startswith("slamfusion: error: late_intel.tum: ")
     assert len(err.splitlines()) == 1
+    named = ("--truth", "hall=intel.tum", "--truth", "office.tum", "--json")
+    found = document(ask("trajectory", "hall=good/intel.tum", *ALL[1:3], *named), "trajectory")
+    assert [item["case"] for item in found["trajectories"]] == ["hall", "office", "office"]
+    code, _, err = ask("trajectory", ALL[0], "--truth", "..=intel.tum", "--report", "out/here")
+    assert (code, list(tmp_path.glob("**/*.html"))) == (1, [])
+    assert "'..' cannot name a case" in err
     for words in (("other.tum", *TRUTHS), ("x=good/intel.tum", *TRUTHS)):
         code, _, err = ask("trajectory", *words)
         assert code == 1

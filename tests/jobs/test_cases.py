@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 
 from slamfusion.errors import ConfigError
-from slamfusion.jobs.cases import CaseFile, case_names, files_by_case, place_files
+from slamfusion.jobs.cases import (
+    CaseFile,
+    case_names,
+    files_by_case,
+    place_files,
+    shared_case_names,
+)
 
 CASES = ["intel", "mit-csail", "intel-910"]
 
@@ -81,3 +87,28 @@ def test_a_case_has_one_file_of_a_kind() -> None:
     assert found == {"intel": Path("intel.relations"), "mit-csail": Path("a.relations")}
     with pytest.raises(ConfigError, match=r"--relations: .* are both of 'intel'"):
         files_by_case(CASES, [*files, given("b/intel.relations")], "--relations")
+
+
+@pytest.mark.parametrize(
+    ("truths", "relations", "cases"),
+    [
+        ("a=1.tum b.tum", "", ["a", "b"]),
+        ("intel.tum office.tum", "intel=i.relations", ["intel", "office"]),
+        ("truth.tum", "a=1.relations b=2.relations", ["a", "b"]),
+        ("truth.tum", "a=1.relations", ["a"]),
+        ("a=1.tum", "b=2.relations", ["a", "b"]),
+        ("intel.tum", "known.relations", ["intel"]),
+        ("", "known.relations", ["known"]),
+    ],
+)
+def test_truths_and_relations_name_the_cases_together(
+    truths: str, relations: str, cases: list[str]
+) -> None:
+    kinds = [list(map(given, names.split())) for names in (truths, relations)]
+    assert shared_case_names(*kinds) == cases
+
+
+@pytest.mark.parametrize("kinds", [("..=a.tum", ""), ("a.tum", "..=b.txt"), ("a.tum", ".=b.txt")])
+def test_no_case_is_named_so_that_its_folder_is_another(kinds: tuple[str, str]) -> None:
+    with pytest.raises(ConfigError, match="cannot name a case; write NAME=FILE"):
+        shared_case_names(*(list(map(given, names.split())) for names in kinds))
