@@ -25,7 +25,7 @@ from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
-from slamfusion.jobs.inputs import MapInput, check_writable, device_for, load_maps
+from slamfusion.jobs.inputs import check_writable, device_for, load_maps
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
@@ -119,6 +119,7 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
         evaluate_document,
         evaluate_maps,
         evaluated_items,
+        measure_distances,
         write_evaluation,
     )
 
@@ -136,7 +137,9 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
             evaluations = evaluate_maps(
                 grids, truth, config, computes, align=request.align, progress=progress
             )
-    distances = _distances(request, grids, config)
+    distances: Sequence[DistanceComparison] = ()
+    if request.distances_path is not None:
+        distances = measure_distances(grids, request.distances_path, config)
     write_evaluation(
         evaluations,
         config,
@@ -176,38 +179,26 @@ def _evaluate_cases(request: _Request, config: RunConfig) -> int:
             config,
             align=request.align,
             resolution=request.resolution,
+            distances=request.distances_path,
             progress=progress,
             warn=notice,
         )
-    distances = _distances(request, request.paths, config)
     write_case_evaluations(found, report=request.report_dir, image=request.image_path)
     _tell_not_aligned(found.evaluations)
     document = found.to_json()
-    document["distances"] = [comparison.to_json() for comparison in distances]
     save_results(
         request.results_path,
         document,
-        lambda: [*found.items(), *distance_items(distances)],
+        lambda: [*found.items(), *distance_items(found.distances)],
         lambda: _inputs(request, truths),
     )
     if request.as_json:
         print_json(document)
     else:
         print_items(found.items(), "map", ("error", "wall_f1"))
-        for comparison in distances:
+        for comparison in found.distances:
             _print_distances(comparison)
     return 0
-
-
-def _distances(
-    request: _Request, maps: Sequence[MapInput], config: RunConfig
-) -> Sequence[DistanceComparison]:
-    """Return measured distances against each map; none where there are none."""
-    from slamfusion.jobs.evaluate import measure_distances  # noqa: PLC0415
-
-    if request.distances_path is None:
-        return ()
-    return measure_distances(maps, request.distances_path, config, resolution=request.resolution)
 
 
 def _tell_not_aligned(evaluations: Sequence[Evaluation]) -> None:

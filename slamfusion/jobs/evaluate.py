@@ -11,9 +11,11 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import (
     DistanceComparison,
     MapError,
+    MeasuredDistance,
     MeasuredItem,
     compare_distances,
     compare_to_truth,
+    load_distances,
     map_figures,
 )
 from slamfusion.fusion import align_grids
@@ -117,7 +119,7 @@ def evaluate_maps(
 
 def measure_distances(
     maps: Sequence[MapInput],
-    path: str | Path,
+    distances: str | Path | Sequence[MeasuredDistance],
     config: RunConfig | None = None,
     *,
     resolution: float | None = None,
@@ -126,7 +128,7 @@ def measure_distances(
 
     Args:
         maps: in memory, map_server YAML files, or bare images.
-        path: the measured distances, CSV or YAML; see ``load_distances``.
+        distances: as measured, CSV or YAML, or the rows of it; see ``load_distances``.
         config: ``fusion.normalize`` and ``map_files`` are used; default: the defaults.
         resolution: metres per cell of bare images.
 
@@ -134,8 +136,9 @@ def measure_distances(
         MapFileError: a map or the file of distances cannot be read.
     """
     config = config or RunConfig()
+    rows = load_distances(distances) if isinstance(distances, (str, Path)) else distances
     return tuple(
-        compare_distances(grid, path, normalize=config.fusion.normalize)
+        compare_distances(grid, rows, normalize=config.fusion.normalize)
         for grid in as_grids(maps, config, resolution=resolution)
     )
 

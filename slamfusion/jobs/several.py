@@ -13,7 +13,12 @@ from pathlib import Path
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evaluation import MeasuredItem, method_means
+from slamfusion.evaluation import (
+    DistanceComparison,
+    MeasuredItem,
+    load_distances,
+    method_means,
+)
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import circumstances, settings_used
@@ -21,9 +26,17 @@ from slamfusion.jobs.evaluate import (
     Evaluation,
     evaluate_maps,
     evaluated_items,
+    measure_distances,
     write_evaluation,
 )
-from slamfusion.jobs.inputs import Progress, Warn, device_for, load_maps
+from slamfusion.jobs.inputs import (
+    Progress,
+    Warn,
+    device_for,
+    distinct_names,
+    load_maps,
+    map_file,
+)
 from slamfusion.jobs.judge import JudgedPaths, judge_paths, write_judgement
 from slamfusion.jobs.records import (
     CaseEvaluationJson,
@@ -112,6 +125,7 @@ class CaseEvaluations:
         truths: the true maps' files, by case.
         config: the settings in effect.
         device: what computed, in words.
+        distances: of the maps against measured distances; empty without them.
     """
 
     placed: tuple[Placed, ...]
@@ -119,13 +133,14 @@ class CaseEvaluations:
     truths: Mapping[str, Path]
     config: RunConfig
     device: str
+    distances: tuple[DistanceComparison, ...] = ()
 
     def items(self) -> list[MeasuredItem]:
         """Return the figures of each map."""
         return evaluated_items(self.placed, self.evaluations)
 
     def to_json(self) -> CasesEvaluationDocument:
-        """Return what ``slamfusion evaluate`` prints as JSON, without measured distances."""
+        """Return what ``slamfusion evaluate`` prints as JSON."""
         maps: list[CaseEvaluationJson] = [
             {**evaluation.to_json(), "case": placed.case, "method": placed.method}
             for placed, evaluation in zip(self.placed, self.evaluations, strict=True)
@@ -133,7 +148,7 @@ class CaseEvaluations:
         return {
             "maps": maps,
             "means": [mean.to_json() for mean in method_means(self.items())],
-            "distances": [],
+            "distances": [comparison.to_json() for comparison in self.distances],
             "truths": {case: str(path) for case, path in self.truths.items()},
             **circumstances(self.config, self.device),
         }
@@ -147,6 +162,7 @@ def evaluate_cases(
     *,
     align: bool = True,
     resolution: float | None = None,
+    distances: str | Path | None = None,
     progress: Progress | None = None,
     warn: Warn = _LOG.warning,
 ) -> CaseEvaluations:
@@ -156,6 +172,8 @@ def evaluate_cases(
         placed: the maps.
         truths: the true maps, by case.
         config, device, align, resolution: see ``evaluate_maps``.
+        distances: distances measured in the building, to be compared with those in each map, too;
+            see ``measure_distances``.
         progress: told the maps that are done.
         warn: told in a sentence what is doubtful about a map.
 
@@ -168,17 +186,24 @@ def evaluate_cases(
         case: load_maps([path], resolution, config.map_files, warn)[0].with_name(case)
         for case, path in truths.items()
     }
+    rows = () if distances is None else load_distances(distances)
+    names = distinct_names([map_file(item.path) for item in placed])
     evaluations: list[Evaluation] = []
-    for done, item in enumerate(placed):
+    compared: list[DistanceComparison] = []
+    for done, (item, name) in enumerate(zip(placed, names, strict=True)):
         if progress is not None:
             progress("evaluate", done, len(placed))
         (grid,) = load_maps([item.path], resolution, config.map_files, warn)
         evaluations += evaluate_maps(
             [grid.with_name(item.method)], true_grids[item.case], config, device, align=align
         )
+        if rows:
+            compared += measure_distances([grid.with_name(name)], rows, config)
     if progress is not None:
         progress("evaluate", len(placed), len(placed))
-    return CaseEvaluations(tuple(placed), tuple(evaluations), dict(truths), config, device.name)
+    return CaseEvaluations(
+        tuple(placed), tuple(evaluations), dict(truths), config, device.name, tuple(compared)
+    )
 
 
 def write_case_evaluations(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ import pytest
 
 from slamfusion.cli import run
 from slamfusion.cli.main import main
+from slamfusion.evaluation import distances
 from slamfusion.io import load_map, save_map, write_tum
 from slamfusion.io.carmen import write_carmen
+from slamfusion.io.regular import read_small
 from slamfusion.jobs.cases import CaseFile
 from slamfusion.jobs.results_file import read_results
 from slamfusion.trajectory import Trajectory
@@ -204,6 +207,39 @@ def test_maps_of_several_truths(ask: Ask, tmp_path: Path) -> None:
     assert [mean["figures"]["error"] for mean in found["means"]] == errors[::2]
     assert found["truths"] == {"hall": "hall.yaml", "yard": "yard.yaml"}
     assert (tmp_path / "a.zip").exists()
+
+
+def test_distances_are_measured_in_the_maps_that_were_read(
+    ask: Ask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of several truths as of one: each map is read once, and its doubts are told once."""
+    read: list[str] = []
+    monkeypatch.setattr(
+        distances,
+        "read_small",
+        lambda path, *rest: read.append(path.name) or read_small(path, *rest),
+    )
+    grid = load_map(TRUTH)
+    for stem in ("hall", "yard", "a/hall", "a/yard", "b/yard"):
+        save_map(grid, tmp_path / stem)
+    odd = tmp_path / "a" / "yard.yaml"
+    text = odd.read_text(encoding="utf-8")
+    odd.write_text(re.sub("free_thresh: .*", "free_thresh: 0.25", text), encoding="utf-8")
+    x, y = (grid.origin.x, grid.origin.y)
+    rows = f"name,x1,y1,x2,y2,distance_m\nhall,{x},{y},{x + 3.0},{y + 2.0},3.6\n"
+    (tmp_path / "tape.csv").write_text(rows, encoding="utf-8")
+    maps = ("a/hall.yaml", "a/yard.yaml", "b/yard.yaml")
+    options = ("--no-align", "--device", "numpy", "--distances", "tape.csv", "--json")
+    truths = ("--truth", "hall.yaml", "--truth", "yard.yaml")
+    told = []
+    for given in (truths[:2], truths):
+        read.clear()
+        done = ask("evaluate", *maps, *given, *options)
+        told.append(document(done, "evaluate")["distances"])
+        assert done[2].count("a/yard.yaml") == 1, done[2]
+        assert read == ["tape.csv"]
+    assert [item["name"] for item in told[0]] == ["hall", "a/yard", "b/yard"]
+    assert told[0] == told[1]
 
 
 def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
