@@ -23,7 +23,7 @@ from slamfusion.io.atomic import AtomicFiles
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
 from slamfusion.jobs.records import JudgeDocument, JudgedPathJson, JudgeRecordJson
-from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["JudgeFiles", "JudgedPaths", "judge_paths", "score_log_paths", "write_judgement"]
@@ -211,14 +211,7 @@ def judge_paths(
     measures, not_measured = {}, []
     for name, path in read.items():
         try:
-            measures[name] = measure_trajectory(
-                path,
-                config.trajectory,
-                relations=held.relations,
-                odometry=held.odometry,
-                scans=scans,
-                truth=held.truth,
-            )
+            measures[name] = held.measure(path, config, scans)
         except SlamFusionError as error:
             not_measured.append(f"{name}: {error}")
     return JudgedPaths(files, config, read, verdict, measures, tuple(not_measured), device.name)

@@ -15,9 +15,8 @@ from slamfusion.jobs.outputs import PROBABILITY, output_files
 from slamfusion.jobs.run_records import (
     ProducerJson,
 )
-from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.runner import ProducerRun, skipped_scans
-from slamfusion.trajectory import Trajectory
 
 __all__ = ["ProducerResult", "add_run", "measure_run", "run_remarks"]
 
@@ -123,22 +122,11 @@ def measure_run(run: ProducerRun, config: RunConfig, held: Yardsticks) -> Measur
     Raises:
         TrajectoryError: the path does not meet the relations, the odometry or the truth.
     """
-
-    def measured(path: Trajectory) -> Measures:
-        return measure_trajectory(
-            path,
-            config.trajectory,
-            relations=held.relations,
-            odometry=held.odometry,
-            scans=run.odometry,
-            truth=held.truth,
-        )
-
     online = run.online_path()
-    final = measured(run.trajectory)
+    final = held.measure(run.trajectory, config, run.odometry)
     if online is None or (held.relations is None and held.truth is None):
         return final
-    return replace(final, online=measured(online))
+    return replace(final, online=held.measure(online, config, run.odometry))
 
 
 def add_run(

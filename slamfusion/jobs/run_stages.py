@@ -34,7 +34,7 @@ from slamfusion.jobs.outputs import FUSED
 from slamfusion.jobs.partial import Filling, Layers, draw_layers, fuse_layers
 from slamfusion.jobs.produced import ProducerResult, measure_run
 from slamfusion.jobs.saved_maps import path_at_scans
-from slamfusion.jobs.trajectory import Measures, Yardsticks, measure_trajectory
+from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.slam.side_by_side import Outcome
 from slamfusion.trajectory import Trajectory
@@ -257,18 +257,11 @@ def measure_fused_path(drive: Drive, path: DrivePath, fusion: FusionResult) -> D
         path: the fused one.
         fusion: of the maps.
     """
-    held = drive.held
     paths = drive.posed_paths
     found = path.in_fused_frame(paths, fusion)
     try:
-        measures = measure_trajectory(
-            found.trajectory,
-            drive.config.trajectory,
-            relations=held.relations,
-            odometry=held.odometry,
-            scans=drive.runs[next(iter(paths))].odometry,
-            truth=held.truth,
-        )
+        scans = drive.runs[next(iter(paths))].odometry
+        measures = drive.held.measure(found.trajectory, drive.config, scans)
     except SlamFusionError as error:
         drive.troubles.append(f"the fused path: {error}")
         return found
@@ -331,20 +324,12 @@ def measure_saved_paths(drive: Drive, paths: Mapping[str, Trajectory]) -> dict[s
         drive: what they are measured by.
         paths: as they were read, by name.
     """
-    held = drive.held
     scans = next((run.odometry for run in drive.runs.values()), None)
     found = {}
     for name, path in paths.items():
         found[name] = Measures()
         try:
-            found[name] = measure_trajectory(
-                path,
-                drive.config.trajectory,
-                relations=held.relations,
-                odometry=held.odometry,
-                scans=scans,
-                truth=held.truth,
-            )
+            found[name] = drive.held.measure(path, drive.config, scans)
         except SlamFusionError as error:
             drive.troubles.append(f"{name}: {error}")
     return found

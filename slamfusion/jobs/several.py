@@ -50,7 +50,6 @@ from slamfusion.jobs.trajectory import (
     MeasuredTrajectory,
     TrajectoryFiles,
     Yardsticks,
-    measure_trajectory,
     write_trajectory,
 )
 
@@ -317,14 +316,7 @@ def measure_trajectories(
             continue
         try:
             estimate = read_trajectory(item.path, config.log)
-            measures = measure_trajectory(
-                estimate,
-                config.trajectory,
-                relations=known.relations,
-                odometry=known.odometry,
-                scans=scans,
-                truth=known.truth,
-            )
+            measures = known.measure(estimate, config, scans)
         except (SlamFusionError, OSError) as error:
             not_measured.append(f"{item.path}: {_without(item.path, error)}")
             continue

@@ -124,6 +124,28 @@ class Yardsticks:
             None if poses is None else read_trajectory(poses, config.log),
         )
 
+    def measure(
+        self, path: Trajectory, config: RunConfig, scans: Trajectory | None = None
+    ) -> Measures:
+        """Measure a path by all that there is; see ``measure_trajectory``.
+
+        Args:
+            path: the poses.
+            config: ``trajectory`` is used.
+            scans: raw odometry of the scans of the path's log.
+
+        Raises:
+            TrajectoryError: the path does not meet the relations, the odometry or the truth.
+        """
+        return measure_trajectory(
+            path,
+            config.trajectory,
+            relations=self.relations,
+            odometry=self.odometry,
+            scans=scans,
+            truth=self.truth,
+        )
+
 
 def measure_trajectory(
     estimate: Trajectory,
@@ -266,14 +288,7 @@ def measure_trajectory_file(
         config, relations=files.relations, odometry=files.odometry, truth=files.truth
     )
     drawn = None if grid is None else as_grids([grid], config, warn=warn)[0]
-    measures = measure_trajectory(
-        estimate,
-        config.trajectory,
-        relations=held.relations,
-        odometry=held.odometry,
-        scans=scans,
-        truth=held.truth,
-    )
+    measures = held.measure(estimate, config, scans)
     return MeasuredTrajectory(files, config, estimate, measures, held.truth, scans, drawn)
 
 
