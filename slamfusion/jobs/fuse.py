@@ -176,7 +176,9 @@ def fuse_maps(
     if true_grid is not None:
         measured = [*grids, result.fused.with_name("fused")]
         evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
-    doubled = DoubledWalls.of(result, config)
+    # The last evaluation is of the fused map.
+    known = {found.error.name: found.error.doubled_wall_share for found in evaluations[:-1]}
+    doubled = DoubledWalls.of(result, config, known)
     given = given or GivenMaps.of(maps, resolution)
     return FusedMaps(config, result, doubled, evaluations, given)
 

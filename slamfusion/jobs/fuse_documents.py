@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,11 +71,21 @@ class DoubledWalls:
     added: float
 
     @classmethod
-    def of(cls, result: FusionResult, config: RunConfig) -> DoubledWalls:
-        """Measure a fusion."""
-        normalize = config.fusion.normalize
+    def of(
+        cls, result: FusionResult, config: RunConfig, known: Mapping[str, float] | None = None
+    ) -> DoubledWalls:
+        """Measure a fusion.
+
+        Args:
+            result: the fusion.
+            config: its thresholds say what is a wall.
+            known: shares of inputs that were measured before, by name; default: none.
+        """
+        known, normalize = known or {}, config.fusion.normalize
         shares = {
-            record.name: doubled_wall_share(record.grid, normalize=normalize)
+            record.name: known[record.name]
+            if record.name in known
+            else doubled_wall_share(record.grid, normalize=normalize)
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)

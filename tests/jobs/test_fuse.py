@@ -17,6 +17,7 @@ from slamfusion.errors import (
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, load_map, save_map
+from slamfusion.jobs import fuse_documents
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.fuse import (
     AllRequiredError,
@@ -24,7 +25,7 @@ from slamfusion.jobs.fuse import (
     save_fused_maps,
     write_failed_fusion,
 )
-from slamfusion.jobs.fuse_documents import failed_fuse_document
+from slamfusion.jobs.fuse_documents import DoubledWalls, failed_fuse_document
 from tests.fusion.drawings import building, degraded
 from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document
@@ -32,17 +33,23 @@ from tests.support.documents import check_document
 pytestmark = pytest.mark.once
 
 
-def test_maps_are_fused_measured_and_written(tmp_path: Path) -> None:
+def test_maps_are_fused_measured_and_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     truth, grid, _ = moved()
-    other, _ = degraded(truth, 2, "other", yaw_rad=-0.4)
+    other, _ = degraded(truth, 2, "fused", yaw_rad=-0.4)
     told: list[str] = []
-    fused = fuse_maps(
-        [truth, grid, other],
-        CONFIG,
-        device(),
-        truth=truth,
-        progress=lambda *words: told.append(words[0]),
-    )
+    with monkeypatch.context() as patched:
+        # The errors against the truth have the inputs' doubled walls.
+        patched.setattr(fuse_documents, "doubled_wall_share", lambda *_, **__: pytest.fail("again"))
+        fused = fuse_maps(
+            [truth, grid, other],
+            CONFIG,
+            device(),
+            truth=truth,
+            progress=lambda *words: told.append(words[0]),
+        )
+    assert fused.doubled == DoubledWalls.of(fused.result, CONFIG)
     assert len(fused.result.accepted) == 3
     assert [item.error.name for item in fused.evaluations][-1] == "fused"
     assert "evaluate" in told
