@@ -185,10 +185,7 @@ def _fuse_into_store(
 ) -> int:
     """Fuse maps tile by tile, and say what came of it."""
     from slamfusion.io.map_store import check_store  # noqa: PLC0415
-    from slamfusion.jobs.fuse_documents import (  # noqa: PLC0415
-        failed_fuse_document,
-        fusion_sentences,
-    )
+    from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
     from slamfusion.jobs.fuse_store import fuse_into_store  # noqa: PLC0415
 
     check_store(store)
@@ -202,10 +199,7 @@ def _fuse_into_store(
                 given=given, scheduler=scheduler, progress=progress,
             )  # fmt: skip
     except AlignmentError as error:
-        if as_json:
-            print_json(failed_fuse_document(error, grids, config, device.name, given))
-        else:
-            print_pairs(error.pairs, device.name)
+        _report_failure(error, grids, config, device.name, None, given, as_json)
         raise
     tell_left_out(stored.result)
     for path, stem in zip(stored.stores, stored.stems, strict=True):
