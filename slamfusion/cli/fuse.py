@@ -28,7 +28,7 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.inputs import GivenMaps, check_writable, device_for, load_maps
-from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, STORE_END, group_stem
+from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, STORE_END, group_stems
 
 if TYPE_CHECKING:
     from slamfusion.fleet import Scheduler
@@ -55,8 +55,7 @@ class _Outputs:
 
     def refuse_inputs(self, maps: Sequence[Path]) -> None:
         """Stop before an output replaces an input: also that of a group that may be found."""
-        groups = [group_stem(self.fused, number) for number in range(2, len(maps) // 2 + 1)]
-        stems = [self.fused, *groups]
+        stems = group_stems(self.fused, len(maps) // 2)
         written = {
             Path(f"{stem}{end}{suffix}").absolute()
             for stem in stems
@@ -218,7 +217,6 @@ def _fuse_into_store(
 
 def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) -> None:
     """Print the alignments, the evaluation and where everything went."""
-    from slamfusion.jobs.fuse import group_stems  # noqa: PLC0415
     from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
 
     print_alignments(fused.result)
@@ -229,8 +227,9 @@ def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) 
         print_evaluations(fused.evaluations)
     print(f"fused map: {outputs.fused}.yaml")
     print(f"agreement: {outputs.agreement}.yaml")
-    _, *stems = group_stems(fused.result, outputs.fused)
-    for number, (other, stem) in enumerate(zip(fused.result.others, stems, strict=True), start=2):
+    others = fused.result.others
+    _, *stems = group_stems(outputs.fused, 1 + len(others))
+    for number, (other, stem) in enumerate(zip(others, stems, strict=True), start=2):
         names = ", ".join(record.name for record in other.accepted)
         print(f"group {number}:   {stem}.yaml ({names})")
     if report_dir is not None:

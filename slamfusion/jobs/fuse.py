@@ -40,7 +40,7 @@ from slamfusion.jobs.inputs import (
 from slamfusion.jobs.outputs import (
     FAILED,
     failure_folder,
-    group_stem,
+    group_stems,
     record_file,
     remove_empty,
     report_files,
@@ -55,7 +55,6 @@ __all__ = [
     "check_count",
     "fuse_document",
     "fuse_maps",
-    "group_stems",
     "save_fused_maps",
     "write_failed_fusion",
 ]
@@ -191,11 +190,6 @@ def all_groups(result: FusionResult) -> tuple[FusionResult, ...]:
     return (result, *result.others)
 
 
-def group_stems(result: FusionResult, stem: Path) -> list[Path]:
-    """Return the path, without suffix, of each group's fused map: OUT, OUT-2, OUT-3 ..."""
-    return [stem, *(group_stem(stem, n) for n in range(2, 2 + len(result.others)))]
-
-
 def save_fused_maps(
     fused: FusedMaps,
     stem: str | Path,
@@ -224,8 +218,8 @@ def save_fused_maps(
         if folder is not None:
             remove_empty(folder / FAILED)
         return document
-    stems = group_stems(fused.result, stem)
-    for result, path in zip(all_groups(fused.result), stems, strict=True):
+    groups = all_groups(fused.result)
+    for result, path in zip(groups, group_stems(stem, len(groups)), strict=True):
         save_map(result.fused, path, files=files)
         save_map(result.agreement, agreement_stem(path), mode="raw", files=files)
     if folder is not None:
@@ -285,7 +279,7 @@ def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
         fused: what was fused.
         stem: the fused map's path without suffix.
     """
-    result = fused.result
+    result, groups = fused.result, all_groups(fused.result)
     return {
         **fusion_document(result, fused.doubled),
         "fused": f"{stem}.yaml",
@@ -293,7 +287,7 @@ def fuse_document(fused: FusedMaps, stem: Path) -> FuseDocument:
         "store": None,
         "groups": [
             group_document(item, own)
-            for item, own in zip(all_groups(result), group_stems(result, stem), strict=True)
+            for item, own in zip(groups, group_stems(stem, len(groups)), strict=True)
         ],
         "evaluations": [evaluation.to_json() for evaluation in fused.evaluations],
         **fused.given.to_json(),

@@ -28,7 +28,7 @@ from slamfusion.jobs.documents import circumstances, record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, check_count
 from slamfusion.jobs.fuse_documents import agreement_stem, fusion_document, group_document
 from slamfusion.jobs.inputs import GivenMaps, MapInput, Progress, Warn, as_grids, device_for
-from slamfusion.jobs.outputs import FUSED, group_stem, record_file
+from slamfusion.jobs.outputs import FUSED, group_stems, record_file
 from slamfusion.jobs.records import FuseDocument
 
 __all__ = ["StoredMaps", "fuse_into_store"]
@@ -125,8 +125,7 @@ def fuse_into_store(
         _check_all(aligned, device)
     scheduler = scheduler or InProcess(config.device.device)
     groups = (aligned.group, *aligned.group.others)
-    stem = store.with_suffix("")
-    stems = [stem, *(group_stem(stem, number) for number in range(2, len(groups) + 1))]
+    stems = group_stems(store.with_suffix(""), len(groups))
     stores = tuple(path.with_name(path.name + store.suffix) for path in stems)
     with ExitStack() as open_stores:
         results = [
@@ -148,7 +147,7 @@ def fuse_into_store(
     given = given or GivenMaps.of(maps, resolution)
     stored = StoredMaps(config, whole, stores, tuple(written), given)
     if written[0] is not None:
-        write_atomic(record_file(stem), record_bytes(stored.to_json()))
+        write_atomic(record_file(stems[0]), record_bytes(stored.to_json()))
     return stored
 
 

@@ -28,7 +28,7 @@ __all__ = [
     "SUFFIXES",
     "earlier_results",
     "failure_folder",
-    "group_stem",
+    "group_stems",
     "map_files",
     "output_files",
     "possible_outputs",
@@ -101,9 +101,9 @@ def possible_outputs(folder: Path) -> list[Path]:
     return [*files, folder / FUSED_PATH, folder / RUN_RECORD]
 
 
-def group_stem(stem: Path, number: int) -> Path:
-    """Return the path, without suffix, of the fused map of a further group, numbered from 2."""
-    return stem.with_name(f"{stem.name}-{number}")
+def group_stems(stem: Path, count: int) -> list[Path]:
+    """Return the paths, without suffix, of the fused maps of groups: OUT, OUT-2, OUT-3 ..."""
+    return [stem, *(stem.with_name(f"{stem.name}-{number}") for number in range(2, count + 1))]
 
 
 def record_file(stem: Path) -> Path:
