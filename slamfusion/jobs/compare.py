@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamfusion.errors import SlamFusionError
@@ -95,7 +95,7 @@ class ResultsPair:
 
 
 # Roles of the inputs that figures are measured by: other files make other figures.
-_YARDSTICKS = {"truth", "truth image", "relations", "odometry", "log", "distances"}
+_YARDSTICKS = {"truth", "truth image", "relations", "odometry", "scan odometry", "log", "distances"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,13 +195,7 @@ def _corrected(pairs: Sequence[ResultsPair]) -> list[ResultsPair]:
             by_figure.setdefault(item.figure, []).append(item)
     corrected = {name: iter(holm_corrected(found)) for name, found in by_figure.items()}
     return [
-        ResultsPair(
-            pair.first,
-            pair.second,
-            pair.items,
-            tuple(next(corrected[item.figure]) for item in pair.figures),
-            pair.series,
-        )
+        replace(pair, figures=tuple(next(corrected[item.figure]) for item in pair.figures))
         for pair in pairs
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.jobs.compare import compare_results, write_comparison_plot
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.results_file import InputFile, write_results_file
+from slamfusion.jobs.several import CaseFiles
 from slamfusion.report import comparison_plot
 from tests.support.documents import check_document
 
@@ -31,7 +33,11 @@ def path_item(case: str, method: str, error_m: float) -> MeasuredItem:
 
 
 def save(
-    path: Path, items: Sequence[MeasuredItem], truth: Path, command: str = "trajectory"
+    path: Path,
+    items: Sequence[MeasuredItem],
+    truth: Path,
+    command: str = "trajectory",
+    inputs: Sequence[InputFile] = (),
 ) -> Path:
     write_results_file(
         path,
@@ -39,7 +45,7 @@ def save(
         arguments=(command,),
         document={},
         items=items,
-        inputs=[InputFile("truth", "", truth)],
+        inputs=inputs or [InputFile("truth", "", truth)],
     )
     return path
 
@@ -98,6 +104,21 @@ def test_what_has_no_partner_and_another_truth_are_told(saved: list[Path], tmp_p
     lone = save(tmp_path / "lone.zip", items[1:], tmp_path / "true.tum")
     (sentence,) = compare_results([saved[1], lone]).sentences()
     assert "no map or path of one case in common" in sentence
+
+
+@pytest.mark.parametrize("kind", [item.name for item in fields(CaseFiles)])
+def test_whatever_paths_were_held_against_is_told_where_it_is_another(
+    tmp_path: Path, kind: str
+) -> None:
+    zips = []
+    for name in ("old", "new"):
+        file = tmp_path / f"{name}.txt"
+        file.write_text(name, encoding="ascii")
+        (held,) = CaseFiles(**{kind: {"intel": file}}).inputs([])
+        items = [path_item("intel", name, 0.2)]
+        zips.append(save(tmp_path / f"{name}.zip", items, file, inputs=[held]))
+    (sentence,) = compare_results(zips).sentences()
+    assert sentence == f"old and new rest on different files: {held.role} of intel"
 
 
 def test_what_cannot_be_compared_is_one_line(saved: list[Path], tmp_path: Path) -> None:
