@@ -11,7 +11,6 @@ from slamfusion.cli.options import FILE, check_picture, common_options, file_opt
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.cli.table_files import table_option
 from slamfusion.cli.tables import NOTHING
-from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import Interval
@@ -47,10 +46,6 @@ def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> i
         message = "give two files of --save-results or more"
         raise click.UsageError(message)
     check_picture("--plot", plot_path)
-    if plot_path is not None:
-        import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-        check_writable(plot_path.parent)
     found = compare_results(files)
     if plot_path is not None:
         write_comparison_plot(found, plot_path)

@@ -14,6 +14,7 @@ from slamfusion.cli.options import (
     CASE_FILE,
     case_option,
     check_picture,
+    check_report,
     common_options,
     file_option,
     map_resolution_option,
@@ -25,7 +26,7 @@ from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
-from slamfusion.jobs.inputs import check_writable, device_for, load_maps
+from slamfusion.jobs.inputs import device_for, load_maps
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
@@ -63,11 +64,7 @@ class _Request:
             message = "--report and --image show the difference to a truth; give --truth MAP"
             raise click.UsageError(message)
         check_picture("--image", self.image_path)
-        for folder in (self.report_dir, None if not self.image_path else self.image_path.parent):
-            if folder is not None:
-                import slamfusion.report  # noqa: F401, PLC0415  (says early if its extra is missing)
-
-                check_writable(folder)
+        check_report(self.report_dir)
 
 
 @click.command("evaluate")

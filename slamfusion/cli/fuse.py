@@ -15,6 +15,7 @@ from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
     FILE,
+    check_report,
     common_options,
     file_option,
     map_resolution_option,
@@ -141,10 +142,7 @@ def command(
             raise click.UsageError(message)
         with start_errors(starts), asked_scheduler(scheduler, config, processes) as fleet:
             return _fuse_into_store(maps, out, resolution, config, fleet, as_json=as_json)
-    if report_dir is not None:
-        import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-        check_writable(report_dir)
+    check_report(report_dir)
     grids = load_maps(maps, resolution, config.map_files, notice)
     truth = None
     if truth_path is not None:

@@ -12,6 +12,7 @@ from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
     CASE_FILE,
     case_option,
+    check_report,
     common_options,
     drive_files,
     report_option,
@@ -23,7 +24,6 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
-from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evidence.verdict import PathVerdict, Verdict
@@ -53,10 +53,7 @@ class _Request:
         if self.odometry and not self.relations:
             message = "--odometry carries poses to the times of relations; give --relations FILE"
             raise click.UsageError(message)
-        if self.report_dir is not None:
-            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-            check_writable(self.report_dir)
+        check_report(self.report_dir)
 
     def placed(self) -> tuple[list[Placed], CaseFiles]:
         """Return the paths of each log, and what they are held against."""

@@ -25,6 +25,7 @@ from slamfusion.config import (
 )
 from slamfusion.errors import ConfigError
 from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.inputs import check_writable
 
 __all__ = [
     "CASE_FILE",
@@ -32,6 +33,7 @@ __all__ = [
     "ConfigOption",
     "case_option",
     "check_picture",
+    "check_report",
     "common_options",
     "config_fields",
     "drive_files",
@@ -199,15 +201,38 @@ def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[
 
 
 def check_picture(name: str, path: Path | None) -> None:
-    """Refuse the name of a picture that cannot be written.
+    """Refuse a picture that cannot be drawn or written, before any work is done.
 
     Args:
         name: of the option.
         path: its value; None: not given.
+
+    Raises:
+        click.BadParameter: its name ends in no form of a picture.
+        SlamFusionError: see ``check_report``.
     """
-    if path is not None and path.suffix.lower().removeprefix(".") not in PICTURE_FORMS:
+    if path is None:
+        return
+    if path.suffix.lower().removeprefix(".") not in PICTURE_FORMS:
         message = f"{path}: wanted a name that ends in .{', .'.join(PICTURE_FORMS)}"
         raise click.BadParameter(message, param_hint=f"'{name}'")
+    check_report(path.parent)
+
+
+def check_report(folder: Path | None) -> None:
+    """Refuse a report that cannot be drawn or written, before any work is done.
+
+    Args:
+        folder: that it goes to; None: none is wanted.
+
+    Raises:
+        SlamFusionError: matplotlib is missing, or the folder cannot be written.
+    """
+    if folder is None:
+        return
+    import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
+
+    check_writable(folder)
 
 
 def case_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:

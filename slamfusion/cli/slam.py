@@ -12,6 +12,7 @@ import click
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.options import (
     FILE,
+    check_report,
     common_options,
     drive_options,
     file_option,
@@ -106,10 +107,7 @@ class _Request:
                 raise click.UsageError(message)
         self._check_state()
         check_writable(self.stem.parent)
-        if self.report is not None:
-            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-            check_writable(self.report)
+        check_report(self.report)
 
     def _check_state(self) -> None:
         """Refuse a state that cannot be read, or that cannot be written."""

@@ -13,6 +13,7 @@ from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
     CASE_FILE,
     case_option,
+    check_report,
     common_options,
     file_option,
     report_option,
@@ -24,7 +25,6 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, shared_case_names
-from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DensePoses, ErrorStatistics
@@ -71,10 +71,7 @@ class _Request:
         if self.map_path is not None and not self.is_one:
             message = "--map lies under one path; give one EST with it"
             raise click.UsageError(message)
-        if self.report_dir is not None:
-            import slamfusion.report  # noqa: F401, PLC0415  (says early when its extra is missing)
-
-            check_writable(self.report_dir)
+        check_report(self.report_dir)
 
     def placed(self) -> tuple[list[Placed], CaseFiles]:
         """Return the paths in their cases, and what they are held against there."""

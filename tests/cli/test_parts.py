@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from pathlib import Path
 
 import click
@@ -15,7 +16,7 @@ from slamfusion.cli.experiment import _drive_files
 from slamfusion.cli.fuse import command as fuse_command
 from slamfusion.cli.options import FILE, config_fields, option_name
 from slamfusion.cli.output import progress_bar
-from slamfusion.cli.program import COMMANDS
+from slamfusion.cli.program import COMMANDS, run_program
 from slamfusion.cli.tables import one_line
 from slamfusion.config import GMAPPING_PROFILES, MapFileConfig
 from slamfusion.errors import MapFileError
@@ -144,6 +145,36 @@ def test_check_writable_makes_nothing(tmp_path: Path) -> None:
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "compare a.zip b.zip --plot plot.png",
+        "evaluate a.yaml --truth b.yaml --report out",
+        "evaluate a.yaml --truth b.yaml --image plot.png",
+        "fuse a.yaml b.yaml -o out/fused --report out",
+        "judge a.log a.tum --report out",
+        "run a.log -o out",
+        "run a.log b.log -o out",
+        "slam graph a.log -o out/graph --report out",
+        "trajectory a.tum --truth b.tum --report out",
+    ],
+)
+def test_without_matplotlib_what_draws_is_refused_before_any_file_is_read(
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """None in ``sys.modules`` is how Python says that a module is not there."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "slamfusion.report", raising=False)
+    assert run_program(words.split()) == 1
+    assert capsys.readouterr().err == (
+        "slamfusion: error: the report needs matplotlib; pip install 'slamfusion[report]'\n"
+    )
 
 
 def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:

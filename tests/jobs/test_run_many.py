@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -95,20 +94,6 @@ def test_no_input_is_replaced_by_the_results_of_a_log(
     words = ["run", "a.log", "b.log", "-o", str(out), "--inputs", str(out / "a" / given)]
     assert run_program(words) == 2
     assert f"-o {out} would replace the input {out / 'a' / given}" in capsys.readouterr().err
-
-
-def test_several_logs_without_matplotlib_are_refused_before_any_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """None in ``sys.modules`` is how Python says that a module is not there."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "slamfusion.report", raising=False)
-    (tmp_path / "bad.log").write_text("hello\n")
-    words = ["run", str(tmp_path / "bad.log"), "b.log", "-o", str(tmp_path / "out")]
-    assert run_program(words) == 1
-    assert capsys.readouterr().err == (
-        "slamfusion: error: the report needs matplotlib; pip install 'slamfusion[report]'\n"
-    )
 
 
 def test_a_scheduler_is_for_several_logs(
