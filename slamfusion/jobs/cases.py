@@ -87,11 +87,11 @@ def case_names(files: Sequence[CaseFile]) -> list[str]:
 def shared_case_names(*kinds: Sequence[CaseFile]) -> list[str]:
     """Return the names of the cases that files of several kinds are of, one each, in order.
 
-    The kind of most files names them; of as many, one of which a name was given. Names that were
-    given with files of the other kinds follow.
+    The kind with most files names them; of kinds with as many, one with a ``CASE=``. What is
+    ``CASE=`` of the other kinds, and new, follows.
 
     Args:
-        kinds: files at most one a case each, as truths and relations.
+        kinds: truths and relations, for example; of each at most one file a case.
 
     Raises:
         ConfigError: see ``case_names``.
