@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections import Counter
 from pathlib import Path
 
@@ -68,6 +69,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help=f"of tests that differ in their parameters alone run {FEW}, and all marked jazzy",
     )
+
+
+# What collecting makes stays to the end, so nothing of it is looked for meanwhile, or ever again: a
+# third of its processor time, and a twentieth of that of the tests after it.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -356,9 +356,11 @@ def _end(code: int) -> None:
 if __name__ == "__main__":
     path, wanted, unwanted, number = sys.argv[1:]
     sys.path[0] = str(Path(path).parent)  # as of a script that is started
+    gc.disable()
     _load(wanted.split(","), unwanted.split(","))
     # What was loaded is not looked through at each end: 0.07 s of processor time for a fork, not
     # 0.4 s.
     gc.collect()
     gc.freeze()
+    gc.enable()
     _become(path, *_serve(socket.socket(fileno=int(number))))
