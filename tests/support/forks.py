@@ -43,6 +43,8 @@ MEASURED = ("COV_CORE_", "COVERAGE_")
 # One request or answer; an environment is the most of it.
 MOST_BYTES = 1 << 17
 STREAMS = 3
+# Words of the commands that start processes of their own; the others are not made to wait for it.
+SPAWNING = {"run", "experiment"}
 # Files that one request passes on: its streams, pipes and what a spawned process is given.
 MOST_FILES = 64
 # Of prctl, see its manual: orphans below this process become its children.
@@ -241,7 +243,8 @@ def _become(script: str, request: dict[str, Any], files: list[int]) -> None:
         os.environ.pop(name, None)
     os.environ.update(request["env"])
     sys.argv = [script, *request["arguments"]]
-    _fork_what_is_spawned()
+    if not SPAWNING.isdisjoint(sys.argv):
+        _fork_what_is_spawned()
     _run_to_the_end(lambda: runpy.run_path(script, run_name="__main__"))
 
 
