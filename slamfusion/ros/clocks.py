@@ -80,8 +80,9 @@ class Clocks:
         for name in {name for name, _ in self._heard} - {*names}:
             self._heard = {key: heard for key, heard in self._heard.items() if key[0] != name}
             self._diagnostics.clear(f"clock {name}")
-        for name, ahead_s in self.ahead_s().items():
-            key = f"clock {name}"
+        known = self.ahead_s()
+        for name in names:
+            key, ahead_s = f"clock {name}", known.get(name, 0.0)
             if abs(ahead_s) <= SKEW_S:
                 self._diagnostics.clear(key)
                 continue

@@ -123,3 +123,16 @@ def test_one_alone_and_time_that_is_not_known_tell_nothing() -> None:
     robots.drive()
     robots.clocks.forget()
     assert robots.told() == "all is well"
+
+
+def test_who_is_not_to_be_compared_any_more_is_not_named() -> None:
+    robots = Robots(a=0.0, b=500.0)
+    robots.drive()
+    assert "the clock of 'b' is 500.0 s ahead" in robots.told()
+    del robots.ahead_s["a"]
+    assert robots.told() == "all is well", "b is alone"
+    robots = Robots(a=0.0, b=500.0)
+    robots.drive()
+    robots.told()
+    robots.clocks.forget()
+    assert robots.told() == "all is well", "time jumped back"
