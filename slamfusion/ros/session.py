@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from contextlib import suppress
 from pathlib import Path
 
 __all__ = ["SESSION_VARIABLE", "is_first_to_say"]
@@ -21,8 +20,9 @@ def is_first_to_say(text: str) -> bool:
         return True
     said = Path(folder) / f"said-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     try:
-        with suppress(FileNotFoundError, PermissionError):  # the folder is gone: say it
-            said.touch(exist_ok=False)
+        said.touch(exist_ok=False)
     except FileExistsError:
         return False
+    except OSError:  # the folder is gone, or full: rather twice than never
+        return True
     return True

@@ -39,10 +39,11 @@ def test_of_the_nodes_of_a_session_one_says_what_holds_for_all(
     assert second.worst() == (Level.WARN, "no GPU; no scans")
 
 
-@pytest.mark.parametrize("folder", [None, "gone"])
-def test_a_node_alone_and_one_whose_session_is_gone_speak(
+@pytest.mark.parametrize("folder", [None, "gone", "file"])
+def test_a_node_alone_and_one_whose_session_cannot_be_written_speak(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str | None
 ) -> None:
+    (tmp_path / "file").touch()  # no folder
     monkeypatch.delenv(SESSION_VARIABLE, raising=False)
     if folder is not None:
         monkeypatch.setenv(SESSION_VARIABLE, str(tmp_path / folder))
