@@ -92,8 +92,7 @@ class FusionServices:
                 self._base.log.error(traceback.format_exc())
                 text = f"{type(error).__name__}: {error}"
                 self._base.diagnostics.add("service", Level.ERROR, text, SHOWN_S)
-                if hasattr(response, "success"):
-                    response.success, response.message = False, text
+                _fail(response, text)
                 return response
 
         return callback
@@ -148,7 +147,7 @@ class FusionServices:
 
     def _load_map(self, request: Any, response: Any) -> Any:
         """Let a saved map be an input, and answer it."""
-        path = str(request.map_url).removeprefix("file://")
+        path = str(request.map_url).strip().removeprefix("file://")
         grid, problem = self._served.load_input(f"{FILE_PREFIX}{path}")
         if grid is not None:
             response.result = LoadMap.Response.RESULT_SUCCESS
@@ -156,7 +155,7 @@ class FusionServices:
             response.map = messages.grid_to_message(grid, f"{grid.name}_map", stamp)
             return response
         response.result = LoadMap.Response.RESULT_INVALID_MAP_DATA
-        if not path or not Path(path).expanduser().exists():
+        if not path or not Path(path).exists():
             response.result = LoadMap.Response.RESULT_MAP_DOES_NOT_EXIST
         text = f"not loaded: {problem}"
         self._base.diagnostics.add("load", Level.WARN, text, SHOWN_S)
@@ -169,3 +168,13 @@ class FusionServices:
         response.success = True
         response.message = "the newest maps begin a new fused frame"
         return response
+
+
+def _fail(response: Any, text: str) -> None:
+    """Let an answer of any of the services, nav2's too, be that of a failure."""
+    if isinstance(response, SetParametersAtomically.Response):
+        response.result.successful, response.result.reason = False, text
+    elif isinstance(response, Trigger.Response):
+        response.success, response.message = False, text
+    elif hasattr(response, "RESULT_UNDEFINED_FAILURE"):
+        response.result = response.RESULT_UNDEFINED_FAILURE

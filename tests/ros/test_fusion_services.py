@@ -1,6 +1,6 @@
-"""What nav2's map saver and map server would be asked, asked of the fusion's services.
+"""What the fusion's services answer, without a node; also what nav2's would be asked.
 
-nav2_msgs is not on the Python package index: requests and answers here have its fields.
+nav2_msgs is not on the Python package index: its requests and answers here have its fields.
 """
 
 from __future__ import annotations
@@ -13,7 +13,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
+from nav_msgs.srv import LoadMap
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.clock import Clock
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.grid import OccupancyGrid
@@ -21,6 +25,8 @@ from slamfusion.io.map_server import load_map
 from slamfusion.ros.base import Diagnostics
 from slamfusion.ros.fusion_services import FusionServices
 from tests.fusion.live.maps import three
+
+pytestmark = pytest.mark.once
 
 
 class Node:
@@ -57,7 +63,46 @@ def asked(**fields: Any) -> SimpleNamespace:
     return SimpleNamespace(**{"map_topic": "", "map_url": "", **defaults, **fields})
 
 
-@pytest.mark.once
+def save_as(node: Node, **fields: Any) -> tuple[bool, str]:
+    """Ask for ``save_map_as``, and return its answer."""
+    given = [Parameter(name, value=value).to_parameter_msg() for name, value in fields.items()]
+    request = SetParametersAtomically.Request(parameters=given)
+    result = node.answers["save_map_as"](request, SetParametersAtomically.Response()).result
+    return result.successful, result.reason
+
+
+def test_what_goes_wrong_unforeseen_is_no_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = Node(tmp_path)
+    FusionServices(node, node)
+
+    def fail(*_: Any, **__: Any) -> Any:
+        message = "no more threads"
+        raise RuntimeError(message)
+
+    monkeypatch.setattr(node, "load_input", fail)
+    monkeypatch.setattr(node, "ask_reset", fail)
+    monkeypatch.setattr("slamfusion.ros.map_saver.save_map", fail)
+    said = "RuntimeError: no more threads"
+    request = LoadMap.Request(map_url="/maps/lab.yaml")
+    loaded = node.answers["load_map"](request, LoadMap.Response())
+    assert loaded.result == LoadMap.Response.RESULT_UNDEFINED_FAILURE
+    reset = node.answers["reset"](Trigger.Request(), Trigger.Response())
+    assert (reset.success, reset.message) == (False, said)
+    assert save_as(node, path=str(tmp_path / "other")) == (False, said)
+    assert node.diagnostics.worst()[1] == said
+
+
+def test_a_map_is_loaded_from_its_path_alone(tmp_path: Path) -> None:
+    node = Node(tmp_path)
+    FusionServices(node, node)
+    for url in ("/maps/lab.yaml", "file:///maps/lab.yaml", " file:///maps/lab.yaml \n"):
+        answer = node.answers["load_map"](LoadMap.Request(map_url=url), LoadMap.Response())
+        assert answer.result == LoadMap.Response.RESULT_SUCCESS
+        assert answer.map.info.width == three()["b"].width
+
+
 def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("Nav2SaveMap", "Nav2LoadMap"):  # their types only name the service
         monkeypatch.setattr(f"slamfusion.ros.fusion_services.{name}", object)
