@@ -29,13 +29,14 @@ except ImportError:
 __all__ = ["SAVE_AS", "FusionServices", "Served"]
 
 SAVE_AS = "save_map_as"
-# What a request of ``save_map_as`` may say, as ``slamfusion.io.save_map`` calls it.
-RULES = {
-    "path": "path",
-    "format": "image_format",
-    "mode": "mode",
-    "free_thresh": "free_thresh",
-    "occupied_thresh": "occupied_thresh",
+TEXT, NUMBER = (str,), (float, int)
+# What a request of ``save_map_as`` may say, as ``slamfusion.io.save_map`` calls it, and its types.
+RULES: dict[str, tuple[str, tuple[type, ...]]] = {
+    "path": ("path", TEXT),
+    "format": ("image_format", TEXT),
+    "mode": ("mode", TEXT),
+    "free_thresh": ("free_thresh", NUMBER),
+    "occupied_thresh": ("occupied_thresh", NUMBER),
 }
 
 
@@ -115,16 +116,14 @@ class FusionServices:
         """Write the last published map as the request says."""
         given = {item.name: parameter_value_to_python(item.value) for item in request.parameters}
         result = response.result
-        odd = [name for name in given if name not in RULES]
-        texts = [name for name in ("path", "format", "mode") if name in given]
-        wrong = [name for name in texts if not isinstance(given[name], str)]
-        wrong += [n for n in given if n not in texts and not isinstance(given[n], (int, float))]
-        if odd or wrong:
+        # By its type: a truth value is an int, too, and no number.
+        wrong = {n: v for n, v in given.items() if n not in RULES or type(v) not in RULES[n][1]}
+        if wrong:
             wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
-            found = ", ".join(f"{name} = {given[name]!r}" for name in odd or wrong)
+            found = ", ".join(f"{name} = {value!r}" for name, value in wrong.items())
             result.successful, result.reason = False, f"not saved: wanted {wanted}, found {found}"
             return response
-        rules = {RULES[name]: value for name, value in given.items()}
+        rules = {RULES[name][0]: value for name, value in given.items()}
         result.successful, result.reason = self._saver.save(**rules)
         return response
 

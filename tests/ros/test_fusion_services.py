@@ -103,6 +103,19 @@ def test_a_map_is_loaded_from_its_path_alone(tmp_path: Path) -> None:
         assert answer.map.info.width == three()["b"].width
 
 
+def test_save_as_names_all_that_it_does_not_take(tmp_path: Path) -> None:
+    node = Node(tmp_path)
+    FusionServices(node, node)
+    path = str(tmp_path / "other")
+    wanted = "path, format and mode as texts, free_thresh and occupied_thresh as numbers"
+    assert save_as(node, path=path, colour="red", mode=5, occupied_thresh=True) == (
+        False,
+        f"not saved: wanted {wanted}, found colour = 'red', mode = 5, occupied_thresh = True",
+    )
+    taken = save_as(node, path=path, mode="raw", occupied_thresh=1, free_thresh=0.3)
+    assert taken == (True, f"{path}.yaml")
+
+
 def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("Nav2SaveMap", "Nav2LoadMap"):  # their types only name the service
         monkeypatch.setattr(f"slamfusion.ros.fusion_services.{name}", object)
