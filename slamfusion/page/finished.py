@@ -255,8 +255,7 @@ def _put_path(shown: Scene, name: str, file: Path) -> None:
     except SlamFusionError as error:
         shown.put_event("error", f"the path of {name} is not shown: {error}")
         return
-    for x_m, y_m, _ in poses:
-        shown.put_point(name, float(x_m), float(y_m))
+    shown.put_path(name, poses)
 
 
 # --- maps without a record --------------------------------------------------------------------

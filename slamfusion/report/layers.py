@@ -51,7 +51,7 @@ def fusion_layers(result: FusionResult, paths: Mapping[str, Trajectory] | None =
     scene = _scene()
     scene.put_status([_told(record, result.reference) for record in placed])
     for name, path in (paths or {}).items():
-        _put_path(scene, name if name == FUSED else layer_name(name), path)
+        scene.put_path(name if name == FUSED else layer_name(name), path.poses)
     scene.put_map(FUSED, result.fused, "fused")
     scene.put_map(AGREEMENT, result.agreement, "agreement")
     for record in placed:
@@ -67,7 +67,7 @@ def map_layers(grid: OccupancyGrid, path: Trajectory) -> Layers:
         return too_large
     scene = _scene()
     scene.put_status([])
-    _put_path(scene, grid.name, path)
+    scene.put_path(grid.name, path.poses)
     scene.put_map(grid.name, grid, "fused")
     return Layers(_recorded(scene), _NOTE)
 
@@ -118,12 +118,6 @@ def _too_large(*grids: OccupancyGrid) -> Layers | None:
 def _scene() -> Scene:
     """Return a scene in which nothing depends on the time of day."""
     return Scene("report", is_live=False, clock=lambda: 0.0, level=LEVEL)
-
-
-def _put_path(scene: Scene, name: str, path: Trajectory) -> None:
-    """Put the poses of a path, in the frame of the map of that name."""
-    for x_m, y_m, _ in path.poses:
-        scene.put_point(name, float(x_m), float(y_m))
 
 
 def _told(record: InputRecord, reference: str) -> dict[str, Any]:

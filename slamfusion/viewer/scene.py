@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
@@ -192,6 +193,11 @@ class Scene:
                 return
             trail.append((self._next(), x_m, y_m))
         self.on_change()
+
+    def put_path(self, name: str, poses: npt.NDArray[np.float64]) -> None:
+        """Take the points of poses (N, 3), x and y in metres and yaw in radians, in order."""
+        for x_m, y_m, _ in poses:
+            self.put_point(name, float(x_m), float(y_m))
 
     def _next(self) -> int:
         self._seq += 1
