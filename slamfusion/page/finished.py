@@ -15,12 +15,11 @@ from slamfusion.io.trajectories import read_trajectory
 from slamfusion.jobs.outputs import AGREEMENT, AGREEMENT_END, DRAWN, FUSED, RUN_RECORD
 from slamfusion.page.feed import Feed
 from slamfusion.viewer import scene
-from slamfusion.viewer.scene import Kind, Scene, layer_name
+from slamfusion.viewer.scene import Kind, Scene, layer_name, unlaid
 
 __all__ = ["Finished", "ShownMap", "read_finished"]
 
 KINDS: dict[str, Kind] = {FUSED: "fused", AGREEMENT: "agreement"}
-IN_PLACE = [0.0, 0.0, 0.0]
 MOST_NAMED = 8
 
 
@@ -150,7 +149,7 @@ def _read_record(path: Path) -> Finished:
     if path.name == RUN_RECORD and drawn.exists():
         # The map that is drawn at the fused path lies in the fused frame.
         found.maps.append(ShownMap(DRAWN, "input", drawn))
-        told.append(_unlaid(DRAWN, "drawn at the fused path"))
+        told.append(unlaid(DRAWN, "drawn at the fused path"))
     verdict = record.get("verdict") or {}
     figures = {
         "reference": str(record.get("reference")),
@@ -231,18 +230,7 @@ def _input(item: Mapping[str, Any]) -> dict[str, Any]:
         "votes": bool(item.get("accepted")),
         "reason": str(item.get("reason")),
         "score": item.get("score"),
-        "transform": numbers if len(numbers) == len(IN_PLACE) else None,
-    }
-
-
-def _unlaid(name: str, reason: str) -> dict[str, Any]:
-    """Return a map that has no vote, and lies as its frame says."""
-    return {
-        "name": name,
-        "votes": None,
-        "reason": reason,
-        "score": None,
-        "transform": IN_PLACE,
+        "transform": numbers if len(numbers) == len(values) else None,
     }
 
 
@@ -274,7 +262,7 @@ def _read_maps(folder: Path, files: dict[str, Path]) -> Finished:
         for name, path in ordered.items()
     ]
     names = [item.name for item in found.maps if item.kind == "input"]
-    told = [_unlaid(name, "as its own frame has it") for name in names]
+    told = [unlaid(name, "as its own frame has it") for name in names]
     words = f"{len(ordered)} maps; no record says how they lie to each other"
     found.scene.put_status(told, headline=words, level="plain", figures={})
     for name in (FUSED, *names):
@@ -315,7 +303,7 @@ def _read_drive(folder: Path, drive: str) -> Finished:
         ShownMap(grid.name, "input", grid, is_shown=number == 0) for number, grid in enumerate(maps)
     ]
     found.also = [name for name in names if name != chosen]
-    told = [_unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
+    told = [unlaid(grid.name, "a true wall that it lacks is shown as unknown") for grid in maps]
     words = f"{chosen}: {len(maps)} maps over the truth"
     figures = {"other drives, by --drive": ", ".join(found.also) or "none"}
     found.scene.put_status(told, headline=words, level="plain", figures=figures)

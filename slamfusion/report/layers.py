@@ -12,7 +12,7 @@ from slamfusion.fusion.records import FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
+from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name, unlaid
 
 __all__ = ["MOST_CELLS", "Layers", "error_layers", "fusion_layers", "map_layers"]
 
@@ -86,8 +86,7 @@ def error_layers(evaluations: Sequence[MapError]) -> Layers:
         return too_large
     scene = _scene()
     names = [f"{grid.name} (map)" if grid.name == first.truth else grid.name for grid in maps]
-    in_place = {"votes": None, "reason": "", "score": None, "transform": [0.0, 0.0, 0.0]}
-    scene.put_status([{"name": name, **in_place} for name in names])
+    scene.put_status([unlaid(name) for name in names])
     scene.put_map(first.truth, truth, "fused")
     for number, (name, grid) in enumerate(zip(names, maps, strict=True)):
         scene.put_map(name, grid, "input", is_shown=number == 0)

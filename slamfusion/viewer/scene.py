@@ -20,7 +20,7 @@ from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, R
 from slamfusion.viewer.messages import FASTEST, TILE, encode_tile, to_text
 from slamfusion.viewer.tiles import Lattice, Place, TiledLayer
 
-__all__ = ["AGREEMENT", "FUSED", "Kind", "Scene", "layer_name"]
+__all__ = ["AGREEMENT", "FUSED", "Kind", "Scene", "layer_name", "unlaid"]
 
 # An input's map, the fused one, or the share of votes for the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]
@@ -37,6 +37,17 @@ POINTS, STEP_M = 200_000, 0.1
 def layer_name(name: str) -> str:
     """Return what an input is called beside the fused map and the agreement, whatever its name."""
     return f"{name} (input)" if name in {FUSED, AGREEMENT} else name
+
+
+def unlaid(name: str, reason: str = "") -> dict[str, Any]:
+    """Return what ``put_status`` takes of a map that nobody asked for its vote or laid elsewhere.
+
+    Args:
+        name: of its layer.
+        reason: why it lies as its own frame has it, or what else to say of it.
+    """
+    place = [0.0, 0.0, 0.0]
+    return {"name": name, "votes": None, "reason": reason, "score": None, "transform": place}
 
 
 @dataclass
