@@ -12,14 +12,18 @@ from slamfusion.errors import MapFileError, SlamFusionError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
-from slamfusion.jobs.outputs import AGREEMENT, AGREEMENT_END, DRAWN, FUSED, RUN_RECORD
+from slamfusion.jobs.outputs import AGREEMENT, AGREEMENT_END, DRAWN, FUSED, FUSED_PATH, RUN_RECORD
 from slamfusion.page.feed import Feed
 from slamfusion.viewer import scene
 from slamfusion.viewer.scene import Kind, Scene, layer_name, unlaid
 
 __all__ = ["Finished", "ShownMap", "read_finished"]
 
-KINDS: dict[str, Kind] = {FUSED: "fused", AGREEMENT: "agreement"}
+# The layers of the maps of a fusion, and their kinds, by the names of their files.
+FUSION: dict[str, tuple[str, Kind]] = {
+    FUSED: (scene.FUSED, "fused"),
+    AGREEMENT: (scene.AGREEMENT, "agreement"),
+}
 MOST_NAMED = 8
 
 
@@ -164,11 +168,7 @@ def _read_record(path: Path) -> Finished:
     level = "good" if verdict.get("sure") else "plain"
     found.scene.put_status(told, headline=sentence, level=level, figures=figures)
     if path.name == RUN_RECORD and "producers" in record:
-        names = [FUSED, *(str(item.get("name")) for item in inputs if item.get("accepted"))]
-        given = {item.get("name"): item.get("file") for item in record.get("saved_paths") or ()}
-        for name in names:
-            own = given.get(name)
-            file = stem.with_name(f"{name}.tum") if own is None else _found(Path(own), stem)
+        for name, file in _paths_of(stem, record, inputs):
             _put_path(found.scene, name, file)
     return found
 
@@ -198,10 +198,10 @@ def _maps_of(
     yield ShownMap(scene.FUSED, "fused", stem.with_name(f"{stem.name}.yaml"))
     agreement = stem.with_name(f"{stem.name}{AGREEMENT_END}.yaml")
     yield ShownMap(scene.AGREEMENT, "agreement", agreement)
-    # Producers write their maps into the folder; the maps that were given stand last.
+    # Producers write their maps into the folder.
     given = [Path(str(path)) for path in record.get("saved_maps", ())]
-    made = [stem.with_name(f"{item.get('name')}.yaml") for item in inputs]
-    files = [*made[: max(len(inputs) - len(given), 0)], *(_found(path, stem) for path in given)]
+    made = [stem.with_name(f"{item.get('name')}.yaml") for item in _made(record, inputs)]
+    files = [*made, *(_found(path, stem) for path in given)]
     settings = (record.get("config") or {}).get("map_files") or {}
     for item, path in zip(inputs, files, strict=False):
         is_image = path.suffix not in {".yaml", ".yml"} and not path.is_dir()
@@ -213,6 +213,29 @@ def _maps_of(
             record.get("resolution") if is_image else None,
             bool(settings.get("legacy_unknown")),
         )
+
+
+def _paths_of(
+    stem: Path, record: Mapping[str, Any], inputs: Sequence[Mapping[str, Any]]
+) -> Iterator[tuple[str, Path]]:
+    """Yield the map's layer and the file of the fused path and of each voter's."""
+    yield scene.FUSED, stem.with_name(FUSED_PATH)
+    made = [str(item.get("name")) for item in _made(record, inputs)]
+    files = {name: stem.with_name(f"{name}.tum") for name in made}
+    files |= {
+        str(item.get("name")): _found(Path(str(item.get("file"))), stem)
+        for item in record.get("saved_paths") or ()
+    }
+    for name in [str(item.get("name")) for item in inputs if item.get("accepted")]:
+        if name in files:
+            yield layer_name(name), files[name]
+
+
+def _made(
+    record: Mapping[str, Any], inputs: Sequence[Mapping[str, Any]]
+) -> Sequence[Mapping[str, Any]]:
+    """Return the inputs that producers made; the maps that were given stand after them."""
+    return inputs[: max(len(inputs) - len(record.get("saved_maps", ())), 0)]
 
 
 def _found(path: Path, stem: Path) -> Path:
@@ -249,24 +272,22 @@ def _put_path(shown: Scene, name: str, file: Path) -> None:
 # --- maps without a record --------------------------------------------------------------------
 
 
-def _read_maps(folder: Path, files: dict[str, Path]) -> Finished:
+def _read_maps(folder: Path, files: Mapping[str, Path]) -> Finished:
     """Read maps of which nobody knows how they lie."""
     found = Finished(Scene(f"SLAMfusion: {folder.absolute().name}", is_live=False))
-    ordered = {name: files.pop(name) for name in KINDS if name in files} | files
+    inputs = {name: path for name, path in files.items() if name not in FUSION}
     found.maps = [
-        ShownMap(
-            scene.AGREEMENT if name == AGREEMENT else name,
-            KINDS.get(name, "input"),
-            path,
-        )
-        for name, path in ordered.items()
+        ShownMap(layer, kind, files[name])
+        for name, (layer, kind) in FUSION.items()
+        if name in files
     ]
-    names = [item.name for item in found.maps if item.kind == "input"]
-    told = [unlaid(name, "as its own frame has it") for name in names]
-    words = f"{len(ordered)} maps; no record says how they lie to each other"
+    found.maps += [ShownMap(layer_name(name), "input", path) for name, path in inputs.items()]
+    told = [unlaid(layer_name(name), "as its own frame has it") for name in inputs]
+    words = f"{len(files)} maps; no record says how they lie to each other"
     found.scene.put_status(told, headline=words, level="plain", figures={})
-    for name in (FUSED, *names):
-        _put_path(found.scene, name, folder / f"{name}.tum")
+    _put_path(found.scene, scene.FUSED, folder / FUSED_PATH)
+    for name in inputs:
+        _put_path(found.scene, layer_name(name), folder / f"{name}.tum")
     return found
 
 
