@@ -12,11 +12,11 @@ from concurrent.futures import Future
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion.live.outbox import Fused
-from slamfusion.fusion.live.records import LiveInput
 from slamfusion.fusion.live.session import Arrived, Believed
 from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.fusion_status import PREFIX
 from slamfusion.ros.map_source import MapSource
+from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name
 
 __all__ = ["LivePage"]
 
@@ -53,7 +53,6 @@ class LivePage:
         # Nobody else needs what it stands on.
         try:
             from slamfusion.page.server import PageServer  # noqa: PLC0415
-            from slamfusion.viewer.scene import Scene  # noqa: PLC0415
         except ImportError as error:
             raise ConfigError(str(error)) from error
 
@@ -80,17 +79,17 @@ class LivePage:
     def put_heard(self, arrived: Arrived) -> None:
         """Show the newest map of an input, or no more of one that was removed."""
         if arrived.is_removed:
-            self._server.feed.remove(arrived.name)
+            self._server.feed.remove(layer_name(arrived.name))
             self._scene.put_event("warn", f"{arrived.name} is removed from the inputs")
         elif arrived.grid is not None:
-            self._server.feed.put(arrived.name, arrived.grid, "input")
+            self._server.feed.put(layer_name(arrived.name), arrived.grid, "input")
         else:
             self._scene.put_event("warn", f"a map of {arrived.name}: {arrived.problem}")
 
     def put_fused(self, fused: Fused) -> None:
         """Show a fused map that was published, and where its voters agree."""
-        self._server.feed.put("fused", fused.grid, "fused")
-        self._server.feed.put("agreement", fused.agreement, "agreement")
+        self._server.feed.put(FUSED, fused.grid, "fused")
+        self._server.feed.put(AGREEMENT, fused.agreement, "agreement")
 
     # -- in the node's thread ---------------------------------------------------------------------
 
@@ -107,7 +106,8 @@ class LivePage:
     def put_pose(self, source: MapSource) -> None:
         """Let the path of an input go on."""
         if source.pose is not None:
-            self._scene.put_point(source.name, source.pose.pose.x, source.pose.pose.y)
+            name, pose = layer_name(source.name), source.pose.pose
+            self._scene.put_point(name, pose.x, pose.y)
 
     def show(
         self, lines: Sequence[Status], believed: Believed, sources: Iterable[MapSource]
@@ -125,9 +125,10 @@ class LivePage:
             transform = believed.transform(source.name)
             if transform is not None and source.pose is not None:
                 pose = transform.compose(source.pose.pose)
-                poses.append({"name": source.name, "pose": [pose.x, pose.y, pose.yaw_rad]})
+                place = [pose.x, pose.y, pose.yaw_rad]
+                poses.append({"name": layer_name(source.name), "pose": place})
         self._scene.put_status(
-            [_shown(line, believed.inputs.get(line.name.removeprefix(PREFIX))) for line in others],
+            [_shown(line, believed) for line in others],
             poses=poses,
             headline=fusion.message,
             level=LEVELS[fusion.level],
@@ -157,11 +158,13 @@ class LivePage:
         return future.result()
 
 
-def _shown(line: Status, record: LiveInput | None) -> dict[str, object]:
+def _shown(line: Status, believed: Believed) -> dict[str, object]:
     """Return an input as the page shows it."""
+    name = line.name.removeprefix(PREFIX)
+    record = believed.inputs.get(name)
     transform = None if record is None else record.transform
     return {
-        "name": line.name.removeprefix(PREFIX),
+        "name": layer_name(name),
         "votes": record is not None and record.accepted,
         "reason": line.message,
         "score": None if record is None else round(record.score, 4),

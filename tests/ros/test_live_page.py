@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,13 +17,23 @@ pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or 
 
 from nav_msgs.msg import OccupancyGrid
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
+from slamfusion.config import FusionNodeConfig
+from slamfusion.fusion.live.outbox import Fused
+from slamfusion.fusion.live.records import LiveInput
+from slamfusion.fusion.live.session import Arrived, Believed
+from slamfusion.geometry import Pose2
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.ros import messages, qos
+from slamfusion.ros.base import Level, Status
+from slamfusion.ros.live_page import LivePage
+from slamfusion.ros.map_source import HeardPose
+from tests.page.test_server import batch, say
 from tests.ros.drives import write_log
 from tests.ros.live import Observer, Process, Processes
 from tests.support.browser import browser_page
+from tests.viewer.maps import noise, painted, texts, tiles
 
 pytestmark = [pytest.mark.ros, pytest.mark.once]
 
@@ -32,6 +45,51 @@ READ_CELLS = """([height, width]) => {
   const { data } = canvas.getContext("2d").getImageData(left, top, width, height);
   return Array.from(data);
 }"""
+
+
+def socket(url: str, origin: str = "") -> ClientConnection:
+    """Connect to the socket of the page at an address, as that page or one from elsewhere."""
+    own = url.partition("/#")[0]
+    return connect(own.replace("http", "ws", 1) + "/ws", origin=origin or own, max_size=None)
+
+
+def heard(page: ClientConnection, is_done: Callable[[list[Any]], object]) -> list[Any]:
+    """Return what a page is told until it holds something."""
+    messages: list[Any] = []
+    until_s = time.monotonic() + 10.0
+    while not is_done(messages):
+        assert time.monotonic() < until_s, [item for item in messages if isinstance(item, str)]
+        messages += batch(page)
+    return messages
+
+
+def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
+    urls: list[str] = []
+    base = SimpleNamespace(name="fusion", log=SimpleNamespace(info=urls.append))
+    live = LivePage(base, FusionNodeConfig(page_port=0), lambda name: (True, name))
+    grids = {name: noise(40, 50, seed=seed) for seed, name in enumerate(("fused", "input"))}
+    source = SimpleNamespace(name="fused", pose=HeardPose(Pose2(1.0, 2.0, 0.0), None, 0.0))
+    place = Pose2(3.0, 0.0, 0.0)
+    record = LiveInput("fused", 0.0, 1.0, True, "fits", place, 0.7, 0.8, 1, 0, True)
+    lines = [Status("fusion", Level.OK, "all"), Status("input fused", Level.OK, "fits")]
+    with closing(live), socket(urls[0].rpartition(" ")[2]) as page:
+        say(page, type="hello", token="")
+        live.put_fused(Fused(grids["fused"], grids["fused"], 1.0, None))
+        live.put_heard(Arrived("fused", grids["input"], "", 0.0))
+        live.put_pose(source)
+        live.show(lines, Believed({"fused": record}), [source])
+        told = heard(page, lambda told: tiles(told, "fused (input)"))
+        for layer, name in (("fused", "fused"), ("fused (input)", "input")):
+            cells = painted(tiles(told, layer), 40, 50, (0, 0))
+            assert np.array_equal(cells, grids[name].cells)
+        status = texts(told, "status")[-1]
+        assert [item["name"] for item in status["inputs"]] == ["fused (input)"]
+        assert status["inputs"][0]["score"] == 0.7
+        assert status["poses"] == [{"name": "fused (input)", "pose": [4.0, 2.0, 0.0]}]
+        assert texts(told, "trail")[-1]["name"] == "fused (input)"
+        live.put_heard(Arrived("fused", None, "", 0.0, is_removed=True))
+        told = heard(page, lambda told: texts(told, "layer"))
+        assert texts(told, "layer") == [{"type": "layer", "name": "fused (input)", "gone": True}]
 
 
 def address(node: Process, observer: Observer) -> str:
@@ -69,7 +127,7 @@ def test_the_page_shows_what_the_nodes_publish(
     url = address(fusion, observer)
 
     with pytest.raises(InvalidStatus, match="403"):
-        connect(url.partition("/#")[0].replace("http", "ws") + "/ws", origin="http://evil.example")
+        socket(url, "http://evil.example")
 
     with browser_page() as page:
         page.goto(url)
