@@ -16,7 +16,14 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.palette import (
+    DISAGREEMENT_RGB,
+    FREE_RGB,
+    INPUT_COLOURS,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    Rgb,
+)
 from slamfusion.viewer.messages import FASTEST, TILE, encode_tile, to_text
 from slamfusion.viewer.tiles import Lattice, Place, TiledLayer
 
@@ -259,6 +266,8 @@ def _described(name: str, layer: _Layer) -> dict[str, Any]:
     colours: dict[str, Rgb] = {"unknown": UNKNOWN_RGB, "free": FREE_RGB, "wall": WALL_RGB}
     if layer.kind == "input":
         colours["wall"] = INPUT_COLOURS[layer.index % len(INPUT_COLOURS)]
+    elif layer.kind == "agreement":
+        colours["wall"] = DISAGREEMENT_RGB
     return {
         "name": name,
         "kind": layer.kind,

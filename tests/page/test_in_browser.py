@@ -10,7 +10,7 @@ import pytest
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.page.server import PageServer
-from slamfusion.palette import FREE_RGB, INPUT_COLOURS, WALL_RGB
+from slamfusion.palette import DISAGREEMENT_RGB, FREE_RGB, INPUT_COLOURS, WALL_RGB
 from slamfusion.viewer.scene import Scene
 from tests.support.browser import becomes, browser_page
 
@@ -46,6 +46,22 @@ def leaves_and_comes_again(page: Any, server: PageServer, scene: Scene) -> None:
     status(scene, a=(True, [-7.0, 0.0, 0.0]))
     page.wait_for_selector('#layers li[data-name="a"]')
     page.wait_for_selector('#inputs li[data-name="a"][data-votes="true"]')
+
+
+def disagreement_is_of_no_input(page: Any, server: PageServer) -> None:
+    """Where nobody agreed is drawn in a colour of its own, which also stands in the list."""
+    server.feed.put("agreement", room(10), "agreement")
+    agreement = page.locator('#layers li[data-name="agreement"]')
+    agreement.locator("input[type=checkbox]").check()
+    agreement.locator("input[type=range]").fill("1")
+    for name in ("fused", "a"):
+        page.uncheck(f'#layers li[data-name="{name}"] input[type=checkbox]')
+    becomes(page, (*DISAGREEMENT_RGB, round(0.9 * 255)), "agreement", 40, 5)
+    becomes(page, (0, 0, 0, 0), "agreement", 12, 5)
+    swatch = agreement.locator("i").evaluate("item => getComputedStyle(item).backgroundColor")
+    assert swatch == f"rgb{DISAGREEMENT_RGB}"
+    agreement.locator("input[type=checkbox]").uncheck()
+    page.check('#layers li[data-name="fused"] input[type=checkbox]')
 
 
 def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
@@ -87,6 +103,8 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
         becomes(page, (*INPUT_COLOURS[0], 255), "fused", 39, 5)
         becomes(page, (*INPUT_COLOURS[1], 255), "a", 22, 5)
         page.uncheck("#difference")
+
+        disagreement_is_of_no_input(page, server)
 
         page.click("#save")
         page.wait_for_selector("#answer.good")

@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.palette import FREE_RGB, INPUT_COLOURS, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.palette import (
+    DISAGREEMENT_RGB,
+    FREE_RGB,
+    INPUT_COLOURS,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    Rgb,
+)
 from slamfusion.report import map_axes, paths, plots
 
 pytestmark = pytest.mark.once
@@ -61,7 +68,7 @@ def distance(one: Rgb, two: Rgb, sight: str) -> float:
 
 
 TOGETHER = {
-    "inputs": (*INPUT_COLOURS, FREE_RGB, WALL_RGB),
+    "layers": (*INPUT_COLOURS, DISAGREEMENT_RGB, FREE_RGB, WALL_RGB),
     "overlay of two": plots.layer_colours(2),
     "overlay of three": plots.layer_colours(3),
     "overlay of four": plots.layer_colours(4),

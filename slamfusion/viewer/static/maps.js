@@ -1,7 +1,5 @@
 // Maps in tiles: what came, what each was at any time since, and their pictures.
 
-import { DISAGREEMENT } from "./colours.js";
-
 const HISTORY_BYTES = 48e6; // of packed tiles that are kept for the time slider
 const CHUNK = 16; // tiles along the side of a picture
 const OCCUPIED = 65;
@@ -89,7 +87,7 @@ function paletteOf(layer) {
   const colours = new Uint32Array(256);
   for (let value = 0; value <= 100; value += 1) {
     if (layer.kind === "agreement") {
-      colours[value] = pack(DISAGREEMENT, (0.9 * (100 - value)) / 100);
+      colours[value] = pack(layer.colours.wall, (0.9 * (100 - value)) / 100);
     } else if (value >= OCCUPIED) {
       colours[value] = pack(layer.colours.wall, 1);
     } else if (value <= FREE) {

@@ -1,6 +1,6 @@
 // What stands beside the map: who votes, layers, figures, events.
 
-import { DISAGREEMENT, ONLY_FIRST, css } from "./colours.js";
+import { ONLY_FIRST, css } from "./colours.js";
 
 const POINTS = 600; // of the curves of health, one a status
 
@@ -128,7 +128,7 @@ export class Layers {
     shown.id = `shown-${name}`;
     const label = Object.assign(element("label", name), { htmlFor: shown.id });
     const swatch = element("i");
-    swatch.style.background = layer.kind === "agreement" ? css(DISAGREEMENT) : css(layer.colours.wall);
+    swatch.style.background = css(layer.colours.wall);
     const opacity = Object.assign(element("input"), {
       type: "range", min: "0", max: "1", step: "0.05", value: String(layer.opacity),
     });
