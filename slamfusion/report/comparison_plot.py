@@ -15,7 +15,7 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.evaluation import ErrorSeries, MeasuredItem, figure_of
 from slamfusion.palette import INPUT_COLOURS
-from slamfusion.report.canvas import to_form, unit_rgb
+from slamfusion.report.canvas import plain_text, to_form, unit_rgb
 
 __all__ = ["comparison_plot"]
 
@@ -52,23 +52,21 @@ def comparison_plot(sets: Sets, form: str) -> bytes:
     rows = len(series) + -(-len(figures) // 2)
     figure = Figure(figsize=(WIDTH_IN, rows * ROW_IN + FOOT_IN), dpi=200, layout="constrained")
     grid = figure.add_gridspec(rows + 1, 2, height_ratios=[*[ROW_IN] * rows, FOOT_IN])
+    handles: dict[str, Artist] = {}
     for row, (case, name) in enumerate(series):
         along, below = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
-        _draw_series(along, below, sets, case, name)
+        _draw_series(along, below, sets, case, name, handles)
     for number, name in enumerate(figures):
         place = grid[len(series) + number // 2, number % 2]
-        _draw_figure(figure.add_subplot(place), sets, name)
-    _draw_legend(figure.add_subplot(grid[rows, :]), figure.axes)
+        _draw_figure(figure.add_subplot(place), sets, name, handles)
+    _draw_legend(figure.add_subplot(grid[rows, :]), handles)
     return to_form(figure, form)
 
 
-def _draw_legend(axes: Axes, shown: Sequence[Axes]) -> None:
-    """Draw what the lines and points of all axes are, each once."""
-    handles: dict[str, Artist] = {}
-    for other in shown:
-        for handle, label in zip(*other.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
+def _draw_legend(axes: Axes, handles: Mapping[str, Artist]) -> None:
+    """Draw what the lines and points of all axes are, by their names."""
     axes.set_axis_off()
+    # The names come after: of those given here matplotlib leaves out what begins with ``_``.
     legend = axes.legend(
         list(handles.values()),
         [""] * len(handles),
@@ -78,8 +76,7 @@ def _draw_legend(axes: Axes, shown: Sequence[Axes]) -> None:
         frameon=False,
     )
     for text, label in zip(legend.get_texts(), handles, strict=True):
-        text.set_parse_math(False)
-        text.set_text(label)
+        text.set_text(plain_text(label))
 
 
 def _drawn_series(sets: Sets) -> list[tuple[str, str]]:
@@ -104,8 +101,13 @@ def _drawn_figures(sets: Sets) -> list[str]:
     return [name for name in known[0] if all(name in other for other in known)][:MOST_FIGURES]
 
 
-def _draw_series(along: Axes, below: Axes, sets: Sets, case: str, name: str) -> None:
-    """Draw single errors along the path, and the share of them below each value."""
+def _draw_series(
+    along: Axes, below: Axes, sets: Sets, case: str, name: str, handles: dict[str, Artist]
+) -> None:
+    """Draw single errors along the path, and the share of them below each value.
+
+    What is drawn is added to ``handles``, of each name the first.
+    """
     shown = {
         label: [item for item in items if item.case == case and name in item.series]
         for label, items in sets.items()
@@ -122,14 +124,14 @@ def _draw_series(along: Axes, below: Axes, sets: Sets, case: str, name: str) -> 
                 "color": unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)]),
                 "ls": STYLES[nth % len(STYLES)],
                 "lw": 0.9,
-                "label": label if len(items) == 1 else f"{label}: {item.method}",
             }
             ranked = np.sort(series.errors)[::step]
             below.plot(ranked, np.linspace(0.0, 1.0, len(ranked)), **look)
             if series.at.shape[1] > 1:  # relations are no line
                 look |= {"ls": "", "marker": MARKERS[nth % len(MARKERS)], "ms": 1.5}
             kept = order[::step]
-            along.plot(series.at[kept, 0] - start, series.errors[kept], **look)
+            (drawn,) = along.plot(series.at[kept, 0] - start, series.errors[kept], **look)
+            handles.setdefault(label if len(items) == 1 else f"{label}: {item.method}", drawn)
     error = figure_of(name).label
     travelled = name.startswith("rpe")
     _finish(along, case, "metres travelled" if travelled else "seconds", error)
@@ -146,8 +148,11 @@ def _scale(series: Sequence[ErrorSeries]) -> str:
     return "log" if values.min() >= 0.0 and float(values.max()) > LARGE * usual > 0.0 else "linear"
 
 
-def _draw_figure(axes: Axes, sets: Sets, name: str) -> None:
-    """Draw one figure of every map or path: a place for each set, lines for the same items."""
+def _draw_figure(axes: Axes, sets: Sets, name: str, handles: dict[str, Artist]) -> None:
+    """Draw one figure of every map or path: a place for each set, lines for the same items.
+
+    What is drawn is added to ``handles``, of each name the first.
+    """
     joined: dict[tuple[str, str], list[tuple[int, float]]] = {}
     for number, (label, items) in enumerate(sets.items()):
         known = [item for item in items if name in item.figures]
@@ -155,7 +160,8 @@ def _draw_figure(axes: Axes, sets: Sets, name: str) -> None:
         colour = unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)])
         marker = MARKERS[number % len(MARKERS)]
         places = np.full(len(values), float(number))
-        axes.plot(places, values, color=colour, marker=marker, ls="", ms=4, label=label, zorder=3)
+        (drawn,) = axes.plot(places, values, color=colour, marker=marker, ls="", ms=4, zorder=3)
+        handles.setdefault(label, drawn)
         mean = float(np.mean(values))
         axes.plot([number - 0.18, number + 0.18], [mean, mean], color=colour, lw=2.0)
         cases = {item.case for item in known}
@@ -175,10 +181,10 @@ def _draw_figure(axes: Axes, sets: Sets, name: str) -> None:
 
 
 def _finish(axes: Axes, title: str, x_label: str, y_label: str) -> None:
-    """Write what the axes show; names are drawn as they are written."""
-    axes.set_title(title, fontsize=7.5, loc="left", parse_math=False)
-    axes.set_xlabel(x_label, fontsize=7, parse_math=False)
-    axes.set_ylabel(y_label, fontsize=7, parse_math=False)
+    """Write what the axes show."""
+    axes.set_title(plain_text(title), fontsize=7.5, loc="left")
+    axes.set_xlabel(plain_text(x_label), fontsize=7)
+    axes.set_ylabel(plain_text(y_label), fontsize=7)
     axes.tick_params(labelsize=6.5, width=0.6, length=2.5)
     axes.grid(visible=True, lw=0.3, color="0.85")
     for side in ("top", "right"):

@@ -142,7 +142,7 @@ def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_pat
     truth.write_text("truth", encoding="ascii")
     files = [
         save(tmp_path / f"{name}.zip", [path_item("a$b_{c}$", "x", 0.1)], truth)
-        for name in ("$one", "two$")
+        for name in ("$one", "_two$")
     ]
     found = compare_results(files)
     for form, head in HEADS.items():
@@ -154,7 +154,7 @@ def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_pat
         if form == "svg":
             assert data == plots[1].read_bytes()
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
-    assert all(f">{words}<" in text for words in ("$one", "two$", "a$b_{c}$", "ATE m"))
+    assert all(f">{words}<" in text for words in ("$one", "_two$", "a$b_{c}$", "ATE m"))
 
 
 def test_figures_are_drawn_for_several_maps(tmp_path: Path) -> None:
@@ -166,11 +166,11 @@ def test_figures_are_drawn_for_several_maps(tmp_path: Path) -> None:
             [MeasuredItem(case, name, {"wall_f1": 0.5 + 0.1 * n}) for n, case in enumerate(CASES)],
             truth,
         )
-        for name in ("old", "new")
+        for name in ("old", "_new")
     ]
     write_comparison_plot(compare_results(files), tmp_path / "plot.svg")
     text = (tmp_path / "plot.svg").read_text(encoding="utf-8")
-    assert all(f">{words}<" in text for words in ("F1", "larger is better", "old", "new"))
+    assert all(f">{words}<" in text for words in ("F1", "larger is better", "old", "_new"))
 
 
 @pytest.mark.parametrize(("worst", "scale"), [(0.2, "linear"), (40.0, "log"), (-40.0, "linear")])
