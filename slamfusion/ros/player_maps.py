@@ -1,4 +1,4 @@
-"""``MapSaver``: the newest maps of some topics, written to a folder at the end of a log."""
+"""``PlayerMaps``: the newest maps of some topics, written to a folder at the end of a log."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from slamfusion.ros.base import NodeBase
 from slamfusion.ros.interrupt import Interrupt
 from slamfusion.ros.player_answers import STAMP_TOLERANCE_S
 
-__all__ = ["MapSaver"]
+__all__ = ["PlayerMaps"]
 
 
-class MapSaver:
+class PlayerMaps:
     """Keeps the newest map of every topic.
 
     Args:

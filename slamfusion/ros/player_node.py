@@ -17,7 +17,7 @@ from slamfusion.ros.base import Level, NodeBase, Status
 from slamfusion.ros.interrupt import Interrupt
 from slamfusion.ros.parameters import declare, declare_names
 from slamfusion.ros.player_answers import AGAIN_S, Answers
-from slamfusion.ros.player_maps import MapSaver
+from slamfusion.ros.player_maps import PlayerMaps
 from slamfusion.ros.player_output import SCAN_TOPIC, ScanSender
 from slamfusion.ros.player_progress import ProgressLines
 
@@ -77,10 +77,10 @@ class PlayerNode(NodeBase):
             message = "player: lockstep needs to know whom to wait for: -p wait_for:=[NAME]"
             raise ConfigError(message)
         self._interrupt = Interrupt()
-        self._saver: MapSaver | None = None
+        self._maps: PlayerMaps | None = None
         if self.settings.save is not None:
             folder = Path(self.settings.save)
-            self._saver = MapSaver(self, map_topics, folder, self._interrupt)
+            self._maps = PlayerMaps(self, map_topics, folder, self._interrupt)
         self._log: ScanLog = open_log(self.settings.file, reading)
         self._sender = ScanSender(self, self.settings)
         timeout_s = self.settings.lockstep_timeout_s
@@ -106,10 +106,10 @@ class PlayerNode(NodeBase):
             if not self._interrupt.is_set:
                 self._sender.wait_for_delivery()
                 self.log.info(self._words_at_end(time.monotonic() - begun_s))
-            if self._saver is not None:
+            if self._maps is not None:
                 played = f"{self._sender.sent} scans of {self._log.path}"
                 stamp_s = self._sender.stamp_s or 0.0
-                self._saver.save(stamp_s, self.settings.save_timeout_s, played)
+                self._maps.save(stamp_s, self.settings.save_timeout_s, played)
             code = 0
         except (SlamFusionError, OSError) as error:
             self.log.error(f"player: {error}")
