@@ -8,15 +8,13 @@ never asked for has cost its time and changes nothing: an alignment depends on i
 
 from __future__ import annotations
 
-import hashlib
-import pickle
-import zlib
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import AlignConfig
 from slamfusion.fleet import Scheduler, Task
+from slamfusion.fleet.packed import Kept, Packed, pack
 from slamfusion.fleet.worker import worker_device
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
@@ -24,38 +22,12 @@ from slamfusion.fusion.normalize import NormalizedGrid
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.start import StartPose
 
-__all__ = ["AlignmentTasks", "PackedGrid", "PairSettings", "align_packed", "pack_grid"]
+__all__ = ["AlignmentTasks", "PairSettings", "align_packed"]
 
 # Tasks for each of the scheduler's slots: none of them waits for the next one to be handed over.
 AHEAD = 2
 # Cells of maps whose fields a worker keeps, of which each takes some 24 bytes; two maps always.
 KEPT_CELLS = 1 << 24
-
-
-@dataclass(frozen=True)
-class PackedGrid:
-    """A normalised grid as it travels: maps shrink to some percent.
-
-    Attributes:
-        key: the same for the same grid alone.
-        data: the grid, pickled and compressed.
-    """
-
-    key: str
-    data: bytes
-
-    def unpack(self) -> NormalizedGrid:
-        """Return the grid."""
-        grid: NormalizedGrid = pickle.loads(zlib.decompress(self.data))  # noqa: S301 - our own
-        for array in (grid.cells, grid.solid):
-            array.flags.writeable = False
-        return grid
-
-
-def pack_grid(grid: NormalizedGrid) -> PackedGrid:
-    """Return a grid as it travels."""
-    plain = pickle.dumps(grid, pickle.HIGHEST_PROTOCOL)
-    return PackedGrid(hashlib.sha256(plain).hexdigest(), zlib.compress(plain, 1))
 
 
 @dataclass(frozen=True)
@@ -73,7 +45,7 @@ class AlignmentTasks:
     def __init__(self, scheduler: Scheduler, settings: PairSettings) -> None:
         """Take who does them, and what they have in common."""
         self._scheduler, self._settings = scheduler, settings
-        self._packed: dict[str, PackedGrid] = {}
+        self._packed: dict[str, Packed[NormalizedGrid]] = {}
         self._tasks: dict[tuple[str, str], Task[Alignment]] = {}
 
     @property
@@ -113,9 +85,9 @@ class AlignmentTasks:
             align_packed, *packed, self._settings, start, self._scheduler.device
         )
 
-    def _pack(self, grid: NormalizedGrid) -> PackedGrid:
+    def _pack(self, grid: NormalizedGrid) -> Packed[NormalizedGrid]:
         if grid.name not in self._packed:
-            self._packed[grid.name] = pack_grid(grid)
+            self._packed[grid.name] = pack(grid)
         return self._packed[grid.name]
 
 
@@ -123,15 +95,18 @@ class AlignmentTasks:
 
 
 def align_packed(
-    reference: PackedGrid,
-    moving: PackedGrid,
+    reference: Packed[NormalizedGrid],
+    moving: Packed[NormalizedGrid],
     settings: PairSettings,
     start: StartPose | None,
     device: str,
 ) -> Alignment:
     """Align two grids that came from elsewhere; see ``align_features``."""
     opened = worker_device(device)
-    features = [_KEPT.get(packed, opened) for packed in (reference, moving)]
+    features = [
+        _KEPT.get((packed.key, opened.name), partial(_unpacked_features, packed, opened))
+        for packed in (reference, moving)
+    ]
     _KEPT.shrink()
     return align_features(
         features[0], features[1], settings.config, opened, start,
@@ -139,30 +114,16 @@ def align_packed(
     )  # fmt: skip
 
 
-class _KeptFeatures:
-    """The fields of the grids that were looked at last: a grid is in several pairs."""
-
-    def __init__(self) -> None:
-        self._features: OrderedDict[tuple[str, str], GridFeatures] = OrderedDict()
-
-    def get(self, packed: PackedGrid, device: ComputeDevice) -> GridFeatures:
-        """Return the features of a grid, made where they are not kept."""
-        key = packed.key, device.name
-        if key not in self._features:
-            self._features[key] = GridFeatures(packed.unpack(), device)
-        self._features.move_to_end(key)
-        return self._features[key]
-
-    def shrink(self) -> None:
-        """Let go of those not looked at for longest, but for the last two."""
-        cells = sum(map(_cells, self._features.values()))
-        while cells > KEPT_CELLS and len(self._features) > 2:
-            _, gone = self._features.popitem(last=False)
-            cells -= _cells(gone)
-
-
-_KEPT = _KeptFeatures()
+def _unpacked_features(packed: Packed[NormalizedGrid], device: ComputeDevice) -> GridFeatures:
+    grid = packed.unpack()
+    for array in (grid.cells, grid.solid):
+        array.flags.writeable = False
+    return GridFeatures(grid, device)
 
 
 def _cells(features: GridFeatures) -> int:
     return features.shape[0] * features.shape[1]
+
+
+# The fields of the grids that were looked at last: a grid is in several pairs.
+_KEPT: Kept[GridFeatures] = Kept(_cells, KEPT_CELLS, least=2)

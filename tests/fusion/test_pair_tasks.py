@@ -12,11 +12,12 @@ import pytest
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fleet import InProcess, Task
+from slamfusion.fleet.packed import Kept, pack
 from slamfusion.fusion import pair_tasks
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import normalize_grid
-from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings, align_packed, pack_grid
+from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings, align_packed
 from tests.support.sites import RESOLUTION, many_maps
 
 SETTINGS = PairSettings(AlignConfig(prove=False), 21, thorough=False)
@@ -47,19 +48,10 @@ class Noting(InProcess):
         return super().submit(function, *arguments)
 
 
-def test_a_grid_travels_whole_and_small(features: list[GridFeatures]) -> None:
+def test_a_grid_travels_small(features: list[GridFeatures]) -> None:
     grid = features[0].grid
-    packed = pack_grid(grid)
     whole = grid.grid.cells.nbytes + grid.cells.nbytes + grid.solid.nbytes
-    assert len(packed.data) < 0.2 * whole  # noise and all
-    back = packed.unpack()
-    for one, other in ((grid.cells, back.cells), (grid.solid, back.solid)):
-        assert np.array_equal(one, other)
-        assert not other.flags.writeable
-    assert np.array_equal(grid.grid.cells, back.grid.cells)
-    assert (back.grid.origin, back.grid.resolution) == (grid.grid.origin, grid.grid.resolution)
-    assert pack_grid(back).key == packed.key
-    assert pack_grid(features[1].grid).key != packed.key
+    assert len(pack(grid).data) < 0.2 * whole  # noise and all
 
 
 def test_an_alignment_of_a_task_is_that_of_this_process(
@@ -96,10 +88,10 @@ def test_pairs_begin_ahead_as_many_as_slots_take(features: list[GridFeatures]) -
 def test_a_worker_keeps_the_fields_of_the_last_maps(
     features: list[GridFeatures], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = pair_tasks._KeptFeatures()
-    monkeypatch.setattr(pair_tasks, "_KEPT", kept)
+    cells = sum(item.shape[0] * item.shape[1] for item in features[:3])
+    monkeypatch.setattr(pair_tasks, "_KEPT", Kept(pair_tasks._cells, cells, least=2))
     monkeypatch.setattr(pair_tasks, "align_features", lambda a, b, *_, **__: (a, b))
-    packed = [pack_grid(item.grid) for item in features[:4]]
+    packed = [pack(item.grid) for item in features[:4]]
 
     def looked_at(a: int, b: int) -> tuple[Any, Any]:
         found: Any = align_packed(packed[a], packed[b], SETTINGS, None, "auto")
@@ -107,12 +99,12 @@ def test_a_worker_keeps_the_fields_of_the_last_maps(
 
     first, second = looked_at(0, 1)
     assert looked_at(1, 0) == (second, first)
-    cells = sum(item.shape[0] * item.shape[1] for item in features[:3])
-    monkeypatch.setattr(pair_tasks, "KEPT_CELLS", cells)
+    for one, other in ((features[0].grid, first.grid), (features[1].grid, second.grid)):
+        assert np.array_equal(one.grid.cells, other.grid.cells)
+        for array, back in ((one.cells, other.cells), (one.solid, other.solid)):
+            assert np.array_equal(array, back)
+            assert not back.flags.writeable
     looked_at(2, 0)
     looked_at(3, 0)
     assert looked_at(0, 2)[0] is first
     assert looked_at(0, 1)[1] is not second
-    monkeypatch.setattr(pair_tasks, "KEPT_CELLS", 1)
-    third, fourth = looked_at(2, 3)
-    assert looked_at(2, 3) == (third, fourth)
