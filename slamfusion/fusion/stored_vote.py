@@ -1,28 +1,27 @@
 """A vote on a lattice that does not fit into memory: tile by tile, each given away when decided.
 
-What a tile needs of an input travels packed, so that any process can decide it (``fleet``). An
-input is laid on the tile alone, by the motion that would lay it on all of its box: the cells are
-those of a vote in memory (``lattice_vote``), bit for bit.
+Of each input the blocks of cells that lie under a tile travel packed, so that any process can
+decide it (``fleet``). An input is laid on the tile alone, by the motion that would lay it on all of
+its box: the cells are those of a vote in memory (``lattice_vote``), bit for bit.
 """
 
 from __future__ import annotations
 
-import hashlib
-import zlib
+import itertools
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.arrays import DeviceArray
-from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.compute.lattice import fixed_cells
+from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fleet import Scheduler, Task
+from slamfusion.fleet.packed import Kept, Packed, pack
 from slamfusion.fleet.worker import worker_device
 from slamfusion.fusion.ballot import Ballot, DecidedTile, Laid
 from slamfusion.fusion.boxes import hull, overlap, padded, slices
@@ -47,37 +46,60 @@ I8 = npt.NDArray[np.int8]
 
 # Tiles for each of the scheduler's slots that are handed over or wait to be written.
 AHEAD = 2
-# Bytes of inputs that a process keeps unpacked: those of the tiles around the last one.
-KEPT_BYTES = 1 << 28
+# Cells on a side of the blocks in which inputs travel.
+BLOCK = 512
+# Bytes of blocks that a process keeps unpacked: those under the tiles around the last one.
+KEPT_BYTES = 1 << 26
 
 
-@dataclass(frozen=True)
-class PackedCells:
-    """Cells (h, w) int8 as they travel.
+@dataclass(frozen=True, eq=False)
+class PackedBlocks:
+    """Cells (H, W) int8 as they travel: in blocks, of which a tile needs some.
 
     Attributes:
-        key: the same for the same cells alone.
         shape: rows and columns.
-        data: compressed.
+        blocks: ``BLOCK`` cells on a side, by row and column of blocks; of those that are not here
+            all cells are unknown, or nobody asks for them.
     """
 
-    key: str
     shape: tuple[int, int]
-    data: bytes
+    blocks: Mapping[tuple[int, int], Packed[I8]]
 
     @classmethod
-    def of(cls, cells: I8) -> PackedCells:
+    def of(cls, cells: I8) -> PackedBlocks:
         """Pack cells."""
         height, width = cells.shape
-        plain = np.ascontiguousarray(cells).data
-        return cls(hashlib.sha256(plain).hexdigest(), (height, width), zlib.compress(plain, 1))
+        blocks = {}
+        for box in tiles_of(CellBox(0, 0, height, width), BLOCK):
+            block = np.ascontiguousarray(cells[slices(box, 0, 0)])
+            if (block != UNKNOWN).any():
+                blocks[box.row0 // BLOCK, box.col0 // BLOCK] = pack(block)
+        return cls((height, width), blocks)
 
-    def unpack(self) -> I8:
-        """Return the cells."""
-        return np.frombuffer(zlib.decompress(self.data), dtype=np.int8).reshape(self.shape)
+    def under(self, window: CellBox | None) -> PackedBlocks:
+        """Return what holds the cells of a box; None: no cell."""
+        if window is None:
+            return replace(self, blocks={})
+        rows = range(window.row0 // BLOCK, (window.row1 - 1) // BLOCK + 1)
+        cols = range(window.col0 // BLOCK, (window.col1 - 1) // BLOCK + 1)
+        wanted = itertools.product(rows, cols)
+        return replace(self, blocks={at: self.blocks[at] for at in wanted if at in self.blocks})
+
+    def unpack(self, window: CellBox) -> I8:
+        """Return the cells of a box."""
+        cells = np.full((window.height, window.width), UNKNOWN, dtype=np.int8)
+        for (row, col), packed in self.under(window).blocks.items():
+            block = _KEPT.get(packed.key, packed.unpack)
+            height, width = block.shape
+            row0, col0 = row * BLOCK, col * BLOCK
+            part = overlap(CellBox(row0, col0, row0 + height, col0 + width), window)
+            if part is not None:
+                cells[slices(part, window.row0, window.col0)] = block[slices(part, row0, col0)]
+        _KEPT.shrink()
+        return cells
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Voter:
     """An input that votes, packed.
 
@@ -90,10 +112,37 @@ class Voter:
     """
 
     name: str
-    cells: PackedCells
-    percents: PackedCells | None
+    cells: PackedBlocks
+    percents: PackedBlocks | None
     pose: npt.NDArray[np.int64]
     box: CellBox
+
+    def under(self, wide: CellBox) -> Voter:
+        """Return the input with what is laid on a box of the fused lattice."""
+        part = overlap(self.box, wide)
+        window = None if part is None else self.window(part)
+        percents = None if self.percents is None else self.percents.under(window)
+        return replace(self, cells=self.cells.under(window), percents=percents)
+
+    def pose_of(self, part: CellBox) -> npt.NDArray[np.int64]:
+        """Return the motion of a part of the box into the input."""
+        row, col = part.row0 - self.box.row0, part.col0 - self.box.col0
+        pose = self.pose.copy()
+        # Positions are in half cells, and motions are linear: exact.
+        pose[0, 2] += 2 * (pose[0, 0] * col - pose[0, 1] * row)
+        pose[0, 3] += 2 * (pose[0, 1] * col + pose[0, 0] * row)
+        return pose
+
+    def window(self, part: CellBox) -> CellBox | None:
+        """Return the cells of the input that lie under a part of the box; None without any."""
+        height, width = self.cells.shape
+        # Motions are linear, so what the corners read bounds what all others do.
+        x2, y2 = (
+            np.array([1, 2 * count - 1], dtype=np.int64) for count in (part.width, part.height)
+        )
+        row, col = fixed_cells(self.pose_of(part)[0], x2[np.newaxis], y2[:, np.newaxis])
+        box = CellBox(int(row.min()), int(col.min()), int(row.max()) + 1, int(col.max()) + 1)
+        return overlap(box, CellBox(0, 0, height, width))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +197,11 @@ class StoredVote:
     def _hand_over(self, tile: CellBox, scheduler: Scheduler) -> Task[DecidedTile | None]:
         wide = self.ballot.around(tile)
         asks_all = self.ballot.vote.unknown == "value"
-        here = [item for item in self.voters if asks_all or overlap(item.box, wide) is not None]
+        here = [
+            item.under(wide)
+            for item in self.voters
+            if asks_all or overlap(item.box, wide) is not None
+        ]
         return scheduler.submit(decide_tile, self.ballot, tile, here, scheduler.device)
 
 
@@ -173,7 +226,7 @@ def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig
     frame, resolution = base.grid.origin, base.grid.resolution
     boxes = {}
     box = CellBox(0, 0, *base.shape)
-    packed: dict[str, tuple[PackedCells, PackedCells | None, Pose2]] = {}
+    packed: dict[str, tuple[PackedBlocks, PackedBlocks | None, Pose2]] = {}
     for name, pair in group.alignments.items():
         grid = base if name == group.reference else lattices(name)
         boxes[name] = lattice_box(grid, pair.transform, base)
@@ -194,9 +247,9 @@ def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig
     return StoredVote(ballot, tuple(voters), lattice_frame(base.grid, box), resolution)
 
 
-def _packed(grid: NormalizedGrid, config: FusionConfig) -> tuple[PackedCells, PackedCells | None]:
-    percents = PackedCells.of(grid.grid.cells) if config.vote.mode == "log-odds" else None
-    return PackedCells.of(grid.cells), percents
+def _packed(grid: NormalizedGrid, config: FusionConfig) -> tuple[PackedBlocks, PackedBlocks | None]:
+    percents = PackedBlocks.of(grid.grid.cells) if config.vote.mode == "log-odds" else None
+    return PackedBlocks.of(grid.cells), percents
 
 
 def _moved(box: CellBox, first: CellBox) -> CellBox:
@@ -257,37 +310,21 @@ def _laid_on(wide: CellBox, voters: Sequence[Voter], device: ComputeDevice) -> d
     return layers
 
 
-def _laid(packed: PackedCells, voter: Voter, part: CellBox, device: ComputeDevice) -> I8:
+def _laid(packed: PackedBlocks, voter: Voter, part: CellBox, device: ComputeDevice) -> I8:
     """Return cells on a part of the box that they were to be laid on."""
-    if not part.area:
-        return np.zeros((part.height, part.width), dtype=np.int8)
-    row, col = part.row0 - voter.box.row0, part.col0 - voter.box.col0
-    pose = voter.pose.copy()
-    # Positions are in half cells, and motions are linear: exact.
-    pose[0, 2] += 2 * (pose[0, 0] * col - pose[0, 1] * row)
-    pose[0, 3] += 2 * (pose[0, 1] * col + pose[0, 0] * row)
-    warped = device.warp(_KEPT.get(packed, device), pose, (part.height, part.width), UNKNOWN)
+    window = voter.window(part) if part.area else None
+    if window is None:
+        return np.full((part.height, part.width), UNKNOWN, dtype=np.int8)
+    pose = voter.pose_of(part)
+    pose[0, 2:] -= 2 * FIXED_ONE * np.array([window.col0, window.row0])
+    cells = device.upload(packed.unpack(window))
+    warped = device.warp(cells, pose, (part.height, part.width), UNKNOWN)
     return np.array(device.download(warped)[0])
 
 
-class _KeptCells:
-    """Cells on the device that were laid last."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[str, str], tuple[DeviceArray[np.int8], int]] = OrderedDict()
-
-    def get(self, packed: PackedCells, device: ComputeDevice) -> DeviceArray[Any]:
-        """Return cells on a device, unpacked where they are not kept."""
-        key = packed.key, device.name
-        if key not in self._kept:
-            cells = packed.unpack()
-            self._kept[key] = device.upload(cells), cells.nbytes
-            kept = sum(size for _, size in self._kept.values())
-            while kept > KEPT_BYTES and len(self._kept) > 1:
-                _, (_, size) = self._kept.popitem(last=False)
-                kept -= size
-        self._kept.move_to_end(key)
-        return self._kept[key][0]
+def _bytes_of(cells: I8) -> int:
+    return cells.nbytes
 
 
-_KEPT = _KeptCells()
+# The blocks that were laid last, unpacked.
+_KEPT: Kept[I8] = Kept(_bytes_of, KEPT_BYTES)

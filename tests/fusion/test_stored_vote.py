@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError
-from slamfusion.fleet import InProcess
+from slamfusion.fleet import InProcess, Task
 from slamfusion.fusion import stored_vote
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.normalize import normalize_grid
-from slamfusion.fusion.stored_vote import PackedCells, prepare_stored_vote
+from slamfusion.fusion.stored_vote import PackedBlocks, prepare_stored_vote
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from tests.fusion.test_lattice_vote import SIZE, Places, aligned, placed, scattered, voted
+
+
+def known_cells(height: int, width: int) -> npt.NDArray[np.int8]:
+    """Return cells that are free or occupied by chance."""
+    return np.random.default_rng(0).choice(np.array([0, 100], dtype=np.int8), (height, width))
 
 
 def both_votes(
@@ -55,6 +62,7 @@ def test_tiles_give_what_the_whole_gives(
     count: int, vote: dict[str, Any], device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stored_vote, "TILE", 17)
+    monkeypatch.setattr(stored_vote, "BLOCK", 7)
     whole, tiles = both_votes(scattered(count), device, **vote)
     assert np.array_equal(whole[0], tiles[0])
     assert np.array_equal(whole[1], tiles[1])
@@ -99,17 +107,41 @@ def test_weights_of_whole_maps_are_refused(device: ComputeDevice) -> None:
         prepare_stored_vote(members, lambda _: grid, FusionConfig(vote=VoteConfig("weighted")))
 
 
-def test_cells_that_were_laid_last_are_kept(
+def test_blocks_hold_the_cells_and_none_that_are_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stored_vote, "BLOCK", 7)
+    cells = known_cells(30, 40)
+    cells[:14, :21] = UNKNOWN
+    packed = PackedBlocks.of(cells)
+    assert len(packed.blocks) == 5 * 6 - 2 * 3
+    window = CellBox(10, 3, 23, 40)
+    part = packed.under(window)
+    assert set(part.blocks) == {(r, c) for r in (1, 2, 3) for c in range(6) if r > 1 or c > 2}
+    assert np.array_equal(part.unpack(window), cells[10:23, 3:40])
+    assert np.array_equal(packed.unpack(CellBox(0, 0, 30, 40)), cells)
+    assert not packed.under(None).blocks
+
+
+class Weighing(InProcess):
+    """Notes what travels with each tile."""
+
+    def __init__(self) -> None:
+        super().__init__("auto")
+        self.blocks: list[int] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Task[Any]:
+        self.blocks.append(sum(len(voter.cells.blocks) for voter in arguments[2]))
+        return super().submit(function, *arguments)
+
+
+def test_of_a_large_map_travels_what_lies_under_a_tile(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = stored_vote._KeptCells()
-    monkeypatch.setattr(stored_vote, "KEPT_BYTES", 250)
-    packed = [PackedCells.of(np.full((10, 10), n, dtype=np.int8)) for n in range(3)]
-    first = kept.get(packed[0], device)
-    assert np.array_equal(device.download(first), np.zeros((10, 10)))
-    kept.get(packed[1], device)
-    assert kept.get(packed[0], device) is first
-    kept.get(packed[2], device)
-    assert kept.get(packed[0], device) is first
-    assert kept.get(packed[1], device) is not None
-    assert len(kept._kept) == 2
+    monkeypatch.setattr(stored_vote, "TILE", 16)
+    monkeypatch.setattr(stored_vote, "BLOCK", 8)
+    cells = known_cells(120, 150)
+    places = [(OccupancyGrid(cells, SIZE), Pose2()), (OccupancyGrid(cells, SIZE), Pose2(1, 2, 0.7))]
+    inputs = placed(places, device, mode="consensus")
+    ready = prepare_stored_vote(inputs.members, inputs.normalized.__getitem__, inputs.config)
+    scheduler = Weighing()
+    assert len(list(ready.decide(scheduler))) > 50
+    assert max(scheduler.blocks) < 0.2 * sum(len(voter.cells.blocks) for voter in ready.voters)
