@@ -38,7 +38,8 @@ class Laid:
     """An input on the fused lattice.
 
     Attributes:
-        box: cells that it may know, counted from the first fused cell; may be empty.
+        box: cells that it may know, counted from the first fused cell; may be empty. All of the
+            lattice where unknown is a vote.
         codes: (h, w) int8 of the box, in {-1, 0, 1}; outvoted where it is so far, see
             ``VotedLayer``.
         percents: the same in percent, where these vote.
@@ -163,6 +164,4 @@ class Ballot:
     def _has_a_say(self, layer: Laid, wide: CellBox) -> bool:
         if self.vote.mode == "weighted" and len(self.weights) <= MOST_INPUTS:
             return True  # weights are whole numbers of the largest
-        if self.vote.unknown == "value" and self.vote.mode == "majority":
-            return True  # unknown is a vote too
         return overlap(layer.box, wide) is not None

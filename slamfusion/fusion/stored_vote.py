@@ -108,7 +108,7 @@ class Voter:
         cells: in {-1, 0, 1}.
         percents: the same in percent, where these vote.
         pose: see ``warp_pose``: of the cells that it may know.
-        box: these, counted from the first fused cell.
+        box: these, counted from the first fused cell; all of them where unknown is a vote.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Voter:
     def under(self, wide: CellBox) -> Voter:
         """Return the input with what is laid on a box of the fused lattice."""
         part = overlap(self.box, wide)
-        window = None if part is None else self.window(part)
+        window = self.window(part) if part is not None else None
         percents = None if self.percents is None else self.percents.under(window)
         return replace(self, cells=self.cells.under(window), percents=percents)
 
@@ -196,12 +196,7 @@ class StoredVote:
 
     def _hand_over(self, tile: CellBox, scheduler: Scheduler) -> Task[DecidedTile | None]:
         wide = self.ballot.around(tile)
-        asks_all = self.ballot.vote.unknown == "value"
-        here = [
-            item.under(wide)
-            for item in self.voters
-            if asks_all or overlap(item.box, wide) is not None
-        ]
+        here = [item.under(wide) for item in self.voters if overlap(item.box, wide) is not None]
         return scheduler.submit(decide_tile, self.ballot, tile, here, scheduler.device)
 
 
@@ -286,9 +281,7 @@ def decide_tile(
     agreement = np.full_like(fused, UNKNOWN)
     phantom_cells, is_known = 0, False
     for part in tiles_of(tile, SMALL_TILE):
-        wide = ballot.around(part)
-        here = [item for item in voters if overlap(item.box, wide) is not None]
-        decided = ballot.decide(part, _laid_on(wide, here, opened), opened)
+        decided = ballot.decide(part, _laid_on(ballot.around(part), voters, opened), opened)
         if decided is not None:
             window = slices(part, tile.row0, tile.col0)
             fused[window], agreement[window] = decided.fused, decided.agreement
@@ -298,10 +291,12 @@ def decide_tile(
 
 
 def _laid_on(wide: CellBox, voters: Sequence[Voter], device: ComputeDevice) -> dict[str, Laid]:
-    """Lay inputs on a box of the fused lattice."""
+    """Lay those inputs on a box of the fused lattice that may know a cell of it."""
     layers = {}
     for voter in voters:
-        part = overlap(voter.box, wide) or CellBox(wide.row0, wide.col0, wide.row0, wide.col0)
+        part = overlap(voter.box, wide)
+        if part is None:
+            continue
         codes = _laid(voter.cells, voter, part, device)
         percents = None
         if voter.percents is not None:
@@ -312,7 +307,7 @@ def _laid_on(wide: CellBox, voters: Sequence[Voter], device: ComputeDevice) -> d
 
 def _laid(packed: PackedBlocks, voter: Voter, part: CellBox, device: ComputeDevice) -> I8:
     """Return cells on a part of the box that they were to be laid on."""
-    window = voter.window(part) if part.area else None
+    window = voter.window(part)
     if window is None:
         return np.full((part.height, part.width), UNKNOWN, dtype=np.int8)
     pose = voter.pose_of(part)
