@@ -23,6 +23,7 @@ __all__ = [
     "UNKNOWN",
     "CellBox",
     "OccupancyGrid",
+    "box_origin",
     "implausible",
     "known_box",
     "trinary_cells",
@@ -68,6 +69,20 @@ class CellBox:
     def area(self) -> int:
         """Cells in the box."""
         return self.height * self.width
+
+
+def box_origin(origin: Pose2, resolution: float, box: CellBox) -> Pose2:
+    """Return the pose of the lower-left corner of a box of cells.
+
+    Args:
+        origin: of cell [0, 0]; metres, radians.
+        resolution: metres per cell.
+        box: may reach beyond the grid, and be empty.
+    """
+    if box.row0 == 0 and box.col0 == 0:
+        return origin
+    x, y = origin.transform((box.col0 * resolution, box.row0 * resolution))
+    return Pose2(float(x), float(y), origin.yaw_rad)
 
 
 def implausible(resolution: float, origin: Pose2) -> str | None:
@@ -213,10 +228,7 @@ class OccupancyGrid:
             cells[row0 - box.row0 : row1 - box.row0, col0 - box.col0 : col1 - box.col0] = (
                 self.cells[row0:row1, col0:col1]
             )
-        corner = self.origin.transform((box.col0 * self.resolution, box.row0 * self.resolution))
-        origin = Pose2(float(corner[0]), float(corner[1]), self.origin.yaw_rad)
-        if box.row0 == 0 and box.col0 == 0:
-            origin = self.origin
+        origin = box_origin(self.origin, self.resolution, box)
         return OccupancyGrid(cells, self.resolution, origin, self.name)
 
     def cell_centres(

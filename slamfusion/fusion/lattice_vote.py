@@ -19,14 +19,13 @@ from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
 from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
 from slamfusion.fusion.vote import agreement_weights, margin_cells, unknown_votes
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.memory import check_memory
 
 __all__ = [
     "SMALL_TILE",
     "TILE",
     "Lattices",
-    "lattice_frame",
     "tiles_of",
     "unknown_is_a_vote",
     "vote_on_lattice",
@@ -140,7 +139,7 @@ def vote_on_lattice(
             window = slices(tile, 0, 0)
             fused[window], agreement[window] = decided.fused, decided.agreement
             phantom_cells += decided.phantom_cells
-    origin = lattice_frame(base.grid, box)
+    origin = box_origin(base.grid.origin, base.grid.resolution, box)
     fused[fused == 1] = OCCUPIED
     # What is read-only is not copied once more.
     fused.flags.writeable = agreement.flags.writeable = False
@@ -171,12 +170,6 @@ def unknown_is_a_vote(config: FusionConfig, voters: int) -> bool:
     return config.vote.mode in {"majority", "weighted"} and unknown_votes(
         config.vote.unknown, [1] * voters
     )
-
-
-def lattice_frame(base: OccupancyGrid, box: CellBox) -> Pose2:
-    """Return the origin of a box of a grid's lattice."""
-    frame = base.origin.transform(np.array([box.col0, box.row0]) * base.resolution)
-    return Pose2(float(frame[0]), float(frame[1]), base.origin.yaw_rad)
 
 
 def _fused_box(

@@ -30,7 +30,6 @@ from slamfusion.fusion.lattice_vote import (
     SMALL_TILE,
     TILE,
     Lattices,
-    lattice_frame,
     tiles_of,
     unknown_is_a_vote,
     warp_pose,
@@ -38,7 +37,7 @@ from slamfusion.fusion.lattice_vote import (
 from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
 from slamfusion.fusion.vote import margin_cells
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox
+from slamfusion.grid import UNKNOWN, CellBox, box_origin
 
 __all__ = ["StoredVote", "Voter", "prepare_stored_vote"]
 
@@ -239,7 +238,7 @@ def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig
         pose = warp_pose(origin, transform, frame, resolution, own)
         voters.append(Voter(name, cells, percents, pose, _moved(own, box)))
     ballot = Ballot(_moved(box, box), config, resolution, dict.fromkeys(boxes, 1.0))
-    return StoredVote(ballot, tuple(voters), lattice_frame(base.grid, box), resolution)
+    return StoredVote(ballot, tuple(voters), box_origin(frame, resolution, box), resolution)
 
 
 def _packed(grid: NormalizedGrid, config: FusionConfig) -> tuple[PackedBlocks, PackedBlocks | None]:

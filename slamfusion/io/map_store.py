@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import GridError, MapFileError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, box_origin
 
 __all__ = ["MapStore", "check_store", "read_stored_map"]
 
@@ -177,11 +177,8 @@ def read_stored_map(path: str | Path, name: str, box: CellBox | None = None) -> 
         message = f"{path}: wanted cells of {height} x {width}, asked for {box}"
         raise MapFileError(message)
     cells = np.ascontiguousarray(array[box.row0 : box.row1, box.col0 : box.col1], dtype=np.int8)
-    corner = origin.transform((box.col0 * resolution, box.row0 * resolution))
     cells.flags.writeable = False
-    return OccupancyGrid(
-        cells, resolution, Pose2(float(corner[0]), float(corner[1]), origin.yaw_rad), name
-    )
+    return OccupancyGrid(cells, resolution, box_origin(origin, resolution, box), name)
 
 
 def _zarr() -> tuple[Any, dict[str, int]]:

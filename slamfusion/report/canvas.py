@@ -29,7 +29,6 @@ __all__ = [
     "WIDTH_IN",
     "Classes",
     "Drawing",
-    "box_corner",
     "crop_box",
     "cut_cells",
     "in_form",
@@ -85,12 +84,6 @@ def cut_cells(cells: Classes, box: CellBox, outside: int = -1) -> Classes:
         row0:row1, col0:col1
     ]
     return cut
-
-
-def box_corner(origin: Pose2, box: CellBox, resolution: float) -> Pose2:
-    """Return the pose of the lower-left corner of the box."""
-    x, y = origin.transform((box.col0 * resolution, box.row0 * resolution))
-    return Pose2(float(x), float(y), origin.yaw_rad)
 
 
 def pool_cells(codes: Classes, origin: Pose2) -> tuple[Classes, int]:

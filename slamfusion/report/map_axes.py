@@ -12,13 +12,12 @@ from matplotlib.ticker import MaxNLocator  # noqa: TID251
 from matplotlib.transforms import Affine2D  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.grid import OccupancyGrid, trinary_cells
+from slamfusion.grid import OccupancyGrid, box_origin, trinary_cells
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB, Rgb
 from slamfusion.report.canvas import (
     DPI,
     INK,
     WIDTH_IN,
-    box_corner,
     crop_box,
     cut_cells,
     pool_cells,
@@ -108,7 +107,7 @@ def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> No
     palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
     # Unknown cells have no colour here: around the map there is nothing either.
     rgba = np.dstack((palette[pooled + 1], np.where(pooled == -1, 0, 255).astype(np.uint8)))
-    corner = box_corner(grid.origin, box, grid.resolution)
+    corner = box_origin(grid.origin, grid.resolution, box)
     side = factor * grid.resolution
     turned = Affine2D().rotate(corner.yaw_rad).translate(corner.x, corner.y)
     limits = axes.get_xlim(), axes.get_ylim()
@@ -153,7 +152,7 @@ def path_extent(poses: npt.NDArray[np.float64]) -> Extent:
 def grid_extent(grid: OccupancyGrid, normalize: NormalizeConfig) -> Extent:
     """Return the box of what the map knows."""
     box = crop_box(trinary_cells(grid.cells, normalize) != -1)
-    corner = box_corner(grid.origin, box, grid.resolution)
+    corner = box_origin(grid.origin, grid.resolution, box)
     wide, tall = box.width * grid.resolution, box.height * grid.resolution
     corners = corner.transform([(0, 0), (wide, 0), (0, tall), (wide, tall)])
     return Extent(corners.min(axis=0), corners.max(axis=0))

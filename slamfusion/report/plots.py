@@ -24,14 +24,13 @@ from slamfusion.evaluation import (
 )
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox
+from slamfusion.grid import CellBox, box_origin
 from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB, Rgb
 from slamfusion.report.canvas import (
     DPI,
     INK,
     WIDTH_IN,
     Classes,
-    box_corner,
     crop_box,
     cut_cells,
     pool_cells,
@@ -89,7 +88,7 @@ def map_picture(
     box = box or crop_box(cells != -1)
     pooled, factor = pool_cells(cut_cells(cells, box), origin)
     palette = np.array((UNKNOWN_RGB, FREE_RGB, WALL_RGB), dtype=np.uint8)
-    return _map_png(palette[pooled + 1], factor * resolution, box_corner(origin, box, resolution))
+    return _map_png(palette[pooled + 1], factor * resolution, box_origin(origin, resolution, box))
 
 
 def overlay_picture(
@@ -124,7 +123,7 @@ def overlay_picture(
     floor = 0.035 + 0.085 * (known / len(stack))
     image = np.where((count > 0)[..., None], mixed, floor[..., None])
     rgb = (255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
-    return _map_png(rgb, factor * resolution, box_corner(origin, box, resolution))
+    return _map_png(rgb, factor * resolution, box_origin(origin, resolution, box))
 
 
 def agreement_picture(
@@ -148,7 +147,7 @@ def agreement_picture(
     return _map_png(
         palette[pooled.astype(np.int16) + 1],
         factor * resolution,
-        box_corner(origin, box, resolution),
+        box_origin(origin, resolution, box),
     )
 
 
@@ -175,7 +174,7 @@ def dissent_picture(
     pooled, factor = pool_cells(codes, origin)
     faint_wall: Rgb = (140, 147, 156)
     palette = np.array((UNKNOWN_RGB, FREE_RGB, faint_wall, DISSENT_COLOUR), dtype=np.uint8)
-    return _map_png(palette[pooled + 1], factor * resolution, box_corner(origin, box, resolution))
+    return _map_png(palette[pooled + 1], factor * resolution, box_origin(origin, resolution, box))
 
 
 def difference_picture(difference: Classes, resolution: float, origin: Pose2) -> bytes:

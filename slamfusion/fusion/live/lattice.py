@@ -14,7 +14,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.boxes import overlap, padded, slices
 from slamfusion.fusion.normalize import pool_cells
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, box_origin
 
 __all__ = ["Lattice", "Layer", "carry", "lay_out"]
 
@@ -40,10 +40,7 @@ class Lattice:
 
     def corner(self, row: int, col: int) -> Pose2:
         """Return the pose of the lower-left corner of a cell in the lattice's frame."""
-        if row == 0 and col == 0:
-            return self.origin
-        x, y = self.origin.transform((col * self.resolution, row * self.resolution))
-        return Pose2(float(x), float(y), self.origin.yaw_rad)
+        return box_origin(self.origin, self.resolution, CellBox(row, col, row, col))
 
     def cell_of(self, grid: OccupancyGrid) -> tuple[int, int] | None:
         """Return the row and column of a grid's first cell, or None when it lies on none."""
