@@ -16,13 +16,14 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
+from slamfusion.fusion.boxes import hull, padded
 from slamfusion.fusion.lattice_vote import warp_onto
-from slamfusion.fusion.normalize import NormalizedGrid, lattice_box, normalize_grid
+from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid
 from slamfusion.fusion.records import FusionResult, VotedLayer
 from slamfusion.fusion.surfaces import wall_backs
 from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 __all__ = ["fuse_with_drawn"]
 
@@ -68,12 +69,14 @@ def fuse_with_drawn(
         if record.alignment is not None
     }
     voters = [name for name in inputs if name in saved]
-    box = _box_of([(layer, Pose2()), *(inputs[name] for name in voters)], layer)
-    margin = 1 if config.vote.solid_walls else 0
-    box = CellBox(box.row0 - margin, box.col0 - margin, box.row1 + margin, box.col1 + margin)
+    lattice, box = layer.extent.lattice, layer.extent.box
+    for name in voters:
+        grid, transform = inputs[name]
+        box = hull(box, grid.extent.on(lattice, transform))
+    box = padded(box, 1 if config.vote.solid_walls else 0)
 
     def placed(grid: NormalizedGrid, transform: Pose2) -> I8:
-        return warp_onto(grid, grid.cells, transform, layer.grid, box, device)
+        return warp_onto(grid, grid.cells, transform, lattice, box, device)
 
     own = placed(layer, Pose2())
     aligned = {name: placed(*item) for name, item in inputs.items()}
@@ -106,17 +109,6 @@ def fuse_with_drawn(
         agreement=OccupancyGrid(agreement, frame.resolution, frame.origin, result.agreement.name),
         phantom_cells=voted.phantom_cells,
         weights=dict.fromkeys((drawn.name, *voters), 1.0),
-    )
-
-
-def _box_of(grids: list[tuple[NormalizedGrid, Pose2]], outer: NormalizedGrid) -> CellBox:
-    """Return the box of cells of a lattice that holds all of some grids."""
-    boxes = [lattice_box(grid, transform, outer) for grid, transform in grids]
-    return CellBox(
-        min(box.row0 for box in boxes),
-        min(box.col0 for box in boxes),
-        max(box.row1 for box in boxes),
-        max(box.col1 for box in boxes),
     )
 
 

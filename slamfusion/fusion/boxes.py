@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from slamfusion.grid import CellBox
 
-__all__ = ["grown_inside", "hull", "joined", "overlap", "padded", "slices"]
+__all__ = ["grown_inside", "hull", "joined", "moved", "overlap", "padded", "slices"]
 
 # Cells between two boxes that are sooner voted on again than left out.
 SPARE_CELLS = 1 << 16
@@ -38,6 +38,11 @@ def joined(boxes: Sequence[CellBox]) -> list[CellBox]:
                 grown = hull(grown, other)
         out.append(grown)
     return out
+
+
+def moved(box: CellBox, rows: int, cols: int) -> CellBox:
+    """Return the box some rows and columns further on."""
+    return CellBox(box.row0 + rows, box.col0 + cols, box.row1 + rows, box.col1 + cols)
 
 
 def overlap(a: CellBox, b: CellBox) -> CellBox | None:

@@ -13,9 +13,10 @@ from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.ballot import Ballot, Laid
-from slamfusion.fusion.boxes import hull, overlap, padded, slices
+from slamfusion.fusion.boxes import hull, moved, overlap, padded, slices
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
+from slamfusion.fusion.lattice import Extent, Lattice
+from slamfusion.fusion.normalize import NormalizedGrid
 from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
 from slamfusion.fusion.vote import agreement_weights, margin_cells, unknown_votes
 from slamfusion.geometry import Pose2
@@ -26,8 +27,9 @@ __all__ = [
     "SMALL_TILE",
     "TILE",
     "Lattices",
+    "fused_box",
+    "own_box",
     "tiles_of",
-    "unknown_is_a_vote",
     "vote_on_lattice",
     "warp_onto",
     "warp_pose",
@@ -49,39 +51,39 @@ def warp_onto(
     grid: NormalizedGrid,
     cells: npt.NDArray[np.int8],
     transform: Pose2,
-    lattice: OccupancyGrid,
+    lattice: Lattice,
     box: CellBox,
     device: ComputeDevice,
 ) -> npt.NDArray[np.int8]:
     """Return cells of one grid on the box of another's lattice, nearest cell, unknown outside.
 
     Args:
-        grid: gives the origin and resolution of ``cells``.
+        grid: gives the lattice of ``cells``.
         cells: (H, W) int8 on the grid's lattice.
         transform: maps the grid's map frame into the lattice's, metres.
-        lattice: the grid whose lattice is the target.
-        box: cells of that lattice; may reach beyond it.
+        lattice: the target.
+        box: cells of it.
         device: computes.
     """
-    pose = warp_pose(grid.grid.origin, transform, lattice.origin, lattice.resolution, box)
+    pose = warp_pose(grid.extent.lattice, transform, lattice, box)
     warped = device.warp(device.upload(cells), pose, (box.height, box.width), UNKNOWN)
     return np.asarray(device.download(warped)[0])
 
 
 def warp_pose(
-    own: Pose2, transform: Pose2, lattice: Pose2, resolution: float, box: CellBox
+    own: Lattice, transform: Pose2, lattice: Lattice, box: CellBox
 ) -> npt.NDArray[np.int64]:
     """Return the motion of a box of a lattice into a grid, (1, 4), see ``fixed_poses``.
 
     Args:
-        own: origin of the grid.
+        own: of the grid.
         transform: maps the grid's map frame into the lattice's, metres.
-        lattice: origin of the lattice.
-        resolution: of both, metres.
+        lattice: of the box, of the same resolution.
         box: cells of the lattice.
     """
-    into = own.inverse().compose(transform.inverse()).compose(lattice)
-    corner = into.transform((box.col0 * resolution, box.row0 * resolution)) / resolution
+    into = own.origin.inverse().compose(transform.inverse()).compose(lattice.origin)
+    size = lattice.resolution
+    corner = into.transform((box.col0 * size, box.row0 * size)) / size
     return fixed_poses((corner[0], corner[1], into.yaw_rad))
 
 
@@ -112,17 +114,21 @@ def vote_on_lattice(
         MemoryBudgetError: the fused map is too large for the memory that is free.
     """
     base = lattices(group.reference)
-    box = _fused_box(group, lattices, base, config)
+
+    def normalized(name: str) -> NormalizedGrid:
+        return base if name == group.reference else lattices(name)
+
+    box = fused_box(group, lambda name: normalized(name).extent, config)
     check_memory(
         VOTED_BYTES * box.area,
         f"a fused map of {box.width} x {box.height} cells",
         group.reference,
         "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
     )
-    is_value = unknown_is_a_vote(config, len(group.alignments))
+    lattice = base.extent.lattice
     layers = {
-        name: _laid(lattices(name), pair.transform, base, box, config, device, is_whole=is_value)
-        for name, pair in group.alignments.items()
+        name: _laid(normalized(name), group, lattice, box, config, device)
+        for name in group.alignments
     }
     whole = CellBox(0, 0, box.height, box.width)
     weights = dict.fromkeys(layers, 1.0)
@@ -139,7 +145,7 @@ def vote_on_lattice(
             window = slices(tile, 0, 0)
             fused[window], agreement[window] = decided.fused, decided.agreement
             phantom_cells += decided.phantom_cells
-    origin = box_origin(base.grid.origin, base.grid.resolution, box)
+    origin = box_origin(lattice.origin, lattice.resolution, box)
     fused[fused == 1] = OCCUPIED
     # What is read-only is not copied once more.
     fused.flags.writeable = agreement.flags.writeable = False
@@ -165,48 +171,70 @@ def vote_on_lattice(
     )
 
 
-def unknown_is_a_vote(config: FusionConfig, voters: int) -> bool:
+def _unknown_is_a_vote(config: FusionConfig, voters: int) -> bool:
     """Say whether an input votes also where it knows nothing."""
     return config.vote.mode in {"majority", "weighted"} and unknown_votes(
         config.vote.unknown, [1] * voters
     )
 
 
-def _fused_box(
-    group: Members, lattices: Lattices, base: NormalizedGrid, config: FusionConfig
-) -> CellBox:
-    """Return the fused cells, counted from the reference's first cell."""
-    box = CellBox(0, 0, *base.shape)
+def fused_box(group: Members, extent_of: Callable[[str], Extent], config: FusionConfig) -> CellBox:
+    """Return the cells of the fused map, counted from the reference's first cell.
+
+    Args:
+        group: those that vote.
+        extent_of: tells where an input's cells lie, by its name; asked of the reference alone where
+            the fused map is no union.
+        config: settings of the vote.
+    """
+    base = extent_of(group.reference)
+    box = base.box
     if config.vote.extent == "union":
         for name, pair in group.alignments.items():
-            box = hull(box, lattice_box(lattices(name), pair.transform, base))
+            box = hull(box, extent_of(name).on(base.lattice, pair.transform))
     return padded(box, margin_cells(config.vote, len(group.alignments)))
+
+
+def own_box(
+    extent: Extent, name: str, group: Members, lattice: Lattice, box: CellBox, config: FusionConfig
+) -> CellBox | None:
+    """Return the fused cells in which an input has a say; None: in none.
+
+    Args:
+        extent: where its cells lie.
+        name: of the input.
+        group: those that vote.
+        lattice: of the reference.
+        box: the fused cells, see ``fused_box``.
+        config: settings of the vote.
+
+    Returns:
+        Those that it may know, or all where unknown is a vote; counted as ``box`` is.
+    """
+    if _unknown_is_a_vote(config, len(group.alignments)):
+        return box
+    return overlap(padded(extent.on(lattice, group.alignments[name].transform), 1), box)
 
 
 def _laid(
     grid: NormalizedGrid,
-    transform: Pose2,
-    base: NormalizedGrid,
+    group: Members,
+    lattice: Lattice,
     box: CellBox,
     config: FusionConfig,
     device: ComputeDevice,
-    *,
-    is_whole: bool,
 ) -> Laid:
-    """Lay an input on the fused lattice, on the cells that it may know or on all."""
-    own = box if is_whole else overlap(padded(lattice_box(grid, transform, base), 1), box)
+    """Lay an input on the fused lattice."""
+    own = own_box(grid.extent, grid.name, group, lattice, box, config)
     if own is None:
         nothing = np.zeros((0, 0), dtype=np.int8)
         return Laid(CellBox(0, 0, 0, 0), nothing, nothing)
-    cells = warp_onto(grid, grid.cells, transform, base.grid, own, device)
+    transform = group.alignments[grid.name].transform
+    cells = warp_onto(grid, grid.cells, transform, lattice, own, device)
     percents = None
     if config.vote.mode == "log-odds":
-        percents = warp_onto(grid, grid.grid.cells, transform, base.grid, own, device)
-    rows, cols = (
-        (own.row0 - box.row0, own.row1 - box.row0),
-        (own.col0 - box.col0, own.col1 - box.col0),
-    )
-    return Laid(CellBox(rows[0], cols[0], rows[1], cols[1]), cells, percents)
+        percents = warp_onto(grid, grid.grid.cells, transform, lattice, own, device)
+    return Laid(moved(own, -box.row0, -box.col0), cells, percents)
 
 
 def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:

@@ -14,8 +14,8 @@ from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
-from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
+from slamfusion.fusion.lattice import SAME_RESOLUTION, Extent, Lattice
+from slamfusion.grid import OCCUPIED, UNKNOWN, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.memory import check_memory
 
 __all__ = [
@@ -23,13 +23,10 @@ __all__ = [
     "check_resampling",
     "coarsening",
     "common_resolution",
-    "lattice_box",
     "normalize_grid",
     "pool_cells",
 ]
 
-# Resolutions this close are one resolution: 0.05 and 0.050000001 need no resampling.
-SAME_RESOLUTION = 1e-4
 # What preparing and aligning hold at once for each cell of an input that they look at, and what
 # voting does.
 BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
@@ -62,6 +59,11 @@ class NormalizedGrid:
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.grid.height, self.grid.width
+
+    @property
+    def extent(self) -> Extent:
+        """Where its cells lie."""
+        return Extent(Lattice(self.grid.resolution, self.grid.origin), self.shape)
 
 
 def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:
@@ -223,21 +225,3 @@ def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDA
     per_block = blocks.shape[1] * blocks.shape[3]
     out = np.where(2 * count >= per_block, mean, np.int8(UNKNOWN))
     return np.where(highest >= config.occupied_percent, highest, out).astype(np.int8)
-
-
-def lattice_box(inner: NormalizedGrid, transform: Pose2, outer: NormalizedGrid) -> CellBox:
-    """Return the box of cells of ``outer``'s lattice that holds all of ``inner``.
-
-    Args:
-        inner: the grid whose corners are mapped.
-        transform: maps ``inner``'s map frame into ``outer``'s, metres.
-        outer: gives the lattice; the box may reach beyond its cells.
-    """
-    height, width = inner.shape
-    size = inner.grid.resolution
-    corners = np.array([(0, 0), (width, 0), (0, height), (width, height)], dtype=np.float64) * size
-    mapped = transform.transform(inner.grid.origin.transform(corners))
-    own = outer.grid.origin.inverse().transform(mapped) / outer.grid.resolution
-    low = np.floor(own.min(axis=0) + 1e-6).astype(int)
-    high = np.ceil(own.max(axis=0) - 1e-6).astype(int)
-    return CellBox(int(low[1]), int(low[0]), int(high[1]), int(high[0]))

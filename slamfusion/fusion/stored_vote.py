@@ -24,18 +24,18 @@ from slamfusion.fleet import Scheduler, Task
 from slamfusion.fleet.packed import Kept, Packed, pack
 from slamfusion.fleet.worker import worker_device
 from slamfusion.fusion.ballot import Ballot, DecidedTile, Laid
-from slamfusion.fusion.boxes import hull, overlap, padded, slices
+from slamfusion.fusion.boxes import moved, overlap, slices
 from slamfusion.fusion.groups import Members, Progress
+from slamfusion.fusion.lattice import Extent
 from slamfusion.fusion.lattice_vote import (
     SMALL_TILE,
     TILE,
     Lattices,
+    fused_box,
+    own_box,
     tiles_of,
-    unknown_is_a_vote,
     warp_pose,
 )
-from slamfusion.fusion.normalize import NormalizedGrid, lattice_box
-from slamfusion.fusion.vote import margin_cells
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, box_origin
 
@@ -152,13 +152,11 @@ class StoredVote:
         ballot: what decides a tile.
         voters: the inputs that vote.
         origin: of the first fused cell, in the reference's frame.
-        resolution: metres a cell.
     """
 
     ballot: Ballot
     voters: tuple[Voter, ...]
     origin: Pose2
-    resolution: float
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -216,40 +214,25 @@ def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig
             "majority, consensus or log-odds"
         )
         raise ConfigError(message)
-    base = lattices(group.reference)
-    frame, resolution = base.grid.origin, base.grid.resolution
-    boxes = {}
-    box = CellBox(0, 0, *base.shape)
-    packed: dict[str, tuple[PackedBlocks, PackedBlocks | None, Pose2]] = {}
-    for name, pair in group.alignments.items():
-        grid = base if name == group.reference else lattices(name)
-        boxes[name] = lattice_box(grid, pair.transform, base)
-        packed[name] = (*_packed(grid, config), grid.grid.origin)
-        if config.vote.extent == "union":
-            box = hull(box, boxes[name])
-    box = padded(box, margin_cells(config.vote, len(boxes)))
-    everywhere = unknown_is_a_vote(config, len(boxes))
+    extents: dict[str, Extent] = {}
+    packed: dict[str, tuple[PackedBlocks, PackedBlocks | None]] = {}
+    for name in group.alignments:
+        grid = lattices(name)
+        percents = PackedBlocks.of(grid.grid.cells) if config.vote.mode == "log-odds" else None
+        extents[name], packed[name] = grid.extent, (PackedBlocks.of(grid.cells), percents)
+    lattice = extents[group.reference].lattice
+    box = fused_box(group, extents.__getitem__, config)
     voters = []
-    for name, (cells, percents, origin) in packed.items():
-        own = box if everywhere else overlap(padded(boxes[name], 1), box)
+    for name, (cells, percents) in packed.items():
+        own = own_box(extents[name], name, group, lattice, box, config)
         if own is None:
             continue
-        transform = group.alignments[name].transform
-        pose = warp_pose(origin, transform, frame, resolution, own)
-        voters.append(Voter(name, cells, percents, pose, _moved(own, box)))
-    ballot = Ballot(_moved(box, box), config, resolution, dict.fromkeys(boxes, 1.0))
-    return StoredVote(ballot, tuple(voters), box_origin(frame, resolution, box), resolution)
-
-
-def _packed(grid: NormalizedGrid, config: FusionConfig) -> tuple[PackedBlocks, PackedBlocks | None]:
-    percents = PackedBlocks.of(grid.grid.cells) if config.vote.mode == "log-odds" else None
-    return PackedBlocks.of(grid.cells), percents
-
-
-def _moved(box: CellBox, first: CellBox) -> CellBox:
-    """Return a box, counted from the first cell of another."""
-    row, col = first.row0, first.col0
-    return CellBox(box.row0 - row, box.col0 - col, box.row1 - row, box.col1 - col)
+        pose = warp_pose(extents[name].lattice, group.alignments[name].transform, lattice, own)
+        voters.append(Voter(name, cells, percents, pose, moved(own, -box.row0, -box.col0)))
+    whole = CellBox(0, 0, box.height, box.width)
+    ballot = Ballot(whole, config, lattice.resolution, dict.fromkeys(extents, 1.0))
+    origin = box_origin(lattice.origin, lattice.resolution, box)
+    return StoredVote(ballot, tuple(voters), origin)
 
 
 def _along_a_curve(tiles: Iterator[CellBox]) -> list[CellBox]:

@@ -184,7 +184,7 @@ def _vote_into(
             (FUSED, AGREEMENT_ARRAY),
             vote.shape,
             TILE,
-            vote.resolution,
+            vote.ballot.resolution,
             vote.origin,
             {"reference": members.reference, "inputs": list(members.alignments)},
         )
@@ -206,7 +206,7 @@ def _vote_into(
         device=device.name,
         time_s=0.0,
         shape=vote.shape,
-        resolution=vote.resolution,
+        resolution=vote.ballot.resolution,
         origin=vote.origin,
         wall_backs=wall_backs,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,6 +117,21 @@ def test_more_maps_vote_than_in_one_place(device: ComputeDevice) -> None:
     # One over the other they are too many.
     with pytest.raises(GridError, match="a vote takes 1 to 32"):
         voted([(OccupancyGrid(room, SIZE), Pose2()) for _ in range(33)], device, mode="majority")
+
+
+@pytest.mark.parametrize(("extent", "others"), [("reference", 1), ("union", 2)])
+def test_a_large_reference_is_laid_out_once(
+    device: ComputeDevice, extent: str, others: int
+) -> None:
+    ready = placed(scattered(3), device, mode="consensus", extent=extent)
+    asked: list[str] = []
+
+    def lattices(name: str) -> NormalizedGrid:
+        asked.append(name)
+        return ready.normalized[name]
+
+    vote_on_lattice(ready.grids, ready.members, lattices, {}, ready.config, device)
+    assert Counter(asked) == {"map 0": 1, "map 1": others, "map 2": others}
 
 
 def test_boxes_of_layers_hold_all_that_an_input_knows(device: ComputeDevice) -> None:

@@ -15,7 +15,6 @@ from slamfusion.errors import GridError
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     common_resolution,
-    lattice_box,
     normalize_grid,
 )
 from slamfusion.geometry import Pose2
@@ -225,16 +224,17 @@ def test_unknown_margins_change_nothing(device: ComputeDevice) -> None:
     assert (a.x, a.y, a.yaw_rad) == pytest.approx((b.x, b.y, b.yaw_rad), abs=1e-9)
 
 
-def test_lattice_box_of_a_grid_on_itself_is_its_own(device: ComputeDevice) -> None:
+def test_the_extent_of_a_grid_on_itself_is_its_own(device: ComputeDevice) -> None:
     normal = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
-    assert lattice_box(normal, Pose2(), normal) == CellBox(0, 0, *normal.shape)
+    extent = normal.extent
+    assert extent.on(extent.lattice, Pose2()) == extent.box == CellBox(0, 0, *normal.shape)
 
 
-def test_lattice_box_holds_every_corner_of_a_turned_grid(device: ComputeDevice) -> None:
+def test_an_extent_holds_every_corner_of_a_turned_grid(device: ComputeDevice) -> None:
     inner = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
     outer = normalize_grid(random_grid(4), 0.1, DEFAULTS, device)
     motion = Pose2(4.0, -1.0, 1.1)
-    box = lattice_box(inner, motion, outer)
+    box = inner.extent.on(outer.extent.lattice, motion)
     rows, cols = np.indices(inner.shape).reshape(2, -1)
     landed = motion.transform(inner.grid.cell_centres(rows, cols))
     row, col = outer.grid.cell_indices(landed)

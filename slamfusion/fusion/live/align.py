@@ -13,7 +13,7 @@ from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.searched import Searched
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import AlignmentError, MemoryBudgetError
 from slamfusion.fusion.groups import AlignedGroup, align_group
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.align import Aligner
-from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.limits import too_large
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.normalize import common_resolution

@@ -1,4 +1,4 @@
-"""``Lattice``, where cells may lie, and ``Layer``, the cells of one input on its own lattice."""
+"""``Layer``: the cells of one input on its own lattice."""
 
 from __future__ import annotations
 
@@ -12,62 +12,14 @@ from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.fusion.boxes import overlap, padded, slices
+from slamfusion.fusion.lattice import SAME_RESOLUTION, Lattice
 from slamfusion.fusion.normalize import pool_cells
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, box_origin
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 
-__all__ = ["Lattice", "Layer", "carry", "lay_out"]
+__all__ = ["Layer", "carry", "lay_out"]
 
 I8 = npt.NDArray[np.int8]
-
-# Origins this near to a whole number of cells apart lie on one lattice.
-SAME_PHASE = 1e-3
-SAME_YAW_RAD = 1e-6
-SAME_RESOLUTION = 1e-4
-
-
-@dataclass(frozen=True)
-class Lattice:
-    """Where the cells of a grid may lie; cell [0, 0] and all others, also of negative indices.
-
-    Attributes:
-        resolution: metres per cell.
-        origin: pose of the lower-left corner of cell [0, 0] in its frame; metres, radians.
-    """
-
-    resolution: float
-    origin: Pose2
-
-    def corner(self, row: int, col: int) -> Pose2:
-        """Return the pose of the lower-left corner of a cell in the lattice's frame."""
-        return box_origin(self.origin, self.resolution, CellBox(row, col, row, col))
-
-    def cell_of(self, grid: OccupancyGrid) -> tuple[int, int] | None:
-        """Return the row and column of a grid's first cell, or None when it lies on none."""
-        if abs(grid.resolution / self.resolution - 1.0) > SAME_RESOLUTION:
-            return None
-        own = self.origin.inverse().compose(grid.origin)
-        cells = np.array((own.y, own.x)) / self.resolution
-        whole = np.rint(cells)
-        if abs(own.yaw_rad) > SAME_YAW_RAD or np.abs(cells - whole).max() > SAME_PHASE:
-            return None
-        return int(whole[0]), int(whole[1])
-
-    def box_of(self, box: CellBox, other: Lattice, transform: Pose2) -> CellBox:
-        """Return the cells of this lattice that hold a box of another's.
-
-        Args:
-            box: cells of ``other``.
-            other: a lattice of another frame.
-            transform: maps ``other``'s frame into this one's, metres.
-        """
-        rows, cols = (box.row0, box.row1), (box.col0, box.col1)
-        corners = np.array([(x, y) for x in cols for y in rows], dtype=np.float64)
-        mapped = transform.transform(other.origin.transform(corners * other.resolution))
-        own = self.origin.inverse().transform(mapped) / self.resolution
-        low = np.floor(own.min(axis=0) + 1e-6).astype(int)
-        high = np.ceil(own.max(axis=0) - 1e-6).astype(int)
-        return CellBox(int(low[1]), int(low[0]), int(high[1]), int(high[0]))
 
 
 @dataclass(frozen=True, eq=False)

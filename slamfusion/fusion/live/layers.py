@@ -15,7 +15,8 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.boxes import grown_inside, hull, overlap, padded, slices
-from slamfusion.fusion.live.lattice import Lattice, Layer, carry
+from slamfusion.fusion.lattice import Lattice
+from slamfusion.fusion.live.lattice import Layer, carry
 from slamfusion.fusion.vote import (
     agreement_weights,
     double_reach_cells,

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 

@@ -8,10 +8,10 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.cancel import CancelledSearchError
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.anchor import Anchor
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
-from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.recovery import recover
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.start import Starts

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
-from slamfusion.fusion.boxes import hull, overlap, padded
+from slamfusion.fusion.boxes import hull, moved, overlap, padded
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.lattice import Layer, carry, lay_out
@@ -125,7 +125,7 @@ def _changed_box(old: Layer, new: Layer) -> CellBox | None:
     else:
         found = _differing(old.window(common), new.window(common))
         if found is not None:
-            boxes.append(_moved(found, common.row0, common.col0))
+            boxes.append(moved(found, common.row0, common.col0))
         for layer in (old, new):
             boxes += [_known(layer, strip) for strip in _around(layer.box, common)]
     out: CellBox | None = None
@@ -185,11 +185,7 @@ def _around(outer: CellBox, inner: CellBox) -> list[CellBox]:
 def _known(layer: Layer, box: CellBox) -> CellBox | None:
     """Return the box of known cells inside a box of the layer's lattice."""
     found = known_box(layer.window(box))
-    return None if found is None else _moved(found, box.row0, box.col0)
-
-
-def _moved(box: CellBox, rows: int, cols: int) -> CellBox:
-    return CellBox(box.row0 + rows, box.col0 + cols, box.row1 + rows, box.col1 + cols)
+    return None if found is None else moved(found, box.row0, box.col0)
 
 
 def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.boxes import hull, joined
-from slamfusion.fusion.live.lattice import Lattice
+from slamfusion.fusion.boxes import hull, joined, moved
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.fusion.live.track import Track
@@ -112,9 +112,7 @@ class Voting:
         box, *others = (layers.vote(names, part) for part in joined(boxes))
         for other in others:
             box = hull(box, other)
-        whole = layers.box
-        rows, cols = (box.row0 - whole.row0, box.row1 - whole.row0), box.col0 - whole.col0
-        return CellBox(rows[0], cols, rows[1], cols + box.width)
+        return moved(box, -layers.box.row0, -layers.box.col0)
 
     @property
     def _is_weighted(self) -> bool:

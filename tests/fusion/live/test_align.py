@@ -8,9 +8,9 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live import align as live_align
 from slamfusion.fusion.live.align import MIRROR_SHARE, Aligner
-from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
 from tests.fusion.live.maps import AWAY, littered, moved_frame, three, touched

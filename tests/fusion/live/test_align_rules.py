@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import CLASH_MAX
+from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.align import (
     MIRROR_SHARE,
     Aligner,
     Held,
 )
-from slamfusion.fusion.live.lattice import Lattice
 from slamfusion.fusion.live.searched import CLASH_MORE, CLEAR_MATCH, LASTING_SHARE
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2

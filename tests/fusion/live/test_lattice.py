@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.live.lattice import Lattice, carry
+from slamfusion.fusion.lattice import Lattice
+from slamfusion.fusion.live.lattice import carry
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from tests.fusion.drawings import padded, random_cells, random_grid

@@ -11,7 +11,8 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.live.lattice import Lattice, Layer
+from slamfusion.fusion.lattice import Lattice
+from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
