@@ -26,6 +26,7 @@ from slamfusion.experiments.drive_paths import (
     DRAWN,
     FUSED_PATH,
     draw_paths,
+    drawn_at,
     drive_layers,
     path_errors,
     weigh_paths,
@@ -61,6 +62,8 @@ _LOG = logging.getLogger(__name__)
 NAME = "real-logs"
 TITLE = "Fusion on recorded drives"
 REFERENCE = "reference"
+# Rows of the table beside the producers' maps and what the scans draw at the fused path.
+ROWS = (REFERENCE, FUSED_PATH, *FUSIONS, *map(drawn_at, BUILT_IN))
 # A scan belongs to a pose of the reference at its very time; stamps are rounded here and there.
 SAME_TIME_S = 0.02
 NO_NUMBER = "-"
@@ -366,8 +369,12 @@ def other_slams(
     return {
         name: SavedMaps(
             tuple(path for (case, _), path in files.items() if case == name),
-            tuple(free_name(method) for case, method in files if case == name),
-            {free_name(method): path for (case, method), path in found.items() if case == name},
+            tuple(free_name(method, ROWS) for case, method in files if case == name),
+            {
+                free_name(method, ROWS): path
+                for (case, method), path in found.items()
+                if case == name
+            },
         )
         for name in names
     }

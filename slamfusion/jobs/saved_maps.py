@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -110,9 +110,14 @@ class SavedMaps:
         return named, paths
 
 
-def free_name(name: str) -> str:
-    """Return the name of a saved map, changed where a producer or a fused map has it."""
-    return f"{name} (saved)" if name in {*producer_names(), FUSED, DRAWN} else name
+def free_name(name: str, taken: Collection[str] = ()) -> str:
+    """Return the name of a saved map, changed where a producer or a fused map has it.
+
+    Args:
+        name: as its file says.
+        taken: further names that it may not have.
+    """
+    return f"{name} (saved)" if name in {*producer_names(), FUSED, DRAWN, *taken} else name
 
 
 def path_at_scans(path: Trajectory, scans: JudgedScans) -> Trajectory:

@@ -15,6 +15,7 @@ from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation import compare_to_truth
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.experiments import REAL_LOGS, RealLogTable, compare_on_logs, other_slams
+from slamfusion.experiments.drive_paths import FUSED_PATH, drawn_at
 from slamfusion.experiments.real_logs import REFERENCE, RealLog, RealLogRow, reference_map
 from slamfusion.experiments.voting import FUSIONS
 from slamfusion.fusion.path_check import moved_path
@@ -121,6 +122,26 @@ def test_maps_of_other_slams_are_told_by_their_names() -> None:
     for path in ("hector/intel.tum", "karto/mit-csail.tum"):
         with pytest.raises(ConfigError, match=r"which map of .* is it of"):
             other_slams(["intel", "mit-csail"], maps, [CaseFile(Path(path))])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "majority",
+        "log-odds",
+        REFERENCE,
+        FUSED_PATH,
+        "drawn",
+        "fused",
+        "gmapping",
+        drawn_at("graph"),
+    ],
+)
+def test_no_map_of_another_slam_has_the_name_of_a_row(name: str) -> None:
+    maps, paths = ([CaseFile(Path(f"{name}/intel.{form}"))] for form in ("yaml", "tum"))
+    found = other_slams(["intel", "mit-csail"], maps, paths)["intel"]
+    assert found.names == (f"{name} (saved)",)
+    assert found.paths == {f"{name} (saved)": Path(f"{name}/intel.tum")}
 
 
 @pytest.mark.full
