@@ -8,9 +8,16 @@ from dataclasses import dataclass, field, replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
-from slamfusion.errors import SlamFusionError
+from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
-from slamfusion.evidence import Exclusions, PathEvidence, find_exclusions, judged_scans, score_paths
+from slamfusion.evidence import (
+    Exclusions,
+    JudgedScans,
+    PathEvidence,
+    find_exclusions,
+    judged_scans,
+    score_paths,
+)
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.surfaces import with_backs
@@ -30,6 +37,7 @@ __all__ = [
     "draw_paths",
     "drawn_at",
     "drive_layers",
+    "judge_scans",
     "path_errors",
     "thick",
     "thickened",
@@ -84,8 +92,22 @@ class WeighedPaths:
         return _weigh(paths, evidence, device, notes)
 
 
+def judge_scans(scans: Sequence[LogScan], notes: dict[str, str]) -> JudgedScans | None:
+    """Choose what paths of a drive are scored on; None where too few scans have a hit.
+
+    Args:
+        scans: of the drive.
+        notes: told, by what is missing, why.
+    """
+    try:
+        return judged_scans(scans)
+    except LogError as error:
+        notes[CHOICE] = str(error)
+        return None
+
+
 def weigh_paths(
-    scans: Sequence[LogScan],
+    judged: JudgedScans | None,
     paths: Mapping[str, Trajectory],
     device: ComputeDevice,
     notes: dict[str, str],
@@ -93,7 +115,7 @@ def weigh_paths(
     """Ask the scans of a drive which path they bear out, and make one path of all.
 
     Args:
-        scans: of the drive.
+        judged: see ``judge_scans``.
         paths: of the producers, by name.
         device: scores the paths.
         notes: told, by what is missing, why.
@@ -102,10 +124,11 @@ def weigh_paths(
     if not paths:
         return WeighedPaths()
     evidence = None
-    try:
-        evidence = score_paths(judged_scans(scans), paths, device)
-    except SlamFusionError as error:
-        notes[CHOICE] = str(error)
+    if judged is not None:
+        try:
+            evidence = score_paths(judged, paths, device)
+        except SlamFusionError as error:
+            notes[CHOICE] = str(error)
     return _weigh(paths, evidence, device, notes)
 
 

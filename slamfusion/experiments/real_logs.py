@@ -21,13 +21,15 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import ConfigError, SlamFusionError
 from slamfusion.evaluation import MapError, MeasuredItem, doubled_wall_share
-from slamfusion.evidence import judged_scans
+from slamfusion.evidence import JudgedScans
 from slamfusion.experiments.drive_paths import (
+    CHOICE,
     DRAWN,
     FUSED_PATH,
     draw_paths,
     drawn_at,
     drive_layers,
+    judge_scans,
     path_errors,
     weigh_paths,
 )
@@ -410,8 +412,9 @@ def _compare_on_log(
     # The reference is drawn from scans as well: its walls have no backs either.
     vote = replace(config.fusion.vote, solid_walls=False)
     config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
-    at_scans = _at_scans(their_paths, scans, notes)
-    weighed = weigh_paths(scans, {**made.paths, **at_scans}, device, notes)
+    judged = judge_scans(scans, notes)
+    at_scans = _at_scans(their_paths, judged, notes)
+    weighed = weigh_paths(judged, {**made.paths, **at_scans}, device, notes)
     fed |= dict.fromkeys(at_scans, scans)
     layers = drive_layers([*made.grids, *others], weighed, scans, fed, device)
     fused = vote_every_way(layers, config, device, notes, shared_frame=not others)
@@ -438,13 +441,16 @@ def _compare_on_log(
 
 
 def _at_scans(
-    paths: Mapping[str, Trajectory], scans: Sequence[LogScan], notes: dict[str, str]
+    paths: Mapping[str, Trajectory], judged: JudgedScans | None, notes: dict[str, str]
 ) -> dict[str, Trajectory]:
     """Return paths of other SLAMs at the scans; ``notes`` are told which were not used, and why."""
     found = {}
     for name, path in paths.items():
+        if judged is None:
+            notes[f"{name}, path"] = notes[CHOICE]
+            continue
         try:
-            found[name] = path_at_scans(path, judged_scans(scans))
+            found[name] = path_at_scans(path, judged)
         except SlamFusionError as error:
             notes[f"{name}, path"] = str(error)
     return found

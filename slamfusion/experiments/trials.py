@@ -27,6 +27,7 @@ from slamfusion.experiments.drive_paths import (
     WeighedPaths,
     draw_paths,
     drive_layers,
+    judge_scans,
     path_errors,
     thickened,
     weigh_paths,
@@ -172,7 +173,7 @@ def measure_trial(
     notes = dict(made.reasons)
     # What befalls all of them befalls the robot.
     seen = recording.scans if trial.harmed else faulty
-    weighed = weigh_paths(seen, made.paths, device, notes)
+    weighed = weigh_paths(judge_scans(seen, notes), made.paths, device, notes)
     fused = _fuse(trial, made.grids, weighed, seen, fed, config, device, notes)
     if trial.draws:
         fused |= draw_paths(seen, weighed, recording.world.grid.resolution, config, device)

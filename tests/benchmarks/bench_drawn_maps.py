@@ -29,6 +29,7 @@ from slamfusion.experiments.drive_paths import (
     draw_paths,
     drawn_at,
     drive_layers,
+    judge_scans,
     path_errors,
     weigh_paths,
 )
@@ -74,7 +75,7 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
         name: load_map(folder / f"{name}.yaml").with_name(name) for name in drive.paths
     }
     made = [grid for grid in maps.values() if grid is not None]
-    weighed = weigh_paths(drive.scans, drive.paths, device, {})
+    weighed = weigh_paths(judge_scans(drive.scans, {}), drive.paths, device, {})
     layers = drive_layers(made, weighed, drive.scans, drive.fed(), device)
     votes = vote_every_way(layers, config, device, {})
     maps |= {name: votes[name] for name in (BARE, RUN_VOTE)}

@@ -9,7 +9,13 @@ import pytest
 
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
-from slamfusion.experiments.drive_paths import CHOICE, FUSED_PATH, drive_layers, weigh_paths
+from slamfusion.experiments.drive_paths import (
+    CHOICE,
+    FUSED_PATH,
+    drive_layers,
+    judge_scans,
+    weigh_paths,
+)
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import circuit, moved, recorded
@@ -39,7 +45,7 @@ def test_who_left_the_others_votes_in_part_and_is_filled(
     device: ComputeDevice, maps: Mapping[str, OccupancyGrid]
 ) -> None:
     notes: dict[str, str] = {}
-    weighed = weigh_paths(SCANS, PATHS, device, notes)
+    weighed = weigh_paths(judge_scans(SCANS, notes), PATHS, device, notes)
     assert notes == {}
     assert set(weighed.paths) == {*PATHS, FUSED_PATH}
     assert weighed.choice in {"tinyslam", "graph"}
@@ -59,7 +65,7 @@ def test_where_scans_cannot_be_asked_all_vote(
     device: ComputeDevice, maps: Mapping[str, OccupancyGrid]
 ) -> None:
     notes: dict[str, str] = {}
-    weighed = weigh_paths(SCANS[:20], PATHS, device, notes)
+    weighed = weigh_paths(judge_scans(SCANS[:20], notes), PATHS, device, notes)
     assert list(notes) == [CHOICE]
     assert (weighed.choice, weighed.evidence, weighed.exclusions) == ("", None, None)
     layers = drive_layers(list(maps.values()), weighed, SCANS[:20], FED, device)
