@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -211,6 +212,10 @@ class OccupancyGrid:
 
     def known_box(self) -> CellBox | None:
         """Return the smallest box of cells that holds every known cell, or None."""
+        return self._known_box
+
+    @cached_property
+    def _known_box(self) -> CellBox | None:
         return known_box(self.cells)
 
     def crop(self, box: CellBox) -> OccupancyGrid:

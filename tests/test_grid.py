@@ -73,6 +73,14 @@ def test_the_known_box_is_the_smallest_around_known_cells() -> None:
     assert known_box(np.full((2, 3), -1, dtype=np.int8)) is None
 
 
+def test_the_known_box_of_a_map_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid = grid_of()
+    box = grid.known_box()
+    monkeypatch.setattr("slamfusion.grid.known_box", lambda _: None)
+    assert grid.known_box() == box
+    assert grid.with_name("another").known_box() is None
+
+
 def test_cropping_moves_no_cell_in_the_map_frame() -> None:
     grid = grid_of(origin=Pose2(3.0, -1.0, 0.7))
     box = CellBox(1, 1, 3, 3)
