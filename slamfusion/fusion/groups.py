@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -30,7 +29,7 @@ from slamfusion.fusion.pair_ranking import rank_pairs
 from slamfusion.fusion.pair_tasks import AlignmentTasks, PairSettings
 from slamfusion.fusion.placement import placed
 from slamfusion.fusion.records import Alignment
-from slamfusion.fusion.start import Starts, named_input, start_distance
+from slamfusion.fusion.start import StartPose, Starts, named_input, start_distance
 from slamfusion.geometry import Pose2
 
 __all__ = [
@@ -179,10 +178,9 @@ class _Aligner:
 
     def align(self, a: str, b: str) -> Alignment:
         """Align two inputs by name."""
-        reference, moving = self._in_order(a, b)
+        reference, moving, start = self._pair(a, b)
         self.tell(f"{moving.grid.name} to {reference.grid.name}", self.done)
         self.done += 1
-        start = self.starts.between(reference.grid.name, moving.grid.name)
         if self.tasks is not None:
             return self.tasks.result(reference, moving, start)
         return align_features(
@@ -190,36 +188,34 @@ class _Aligner:
             pairs=self.count, thorough=self.is_thorough,
         )  # fmt: skip
 
-    def ahead(self, coming: Callable[[int], Iterable[tuple[str, str]]]) -> None:
+    def ahead(self, coming: Iterable[tuple[str, str]]) -> None:
         """Begin with pairs that are likely to be asked for, the next ones first.
 
         Args:
-            coming: gives up to so many of them; asked where somebody else aligns alone.
+            coming: these; only the first ones, and none where nobody else aligns.
         """
-        if self.tasks is None:
-            return
-        for a, b in coming(self.tasks.ahead):
-            reference, moving = self._in_order(a, b)
-            start = self.starts.between(reference.grid.name, moving.grid.name)
-            self.tasks.begin(reference, moving, start)
+        if self.tasks is not None:
+            for a, b in itertools.islice(coming, self.tasks.ahead):
+                self.tasks.begin(*self._pair(a, b))
 
     def align_all(self, second_look: SecondLook | None) -> list[Alignment]:
         """Align every pair."""
         self.steps, pairs = self.count, []
         wanted = list(itertools.combinations(self.features, 2))
         for index, (a, b) in enumerate(wanted):
-            self.ahead(functools.partial(_from, wanted, index))
+            self.ahead(wanted[index:])
             pair = self.align(a, b)
             if second_look is not None:
                 pair = second_look(pair, self.features[pair.reference], self.features[pair.moving])
             pairs.append(pair)
         return pairs
 
-    def _in_order(self, a: str, b: str) -> tuple[GridFeatures, GridFeatures]:
-        """Return two inputs, the one that is held still first."""
+    def _pair(self, a: str, b: str) -> tuple[GridFeatures, GridFeatures, StartPose | None]:
+        """Return two inputs, the one that is held still first, and where the other may lie."""
         one, other = self.features[a], self.features[b]
-        is_in_order = math.prod(one.shape) <= math.prod(other.shape)
-        return (one, other) if is_in_order else (other, one)
+        if math.prod(one.shape) > math.prod(other.shape):
+            one, other = other, one
+        return one, other, self.starts.between(one.grid.name, other.grid.name)
 
     def candidates(self) -> list[Candidate]:
         """Return the pairs that may be aligned, the most promising first.
@@ -245,11 +241,6 @@ class _Aligner:
                 near.append((apart, Candidate(a, b, math.inf)))
         near.sort(key=lambda item: item[0])
         return [*(candidate for _, candidate in near), *others]
-
-
-def _from(pairs: Sequence[tuple[str, str]], index: int, most: int) -> Sequence[tuple[str, str]]:
-    """Return so many of some pairs from an index on."""
-    return pairs[index : index + most]
 
 
 def _all_groups(

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,8 +36,8 @@ __all__ = ["Candidate", "SolvedGroup", "align_many"]
 
 # Aligns two maps, by name, in full.
 AlignPair = Callable[[str, str], Alignment]
-# Told what gives pairs that are likely to be asked for next, so many at most.
-Ahead = Callable[[Callable[[int], Iterable[tuple[str, str]]]], None]
+# Told the pairs that are likely to be asked for next; takes as many as it wants.
+Ahead = Callable[[Iterable[tuple[str, str]]], None]
 
 # A group of maps is given up after so many of its pairs with larger ones were refused in a row.
 TRIES = 3
@@ -211,23 +211,21 @@ class _Search:
     def _aligned(self, item: Candidate) -> Alignment:
         if item.key not in self.found:
             if self.ahead is not None:
-                self.ahead(lambda most: self._coming(item, most))
+                self.ahead(self._coming(item))
             self.found[item.key] = self.align(item.a, item.b)
         return self.found[item.key]
 
-    def _coming(self, item: Candidate, most: int) -> list[tuple[str, str]]:
-        """Return a pair, and those that grow groups after it if all of them are believed."""
+    def _coming(self, item: Candidate) -> Iterator[tuple[str, str]]:
+        """Yield a pair, and those that grow groups after it if all of them are believed."""
         group = {name: self.graph.mates(name)[0] for name in self.features}
-        coming: list[tuple[str, str]] = []
         for other in (item, *self.candidates):
-            if len(coming) >= most or (other is not item and other.ratio < RATIO_MIN):
+            if other is not item and other.ratio < RATIO_MIN:
                 break
             one, two = group[other.a], group[other.b]
             if other.key in self.found or (one == two and other is not item):
                 continue
-            coming.append((other.a, other.b))
+            yield other.a, other.b
             group = {name: one if first == two else first for name, first in group.items()}
-        return coming
 
     def _is_known(self, item: Candidate) -> bool:
         """Whether the two maps are joined, or were tried."""
