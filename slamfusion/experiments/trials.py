@@ -292,8 +292,8 @@ def _run(
     trials: Sequence[Trial], config: RunConfig, scheduler: Scheduler
 ) -> Iterator[tuple[Trial, Done]]:
     """Yield each trial with what came of it, in the order in which they end."""
-    jobs = {scheduler.submit(_work, trial, config): trial for trial in trials}
     try:
+        jobs = {scheduler.submit(_work, trial, config): trial for trial in trials}
         for job in scheduler.completed(list(jobs)):
             yield jobs[job], job.result()
     except FleetError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from slamfusion.config import (
     RunConfig,
     from_mapping,
 )
-from slamfusion.errors import ConfigError, SlamFusionError
+from slamfusion.errors import ConfigError, FleetError, SlamFusionError
 from slamfusion.experiments import failure_trials, obstacle_trials, read_example
 from slamfusion.experiments import trials as module
 from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at, thick
@@ -188,6 +189,15 @@ def test_a_trial_that_fails_is_named(tmp_path: Path) -> None:
     course = replace(trial.course, script=(replace(forward, forward_m=100.0), turn))
     with pytest.raises(SlamFusionError, match="no-obstacle-w1-s0: "):
         run_trials([replace(trial, course=course)], small(), tmp_path, processes=1)
+
+
+def test_where_processes_died_the_way_to_go_on_is_told(tmp_path: Path) -> None:
+    (trial, *_) = failure_trials(small())
+    with open_scheduler(processes=2) as pool:
+        with pytest.raises(FleetError, match="a process died"):
+            pool.submit(os._exit, 1).result()
+        with pytest.raises(SlamFusionError, match=r"a process died .* stays done: start .* again"):
+            run_trials([trial], small(), tmp_path, scheduler=pool)
 
 
 def test_where_fewer_than_two_maps_are_made_the_one_counts_alone(
