@@ -84,11 +84,6 @@ class Found:
     candidates: int | None = None
     image_after: Collection[DecisionKind] = ()
 
-    @property
-    def looks_at_image(self) -> bool:
-        """Whether any refusal is searched once more as a mirror image."""
-        return bool(self.image_after)
-
 
 @dataclass(frozen=True, eq=False)
 class Standing:

@@ -138,7 +138,7 @@ def test_what_is_refused_is_judged_again_only_after_a_finer_search(
     looked: list[bool] = []
 
     def judged(*arguments: object) -> Alignment:
-        looked.extend(item.looks_at_image for item in arguments if isinstance(item, judge.Found))
+        looked.extend(bool(item.image_after) for item in arguments if isinstance(item, judge.Found))
         return judge.judge(*arguments)
 
     monkeypatch.setattr(align, "judge", judged)
