@@ -232,9 +232,11 @@ class GridFeatures:
             distance2 = self.device.download(level.distance2)
             counts = np.zeros(int(distance2.max(initial=0)) + 1)
             # Counting takes sixteen bytes of each cell, so a large level is counted in parts.
-            for rows in np.array_split(np.arange(len(known)), 1 + known.size // COUNTED_CELLS):
-                part, weights = distance2[rows].ravel(), known[rows].ravel()
-                counts += np.bincount(part, weights=weights, minlength=len(counts))
+            parts = 1 + known.size // COUNTED_CELLS
+            for squares, weights in zip(
+                np.array_split(distance2, parts), np.array_split(known, parts), strict=True
+            ):
+                counts += np.bincount(squares.ravel(), weights.ravel(), len(counts))
             self._known_distances[step] = counts / FIELD_ONE
         return self._known_distances[step]
 
