@@ -29,6 +29,9 @@ from slamfusion.slam.registry import BUILT_IN
 
 __all__ = ["ErrorTable"]
 
+# What is measured of a map or a path, as its column of the CSV is called.
+FIGURES = ("error", "wall_f1", "faces_f1", "ate_m")
+
 
 @dataclass(frozen=True)
 class ErrorTable:
@@ -166,12 +169,10 @@ class ErrorTable:
         """Return every figure of a map or a path, a line each; empty: it has none."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        figures = ("error", "wall_f1", "faces_f1", "ate_m")
-        writer.writerow(["condition", "world", "seed", "method", *figures])
+        writer.writerow(["condition", "world", "seed", "method", *FIGURES])
         for item in self.records:
-            measured = (item.errors, item.wall_f1, item.faces_f1, item.ate_m)
-            for method in dict.fromkeys((*item.errors, *item.ate_m)):
-                values = [part.get(method, "") for part in measured]
+            for method, figures in _figures(item).items():
+                values = [figures.get(name, "") for name in FIGURES]
                 writer.writerow([item.condition, item.world, item.seed, method, *values])
         return buffer.getvalue()
 
@@ -180,15 +181,9 @@ class ErrorTable:
         found = []
         for record in self.records:
             case = f"{record.condition}, world {record.world}, seed {record.seed}"
-            measured = {
-                "error": record.errors,
-                "wall_f1": record.wall_f1,
-                "faces_f1": record.faces_f1,
-                "ate_m": record.ate_m,
-            }
-            for method in dict.fromkeys((*record.errors, *record.ate_m)):
-                figures = {name: own[method] for name, own in measured.items() if method in own}
-                found.append(MeasuredItem(case, method, figures))
+            found += [
+                MeasuredItem(case, method, figures) for method, figures in _figures(record).items()
+            ]
         return found
 
     def to_json(self) -> ErrorTableJson:
@@ -221,6 +216,17 @@ class ErrorTable:
             "paths_and_faces": path_sheets.measure_pairs(self),
             "trials": [record.to_json() for record in self.records],
         }
+
+
+def _figures(record: TrialRecord) -> dict[str, dict[str, float]]:
+    """Return what was measured of each map and path, of ``FIGURES`` those that it has."""
+    parts = (record.errors, record.wall_f1, record.faces_f1, record.ate_m)
+    return {
+        method: {
+            name: part[method] for name, part in zip(FIGURES, parts, strict=True) if method in part
+        }
+        for method in dict.fromkeys((*record.errors, *record.ate_m))
+    }
 
 
 def _moments(errors: Sequence[float]) -> Moments:
