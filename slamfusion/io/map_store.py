@@ -11,8 +11,8 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -65,7 +65,7 @@ class MapStore:
         zarr, version = _zarr()
         import numcodecs  # noqa: PLC0415  (comes with Zarr)
 
-        try:
+        with self._whole_or_nothing():
             self._part.mkdir(parents=True)
             group = zarr.open_group(str(self._part), mode="w", **version)
             for name in names:
@@ -88,9 +88,6 @@ class MapStore:
                 }
             )
             self._arrays = {name: group[name] for name in names}
-        except OSError as error:
-            self._remove()
-            raise self._cannot_write(error) from None
 
     def write(self, name: str, box: CellBox, cells: npt.NDArray[np.int8]) -> None:
         """Write a box of cells of an array; whole chunks are written without being read.
@@ -120,13 +117,19 @@ class MapStore:
         if kind is not None:
             self._remove()
             return
-        try:
+        with self._whole_or_nothing():
             check_store(self.path)
             self._part.rename(self.path)
-        except OSError as failure:
+
+    @contextmanager
+    def _whole_or_nothing(self) -> Iterator[None]:
+        """Leave nothing of the store where a ``with`` block ends in an error."""
+        try:
+            yield
+        except OSError as error:
             self._remove()
-            raise self._cannot_write(failure) from None
-        except MapFileError:
+            raise self._cannot_write(error) from None
+        except BaseException:
             self._remove()
             raise
 

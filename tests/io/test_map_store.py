@@ -72,6 +72,24 @@ def test_nothing_is_left_of_one_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_nothing_is_left_of_one_that_zarr_refuses_or_that_is_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "map.zarr"
+    with pytest.raises(TypeError):
+        MapStore(path, ("fused",), (50, 70), 32, 0.05, ORIGIN, {"reference": object()})
+    assert list(tmp_path.iterdir()) == []
+    store = opened(path)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "rename", interrupt)
+    with pytest.raises(KeyboardInterrupt), store:
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     path = tmp_path / "map.zarr"
     path.write_text("mine")
