@@ -12,7 +12,6 @@ import time
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, TypeVar, cast
 
 from slamfusion.cores import usable_cores
@@ -143,12 +142,7 @@ class DaskCluster:
     def __enter__(self) -> DaskCluster:  # noqa: PYI034  typing.Self needs Python 3.11
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with contextlib.suppress(Exception):  # of what is over anyway
             self._client.cancel(list(self._futures), force=True)
         self._futures.clear()

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from types import TracebackType
 from typing import Any, TypeVar, cast
 
 from slamfusion.cores import usable_cores
@@ -53,12 +52,7 @@ class ProcessPool:
     def __enter__(self) -> ProcessPool:  # noqa: PYI034  typing.Self needs Python 3.11
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         # Those at work come to their end unheard, which takes seconds; the others do not begin.
         self._pool.shutdown(cancel_futures=True)
 

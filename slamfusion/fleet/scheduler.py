@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
 
 from slamfusion.cores import usable_cores
@@ -57,12 +56,7 @@ class Scheduler(Protocol):
     def __enter__(self) -> Scheduler:  # noqa: PYI034  typing.Self needs Python 3.11
         """Begin."""
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give up what is not done, and end."""
 
 
@@ -104,12 +98,7 @@ class InProcess:
     def __enter__(self) -> InProcess:  # noqa: PYI034  typing.Self needs Python 3.11
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
 
