@@ -15,6 +15,8 @@ from slamfusion.compute.cell_means import CellMeanDevice
 from slamfusion.compute.cell_means import numpy as cell_means
 from slamfusion.compute.chunk_marks import ChunkMarkDevice
 from slamfusion.compute.chunk_marks import numpy as chunk_marks
+from slamfusion.compute.doubled_walls import DoubledWallDevice
+from slamfusion.compute.doubled_walls import numpy as doubled_walls
 from slamfusion.compute.fields import FieldDevice
 from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.hit_counts import HitCountDevice
@@ -43,6 +45,7 @@ FAMILIES: dict[str, type] = {
     "cell_means": CellMeanDevice,
     "hit_counts": HitCountDevice,
     "chunk_marks": ChunkMarkDevice,
+    "doubled_walls": DoubledWallDevice,
 }
 
 
@@ -56,6 +59,7 @@ class ComputeDevice(
     CellMeanDevice,
     HitCountDevice,
     ChunkMarkDevice,
+    DoubledWallDevice,
     Protocol,
 ):
     """What a compute device must offer: all families."""
@@ -122,6 +126,8 @@ class NumpyDevice:
 
     mark_chunks = _twin(chunk_marks.mark_chunks)
     nearest_marks = _twin(chunk_marks.nearest_marks)
+
+    mark_doubled = _twin(doubled_walls.mark_doubled)
 
     @staticmethod
     def upload(array: npt.NDArray[Any]) -> Any:

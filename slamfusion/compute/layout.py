@@ -30,6 +30,7 @@ chunk mark            one bit for each of up to 32 chunks of a drive, uint32
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -37,7 +38,10 @@ import numpy as np
 __all__ = [
     "BEAM_ONE",
     "BEAM_SHIFT",
+    "BLUR_RADIUS",
     "CLIMBERS",
+    "COHERENCE_PART",
+    "COHERENCE_WHOLE",
     "DISTANCE2_MAX",
     "DISTANCE_MAX",
     "DISTANCE_TABLE",
@@ -49,6 +53,7 @@ __all__ = [
     "FULL_HITS",
     "FULL_VISITS",
     "KERNEL_CONSTANTS",
+    "LEAST_GROUP",
     "MARK_REACH_MAX",
     "MEAN_HALF",
     "MEAN_SHIFT",
@@ -57,11 +62,20 @@ __all__ = [
     "MOST_INPUTS",
     "MOST_OBSERVATIONS",
     "MOST_REACH",
+    "NORMAL_BLOCK",
+    "NORMAL_SHIFT",
+    "PARALLEL",
+    "PRODUCT_SHIFT",
+    "RAY_SHIFT",
     "SHIFT_LANES",
     "TABLE_LAST",
+    "TENSOR_SHIFT",
     "TILE",
     "UNSEEN",
     "VALUE_ONE",
+    "WALL_LEVEL",
+    "WEIGHT_SHIFT",
+    "WINDOW_RADIUS",
     "kernel_options",
 ]
 
@@ -225,6 +239,32 @@ FACINGS_ALIKE: Final = 5
 # Hits are looked for at most this many cells around; farther squares flow over.
 MARK_REACH_MAX: Final = 16
 
+# -- doubled walls ---------------------------------------------------------------------------------
+
+# A group of fewer connected cells is a speck, not a wall.
+LEAST_GROUP: Final = 5
+# Cells on either side of one that the two Gaussian filters weigh, and their weights' sum, 2^12.
+BLUR_RADIUS: Final = 4
+WINDOW_RADIUS: Final = 10
+WEIGHT_SHIFT: Final = 12
+# What products of gradients, and sums of these, lose so that the next sum fits into 32 bits.
+PRODUCT_SHIFT: Final = 11
+TENSOR_SHIFT: Final = 6
+# A part of a unit normal counts in 1/2^14; on a ray with a sample each half cell, in 1/2^15 cell.
+NORMAL_SHIFT: Final = 14
+RAY_SHIFT: Final = NORMAL_SHIFT + 1
+# Squares on a side of which the normals are computed together, of which a part of a map has a whole
+# number, and a ring of one around it.
+NORMAL_BLOCK: Final = 16
+# Least coherence of a wall, squared: 4/25.
+COHERENCE_PART: Final = 4
+COHERENCE_WHOLE: Final = 25
+# Between the centres of two diagonal neighbours the interpolated wall falls to 0.5; a ray that
+# samples every half cell still meets 0.4 there, so that it cannot slip through a diagonal wall.
+WALL_LEVEL: Final = round(0.4 * 4**RAY_SHIFT)
+# Least product of two unit normals of walls that are parallel: the cosine of 20 degrees.
+PARALLEL: Final = round(math.cos(math.radians(20.0)) * 4**NORMAL_SHIFT)
+
 # -- what the kernels get --------------------------------------------------------------------------
 
 _FOR_KERNELS: Final = (
@@ -244,6 +284,9 @@ _FOR_KERNELS: Final = (
     *("MOST_REACH", "OFFSET_SHIFT", "OFFSET_ONE", "OFFSET_HALF"),
     *("CELL_SHIFT", "CELL_HALF", "SHARE_ONE"),
     *("FACINGS", "FACINGS_ALIKE"),
+    *("LEAST_GROUP", "BLUR_RADIUS", "WINDOW_RADIUS", "WEIGHT_SHIFT", "PRODUCT_SHIFT"),
+    *("TENSOR_SHIFT", "NORMAL_SHIFT", "RAY_SHIFT", "NORMAL_BLOCK", "COHERENCE_PART"),
+    *("COHERENCE_WHOLE", "WALL_LEVEL", "PARALLEL"),
 )
 # By name, what stands in the kernels under the same name.
 KERNEL_CONSTANTS: Final[dict[str, int]] = {name: int(globals()[name]) for name in _FOR_KERNELS}

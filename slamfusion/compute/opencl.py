@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from slamfusion.compute.cell_means.opencl import OpenCLCellMeans
 from slamfusion.compute.chunk_marks.opencl import OpenCLChunkMarks
+from slamfusion.compute.doubled_walls.opencl import OpenCLDoubledWalls
 from slamfusion.compute.fields.opencl import OpenCLFields
 from slamfusion.compute.hit_counts.opencl import OpenCLHitCounts
 from slamfusion.compute.rays.opencl import OpenCLRays
@@ -25,6 +26,7 @@ class OpenCLDevice(
     OpenCLCellMeans,
     OpenCLHitCounts,
     OpenCLChunkMarks,
+    OpenCLDoubledWalls,
 ):
     """``ComputeDevice`` on one OpenCL device.
 

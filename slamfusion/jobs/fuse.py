@@ -177,7 +177,7 @@ def fuse_maps(
         evaluations = evaluate_maps(measured, true_grid, config, device, progress=progress)
     # The last evaluation is of the fused map.
     known = {found.error.name: found.error.doubled_wall_share for found in evaluations[:-1]}
-    doubled = DoubledWalls.of(result, config, known)
+    doubled = DoubledWalls.of(result, config, device, known)
     given = given or GivenMaps.of(maps, resolution)
     return FusedMaps(config, result, doubled, evaluations, given)
 

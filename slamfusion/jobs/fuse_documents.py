@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slamfusion.compute.doubled_walls import DoubledWallDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
@@ -72,25 +73,31 @@ class DoubledWalls:
 
     @classmethod
     def of(
-        cls, result: FusionResult, config: RunConfig, known: Mapping[str, float] | None = None
+        cls,
+        result: FusionResult,
+        config: RunConfig,
+        device: DoubledWallDevice,
+        known: Mapping[str, float] | None = None,
     ) -> DoubledWalls:
         """Measure a fusion.
 
         Args:
             result: the fusion.
             config: its thresholds say what is a wall.
+            device: computes.
             known: shares of inputs that were measured before, by name; default: none.
         """
         known, normalize = known or {}, config.fusion.normalize
         shares = {
             record.name: known[record.name]
             if record.name in known
-            else doubled_wall_share(record.grid, normalize=normalize)
+            else doubled_wall_share(record.grid, normalize=normalize, device=device)
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)
         aligned = ((layer.cells, layer.box) for layer in layers)
-        return cls(shares, *fused_doubled_shares(np.sign(result.fused.cells), aligned))
+        fused = np.sign(result.fused.cells)
+        return cls(shares, *fused_doubled_shares(fused, aligned, device=device))
 
     def to_json(self) -> DoubledWallsJson:
         """Return the shares for a JSON document."""

@@ -265,7 +265,7 @@ def run_log(
             drawn = draw_run(lambda: drive.drawn_scans, fused_path, fusion, voting, config, device)
         fusion = drawn.fusion
     with timed("errors"):
-        doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config)
+        doubled = None if fusion.result is None else DoubledWalls.of(fusion.result, config, device)
         evaluations = evaluate_drive_maps(drive, grids, fusion, drawn.beside, true_map)
         results = measure_producers(drive, evaluations)
         measures = measure_saved_paths(drive, others)

@@ -1,0 +1,202 @@
+"""The NumPy twin of the kernels of doubled walls: it defines what they do, bit for bit."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.doubled_walls import (
+    DOUBLED,
+    RaySteps,
+    blur_weights,
+    pad_walls,
+    window_weights,
+)
+from slamfusion.compute.layout import (
+    COHERENCE_PART,
+    COHERENCE_WHOLE,
+    LEAST_GROUP,
+    NORMAL_SHIFT,
+    PARALLEL,
+    PRODUCT_SHIFT,
+    RAY_SHIFT,
+    TENSOR_SHIFT,
+    WALL_LEVEL,
+    WEIGHT_SHIFT,
+)
+
+__all__ = ["mark_doubled"]
+
+U8 = npt.NDArray[np.uint8]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+Tensor = tuple[I32, I32, I32]
+ONE = np.ones(1, dtype=np.int32)
+
+
+def mark_doubled(walls: U8, asked: U8, steps: RaySteps) -> U8:
+    """Say which of the cells asked about are walls, and which of these are doubled.
+
+    Groups of fewer than ``LEAST_GROUP`` connected cells (8 neighbours) are no walls. A ray goes
+    from a wall cell along its normal, with a sample each half cell. Samples at most ``steps.own``
+    after the last on the own wall are on it too; the first later one, within ``steps.other``, is
+    of another wall. The cell is doubled where that wall, half a cell further, is parallel within
+    20 degrees. Cells around which no direction prevails have no normal, and are not doubled.
+
+    Args:
+        walls: (H, W) uint8, 1 at a wall, 0 elsewhere; none outside.
+        asked: (H, W) uint8, not 0 at the cells asked about.
+        steps: how far rays go.
+
+    Returns:
+        (H, W) uint8: 0 no wall or not asked about, 1 a wall, 2 a doubled wall.
+
+    Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
+        of linear symmetry", ICCV 1987.
+    """
+    marks = np.zeros(walls.shape, dtype=np.uint8)
+    kept = _without_specks(walls)
+    is_asked = (kept != 0) & (asked != 0)
+    if not is_asked.any():
+        return marks
+    marks[is_asked] = 1
+    padded, inner = pad_walls(kept, steps)
+    tensor = _structure_tensor(padded)
+    rows, cols = np.nonzero(is_asked)
+    y, x = rows + inner[0].start, cols + inner[1].start
+    nx, ny = _normals(tensor, y, x)
+    for side in (1, -1):
+        rays = np.flatnonzero((nx != 0) | (ny != 0))
+        step_x, step_y = side * nx[rays], side * ny[rays]
+        hits, at = _next_wall(padded, (x[rays], y[rays]), (step_x, step_y), steps)
+        rays, step_x, step_y = rays[hits], step_x[hits], step_y[hits]
+        # Half a cell further the ray is inside the other wall.
+        half = 1 << (RAY_SHIFT - 1)
+        hit_x = x[rays] + (((at + 1) * step_x + half) >> RAY_SHIFT)
+        hit_y = y[rays] + (((at + 1) * step_y + half) >> RAY_SHIFT)
+        hit_nx, hit_ny = _normals(tensor, hit_y, hit_x)
+        is_parallel = np.abs(hit_nx * step_x + hit_ny * step_y) >= PARALLEL
+        marks[rows[rays][is_parallel], cols[rays][is_parallel]] = DOUBLED
+    return marks
+
+
+def _without_specks(walls: U8) -> U8:
+    """Return the walls without small groups of connected cells."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        np.ascontiguousarray(walls), connectivity=8
+    )
+    is_wall = np.asarray(stats)[:, cv2.CC_STAT_AREA] >= LEAST_GROUP
+    is_wall[0] = False
+    return np.asarray(is_wall[labels], dtype=np.uint8)
+
+
+def _structure_tensor(walls: U8) -> Tensor:
+    """Return the structure tensor around each cell: xx, yy and xy, x along columns; (H, W) each."""
+    blur, window = blur_weights(), window_weights()
+    smooth = _rounded(_filtered(walls, blur, blur), WEIGHT_SHIFT)
+    slope, across = np.array([-1, 0, 1]), np.array([1, 2, 1])
+    gx, gy = _filtered(smooth, slope, across), _filtered(smooth, across, slope)
+    jxx, jyy, jxy = (
+        _rounded(
+            _filtered(_rounded(_filtered(product, window), WEIGHT_SHIFT), down=window), TENSOR_SHIFT
+        )
+        for product in (_rounded(part, PRODUCT_SHIFT) for part in (gx * gx, gy * gy, gx * gy))
+    )
+    return jxx, jyy, jxy
+
+
+def _filtered(values: U8 | I32, along: I64 | I32 = ONE, down: I64 | I32 = ONE) -> I32:
+    """Return sums weighted along rows and down columns; 0 outside.
+
+    They are added as float64, which is exact for whole numbers of this size.
+    """
+    source = values.astype(np.float32)
+    sums = cv2.sepFilter2D(
+        source,
+        cv2.CV_64F,
+        along.astype(np.float64),
+        down.astype(np.float64),
+        borderType=cv2.BORDER_CONSTANT,
+    )
+    return np.asarray(sums).astype(np.int32)
+
+
+def _rounded(values: I32, shift: int) -> I32:
+    """Return whole numbers divided by a power of two, halves rounded up."""
+    return (values + (1 << (shift - 1))) >> shift
+
+
+def _normals(tensor: Tensor, rows: I64, cols: I64) -> tuple[I64, I64]:
+    """Return the unit normals (x along columns, y along rows) at cells, in 1/2^NORMAL_SHIFT.
+
+    Coherence is (l1 - l2) / (l1 + l2) of the structure tensor's eigenvalues: 1 along a straight
+    wall, 0 where all directions are equal. Below the least one both parts are 0. The normal is at
+    half the angle of (jxx - jyy, 2 jxy); the greater part comes from a root, the other from it.
+    """
+    jxx, jyy, jxy = (part[rows, cols].astype(np.int64) for part in tensor)
+    cosine, sine, energy = jxx - jyy, 2 * jxy, jxx + jyy
+    squared = cosine * cosine + sine * sine
+    is_wall = (energy > 0) & (COHERENCE_WHOLE * squared >= COHERENCE_PART * energy * energy)
+    length = np.where(is_wall, _root(squared), 1)
+    lean = np.where(is_wall, np.abs(cosine), 0)
+    greater = _root(((length + lean) << (2 * NORMAL_SHIFT - 1)) // length)
+    least = (np.abs(sine) << (2 * NORMAL_SHIFT - 1)) // np.maximum(length * greater, 1)
+    nx, ny = np.where(cosine >= 0, (greater, least), (least, greater))
+    ny = np.where(sine < 0, -ny, ny)
+    return np.where(is_wall, nx, 0), np.where(is_wall, ny, 0)
+
+
+def _root(values: I64) -> I64:
+    """Return the whole part of square roots."""
+    root = np.sqrt(values.astype(np.float64)).astype(np.int64)
+    root -= root * root > values
+    root += (root + 1) * (root + 1) <= values
+    return root
+
+
+def _next_wall(
+    walls: U8, start: tuple[I64, I64], step: tuple[I64, I64], steps: RaySteps
+) -> tuple[npt.NDArray[np.intp], I64]:
+    """Walk from each wall cell along its normal to the beginning of the next wall.
+
+    Args:
+        walls: (H, W) uint8, 1 at a wall.
+        start: x and y, (N,) each, in cells.
+        step: x and y of a step of half a cell, (N,) each, in 1/2^RAY_SHIFT cell.
+        steps: how far.
+
+    Returns:
+        (K,) which of the rays meet one, and (K,) the number of the step.
+    """
+    (x, y), (step_x, step_y) = start, step
+    rays = np.arange(x.size)
+    own_end = np.zeros(x.size, dtype=np.int64)
+    hits, hits_at = [rays[:0]], [own_end[:0]]
+    for number in range(1, steps.total + 1):
+        on_wall = _samples(walls, (x, y), (number * step_x, number * step_y))
+        width = number - own_end
+        is_own = on_wall & (width <= steps.own)
+        is_other = on_wall & ~is_own & (width <= steps.other)
+        own_end[is_own] = number
+        hits.append(rays[is_other])
+        hits_at.append(np.full(hits[-1].size, number))
+        goes_on = ~is_other & (number - own_end <= steps.gap) & (own_end <= steps.thickness)
+        if not goes_on.any():
+            break
+        rays, own_end, x, y, step_x, step_y = (
+            part[goes_on] for part in (rays, own_end, x, y, step_x, step_y)
+        )
+    return np.concatenate(hits), np.concatenate(hits_at)
+
+
+def _samples(walls: U8, cell: tuple[I64, I64], offset: tuple[I64, I64]) -> npt.NDArray[np.bool_]:
+    """Return whether walls interpolated at offsets, in 1/2^RAY_SHIFT cell, count as wall, (N,)."""
+    width = walls.shape[1]
+    at = (cell[1] + (offset[1] >> RAY_SHIFT)) * width + cell[0] + (offset[0] >> RAY_SHIFT)
+    one = 1 << RAY_SHIFT
+    u, v = offset[0] & (one - 1), offset[1] & (one - 1)
+    corners = [walls.ravel()[at + step].astype(np.int64) for step in (0, 1, width, width + 1)]
+    lower = (one - u) * corners[0] + u * corners[1]
+    upper = (one - u) * corners[2] + u * corners[3]
+    return np.asarray((one - v) * lower + v * upper >= WALL_LEVEL)
