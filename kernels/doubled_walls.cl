@@ -11,9 +11,19 @@
 
 #define BLUR_TAPS (2 * BLUR_RADIUS + 1)
 #define WINDOW_TAPS (2 * WINDOW_RADIUS + 1)
-/* Cells on a side of a block with all that its gradients depend on, and with these alone. */
-#define AROUND (3 * NORMAL_BLOCK)
+/* Cells along a block with all that its gradients depend on, in vectors of a block's width; and with
+ * the gradients alone. */
+#define VECTORS 3
+#define AROUND (VECTORS * NORMAL_BLOCK)
 #define GRADIENTS (NORMAL_BLOCK + 2 * WINDOW_RADIUS)
+/* The first cell of a row around a block that the first smoothed one depends on. */
+#define BLUR_FIRST (NORMAL_BLOCK - WINDOW_RADIUS - 1 - BLUR_RADIUS)
+
+/* Sixteen numbers from any one on in an array of vectors. */
+typedef struct __attribute__((packed)) {
+  int16 lanes;
+} loose;
+#define LANES(vectors, from) (((const loose *)((const int *)(vectors) + (from)))->lanes)
 
 /* Whether the NORMAL_BLOCK cells from here on are all 0. */
 INLINE int no_wall(__global const uchar *cells) {
@@ -95,77 +105,65 @@ __kernel void wall_normals(__global const uchar *kept, const int height, const i
     for (int c = -1; c <= NORMAL_BLOCK; c++) any |= kept[(low + r) * width + left + c];
   if (!any) return;
 
-  int blurs[BLUR_TAPS], windows[WINDOW_TAPS];
-  for (int k = 0; k < BLUR_TAPS; k++) blurs[k] = blur[k];
-  for (int k = 0; k < WINDOW_TAPS; k++) windows[k] = window[k];
-
   /* Row r of the gradients is that of cells in row low - WINDOW_RADIUS + r, its first column left -
-   * WINDOW_RADIUS. Of the smoothed walls three rows are needed at once. Rows far from walls are 0
-   * and left out: `level` counts the rows in turn that have been smoothed to something. */
-  int sums[3][GRADIENTS][NORMAL_BLOCK];
+   * WINDOW_RADIUS. Those of columns beyond GRADIENTS are of no use. Rows far from walls are 0 and left
+   * out: `level` counts the rows in turn that are smoothed to nothing. */
+  int16 smooth[GRADIENTS + 2][VECTORS + 1], down[VECTORS + 1], sums[3][GRADIENTS];
   uchar is_level[GRADIENTS];
-  int smooth[3][AROUND];
-  for (int k = 0; k < 3; k++)
-    for (int c = 0; c < AROUND; c++) smooth[k][c] = 0;
+  const int rounding = 1 << (WEIGHT_SHIFT - 1);
+  down[VECTORS] = 0;
   int level = 3;
   for (int r = -2; r < GRADIENTS; r++) {
     __global const uchar *line =
         kept + (low - WINDOW_RADIUS + r + 1 - BLUR_RADIUS) * width + left - NORMAL_BLOCK;
-    int down[AROUND];
     int some = 0;
     IN_LANES
     for (int c = 0; c < AROUND; c++) {
       int sum = 0;
       _Pragma("unroll")
-      for (int k = 0; k < BLUR_TAPS; k++) sum += blurs[k] * line[k * width + c];
-      down[c] = sum;
+      for (int k = 0; k < BLUR_TAPS; k++) sum += blur[k] * line[k * width + c];
+      ((int *)down)[c] = sum;
       some |= sum;
     }
     level = some ? 0 : level + 1;
     if (r >= 0) is_level[r] = level > 2;
-    int *above = smooth[(r + 3) % 3], *here = smooth[(r + 2) % 3], *below = smooth[(r + 1) % 3];
-    if (some) {
-      IN_LANES
-      for (int c = 0; c < GRADIENTS + 2; c++) {
-        int sum = 1 << (WEIGHT_SHIFT - 1);
-        _Pragma("unroll")
+    smooth[r + 2][VECTORS] = 0;
+    for (int v = 0; v < VECTORS; v++) {
+      int16 sum = rounding;
+      if (some)
         for (int k = 0; k < BLUR_TAPS; k++)
-          sum += blurs[k] * down[c + k + NORMAL_BLOCK - WINDOW_RADIUS - 1 - BLUR_RADIUS];
-        above[c] = sum >> WEIGHT_SHIFT;
-      }
-    } else {
-      for (int c = 0; c < GRADIENTS + 2; c++) above[c] = 0;
+          sum += blur[k] * LANES(down, v * NORMAL_BLOCK + k + BLUR_FIRST);
+      smooth[r + 2][v] = sum >> WEIGHT_SHIFT;
     }
     if (r < 0 || level > 2) continue;
-    int xx[AROUND], yy[AROUND], xy[AROUND];
-    IN_LANES
-    for (int c = 0; c < GRADIENTS; c++) {
-      const int gx = below[c + 2] - below[c] + 2 * (here[c + 2] - here[c]) + above[c + 2] - above[c];
-      const int gy = above[c] - below[c] + 2 * (above[c + 1] - below[c + 1]) + above[c + 2] -
-                     below[c + 2];
-      const int middle = 1 << (PRODUCT_SHIFT - 1);
-      xx[c] = (gx * gx + middle) >> PRODUCT_SHIFT;
-      yy[c] = (gy * gy + middle) >> PRODUCT_SHIFT;
-      xy[c] = (gx * gy + middle) >> PRODUCT_SHIFT;
+    int16 xx[VECTORS], yy[VECTORS], xy[VECTORS];
+    for (int v = 0; v < VECTORS; v++) {
+      const int c = v * NORMAL_BLOCK, middle = 1 << (PRODUCT_SHIFT - 1);
+      const int16 a = smooth[r][v], b = LANES(smooth[r], c + 1), d = LANES(smooth[r], c + 2);
+      const int16 e = smooth[r + 1][v], f = LANES(smooth[r + 1], c + 2);
+      const int16 g = smooth[r + 2][v], h = LANES(smooth[r + 2], c + 1);
+      const int16 i = LANES(smooth[r + 2], c + 2);
+      const int16 gx = d - a + 2 * (f - e) + i - g;
+      const int16 gy = g - a + 2 * (h - b) + i - d;
+      xx[v] = (gx * gx + middle) >> PRODUCT_SHIFT;
+      yy[v] = (gy * gy + middle) >> PRODUCT_SHIFT;
+      xy[v] = (gx * gy + middle) >> PRODUCT_SHIFT;
     }
-    IN_LANES
-    for (int c = 0; c < NORMAL_BLOCK; c++) {
-      int sum_xx = 1 << (WEIGHT_SHIFT - 1), sum_yy = sum_xx, sum_xy = sum_xx;
-      _Pragma("unroll")
-      for (int k = 0; k < WINDOW_TAPS; k++) {
-        sum_xx += windows[k] * xx[c + k];
-        sum_yy += windows[k] * yy[c + k];
-        sum_xy += windows[k] * xy[c + k];
-      }
-      sums[0][r][c] = sum_xx >> WEIGHT_SHIFT;
-      sums[1][r][c] = sum_yy >> WEIGHT_SHIFT;
-      sums[2][r][c] = sum_xy >> WEIGHT_SHIFT;
+    int16 sum_xx = rounding, sum_yy = rounding, sum_xy = rounding;
+    for (int k = 0; k < WINDOW_TAPS; k++) {
+      sum_xx += window[k] * LANES(xx, k);
+      sum_yy += window[k] * LANES(yy, k);
+      sum_xy += window[k] * LANES(xy, k);
     }
+    sums[0][r] = sum_xx >> WEIGHT_SHIFT;
+    sums[1][r] = sum_yy >> WEIGHT_SHIFT;
+    sums[2][r] = sum_xy >> WEIGHT_SHIFT;
   }
 
   for (int r = 0; r < NORMAL_BLOCK; r++) {
+    if (is_level[r + WINDOW_RADIUS]) continue;
     __global const uchar *row = kept + (low + r) * width + left;
-    uchar touched[NORMAL_BLOCK];
+    int touched[NORMAL_BLOCK];
     int some = 0;
     IN_LANES
     for (int c = 0; c < NORMAL_BLOCK; c++) {
@@ -174,21 +172,21 @@ __kernel void wall_normals(__global const uchar *kept, const int height, const i
       some |= touched[c];
     }
     if (!some) continue;
-    int tensor[3][NORMAL_BLOCK];
-    for (int n = 0; n < 3; n++) {
-      int total[NORMAL_BLOCK];
-      for (int c = 0; c < NORMAL_BLOCK; c++) total[c] = 1 << (TENSOR_SHIFT - 1);
-      for (int k = 0; k < WINDOW_TAPS; k++) {
-        if (is_level[r + k]) continue;
-        const int weight = windows[k];
-        IN_LANES
-        for (int c = 0; c < NORMAL_BLOCK; c++) total[c] += weight * sums[n][r + k][c];
-      }
-      for (int c = 0; c < NORMAL_BLOCK; c++) tensor[n][c] = total[c] >> TENSOR_SHIFT;
+    int16 jxx = 1 << (TENSOR_SHIFT - 1), jyy = jxx, jxy = jxx;
+    for (int k = 0; k < WINDOW_TAPS; k++) {
+      if (is_level[r + k]) continue;
+      jxx += window[k] * sums[0][r + k];
+      jyy += window[k] * sums[1][r + k];
+      jxy += window[k] * sums[2][r + k];
     }
+    jxx >>= TENSOR_SHIFT;
+    jyy >>= TENSOR_SHIFT;
+    jxy >>= TENSOR_SHIFT;
+    const int *each_xx = (const int *)&jxx, *each_yy = (const int *)&jyy;
+    const int *each_xy = (const int *)&jxy;
     for (int c = 0; c < NORMAL_BLOCK; c++)
       if (touched[c])
-        normals[(low + r) * width + left + c] = normal_of(tensor[0][c], tensor[1][c], tensor[2][c]);
+        normals[(low + r) * width + left + c] = normal_of(each_xx[c], each_yy[c], each_xy[c]);
   }
 }
 
