@@ -34,8 +34,8 @@ FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
 IDENTITY = Pose2()
-# Cells that are looked up in a table at once.
-LOOKED_UP = 1 << 20
+# Cells that are classified at once.
+CLASSIFIED = 1 << 17
 
 # Metres per cell that a map may have: finer than any sensor measures, coarser than any room.
 RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
@@ -138,15 +138,15 @@ def trinary_cells(cells: npt.NDArray[np.int8], thresholds: NormalizeConfig) -> n
 
     Source: [F16], the normalisation step (100 becomes 1).
     """
-    percent = np.arange(256).astype(np.uint8).view(np.int8)
-    table = np.full(256, UNKNOWN, dtype=np.int8)
-    table[(percent >= 0) & (percent <= thresholds.free_percent)] = 0
-    table[(percent >= 0) & (percent >= thresholds.occupied_percent)] = 1
-    codes, classes = cells.view(np.uint8).ravel(), np.empty(cells.size, dtype=np.int8)
-    # Indexing makes eight bytes of each cell, so a large map is looked up in parts.
-    for first in range(0, cells.size, LOOKED_UP):
-        part = slice(first, first + LOOKED_UP)
-        np.take(table, codes[part], out=classes[part])
+    least_occupied = math.ceil(thresholds.occupied_percent)
+    most_free = math.floor(thresholds.free_percent)
+    given, classes = cells.ravel(), np.empty(cells.size, dtype=np.int8)
+    # In parts that stay where they are found at once.
+    for first in range(0, cells.size, CLASSIFIED):
+        some, out = (array[first : first + CLASSIFIED] for array in (given, classes))
+        is_free = (some >= 0) & (some <= most_free)
+        is_occupied = (some >= 0) & (some >= least_occupied)
+        np.subtract(is_occupied.view(np.int8), ~(is_occupied | is_free), out=out, casting="unsafe")
     return classes.reshape(cells.shape)
 
 

@@ -16,7 +16,7 @@ from slamfusion.fusion.ballot import Ballot, Laid
 from slamfusion.fusion.boxes import hull, moved, overlap, padded, slices
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.lattice import Extent, Lattice
-from slamfusion.fusion.normalize import NormalizedGrid
+from slamfusion.fusion.normalize import VotingGrid
 from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
 from slamfusion.fusion.vote import agreement_weights, margin_cells, unknown_votes
 from slamfusion.geometry import Pose2
@@ -38,7 +38,7 @@ __all__ = [
 I8 = npt.NDArray[np.int8]
 
 # Gives an input at the common resolution, by its name.
-Lattices: TypeAlias = Callable[[str], NormalizedGrid]
+Lattices: TypeAlias = Callable[[str], VotingGrid]
 
 # Cells on a side that are voted on at once; fewer where so many maps vote that not all may vote in
 # one place.
@@ -48,7 +48,7 @@ VOTED_BYTES = 4
 
 
 def warp_onto(
-    grid: NormalizedGrid,
+    grid: VotingGrid,
     cells: npt.NDArray[np.int8],
     transform: Pose2,
     lattice: Lattice,
@@ -115,7 +115,7 @@ def vote_on_lattice(
     """
     base = lattices(group.reference)
 
-    def normalized(name: str) -> NormalizedGrid:
+    def normalized(name: str) -> VotingGrid:
         return base if name == group.reference else lattices(name)
 
     box = fused_box(group, lambda name: normalized(name).extent, config)
@@ -217,7 +217,7 @@ def own_box(
 
 
 def _laid(
-    grid: NormalizedGrid,
+    grid: VotingGrid,
     group: Members,
     lattice: Lattice,
     box: CellBox,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,16 +16,18 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.lattice import SAME_RESOLUTION, Extent, Lattice
-from slamfusion.grid import OCCUPIED, UNKNOWN, OccupancyGrid, known_box, trinary_cells
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.memory import check_memory
 
 __all__ = [
     "NormalizedGrid",
+    "VotingGrid",
     "check_resampling",
     "coarsening",
     "common_resolution",
     "normalize_grid",
     "pool_cells",
+    "voting_grid",
 ]
 
 # What preparing and aligning hold at once for each cell of an input that they look at, and what
@@ -32,23 +35,26 @@ __all__ = [
 BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
 ALIGNED_CELLS = 3000
+# Rows of blocks that are pooled at once.
+POOLED_ROWS = 16
+
+INT16_MAX = 2**15 - 1
+
+Part = TypeVar("Part", np.int8, np.int16, np.int32)
 
 
 @dataclass(frozen=True, eq=False)
-class NormalizedGrid:
-    """A grid ready to be aligned and to vote.
+class VotingGrid:
+    """A grid ready to vote.
 
     Attributes:
         grid: occupancy in percent, at the common resolution, cropped to known cells; its origin
             keeps the lattice (yaw and sub-cell offset) of the input.
         cells: (H, W) int8 in {-1, 0, 1}, the same lattice.
-        solid: (H, W) uint8, 1 at the wall cells that alignment looks at: no specks of noise, judged
-            at the input's own resolution; every wall cell where all are specks.
     """
 
     grid: OccupancyGrid
     cells: npt.NDArray[np.int8]
-    solid: npt.NDArray[np.uint8]
 
     @property
     def name(self) -> str:
@@ -64,6 +70,18 @@ class NormalizedGrid:
     def extent(self) -> Extent:
         """Where its cells lie."""
         return Extent(Lattice(self.grid.resolution, self.grid.origin), self.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class NormalizedGrid(VotingGrid):
+    """A grid ready to be aligned and to vote.
+
+    Attributes:
+        solid: (H, W) uint8, 1 at the wall cells that alignment looks at: no specks of noise, judged
+            at the input's own resolution; every wall cell where all are specks.
+    """
+
+    solid: npt.NDArray[np.uint8]
 
 
 def common_resolution(grids: list[OccupancyGrid], config: NormalizeConfig) -> float:
@@ -139,7 +157,7 @@ def normalize_grid(
     device: FieldDevice,
     cancel: CancelToken | None = None,
 ) -> NormalizedGrid:
-    """Resample to ``resolution``, threshold, and crop to the known cells.
+    """Resample to ``resolution``, threshold, crop to the known cells, and find the solid walls.
 
     Args:
         grid: any occupancy grid.
@@ -152,37 +170,76 @@ def normalize_grid(
         CancelledSearchError: ``cancel`` says so.
         GridError: no cell of the grid is known under these thresholds.
     """
-    nothing_known = (
+    given, grid = grid, _without_margins(grid, config)
+    check_cancelled(cancel)
+    cells = device.upload(trinary_cells(grid.cells, config))
+    solid = device.download(device.solid_walls(cells))
+    del cells
+    check_cancelled(cancel)
+    voting, box = _voting_part(given, grid, resolution, config, device)
+    check_cancelled(cancel)
+    blocks = _blocks(solid.view(np.int8), resolution / grid.resolution, 0, device)
+    window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
+    walls = (_each_part(np.maximum, blocks)[window] != 0) & (voting.cells == 1)
+    if not walls.any():
+        walls = voting.cells == 1
+    walls = walls.view(np.uint8)
+    walls.flags.writeable = False
+    return NormalizedGrid(voting.grid, voting.cells, walls)
+
+
+def voting_grid(
+    grid: OccupancyGrid, resolution: float, config: NormalizeConfig, device: FieldDevice
+) -> VotingGrid:
+    """Resample to ``resolution``, threshold, and crop to the known cells.
+
+    Args:
+        grid, resolution, config, device: as for ``normalize_grid``.
+
+    Raises:
+        GridError: no cell of the grid is known under these thresholds.
+    """
+    return _voting_part(grid, _without_margins(grid, config), resolution, config, device)[0]
+
+
+def _without_margins(grid: OccupancyGrid, config: NormalizeConfig) -> OccupancyGrid:
+    """Return a grid without unknown margins: a small place on a huge canvas costs no more."""
+    box = grid.known_box()
+    if box is None:
+        raise _nothing_known(grid, config)
+    return grid.crop(box)
+
+
+def _nothing_known(grid: OccupancyGrid, config: NormalizeConfig) -> GridError:
+    return GridError(
         f"{grid.name}: all {grid.height} x {grid.width} cells are unknown at "
         f"free <= {config.free_percent:g} % and occupied >= {config.occupied_percent:g} %; "
         "give a map with known cells or other thresholds"
     )
-    given = grid.known_box()
-    if given is None:
-        raise GridError(nothing_known)
-    # Margins go first: a map of a small place on a huge canvas costs no more than the place.
-    grid = grid.crop(given)
-    cells = trinary_cells(grid.cells, config)
-    check_cancelled(cancel)
-    solid = device.download(device.solid_walls(device.upload(cells))).view(np.int8)
-    check_cancelled(cancel)
+
+
+def _voting_part(
+    given: OccupancyGrid,
+    grid: OccupancyGrid,
+    resolution: float,
+    config: NormalizeConfig,
+    device: FieldDevice,
+) -> tuple[VotingGrid, CellBox]:
+    """Return a grid that votes, and which cells of the resampled grid it has.
+
+    Args:
+        given: the grid as it was given.
+        grid: the same without margins.
+        resolution, config, device: as for ``normalize_grid``.
+    """
     resampled = _resample(grid, resolution, config, device)
-    if resampled is not grid:
-        check_cancelled(cancel)
-        mask = OccupancyGrid(solid * np.int8(OCCUPIED), grid.resolution, grid.origin, grid.name)
-        solid = (_resample(mask, resolution, config, device).cells > 0).astype(np.int8)
-        cells = trinary_cells(resampled.cells, config)
+    cells = trinary_cells(resampled.cells, config)
     box = known_box(cells)
     if box is None:
-        raise GridError(nothing_known)
-    window = np.s_[box.row0 : box.row1, box.col0 : box.col1]
-    kept = np.ascontiguousarray(cells[window])
-    walls = np.ascontiguousarray((solid[window] != 0) & (kept == 1)).astype(np.uint8)
-    if not walls.any():
-        walls = (kept == 1).astype(np.uint8)
+        raise _nothing_known(given, config)
+    kept = np.ascontiguousarray(cells[box.row0 : box.row1, box.col0 : box.col1])
     kept.flags.writeable = False
-    walls.flags.writeable = False
-    return NormalizedGrid(resampled.crop(box), kept, walls)
+    return VotingGrid(resampled.crop(box), kept), box
 
 
 def _resample(
@@ -193,35 +250,66 @@ def _resample(
     To finer cells: the nearest cell. To coarser cells: the source is read at a whole number of
     points a cell; a wall at any of them stays a wall, so that thin walls survive.
     """
-    ratio = resolution / grid.resolution
+    if grid.resolution == resolution:
+        return grid
+    blocks = _blocks(grid.cells, resolution / grid.resolution, UNKNOWN, device)
+    fine = blocks[:, 0, :, 0] if blocks.shape[1] == 1 else pool_cells(blocks, config)
+    return OccupancyGrid(fine, resolution, grid.origin, grid.name)
+
+
+def _blocks(
+    cells: npt.NDArray[np.int8], ratio: float, fill: int, device: FieldDevice
+) -> npt.NDArray[np.int8]:
+    """Return the points (H, n, W, n) at which cells of another size read those of a grid.
+
+    Args:
+        cells: of the grid.
+        ratio: size of the others, in cells of the grid.
+        fill: where a point lies beyond the grid.
+        device: reads points that are not cells.
+    """
     if abs(ratio - 1.0) < SAME_RESOLUTION:
-        if grid.resolution == resolution:
-            return grid
-        return OccupancyGrid(grid.cells, resolution, grid.origin, grid.name)
-    height = max(1, int(np.ceil(grid.height / ratio - 1e-9)))
-    width = max(1, int(np.ceil(grid.width / ratio - 1e-9)))
+        return cells.reshape(cells.shape[0], 1, cells.shape[1], 1)
+    height, width = (max(1, int(np.ceil(size / ratio - 1e-9))) for size in cells.shape)
     parts = max(1, int(np.ceil(ratio - 1e-9)))
     scale = round(ratio / parts * FIXED_ONE)
-    poses = np.array([[scale, 0, 0, 0]], dtype=np.int64)
-    fine = device.download(
-        device.warp(device.upload(grid.cells), poses, (height * parts, width * parts), UNKNOWN)
-    )[0]
-    if parts > 1:
-        fine = pool_cells(fine.reshape(height, parts, width, parts), config)
-    return OccupancyGrid(np.ascontiguousarray(fine), resolution, grid.origin, grid.name)
+    size = (height * parts, width * parts)
+    if scale == FIXED_ONE:
+        # The points are the cells.
+        fine = np.pad(
+            cells,
+            [(0, wanted - own) for wanted, own in zip(size, cells.shape, strict=True)],
+            constant_values=fill,
+        )
+    else:
+        poses = np.array([[scale, 0, 0, 0]], dtype=np.int64)
+        fine = device.download(device.warp(device.upload(cells), poses, size, fill))[0]
+    return fine.reshape(height, parts, width, parts)
 
 
 def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDArray[np.int8]:
     """Return one cell a block (H, n, W, n): any wall wins, else the mean if half is known."""
-    # Part by part: sums over two axes of a large map take long and several times its memory.
-    parts = [blocks[:, row, :, col] for row, col in np.ndindex(blocks.shape[1], blocks.shape[3])]
-    highest = parts[0].copy()
-    count, total = (np.zeros(highest.shape, dtype=np.int32) for _ in range(2))
-    for part in parts:
-        np.maximum(highest, part, out=highest)
-        count += part >= 0
-        total += np.maximum(part, 0)
-    mean = (total / np.maximum(count, 1)).round().astype(np.int8)
-    per_block = blocks.shape[1] * blocks.shape[3]
-    out = np.where(2 * count >= per_block, mean, np.int8(UNKNOWN))
-    return np.where(highest >= config.occupied_percent, highest, out).astype(np.int8)
+    height, parts, width, _ = blocks.shape
+    pooled = np.empty((height, width), dtype=np.int8)
+    kind: npt.DTypeLike = np.int16 if 100 * parts**2 <= INT16_MAX else np.int32
+    # A few rows at once, so that sums stay where they are found at once.
+    for first in range(0, height, POOLED_ROWS):
+        some = blocks[first : first + POOLED_ROWS]
+        highest = _each_part(np.maximum, some)
+        count = _each_part(np.add, (some >= 0).astype(kind))
+        total = _each_part(np.add, np.maximum(some, 0).astype(kind))
+        mean = (total / np.maximum(count, 1)).round().astype(np.int8)
+        out = np.where(2 * count >= parts**2, mean, np.int8(UNKNOWN))
+        is_wall = highest >= config.occupied_percent
+        pooled[first : first + POOLED_ROWS] = np.where(is_wall, highest, out)
+    return pooled
+
+
+def _each_part(join: np.ufunc, blocks: npt.NDArray[Part]) -> npt.NDArray[Part]:
+    """Return the parts of each block (H, n, W, n) joined to one, (H, W): first whole rows."""
+    height, parts, width, _ = blocks.shape
+    rows = join.reduce(blocks.reshape(height, parts, width * parts), axis=1, dtype=blocks.dtype)
+    joined: npt.NDArray[Part] = rows[:, ::parts].copy()
+    for column in range(1, parts):
+        join(joined, rows[:, column::parts], out=joined)
+    return joined

@@ -10,10 +10,12 @@ from slamfusion.errors import GridError
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
+    VotingGrid,
     check_resampling,
     coarsening,
     common_resolution,
     normalize_grid,
+    voting_grid,
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.memory import return_freed_memory
@@ -57,7 +59,9 @@ class PreparedInputs:
         self.reasons: dict[str, str] = {}
         for grid in grids:
             try:
-                self._normalized[grid.name] = self._at(grid, self._factor)
+                self._normalized[grid.name] = normalize_grid(
+                    grid, self._factor * self._resolution, config.normalize, device
+                )
             except GridError as error:
                 self.reasons[grid.name] = str(error)
             if self._factor > 1:
@@ -73,11 +77,8 @@ class PreparedInputs:
             self._normalized.clear()
             return_freed_memory()
 
-    def lattice(self, name: str) -> NormalizedGrid:
+    def lattice(self, name: str) -> VotingGrid:
         """Return an input with the cells that vote; a large one is laid out for each call."""
         if self._factor == 1:
             return self._normalized[name]
-        return self._at(self._grids[name], 1)
-
-    def _at(self, grid: OccupancyGrid, factor: int) -> NormalizedGrid:
-        return normalize_grid(grid, factor * self._resolution, self._config, self._device)
+        return voting_grid(self._grids[name], self._resolution, self._config, self._device)
