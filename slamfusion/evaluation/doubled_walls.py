@@ -30,7 +30,7 @@ _DEFAULT_NORMALIZE = NormalizeConfig()
 # of the filters at their ends.
 REACH_CELLS, FILTERS_CELLS = 48, 32
 # A map with longer sides is looked at in tiles of this side: its filters would not fit into memory.
-# Where some cells are asked about, tiles are smaller: those without any cost nothing.
+# Tiles in which some cells are asked about are smaller: those without any cost nothing.
 WHOLE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 1024, 384
 # Distances of doubled walls, cells.
 NEAR, FAR = 2.0, 8.0
@@ -88,14 +88,41 @@ def fused_doubled_shares(
     if not considered:
         return 0.0, 0.0
     share = int(np.count_nonzero(doubled)) / considered
+    device = device or NumpyDevice()
     for cells, box in inputs:
-        row, col = max(box.row0 - REACH_CELLS, 0), max(box.col0 - REACH_CELLS, 0)
-        window = doubled[row : box.row1 + REACH_CELLS, col : box.col1 + REACH_CELLS]
-        walls = np.zeros(window.shape, dtype=np.bool_)
-        own = walls[box.row0 - row :, box.col0 - col :]
-        own[: cells.shape[0], : cells.shape[1]] = cells == 1
-        window &= ~_grown(doubled_wall_cells(walls, where=_grown(window), device=device))
+        _take_doubled(doubled, cells, box, device)
     return share, int(np.count_nonzero(doubled)) / considered
+
+
+def _take_doubled(
+    doubled: npt.NDArray[np.bool_],
+    cells: npt.NDArray[np.int8],
+    box: CellBox,
+    device: DoubledWallDevice,
+) -> None:
+    """Clear the doubled cells near which an input has doubled walls, in place.
+
+    Args:
+        doubled: (H, W) bool.
+        cells: (h, w) int8 in {-1, 0, 1}, the input.
+        box: where in the array it lies.
+        device: computes.
+    """
+    for tile, wide, inner in _tiles(doubled.shape, ASKED_CELLS, REACH_CELLS):
+        if not doubled[tile].any():
+            continue
+        height, width = doubled[wide].shape
+        asked = np.zeros((height, width), dtype=np.bool_)
+        asked[inner] = doubled[tile]
+        row, col = wide[0].start - box.row0, wide[1].start - box.col0
+        part = cells[max(row, 0) : max(row + height, 0), max(col, 0) : max(col + width, 0)] == 1
+        if not part.any():
+            continue
+        top, left = max(-row, 0), max(-col, 0)
+        walls = np.zeros((height, width), dtype=np.uint8)
+        walls[top : top + part.shape[0], left : left + part.shape[1]] = part
+        marks = device.mark_doubled(walls, _grown(asked).view(np.uint8), RaySteps.of(NEAR, FAR))
+        doubled[tile] &= ~_grown(marks == DOUBLED)[inner]
 
 
 def _grown(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -111,7 +138,6 @@ def doubled_wall_cells(
     far: float = FAR,
     *,
     normalize: NormalizeConfig = _DEFAULT_NORMALIZE,
-    where: npt.NDArray[np.bool_] | None = None,
     device: DoubledWallDevice | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Mark the wall cells that have a parallel wall ``near`` to ``far`` cells away.
@@ -131,7 +157,6 @@ def doubled_wall_cells(
             2, which leaves one cell between them.
         far: most cells likewise.
         normalize: the thresholds of a grid.
-        where: (H, W) bool, the cells that are asked about; None: all.
         device: computes, the same on every one; None: NumPy.
 
     Returns:
@@ -142,7 +167,7 @@ def doubled_wall_cells(
     Source: structure tensor and coherence as in Bigun and Granlund, "Optimal orientation detection
         of linear symmetry", ICCV 1987.
     """
-    return _count(_walls(grid, normalize), near, far, device, where)[1]
+    return _count(_walls(grid, normalize), near, far, device)[1]
 
 
 def _count(
@@ -150,9 +175,8 @@ def _count(
     near: float,
     far: float,
     device: DoubledWallDevice | None,
-    where: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[int, npt.NDArray[np.bool_]]:
-    """Return how many of the cells asked about are walls and no specks, and the doubled ones."""
+    """Return how many cells are walls and no specks, and the doubled ones."""
     if not 2.0 <= near <= far:
         message = f"near and far must satisfy 2 <= near <= far cells, found {near:g} and {far:g}"
         raise ValueError(message)
@@ -166,17 +190,15 @@ def _count(
         Groups that the part's edge cuts are no specks that reach what is asked about.
         """
         tile, wide, inner = part
-        own = walls[tile] if where is None else walls[tile] & where[tile]
-        if not own.any():
+        if not walls[tile].any():
             return 0
         asked = np.zeros(walls[wide].shape, dtype=np.uint8)
-        asked[inner] = own
+        asked[inner] = walls[tile]
         marks = device.mark_doubled(walls[wide].view(np.uint8), asked, steps)[inner]
         doubled[tile] = marks == DOUBLED
         return int(np.count_nonzero(marks))
 
-    side = TILE_CELLS if where is None else ASKED_CELLS
-    parts = list(_tiles(walls.shape, side, 2 * math.ceil(far) + FILTERS_CELLS))
+    parts = list(_tiles(walls.shape, TILE_CELLS, 2 * math.ceil(far) + FILTERS_CELLS))
     if len(parts) == 1 or device.is_opencl:
         return sum(map(look, parts)), doubled
     with ThreadPoolExecutor(usable_cores()) as threads:
