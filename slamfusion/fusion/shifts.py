@@ -36,6 +36,8 @@ COARSE_POINTS = 384
 # Cells that the walls at this percentile of their radii move from one yaw to the next.
 YAW_STEP_CELLS = 1.3
 RIM_PERCENTILE = 90.0
+# Memory that yaws take that are scored at once: more costs more to get than more launches do.
+BATCH_BYTES = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -153,17 +155,20 @@ def score_shifts(
     surface = _ShiftSurface(ref, mov, rows, cols, reach, cancel)
     ours = reference.evidence_table(step, COARSE_SIGMA, COARSE_TOP, cancel)
     theirs = moving.evidence_table(step, COARSE_SIGMA, COARSE_TOP, cancel)
-    forward = surface.forward(reference.field(step, ours, cancel), ours.base, yaws, own, device)
-    backward = surface.backward(
-        moving.field(step, theirs, cancel), theirs.base, yaws, from_ref // 2, centre, device
-    )
-    check_cancelled(cancel)
+    on_ref, on_mov = reference.field(step, ours, cancel), moving.field(step, theirs, cancel)
     width = cols[1] - cols[0]
-    values, places = device.tile_peaks(forward, backward, width, TILE)
+    peaks = []
+    for some in np.array_split(yaws, surface.batches(len(yaws))):
+        forward = surface.forward(on_ref, ours.base, some, own, device)
+        backward = surface.backward(on_mov, theirs.base, some, from_ref // 2, centre, device)
+        check_cancelled(cancel)
+        found = device.tile_peaks(forward, backward, width, TILE)
+        peaks.append([part.reshape(len(some), -1) for part in found])
+    values, places = (np.concatenate(parts) for parts in zip(*peaks, strict=True))
     floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
-    row, col = np.divmod(places.reshape(len(yaws), -1), width)
-    evidence = np.asarray((values.reshape(len(yaws), -1) - floor) * ours.unit, dtype=np.float64)
-    work = float(forward.size) * len(from_mov) + float(backward.size) * len(from_ref)
+    row, col = np.divmod(places, width)
+    evidence = np.asarray((values - floor) * ours.unit, dtype=np.float64)
+    work = float(len(yaws) * surface.height * surface.lanes) * (len(from_mov) + len(from_ref))
     return ShiftScores(step, yaws, yaw_step, evidence, row + rows[0], col + cols[0], work)
 
 
@@ -200,6 +205,12 @@ class _ShiftSurface:
         self.height = rows[1] - rows[0]
         self.width = cols[1] - cols[0]
         self.lanes = -(-self.width // SHIFT_LANES) * SHIFT_LANES
+
+    def batches(self, yaws: int) -> int:
+        """Return in how many batches so many yaws are scored, for all to fit into memory."""
+        plane = (self.ref.shape[0] + self.height) * (self.ref.shape[1] + self.lanes)
+        scores = 2 * np.dtype(np.int32).itemsize * self.height * self.lanes
+        return min(yaws, -(-yaws * (plane + scores) // BATCH_BYTES))
 
     def forward(
         self, field: DeviceArray[np.uint8], base: int, yaws: F64, own: F64, device: ComputeDevice
