@@ -190,28 +190,46 @@ __kernel void wall_normals(__global const uchar *kept, const int height, const i
   }
 }
 
+/* Which of a cell and the next ones along x, along y and along both are walls: bits 0 to 3.
+ * kept, corners (height, width) uchar; corners of the last row are 0.
+ * Global: (width / NORMAL_BLOCK, height). */
+__kernel void wall_corners(__global const uchar *kept, const int height, const int width,
+                           __global uchar *corners) {
+  const int first = get_global_id(0) * NORMAL_BLOCK, row = get_global_id(1);
+  if (first >= width || row >= height) return;
+  __global const uchar *at = kept + row * width + first;
+  __global uchar *out = corners + row * width + first;
+  const int next = row + 1 < height ? width : 0;
+  IN_LANES
+  for (int c = 0; c < NORMAL_BLOCK; c++)
+    out[c] = next ? at[c] | at[c + 1] << 1 | at[c + next] << 2 | at[c + next + 1] << 3 : 0;
+}
+
+/* Whether walls interpolated between the corners of a cell, (u, v) in 1/2^RAY_SHIFT cell, count as
+ * wall. */
+INLINE int is_wall_between(const int corners, const int u, const int v) {
+  const int one = 1 << RAY_SHIFT;
+  const int lower = (one - u) * (corners & 1) + u * (corners >> 1 & 1);
+  const int upper = (one - u) * (corners >> 2 & 1) + u * (corners >> 3);
+  return (one - v) * lower + v * upper >= WALL_LEVEL;
+}
+
 /* Whether a ray from a wall cell, by (step_x, step_y) in 1/2^RAY_SHIFT cell each half cell, meets
  * another wall, parallel to its own. */
-INLINE int meets_parallel(__global const uchar *kept, __global const short2 *normals,
+INLINE int meets_parallel(__global const uchar *corners, __global const short2 *normals,
                           const int width, const int cell, const int step_x, const int step_y,
                           const int total, const int own, const int other, const int gap,
                           const int thickness) {
-  const int one = 1 << RAY_SHIFT;
+  const int fraction = (1 << RAY_SHIFT) - 1;
   int own_end = 0;
-  for (int n = 1; n <= total; n++) {
+  for (int n = 1; n <= total && n - 1 - own_end <= gap; n++) {
     const int x = n * step_x, y = n * step_y;
-    __global const uchar *at = kept + cell + (y >> RAY_SHIFT) * width + (x >> RAY_SHIFT);
-    const int count = at[0] + at[1] + at[width] + at[width + 1];
-    int on_wall = count == 4;
-    if (count && !on_wall) {
-      const int u = x & (one - 1), v = y & (one - 1);
-      const int lower = (one - u) * at[0] + u * at[1];
-      const int upper = (one - u) * at[width] + u * at[width + 1];
-      on_wall = (one - v) * lower + v * upper >= WALL_LEVEL;
-    }
-    if (on_wall && n - own_end <= own) {
+    const int around = corners[cell + (y >> RAY_SHIFT) * width + (x >> RAY_SHIFT)];
+    if (!around || !is_wall_between(around, x & fraction, y & fraction)) continue;
+    if (n - own_end <= own) {
       own_end = n;
-    } else if (on_wall && n - own_end <= other) {
+      if (own_end > thickness) return 0;
+    } else if (n - own_end <= other) {
       /* Half a cell further the ray is inside the other wall. */
       const int middle = 1 << (RAY_SHIFT - 1);
       const int right = ((n + 1) * step_x + middle) >> RAY_SHIFT;
@@ -220,16 +238,16 @@ INLINE int meets_parallel(__global const uchar *kept, __global const short2 *nor
       const int product = normal.x * step_x + normal.y * step_y;
       return product >= PARALLEL || product <= -PARALLEL;
     }
-    if (n - own_end > gap || own_end > thickness) break;
   }
   return 0;
 }
 
 /* Mark the cells asked about: 0 no wall, 1 a wall, 2 a wall that is doubled.
- * kept (height, width) uchar; normals likewise short2, see wall_normals; total to thickness: steps
- * of rays, see RaySteps; marks (height, width) uchar, not 0 where a cell is asked about.
+ * corners (height, width) uchar, see wall_corners; normals likewise short2, see wall_normals; total
+ * to thickness: steps of rays, see RaySteps; marks (height, width) uchar, not 0 where a cell is asked
+ * about.
  * Global: (width / NORMAL_BLOCK, height). */
-__kernel void mark_doubled(__global const uchar *kept, __global const short2 *normals,
+__kernel void mark_doubled(__global const uchar *corners, __global const short2 *normals,
                            const int height, const int width, const int total, const int own,
                            const int other, const int gap, const int thickness,
                            __global uchar *marks) {
@@ -239,12 +257,12 @@ __kernel void mark_doubled(__global const uchar *kept, __global const short2 *no
   if (no_wall(marks + start)) return;
   for (int cell = start; cell < start + NORMAL_BLOCK; cell++) {
     if (!marks[cell]) continue;
-    marks[cell] = kept[cell];
-    if (!kept[cell]) continue;
+    marks[cell] = corners[cell] & 1;
+    if (!marks[cell]) continue;
     const short2 n = normals[cell];
     if (n.x == 0 && n.y == 0) continue;
-    if (meets_parallel(kept, normals, width, cell, n.x, n.y, total, own, other, gap, thickness) ||
-        meets_parallel(kept, normals, width, cell, -n.x, -n.y, total, own, other, gap, thickness))
+    if (meets_parallel(corners, normals, width, cell, n.x, n.y, total, own, other, gap, thickness) ||
+        meets_parallel(corners, normals, width, cell, -n.x, -n.y, total, own, other, gap, thickness))
       marks[cell] = 2;
   }
 }

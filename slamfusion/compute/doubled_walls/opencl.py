@@ -29,9 +29,12 @@ class OpenCLDoubledWalls(OpenCLQueue):
         weights = self._table(blur_weights()), self._table(window_weights())
         blocks = width // NORMAL_BLOCK, height // NORMAL_BLOCK
         self._launch("wall_normals", blocks, kept, *size, *weights, normals)
+        # The walls as they were given are of no more use.
+        corners = given
+        self._launch("wall_corners", (width // NORMAL_BLOCK, height), kept, *size, corners)
         marks = self.upload(pad_walls(asked, steps)[0])
         limits = [np.int32(value) for value in steps]
         self._launch(
-            "mark_doubled", (width // NORMAL_BLOCK, height), kept, normals, *size, *limits, marks
+            "mark_doubled", (width // NORMAL_BLOCK, height), corners, normals, *size, *limits, marks
         )
         return np.ascontiguousarray(self.download(marks)[inner])
