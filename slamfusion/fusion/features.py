@@ -22,6 +22,7 @@ from slamfusion.compute.layout import (
     FIELD_ONE,
 )
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.field_memory import FieldMemory
 from slamfusion.fusion.normalize import NormalizedGrid
 from slamfusion.fusion.wall_evidence import (
     EvidenceTable,
@@ -83,11 +84,19 @@ class GridFeatures:
     What takes several operations can be cancelled between them; what was finished is kept.
     """
 
-    def __init__(self, grid: NormalizedGrid, device: FieldDevice) -> None:
-        """Upload the cells; everything else is computed when first asked for."""
+    def __init__(
+        self, grid: NormalizedGrid, device: FieldDevice, memory: FieldMemory | None = None
+    ) -> None:
+        """Take a map; everything is computed when it is asked for.
+
+        Args:
+            grid: the map.
+            device: computes and holds the fields.
+            memory: releases them where many maps hold too many; None: they are kept.
+        """
         self.grid = grid
         self.device = device
-        self.cells = device.upload(grid.cells)
+        self._memory = memory
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
@@ -101,6 +110,19 @@ class GridFeatures:
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.grid.shape
+
+    def release(self) -> None:
+        """Let go of what takes memory; it is computed once more when it is asked for."""
+        for kept in (self._levels, self._fields, self._pieces, self._seen):
+            kept.clear()
+        for name in ("cells", "known"):
+            self.__dict__.pop(name, None)
+        self._surface_walls = self._solid_level = None
+
+    @cached_property
+    def cells(self) -> DeviceArray[Any]:
+        """(H, W) int8 on the device, see ``NormalizedGrid``."""
+        return self.device.upload(self.grid.cells)
 
     @cached_property
     def centre(self) -> tuple[float, float]:
@@ -153,6 +175,8 @@ class GridFeatures:
         Raises:
             CancelledSearchError: ``cancel`` says so.
         """
+        if self._memory is not None:
+            self._memory.use(self, is_more=step not in self._levels)
         if step not in self._levels:
             wall = self._surface(cancel)
             check_cancelled(cancel)
@@ -230,14 +254,7 @@ class GridFeatures:
             known = self.device.download(level.free).copy()
             known[self.device.download(level.wall) != 0] = FIELD_ONE
             distance2 = self.device.download(level.distance2)
-            counts = np.zeros(int(distance2.max(initial=0)) + 1)
-            # Counting takes sixteen bytes of each cell, so a large level is counted in parts.
-            parts = 1 + known.size // COUNTED_CELLS
-            for squares, weights in zip(
-                np.array_split(distance2, parts), np.array_split(known, parts), strict=True
-            ):
-                counts += np.bincount(squares.ravel(), weights.ravel(), len(counts))
-            self._known_distances[step] = counts / FIELD_ONE
+            self._known_distances[step] = _sums_by_distance(distance2, known) / FIELD_ONE
         return self._known_distances[step]
 
     def pieces(
@@ -306,6 +323,20 @@ class GridFeatures:
                 level.distance2, level.free, table.hit, table.miss, table.base
             )
         return self._fields[key]
+
+
+def _sums_by_distance(
+    distance2: npt.NDArray[np.uint16], known: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.float64]:
+    """Return (N,) the sums of one array by the values of the other."""
+    sums = np.zeros(int(distance2.max(initial=0)) + 1)
+    # Counting takes sixteen bytes of each cell, so a large level is counted in parts.
+    parts = 1 + known.size // COUNTED_CELLS
+    for squares, weights in zip(
+        np.array_split(distance2, parts), np.array_split(known, parts), strict=True
+    ):
+        sums += np.bincount(squares.ravel(), weights.ravel(), len(sums))
+    return sums
 
 
 def _lattice_points(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:

@@ -15,6 +15,7 @@ from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.field_memory import LEAST_KEPT
 from slamfusion.fusion.lattice import SAME_RESOLUTION, Extent, Lattice
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.memory import check_memory
@@ -30,9 +31,8 @@ __all__ = [
     "voting_grid",
 ]
 
-# What preparing and aligning hold at once for each cell of an input that they look at, and what
-# voting does.
-BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 24, 7
+# What each cell of an input takes that is aligned, and while it is looked at; and while it votes.
+ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
 ALIGNED_CELLS = 3000
 # Rows of blocks that are pooled at once.
@@ -118,7 +118,10 @@ def check_resampling(
             "brought (is it right? fusion.normalize.resolution sets another),"
         )
     factor = coarsening(grids, resolution)
-    needed = sum(own_cells) * BYTES_PER_CELL // factor**2
+    looked_at = sum(sorted(own_cells)[-LEAST_KEPT:])
+    needed = sum(own_cells) * ALIGNED_BYTES_PER_CELL
+    needed += looked_at * (BYTES_PER_CELL - ALIGNED_BYTES_PER_CELL)
+    needed //= factor**2
     if factor > 1:
         # Of one input at a time everything, or of all of them what votes.
         needed += max(own_cells) * BYTES_PER_CELL if is_stored else 0

@@ -8,6 +8,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.features import GridFeatures
+from slamfusion.fusion.field_memory import FieldMemory
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     VotingGrid,
@@ -66,12 +67,15 @@ class PreparedInputs:
                 self.reasons[grid.name] = str(error)
             if self._factor > 1:
                 return_freed_memory()
+        self._memory = FieldMemory()
         self.features = {
-            name: GridFeatures(grid, device) for name, grid in self._normalized.items()
+            name: GridFeatures(grid, device, self._memory)
+            for name, grid in self._normalized.items()
         }
 
     def release(self) -> None:
         """Let go of what alignments look at: several times the memory of the maps."""
+        self._memory.clear()
         self.features.clear()
         if self._factor > 1:
             self._normalized.clear()
