@@ -127,11 +127,13 @@ def align_inputs(
     reasons = {name: reason for name, reason in odd.items() if name not in copies}
     reasons |= prepared.reasons
     names = [grid.name for grid in grids]
-    group = align_group(
-        prepared.features, reasons, config, device, names, progress, second_look, starts, in_part,
-        scheduler,
-    )  # fmt: skip
-    prepared.release()
+    try:
+        group = align_group(
+            prepared.features, reasons, config, device, names, progress, second_look, starts,
+            in_part, scheduler,
+        )  # fmt: skip
+    finally:
+        prepared.release()
     reasons |= {name: reason for name, (reason, _) in group.left_out.items()}
     for number, members in enumerate(group.others, start=2):
         for name in members.alignments:
