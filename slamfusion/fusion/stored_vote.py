@@ -116,10 +116,12 @@ class Voter:
     pose: npt.NDArray[np.int64]
     box: CellBox
 
-    def under(self, wide: CellBox) -> Voter:
-        """Return the input with what is laid on a box of the fused lattice."""
+    def under(self, wide: CellBox) -> Voter | None:
+        """Return the input with what is laid on a box of the fused lattice; None: it is not."""
         part = overlap(self.box, wide)
-        window = self.window(part) if part is not None else None
+        if part is None:
+            return None
+        window = self.window(part)
         percents = None if self.percents is None else self.percents.under(window)
         return replace(self, cells=self.cells.under(window), percents=percents)
 
@@ -193,7 +195,8 @@ class StoredVote:
 
     def _hand_over(self, tile: CellBox, scheduler: Scheduler) -> Task[DecidedTile | None]:
         wide = self.ballot.around(tile)
-        here = [item.under(wide) for item in self.voters if overlap(item.box, wide) is not None]
+        laid = (item.under(wide) for item in self.voters)
+        here = [item for item in laid if item is not None]
         return scheduler.submit(decide_tile, self.ballot, tile, here, scheduler.device)
 
 
