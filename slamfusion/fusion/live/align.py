@@ -173,7 +173,7 @@ class Aligner:
         Returns:
             Whether it was searched to the end, and not given up for maps that wait.
         """
-        pair = self._searched(track, held)
+        pair = self.searched(track, held)
         if pair is not None:
             self._weigh(track, held, pair)
         return pair is not None
@@ -224,7 +224,7 @@ class Aligner:
             return False
         index = min(track.confirms, len(candidates) - 1)
         held, is_last = candidates[index], index == len(candidates) - 1
-        pair = self._searched(track, held, is_swapped=is_last)
+        pair = self.searched(track, held, is_swapped=is_last)
         if pair is None:
             return True
         moved = held.transform.compose(pair.transform)
@@ -241,7 +241,7 @@ class Aligner:
             )
         return not is_last
 
-    def _searched(self, track: Track, held: Held, *, is_swapped: bool = False) -> Alignment | None:
+    def searched(self, track: Track, held: Held, *, is_swapped: bool = False) -> Alignment | None:
         """Search an input everywhere; None where that was given up for maps that wait."""
         self.has_searched = True
         track.searched_s = self.now_s

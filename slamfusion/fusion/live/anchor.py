@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.track import Track
+from slamfusion.geometry import Pose2
 
 __all__ = ["Anchor"]
 
@@ -18,6 +19,7 @@ __all__ = ["Anchor"]
 GROWTH = 1.2
 # Share of that map's wall cells from which a map that came back says as much as it does.
 GROWN = 0.75
+CHANGED = "the place is not as it was in the last fused map"
 
 
 class Anchor:
@@ -45,22 +47,31 @@ class Anchor:
     def settle(self, reference: Track, tracks: Iterable[Track], aligner: Aligner) -> None:
         """Lay the reference onto the map again if it has grown, and carry along who stands with it.
 
-        One that fits there no more is left where it is: the place may have changed.
+        One that fits there no more is searched on the whole map, in two ways: a young map may have
+        been believed in the wrong place, and others with it. Where it is not found it stays, since
+        the place may have changed, and says so.
 
         Args:
             reference: the input that others are aligned to.
             tracks: all inputs.
-            aligner: tracks the reference, and knows which motions are worth a move.
+            aligner: tracks and searches the reference.
         """
         name, walls = self._laid
         if self.held is None or (reference.name == name and reference.walls < GROWTH * walls):
             return
-        self._laid = (reference.name, reference.walls)
         last, told = reference.transform, (reference.score, reference.overlap)
+        if last is None:
+            return
         fit = aligner.fit(reference, self.held)
+        if fit is None and not aligner.may_search(reference):
+            return  # with one of its next maps
+        moved, is_done = (fit[1], True) if fit else _found(reference, self.held, aligner)
         reference.mismatch, (reference.score, reference.overlap) = "", told
-        moved = None if fit is None else fit[1]
-        if moved and last and aligner.is_worth_a_move(reference, last, moved):
+        if not is_done:
+            return
+        self._laid = (reference.name, reference.walls)
+        reference.reason = "the reference" + ("" if moved else f"; {CHANGED}")
+        if moved and aligner.is_worth_a_move(reference, last, moved):
             correction = moved.compose(last.inverse())
             for track in tracks:
                 if track.stands and track.transform is not None:
@@ -68,3 +79,16 @@ class Anchor:
                     track.relay = True
         if reference.walls >= GROWN * self.walls:
             self.held = None
+
+
+def _found(reference: Track, held: Held, aligner: Aligner) -> tuple[Pose2 | None, bool]:
+    """Return where a whole map has an input, if anywhere, and whether the search ended."""
+    moved: list[Pose2] = []
+    for is_swapped in (False, True):
+        pair = aligner.searched(reference, held, is_swapped=is_swapped)
+        if pair is None:
+            return None, False
+        if not pair.accepted:
+            return None, True
+        moved.append(held.transform.compose(pair.transform))
+    return (None if aligner.is_jump(reference, *moved) else moved[0]), True

@@ -75,6 +75,29 @@ def test_maps_that_begin_anew_grow_into_the_frame_of_before(
     assert drive.live._supervisor._anchor.held is None, "outgrown"
 
 
+def test_maps_that_were_believed_in_the_wrong_place_are_found_when_they_have_grown(
+    device: ComputeDevice,
+) -> None:
+    drive = begun_anew(device, "bc")
+    right = {name: drive.input(name).transform for name in drive.accepted()}
+    # As if those few metres of wall had been taken for others.
+    wrong = Pose2(1.5, 0.8, 0.4)
+    for name, transform in right.items():
+        assert transform is not None
+        drive.live._tracks[name].transform = wrong.compose(transform)
+    drive.step(*(young(three()[name], 3.0) for name in right))
+    for half_m in (5.0, 9.0, 9.0):
+        drive.maybe(*(young(three()[name], half_m) for name in "bc"))
+    assert drive.accepted() == "bc"
+    for name, transform in right.items():
+        found = drive.input(name).transform
+        assert found is not None
+        assert transform is not None
+        shift, degrees = off_by(three()[name], found, transform)
+        assert shift < 1.0, name
+        assert degrees < 0.3, name
+
+
 def test_of_two_such_maps_the_one_that_knows_more_is_kept(device: ComputeDevice) -> None:
     drive = begun_anew(device, "b")
     held = drive.live._supervisor._anchor.held
@@ -95,5 +118,7 @@ def test_a_place_that_changed_leaves_the_frame_where_it_is(device: ComputeDevice
         drive.step(littered(young(changed, 4.0), 1, 0.9))
     assert drive.input("b").transform == before
     assert drive.accepted() == "b"
+    track = drive.live._tracks["b"]
+    assert track.reason == "the reference; the place is not as it was in the last fused map"
     assert drive.fused is not None
     assert share_standing(fused, drive.fused) > 0.95
