@@ -8,6 +8,7 @@ corner of cell [0, 0] in the map frame, yaw included.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,6 +28,7 @@ __all__ = [
     "box_origin",
     "implausible",
     "known_box",
+    "row_parts",
     "trinary_cells",
 ]
 
@@ -34,8 +36,8 @@ FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
 IDENTITY = Pose2()
-# Cells that are classified at once.
-CLASSIFIED = 1 << 17
+# Cells of a large map that are looked at at once: few enough for the cache.
+PART_CELLS = 1 << 17
 
 # Metres per cell that a map may have: finer than any sensor measures, coarser than any room.
 RESOLUTION_LEAST_M, RESOLUTION_MOST_M = 1e-4, 100.0
@@ -115,17 +117,28 @@ def implausible(resolution: float, origin: Pose2) -> str | None:
     return None
 
 
+def row_parts(shape: tuple[int, int]) -> Iterator[slice]:
+    """Yield the rows of an array in parts that fit into the cache; at least a row each."""
+    step = max(1, PART_CELLS // max(1, shape[1]))
+    for first in range(0, shape[0], step):
+        yield slice(first, first + step)
+
+
 def known_box(cells: npt.NDArray[np.int8]) -> CellBox | None:
     """Return the smallest box that holds every known cell, or None when all are unknown.
 
     Args:
         cells: (H, W) int8, -1 unknown.
     """
-    known = cells != UNKNOWN
-    rows = np.flatnonzero(known.any(axis=1))
+    height, width = cells.shape
+    has_row, has_col = np.zeros(height, dtype=np.bool_), np.zeros(width, dtype=np.bool_)
+    for part in row_parts((height, width)):
+        known = cells[part] != UNKNOWN
+        known.any(axis=1, out=has_row[part])
+        has_col |= known.any(axis=0)
+    rows, cols = np.flatnonzero(has_row), np.flatnonzero(has_col)
     if rows.size == 0:
         return None
-    cols = np.flatnonzero(known.any(axis=0))
     return CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
 
 
@@ -141,9 +154,8 @@ def trinary_cells(cells: npt.NDArray[np.int8], thresholds: NormalizeConfig) -> n
     least_occupied = math.ceil(thresholds.occupied_percent)
     most_free = math.floor(thresholds.free_percent)
     given, classes = cells.ravel(), np.empty(cells.size, dtype=np.int8)
-    # In parts that stay where they are found at once.
-    for first in range(0, cells.size, CLASSIFIED):
-        some, out = (array[first : first + CLASSIFIED] for array in (given, classes))
+    for first in range(0, cells.size, PART_CELLS):
+        some, out = (array[first : first + PART_CELLS] for array in (given, classes))
         is_free = (some >= 0) & (some <= most_free)
         is_occupied = (some >= 0) & (some >= least_occupied)
         np.subtract(is_occupied.view(np.int8), ~(is_occupied | is_free), out=out, casting="unsafe")

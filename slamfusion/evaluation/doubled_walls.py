@@ -76,7 +76,7 @@ def fused_doubled_shares(
     cell of the fused map counts only where no aligned input is doubled within two cells.
 
     Args:
-        fused: (H, W) int8 in {-1, 0, 1}.
+        fused: (H, W) int8, above 0 at a wall.
         inputs: the aligned inputs, (h, w) int8 in {-1, 0, 1}, each with the box of cells of the
             fused lattice that it covers.
         device: computes, the same on every one; None: NumPy.
@@ -84,7 +84,7 @@ def fused_doubled_shares(
     Returns:
         0..1 each; 0 for a map without walls.
     """
-    considered, doubled = _count(fused == 1, NEAR, FAR, device)
+    considered, doubled = _count(fused > 0, NEAR, FAR, device)
     if not considered:
         return 0.0, 0.0
     share = int(np.count_nonzero(doubled)) / considered
@@ -235,5 +235,6 @@ def _walls(
 ) -> npt.NDArray[np.bool_]:
     """Return the occupied cells as (H, W) bool."""
     if isinstance(grid, OccupancyGrid):
-        return np.asarray(trinary_cells(grid.cells, normalize) == 1, dtype=np.bool_)
+        classes = trinary_cells(grid.cells, normalize)
+        return np.equal(classes, 1, out=classes.view(np.bool_))
     return np.asarray(grid, dtype=np.bool_)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import OccupancyGrid, row_parts
 
 __all__ = ["copy_words", "find_copies"]
 
@@ -38,4 +38,6 @@ def copy_words(voter: str) -> str:
 
 def _is_same(a: OccupancyGrid, b: OccupancyGrid) -> bool:
     is_alike = (a.resolution, a.origin, a.cells.shape) == (b.resolution, b.origin, b.cells.shape)
-    return is_alike and np.array_equal(a.cells, b.cells)
+    return is_alike and all(
+        np.array_equal(a.cells[rows], b.cells[rows]) for rows in row_parts(a.cells.shape)
+    )

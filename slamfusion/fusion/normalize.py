@@ -295,7 +295,7 @@ def pool_cells(blocks: npt.NDArray[np.int8], config: NormalizeConfig) -> npt.NDA
     height, parts, width, _ = blocks.shape
     pooled = np.empty((height, width), dtype=np.int8)
     kind: npt.DTypeLike = np.int16 if 100 * parts**2 <= INT16_MAX else np.int32
-    # A few rows at once, so that sums stay where they are found at once.
+    # A few rows at once, whose sums fit into the cache.
     for first in range(0, height, POOLED_ROWS):
         some = blocks[first : first + POOLED_ROWS]
         highest = _each_part(np.maximum, some)

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from slamfusion.compute.doubled_walls import DoubledWallDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
@@ -96,8 +94,7 @@ class DoubledWalls:
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)
         aligned = ((layer.cells, layer.box) for layer in layers)
-        fused = np.sign(result.fused.cells)
-        return cls(shares, *fused_doubled_shares(fused, aligned, device=device))
+        return cls(shares, *fused_doubled_shares(result.fused.cells, aligned, device=device))
 
     def to_json(self) -> DoubledWallsJson:
         """Return the shares for a JSON document."""
