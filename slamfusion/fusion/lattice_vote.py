@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.lattice import fixed_poses
-from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.compute.lattice import fixed_cells, fixed_poses
+from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
 from slamfusion.fusion.ballot import Ballot, Laid
 from slamfusion.fusion.boxes import hull, moved, overlap, padded, slices
@@ -66,8 +66,23 @@ def warp_onto(
         device: computes.
     """
     pose = warp_pose(grid.extent.lattice, transform, lattice, box)
+    if tuple(pose[0, :2]) == (FIXED_ONE, 0):
+        # Nothing is turned: all cells move by as much as the first.
+        first = np.ones(1, dtype=np.int64)
+        (row,), (col,) = fixed_cells(pose[0], first, first)
+        return _shifted(cells, int(row), int(col), box)
     warped = device.warp(device.upload(cells), pose, (box.height, box.width), UNKNOWN)
     return np.asarray(device.download(warped)[0])
+
+
+def _shifted(cells: npt.NDArray[np.int8], row: int, col: int, box: CellBox) -> npt.NDArray[np.int8]:
+    """Return as many cells as a box has, from a row and column on, unknown outside."""
+    out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+    read = CellBox(row, col, row + box.height, col + box.width)
+    known = overlap(read, CellBox(0, 0, *cells.shape))
+    if known is not None:
+        out[slices(known, row, col)] = cells[slices(known, 0, 0)]
+    return out
 
 
 def warp_pose(

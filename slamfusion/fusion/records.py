@@ -29,6 +29,7 @@ __all__ = [
     "StoredFusion",
     "VoteResult",
     "VotedLayer",
+    "occupied_codes",
     "voted_cells",
 ]
 
@@ -279,6 +280,11 @@ def voted_cells(codes: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
     cells = (codes > 1).view(np.int8)
     cells *= OUTVOTED
     return np.subtract(codes, cells, out=cells)
+
+
+def occupied_codes(codes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+    """Return which codes of a ``VotedLayer`` are of occupied cells."""
+    return np.asarray((codes == 1) | (codes == 1 + OUTVOTED))
 
 
 @dataclass(frozen=True, eq=False)

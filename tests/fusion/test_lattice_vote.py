@@ -15,11 +15,11 @@ from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import FusionResult, lattice_vote
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice_vote import vote_on_lattice
-from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid
+from slamfusion.fusion.lattice_vote import vote_on_lattice, warp_onto, warp_pose
+from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid, voting_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
-from slamfusion.grid import UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
 from tests.fusion.drawings import random_cells
 
 SIZE = 0.1
@@ -150,3 +150,17 @@ def test_boxes_of_layers_hold_all_that_an_input_knows(device: ComputeDevice) -> 
         assert not (record.dissent & (record.aligned == UNKNOWN)).any()
     pairs = itertools.combinations(result.inputs, 2)
     assert all(a.layer is not b.layer for a, b in pairs)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.31, -0.2), (-1.04, 0.449), (50.0, 0.0)])
+def test_an_unturned_grid_is_laid_as_a_warp_lays_it(
+    device: ComputeDevice, shift: tuple[float, float]
+) -> None:
+    cells = random_cells(3, 9, 14)
+    grid = voting_grid(OccupancyGrid(cells, SIZE), SIZE, NormalizeConfig(), device)
+    lattice, transform = grid.extent.lattice, Pose2(*shift, 0.0)
+    for box in (CellBox(0, 0, 9, 14), CellBox(-3, 2, 5, 30)):
+        pose = warp_pose(lattice, transform, lattice, box)
+        wanted = device.warp(device.upload(grid.cells), pose, (box.height, box.width), UNKNOWN)
+        laid = warp_onto(grid, grid.cells, transform, lattice, box, device)
+        assert np.array_equal(laid, device.download(wanted)[0])

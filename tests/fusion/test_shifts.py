@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.fusion import shifts
 from slamfusion.fusion.shifts import (
     COARSE_SIGMA,
     COARSE_TOP,
@@ -171,3 +172,17 @@ def test_the_work_of_a_level_is_known_before_it_is_done(
     for known, work in zip(most, done, strict=True):
         assert work <= 2.0 * known
     assert most[0] > 4.0 * most[1] > 16.0 * most[2]
+
+
+def test_yaws_in_batches_are_scored_as_all_at_once(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ref, mov = (features_of(odd_grid(seed, 17, 29), device) for seed in (5, 6))
+    found = []
+    for most in (shifts.BATCH_BYTES, 1 << 16, 1):
+        monkeypatch.setattr(shifts, "BATCH_BYTES", most)
+        found.append(score_shifts(ref, mov, 2, SearchWindow(), device))
+    for other in found[1:]:
+        assert other.work == found[0].work
+        for name in ("evidence", "rows", "cols"):
+            assert np.array_equal(getattr(other, name), getattr(found[0], name)), name
