@@ -243,9 +243,9 @@ MARK_REACH_MAX: Final = 16
 
 # A group of fewer connected cells is a speck, not a wall.
 LEAST_GROUP: Final = 5
-# Cells on either side of one that the two Gaussian filters weigh, and their weights' sum, 2^12.
+# Cells on either side of one to which the two Gaussian filters give a weight, of a sum of 2^12.
 BLUR_RADIUS: Final = 4
-WINDOW_RADIUS: Final = 10
+WINDOW_RADIUS: Final = 9
 WEIGHT_SHIFT: Final = 12
 # What products of gradients, and sums of these, lose so that the next sum fits into 32 bits.
 PRODUCT_SHIFT: Final = 11

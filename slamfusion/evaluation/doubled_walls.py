@@ -7,7 +7,7 @@ plans through the gap. The share of doubled walls needs no truth.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -24,6 +24,7 @@ __all__ = ["doubled_wall_cells", "doubled_wall_share", "fused_doubled_shares"]
 
 # Rows and columns of a part of an array.
 Window = tuple[slice, slice]
+IsWall = Callable[[npt.NDArray[np.int8]], npt.NDArray[np.bool_]]
 
 _DEFAULT_NORMALIZE = NormalizeConfig()
 # Cells around a part of a map that decide what is doubled in it: rays of twice 8 cells, and windows
@@ -61,11 +62,16 @@ def doubled_wall_share(
     return int(np.count_nonzero(doubled)) / considered if considered else 0.0
 
 
+def _is_occupied(cells: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+    return np.equal(cells, 1)
+
+
 def fused_doubled_shares(
     fused: npt.NDArray[np.int8],
     inputs: Iterable[tuple[npt.NDArray[np.int8], CellBox]],
     *,
     device: DoubledWallDevice | None = None,
+    is_wall: IsWall = _is_occupied,
 ) -> tuple[float, float]:
     """Return the shares of fused wall cells that are doubled, and doubled in no input.
 
@@ -80,6 +86,7 @@ def fused_doubled_shares(
         inputs: the aligned inputs, (h, w) int8 in {-1, 0, 1}, each with the box of cells of the
             fused lattice that it covers.
         device: computes, the same on every one; None: NumPy.
+        is_wall: tells the walls among the cells of a part of an input, where these are others.
 
     Returns:
         0..1 each; 0 for a map without walls.
@@ -90,7 +97,7 @@ def fused_doubled_shares(
     share = int(np.count_nonzero(doubled)) / considered
     device = device or NumpyDevice()
     for cells, box in inputs:
-        _take_doubled(doubled, cells, box, device)
+        _take_doubled(doubled, cells, box, device, is_wall)
     return share, int(np.count_nonzero(doubled)) / considered
 
 
@@ -99,14 +106,16 @@ def _take_doubled(
     cells: npt.NDArray[np.int8],
     box: CellBox,
     device: DoubledWallDevice,
+    is_wall: IsWall,
 ) -> None:
     """Clear the doubled cells near which an input has doubled walls, in place.
 
     Args:
         doubled: (H, W) bool.
-        cells: (h, w) int8 in {-1, 0, 1}, the input.
+        cells: (h, w) int8, the input.
         box: where in the array it lies.
         device: computes.
+        is_wall: tells the walls among its cells.
     """
     for tile, wide, inner in _tiles(doubled.shape, ASKED_CELLS, REACH_CELLS):
         if not doubled[tile].any():
@@ -115,7 +124,7 @@ def _take_doubled(
         asked = np.zeros((height, width), dtype=np.bool_)
         asked[inner] = doubled[tile]
         row, col = wide[0].start - box.row0, wide[1].start - box.col0
-        part = cells[max(row, 0) : max(row + height, 0), max(col, 0) : max(col + width, 0)] == 1
+        part = is_wall(cells[max(row, 0) : max(row + height, 0), max(col, 0) : max(col + width, 0)])
         if not part.any():
             continue
         top, left = max(-row, 0), max(-col, 0)

@@ -17,6 +17,7 @@ from slamfusion.fusion.records import (
     FusionResult,
     InputRecord,
     StoredFusion,
+    occupied_codes,
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.documents import circumstances, path_text
@@ -93,8 +94,13 @@ class DoubledWalls:
             for record in result.inputs
         }
         layers = (record.layer for record in result.accepted if record.layer is not None)
-        aligned = ((layer.cells, layer.box) for layer in layers)
-        return cls(shares, *fused_doubled_shares(result.fused.cells, aligned, device=device))
+        aligned = ((layer.codes, layer.box) for layer in layers)
+        return cls(
+            shares,
+            *fused_doubled_shares(
+                result.fused.cells, aligned, device=device, is_wall=occupied_codes
+            ),
+        )
 
     def to_json(self) -> DoubledWallsJson:
         """Return the shares for a JSON document."""

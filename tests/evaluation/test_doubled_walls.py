@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from slamfusion.compute import open_device
 from slamfusion.evaluation import (
     doubled_wall_cells,
     doubled_wall_share,
@@ -185,3 +186,24 @@ def test_a_large_map_is_looked_at_in_tiles(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setattr(doubled_walls, "WHOLE_CELLS", 1)
         monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
         assert np.array_equal(doubled_wall_cells(walls), wanted)
+
+
+def test_tiles_and_devices_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inputs that know a part of the place each, some of it doubled in them, too."""
+    fused = np.zeros((150, 190), dtype=np.int8)
+    fused[5:145:23, 4:180] = fused[10:150:23, 4:90] = 1
+    first, second = CellBox(0, 30, 150, 190), CellBox(60, 0, 121, 80)
+    inputs = [
+        (fused[box.row0 : box.row1, box.col0 : box.col1].copy(), box) for box in (first, second)
+    ]
+    inputs[0][0][:, 50:] = 0
+    # As where an input's codes say more than its cells.
+    codes = [(np.where(cells == 1, 5, cells).astype(np.int8), box) for cells, box in inputs]
+    wanted = fused_doubled_shares(fused, inputs)
+    assert wanted[0] > 2 * wanted[1] > 0.1
+    monkeypatch.setattr(doubled_walls, "WHOLE_CELLS", 1)
+    for side in (40, 77):
+        monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
+        monkeypatch.setattr(doubled_walls, "ASKED_CELLS", side)
+        assert fused_doubled_shares(fused, inputs, device=open_device()) == wanted
+        assert fused_doubled_shares(fused, codes, is_wall=lambda cells: cells == 5) == wanted
