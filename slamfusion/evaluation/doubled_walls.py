@@ -30,9 +30,10 @@ _DEFAULT_NORMALIZE = NormalizeConfig()
 # Cells around a part of a map that decide what is doubled in it: rays of twice 8 cells, and windows
 # of the filters at their ends.
 REACH_CELLS, FILTERS_CELLS = 48, 32
-# A map with longer sides is looked at in tiles of this side: its filters would not fit into memory.
-# Tiles in which some cells are asked about are smaller: those without any cost nothing.
-WHOLE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 1024, 384
+# A map with longer sides than the first is looked at in tiles: its filters would not fit into
+# memory, and NumPy's are several times as large as a device's. Tiles in which some cells are asked
+# about are smaller: those without any cost nothing.
+WHOLE_CELLS, DEVICE_TILE_CELLS, TILE_CELLS, ASKED_CELLS = 2048, 2048, 1024, 384
 # Distances of doubled walls, cells.
 NEAR, FAR = 2.0, 8.0
 
@@ -207,7 +208,8 @@ def _count(
         doubled[tile] = marks == DOUBLED
         return int(np.count_nonzero(marks))
 
-    parts = list(_tiles(walls.shape, TILE_CELLS, 2 * math.ceil(far) + FILTERS_CELLS))
+    side = DEVICE_TILE_CELLS if device.is_opencl else TILE_CELLS
+    parts = list(_tiles(walls.shape, side, 2 * math.ceil(far) + FILTERS_CELLS))
     if len(parts) == 1 or device.is_opencl:
         return sum(map(look, parts)), doubled
     with ThreadPoolExecutor(usable_cores()) as threads:

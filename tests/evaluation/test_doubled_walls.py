@@ -203,7 +203,7 @@ def test_tiles_and_devices_tell_the_same_of_inputs(monkeypatch: pytest.MonkeyPat
     assert wanted[0] > 2 * wanted[1] > 0.1
     monkeypatch.setattr(doubled_walls, "WHOLE_CELLS", 1)
     for side in (40, 77):
-        monkeypatch.setattr(doubled_walls, "TILE_CELLS", side)
-        monkeypatch.setattr(doubled_walls, "ASKED_CELLS", side)
+        for name in ("DEVICE_TILE_CELLS", "TILE_CELLS", "ASKED_CELLS"):
+            monkeypatch.setattr(doubled_walls, name, side)
         assert fused_doubled_shares(fused, inputs, device=open_device()) == wanted
         assert fused_doubled_shares(fused, codes, is_wall=lambda cells: cells == 5) == wanted
