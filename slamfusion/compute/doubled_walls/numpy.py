@@ -66,10 +66,11 @@ def mark_doubled(walls: U8, asked: U8, steps: RaySteps) -> U8:
     rows, cols = np.nonzero(is_asked)
     y, x = rows + inner[0].start, cols + inner[1].start
     nx, ny = _normals(tensor, y, x)
+    corners = _corners(padded)
     for side in (1, -1):
         rays = np.flatnonzero((nx != 0) | (ny != 0))
         step_x, step_y = side * nx[rays], side * ny[rays]
-        hits, at = _next_wall(padded, (x[rays], y[rays]), (step_x, step_y), steps)
+        hits, at = _next_wall(corners, y[rays] * padded.shape[1] + x[rays], (step_x, step_y), steps)
         rays, step_x, step_y = rays[hits], step_x[hits], step_y[hits]
         # Half a cell further the ray is inside the other wall.
         half = 1 << (RAY_SHIFT - 1)
@@ -94,9 +95,11 @@ def _without_specks(walls: U8) -> U8:
 def _structure_tensor(walls: U8) -> Tensor:
     """Return the structure tensor around each cell: xx, yy and xy, x along columns; (H, W) each."""
     blur, window = blur_weights(), window_weights()
-    smooth = _rounded(_filtered(walls, blur, blur), WEIGHT_SHIFT)
+    # Below 2^24 whole numbers are exact as float32.
+    smooth = _rounded(_filtered(walls, blur, blur, depth=cv2.CV_32F), WEIGHT_SHIFT)
     slope, across = np.array([-1, 0, 1]), np.array([1, 2, 1])
-    gx, gy = _filtered(smooth, slope, across), _filtered(smooth, across, slope)
+    gx = _filtered(smooth, slope, across, depth=cv2.CV_32F)
+    gy = _filtered(smooth, across, slope, depth=cv2.CV_32F)
     jxx, jyy, jxy = (
         _rounded(
             _filtered(_rounded(_filtered(product, window), WEIGHT_SHIFT), down=window), TENSOR_SHIFT
@@ -106,19 +109,23 @@ def _structure_tensor(walls: U8) -> Tensor:
     return jxx, jyy, jxy
 
 
-def _filtered(values: U8 | I32, along: I64 | I32 = ONE, down: I64 | I32 = ONE) -> I32:
+def _filtered(
+    values: U8 | I32,
+    along: I64 | I32 = ONE,
+    down: I64 | I32 = ONE,
+    *,
+    depth: int = cv2.CV_64F,
+) -> I32:
     """Return sums weighted along rows and down columns; 0 outside.
 
-    They are added as float64, which is exact for whole numbers of this size.
+    Args:
+        values: (H, W) whole numbers below 2^24.
+        along, down: weights, an odd number each.
+        depth: in what cv2 adds; whole numbers must be exact in it.
     """
+    weights = (along.astype(np.float64), down.astype(np.float64))
     source = values.astype(np.float32)
-    sums = cv2.sepFilter2D(
-        source,
-        cv2.CV_64F,
-        along.astype(np.float64),
-        down.astype(np.float64),
-        borderType=cv2.BORDER_CONSTANT,
-    )
+    sums = cv2.sepFilter2D(source, depth, *weights, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(sums).astype(np.int32)
 
 
@@ -156,25 +163,25 @@ def _root(values: I64) -> I64:
 
 
 def _next_wall(
-    walls: U8, start: tuple[I64, I64], step: tuple[I64, I64], steps: RaySteps
+    corners: U8, start: I64, step: tuple[I64, I64], steps: RaySteps
 ) -> tuple[npt.NDArray[np.intp], I64]:
     """Walk from each wall cell along its normal to the beginning of the next wall.
 
     Args:
-        walls: (H, W) uint8, 1 at a wall.
-        start: x and y, (N,) each, in cells.
+        corners: (H, W) uint8, see ``_corners``.
+        start: (N,) places of the cells in it.
         step: x and y of a step of half a cell, (N,) each, in 1/2^RAY_SHIFT cell.
         steps: how far.
 
     Returns:
         (K,) which of the rays meet one, and (K,) the number of the step.
     """
-    (x, y), (step_x, step_y) = start, step
-    rays = np.arange(x.size)
-    own_end = np.zeros(x.size, dtype=np.int64)
+    cell, (step_x, step_y) = start, step
+    rays = np.arange(cell.size)
+    own_end = np.zeros(cell.size, dtype=np.int64)
     hits, hits_at = [rays[:0]], [own_end[:0]]
     for number in range(1, steps.total + 1):
-        on_wall = _samples(walls, (x, y), (number * step_x, number * step_y))
+        on_wall = _samples(corners, cell, (number * step_x, number * step_y))
         width = number - own_end
         is_own = on_wall & (width <= steps.own)
         is_other = on_wall & ~is_own & (width <= steps.other)
@@ -184,19 +191,38 @@ def _next_wall(
         goes_on = ~is_other & (number - own_end <= steps.gap) & (own_end <= steps.thickness)
         if not goes_on.any():
             break
-        rays, own_end, x, y, step_x, step_y = (
-            part[goes_on] for part in (rays, own_end, x, y, step_x, step_y)
+        rays, own_end, cell, step_x, step_y = (
+            part[goes_on] for part in (rays, own_end, cell, step_x, step_y)
         )
     return np.concatenate(hits), np.concatenate(hits_at)
 
 
-def _samples(walls: U8, cell: tuple[I64, I64], offset: tuple[I64, I64]) -> npt.NDArray[np.bool_]:
-    """Return whether walls interpolated at offsets, in 1/2^RAY_SHIFT cell, count as wall, (N,)."""
-    width = walls.shape[1]
-    at = (cell[1] + (offset[1] >> RAY_SHIFT)) * width + cell[0] + (offset[0] >> RAY_SHIFT)
+def _corners(walls: U8) -> U8:
+    """Return which of a cell and the next ones along x, y and both are walls: bits 0 to 3."""
+    corners = walls.copy()
+    corners[:, :-1] |= walls[:, 1:] << 1
+    corners[:-1] |= walls[1:] << 2
+    corners[:-1, :-1] |= walls[1:, 1:] << 3
+    return corners
+
+
+def _samples(corners: U8, cell: I64, offset: tuple[I64, I64]) -> npt.NDArray[np.bool_]:
+    """Return whether walls interpolated at offsets, in 1/2^RAY_SHIFT cell, count as wall, (N,).
+
+    Args:
+        corners: see ``_corners``.
+        cell: (N,) places in it.
+        offset: along x and along y, (N,) each.
+    """
+    at = cell + (offset[1] >> RAY_SHIFT) * corners.shape[1] + (offset[0] >> RAY_SHIFT)
+    around = corners.ravel()[at]
+    on_wall: npt.NDArray[np.bool_] = around != 0
+    # Only where something is near.
+    some = np.flatnonzero(on_wall)
     one = 1 << RAY_SHIFT
-    u, v = offset[0] & (one - 1), offset[1] & (one - 1)
-    corners = [walls.ravel()[at + step].astype(np.int64) for step in (0, 1, width, width + 1)]
-    lower = (one - u) * corners[0] + u * corners[1]
-    upper = (one - u) * corners[2] + u * corners[3]
-    return np.asarray((one - v) * lower + v * upper >= WALL_LEVEL)
+    u, v = offset[0][some] & (one - 1), offset[1][some] & (one - 1)
+    walls = [(around[some] >> corner & 1).astype(np.int64) for corner in range(4)]
+    lower = (one - u) * walls[0] + u * walls[1]
+    upper = (one - u) * walls[2] + u * walls[3]
+    on_wall[some] = (one - v) * lower + v * upper >= WALL_LEVEL
+    return on_wall
