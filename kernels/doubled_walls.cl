@@ -19,8 +19,8 @@
 /* The first cell of a row around a block that the first smoothed one depends on. */
 #define BLUR_FIRST (NORMAL_BLOCK - WINDOW_RADIUS - 1 - BLUR_RADIUS)
 
-/* Sixteen numbers from any one on in an array of vectors. */
-typedef struct __attribute__((packed)) {
+/* NORMAL_BLOCK numbers, sixteen, from any one on in an array of vectors. */
+typedef struct __attribute__((packed, aligned(4))) {
   int16 lanes;
 } loose;
 #define LANES(vectors, from) (((const loose *)((const int *)(vectors) + (from)))->lanes)
@@ -191,7 +191,8 @@ __kernel void wall_normals(__global const uchar *kept, const int height, const i
 }
 
 /* Which of a cell and the next ones along x, along y and along both are walls: bits 0 to 3.
- * kept, corners (height, width) uchar; corners of the last row are 0.
+ * kept, corners (height, width) uchar; corners of the last two rows,
+ * in the border, are 0.
  * Global: (width / NORMAL_BLOCK, height). */
 __kernel void wall_corners(__global const uchar *kept, const int height, const int width,
                            __global uchar *corners) {
@@ -199,10 +200,13 @@ __kernel void wall_corners(__global const uchar *kept, const int height, const i
   if (first >= width || row >= height) return;
   __global const uchar *at = kept + row * width + first;
   __global uchar *out = corners + row * width + first;
-  const int next = row + 1 < height ? width : 0;
+  if (row + 2 >= height) {
+    for (int c = 0; c < NORMAL_BLOCK; c++) out[c] = 0;
+    return;
+  }
   IN_LANES
   for (int c = 0; c < NORMAL_BLOCK; c++)
-    out[c] = next ? at[c] | at[c + 1] << 1 | at[c + next] << 2 | at[c + next + 1] << 3 : 0;
+    out[c] = at[c] | at[c + 1] << 1 | at[c + width] << 2 | at[c + width + 1] << 3;
 }
 
 /* Whether walls interpolated between the corners of a cell, (u, v) in 1/2^RAY_SHIFT cell, count as
