@@ -22,6 +22,8 @@ SAMPLE = ROOT / "data" / "sample"
 MAPS = [str(SAMPLE / f"map_{letter}.yaml") for letter in "abc"]
 TRUTH = str(SAMPLE / "truth.yaml")
 INSTALLED = Path(sys.executable).with_name("slamfusion")
+# Before any test has changed it for itself.
+ENVIRONMENT = dict(os.environ)
 
 
 def run(
@@ -83,8 +85,8 @@ def without_progress(text: str) -> str:
 
 @functools.cache
 def server() -> Server:
-    """Return what is forked, begun with the environment of the first test that asks."""
-    return Server(INSTALLED, ["slamfusion"], os.environ, without=["slamfusion.ros"])
+    """Return what is forked, begun with the environment of the tests."""
+    return Server(INSTALLED, ["slamfusion"], ENVIRONMENT, without=["slamfusion.ros"])
 
 
 def run_forked(

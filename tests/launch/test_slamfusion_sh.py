@@ -15,9 +15,9 @@ from nav_msgs.msg import OccupancyGrid
 
 from slamfusion.io import load_map
 from slamfusion.ros import qos
-from tests.cli.command import ROOT
+from tests.cli.command import INSTALLED, ROOT
 from tests.ros.drives import write_log
-from tests.ros.live import INSTALLED, Observer, Process, Processes
+from tests.ros.live import Observer, Process, Processes
 from tests.ros.test_launch_script import nodes_in
 
 pytestmark = pytest.mark.ros

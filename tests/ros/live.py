@@ -9,7 +9,6 @@ import itertools
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -24,10 +23,10 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from slamfusion.ros import qos
+from tests.cli.command import ENVIRONMENT, INSTALLED
 from tests.ros import tf2
 from tests.support.forks import Forked, Server
 
-INSTALLED = Path(sys.executable).with_name("slamfusion")
 # Domains above this use ports that Linux hands out to anyone.
 DOMAINS = 100
 _STARTS = itertools.count(os.getpid() * 7)
@@ -66,8 +65,8 @@ def ros_environment(domain: int) -> dict[str, str]:
 
 @functools.cache
 def server() -> Server:
-    """Return what is forked for nodes, begun with the environment of the first test that asks."""
-    return Server(INSTALLED, ["rclpy", "slamfusion"], os.environ)
+    """Return what is forked for nodes, begun with the environment of all that are started."""
+    return Server(INSTALLED, ["rclpy", "slamfusion"], {**ENVIRONMENT, **ros_environment(0)})
 
 
 class Process:

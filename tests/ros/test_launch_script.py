@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is absent: install the extra ros, or source a ROS")
 
 from slamfusion.io import load_map
-from tests.cli.command import ROOT
+from tests.cli.command import INSTALLED, ROOT
 from tests.ros.drives import offline_log, write_log
-from tests.ros.live import INSTALLED, Observer, Process, Processes
+from tests.ros.live import Observer, Process, Processes
 
 pytestmark = pytest.mark.ros
 
