@@ -66,7 +66,9 @@ def ros_environment(domain: int) -> dict[str, str]:
 @functools.cache
 def server() -> Server:
     """Return what is forked for nodes, begun with the environment of all that are started."""
-    return Server(INSTALLED, ["rclpy", "slamfusion"], {**ENVIRONMENT, **ros_environment(0)})
+    # The second is imported with the first type of a message, and with it a reader of grammars.
+    modules = ["rclpy", "rosidl_generator_py", "slamfusion"]
+    return Server(INSTALLED, modules, {**ENVIRONMENT, **ros_environment(0)})
 
 
 class Process:
