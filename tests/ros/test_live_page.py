@@ -78,7 +78,13 @@ def test_an_input_called_fused_comes_and_goes_beside_the_fused_map() -> None:
         live.put_heard(Arrived("fused", grids["input"], "", 0.0))
         live.put_pose(source)
         live.show(lines, Believed({"fused": record}), [source])
-        told = heard(page, lambda told: tiles(told, "fused (input)"))
+        told = heard(
+            page,
+            lambda told: (
+                all(tiles(told, layer) for layer in ("fused", "fused (input)"))
+                and all(texts(told, kind) for kind in ("status", "trail"))
+            ),
+        )
         for layer, name in (("fused", "fused"), ("fused (input)", "input")):
             cells = painted(tiles(told, layer), 40, 50, (0, 0))
             assert np.array_equal(cells, grids[name].cells)
