@@ -181,11 +181,10 @@ def _fuse_into_store(
     as_json: bool,
 ) -> int:
     """Fuse maps tile by tile, and say what came of it."""
-    from slamfusion.io.map_store import check_store  # noqa: PLC0415
     from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
-    from slamfusion.jobs.fuse_store import fuse_into_store  # noqa: PLC0415
+    from slamfusion.jobs.fuse_store import check_stores, fuse_into_store  # noqa: PLC0415
 
-    check_store(store)
+    check_stores(store, len(maps))
     grids = load_maps(maps, resolution, config.map_files, notice)
     given = GivenMaps.of(maps, resolution)
     device = device_for(config)

@@ -31,7 +31,7 @@ from slamfusion.jobs.inputs import GivenMaps, MapInput, Progress, Warn, as_grids
 from slamfusion.jobs.outputs import FUSED, group_stems, record_file
 from slamfusion.jobs.records import FuseDocument
 
-__all__ = ["StoredMaps", "fuse_into_store"]
+__all__ = ["StoredMaps", "check_stores", "fuse_into_store"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -103,7 +103,8 @@ def fuse_into_store(
     Args:
         maps, config, device, resolution, given, scheduler, progress, warn: see ``fuse_maps``; tiles
             are tasks, too.
-        store: ``OUT.zarr``; nothing may be there. Further groups go to ``OUT-2.zarr`` ...
+        store: ``OUT.zarr``; further groups go to ``OUT-2.zarr`` ... Nothing may be at any of them;
+            see ``check_stores``.
 
     Raises:
         MapFileError: something is there, Zarr is not installed, or a map cannot be read or written.
@@ -113,7 +114,7 @@ def fuse_into_store(
     began_s = time.perf_counter()
     store, config = Path(store), config or RunConfig()
     check_count(maps)
-    check_store(store)
+    check_stores(store, len(maps))
     grids = as_grids(maps, config, resolution=resolution, warn=warn)
     names = [grid.name for grid in grids]
     starts = place_starts(config.start, names, config.fusion.reference)
@@ -126,7 +127,7 @@ def fuse_into_store(
     scheduler = scheduler or InProcess(config.device.device)
     groups = (aligned.group, *aligned.group.others)
     stems = group_stems(store.with_suffix(""), len(groups))
-    stores = tuple(path.with_name(path.name + store.suffix) for path in stems)
+    stores = group_stores(store, len(groups))
     with ExitStack() as open_stores:
         results = [
             _vote_into(open_stores, aligned, members, path, config, device, scheduler, progress)
@@ -149,6 +150,28 @@ def fuse_into_store(
     if written[0] is not None:
         write_atomic(record_file(stems[0]), record_bytes(stored.to_json()))
     return stored
+
+
+def check_stores(store: Path, count: int) -> None:
+    """Refuse a fusion into stores of which one is there, before any work.
+
+    One of an earlier fusion that this one does not write would look like a group of it.
+
+    Args:
+        store: ``OUT.zarr``.
+        count: maps that are fused; a group has two or more.
+
+    Raises:
+        MapFileError: something is at one of them, or Zarr is not installed.
+    """
+    for path in group_stores(store, count // 2):
+        check_store(path)
+
+
+def group_stores(store: Path, count: int) -> tuple[Path, ...]:
+    """Return the stores of groups: OUT.zarr, OUT-2.zarr ..."""
+    stems = group_stems(store.with_suffix(""), count)
+    return tuple(stem.with_name(stem.name + store.suffix) for stem in stems)
 
 
 def _check_all(aligned: AlignedInputs, device: ComputeDevice) -> None:

@@ -22,7 +22,7 @@ from slamfusion.io.map_store import read_stored_map
 from slamfusion.jobs import fuse_store
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, fuse_maps
-from slamfusion.jobs.fuse_store import fuse_into_store
+from slamfusion.jobs.fuse_store import check_stores, fuse_into_store
 from tests.support.documents import check_document
 from tests.support.sites import many_maps
 
@@ -104,6 +104,21 @@ def test_a_map_too_large_for_a_map_server_is_in_the_store_alone(
     assert stored.to_json()["fused"] is None
     with pytest.raises(MapFileError, match=r"out\.zarr exists"):
         fuse_into_store(TWINS, tmp_path / "out.zarr", CONFIG, device)
+
+
+def test_the_store_of_another_group_is_found_before_any_work(
+    tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where this fusion has no such group it would look like one."""
+    monkeypatch.setattr(fuse_store, "align_inputs", pytest.fail)
+    for number, maps in ((2, SITE[:4]), (3, SITE)):
+        other = tmp_path / f"out-{number}.zarr"
+        other.mkdir()
+        with pytest.raises(MapFileError, match=rf"out-{number}\.zarr exists"):
+            fuse_into_store(maps, tmp_path / "out.zarr", CONFIG, device)
+        other.rmdir()
+    (tmp_path / "out-3.zarr").mkdir()
+    check_stores(tmp_path / "out.zarr", 5)  # no more than two groups
 
 
 def test_nothing_is_written_of_what_does_not_fit(tmp_path: Path, device: ComputeDevice) -> None:
