@@ -234,7 +234,10 @@ def decide(evidence: Evidence) -> Decision:
     decision = _decide(evidence)
     said = ""
     if evidence.is_cut:
-        said = "; walls fill the cells that were searched, and finer ones would take too long"
+        said = (
+            "; walls fill the cells that were searched at every yaw; on finer ones only yaws with "
+            "parallel walls were"
+        )
     elif decision.accepted and evidence.gap > 0.0:
         said = f"; the proof was not finished in time (gap {evidence.gap:.2f})"
     return replace(decision, reason=decision.reason + said)

@@ -282,7 +282,7 @@ def _nothing_fused(
 ) -> AlignmentError:
     """Return the error of inputs of which no two agree, with every reason."""
     found = [f"{pair.moving} to {pair.reference}: {pair.reason}" for pair in pairs]
-    words = "; ".join([*reasons.values(), *found])
+    words = "; ".join([*reasons.values(), *found]) or "where starts put them no two can meet"
     listed = ", ".join(names)
     message = f"no two of the inputs {listed} align, so nothing is fused ({words})"
     return AlignmentError(message, tuple(pairs))

@@ -41,7 +41,7 @@ Ahead = Callable[[Iterable[tuple[str, str]]], None]
 
 # A group of maps is given up after so many of its pairs with larger ones were refused in a row.
 TRIES = 3
-# Below this ratio of the best place to the best one elsewhere nothing is promising.
+# Below this ratio of the best place to the best one elsewhere a pair is not promising.
 RATIO_MIN = 1.05
 # Ground in common, as a share of the smaller map's, on which walls may close a loop. They speak
 # against one on much of it alone (``implied``).
@@ -143,7 +143,7 @@ class _Search:
         while is_joined:
             is_joined = False
             for item in self.candidates:
-                if item.ratio < RATIO_MIN or self._is_known(item):
+                if self._is_known(item) or not self._is_promising(item):
                     continue
                 if any(refused[name] >= TRIES for name in self._smaller(item)):
                     continue
@@ -220,12 +220,17 @@ class _Search:
         group = {name: self.graph.mates(name)[0] for name in self.features}
         for other in (item, *self.candidates):
             if other is not item and other.ratio < RATIO_MIN:
-                break
+                continue
             one, two = group[other.a], group[other.b]
             if other.key in self.found or (one == two and other is not item):
                 continue
             yield other.a, other.b
             group = {name: one if first == two else first for name, first in group.items()}
+
+    def _is_promising(self, item: Candidate) -> bool:
+        """Whether a pair is worth an alignment; the best of a map that was in none always is."""
+        tried = set().union(*self.found)
+        return item.ratio >= RATIO_MIN or not tried.issuperset((item.a, item.b))
 
     def _is_known(self, item: Candidate) -> bool:
         """Whether the two maps are joined, or were tried."""

@@ -1,10 +1,11 @@
 """Find the rigid motions under which the walls of two grids coincide, best first.
 
 Three stages. On a coarse level of both grids every shift with any overlap is scored at every yaw
-(see ``shifts``). The best few thousand go down level by level, each to the best of its neighbours
-on the level of half the cell size, and fewer stay on each. The last few are moved by robust
-Gauss-Newton steps on both distance fields, with ever narrower scales, and ranked by the evidence
-of all walls on full-resolution cells (see ``wall_evidence``).
+(see ``shifts``); where that level has to be too coarse, every shift on a finer one too at the few
+yaws at which walls are parallel (``parallel_walls``). The best few thousand go down level by level,
+each to the best of its neighbours on the level of half the cell size, and fewer stay on each. The
+last few are moved by robust Gauss-Newton steps on both distance fields, with ever narrower scales,
+and ranked by the evidence of all walls on full-resolution cells (see ``wall_evidence``).
 
 What a motion is: see ``motions``.
 """
@@ -22,6 +23,7 @@ from slamfusion.config import AlignConfig
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.motions import distinct, distinct_rows, fixed_similarities
+from slamfusion.fusion.parallel_walls import parallel_motions
 from slamfusion.fusion.refine import refine, settle
 from slamfusion.fusion.shifts import (
     COARSE_SIGMA,
@@ -71,6 +73,8 @@ DESCENT_CELL_M = 0.2
 WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
 # Motions that are settled: by the narrow width, by the broad one, and by the narrow one with doubt.
 SETTLED = (8, 4, 10)
+# Shifts at each yaw at which walls are parallel.
+PARALLEL = 24
 FINE_TOP = 255
 FINE_POINTS = 4096
 WINDOW_SLACK_CELLS = 2.0
@@ -175,9 +179,63 @@ def coarse_search(
     is_cut = _is_filled(reference, moving, step, COARSE_CHANCE_MAX, cancel)
     scores = score_shifts(reference, moving, step, window, device, cancel)
     flat = scores.evidence.ravel()
-    yaw_step, last = scores.yaw_step, step
     order = _most(flat, DOUBTED_OF * DESCENT[0][0])
-    motions, found = scores.motions(order), flat[order]
+    start = _Leads(scores.motions(order), flat[order], step, scores.yaw_step)
+    leads, doubted = _descend(reference, moving, start, device, cancel)
+    if is_cut:
+        check_cancelled(cancel)
+        motions, finer, turn = parallel_motions(reference, moving, PARALLEL, device)
+        motions = inside(window, motions)
+        if len(motions):
+            more = _leads(reference, moving, motions, finer, turn, device, cancel)
+            more, _ = _descend(reference, moving, more, device, cancel)
+            leads, doubted = _joined(reference, moving, (leads, more), device, cancel)
+    motions, found = leads.motions, leads.found
+    shift, turn = 2.5 * step, 2.5 * scores.yaw_step
+    chosen = []
+    for values, most in (
+        (found, config.candidates),
+        (doubted, config.candidates // DOUBTED_CANDIDATES),
+    ):
+        order = np.argsort(-values, kind="stable")
+        chosen.append(order[distinct_rows(motions[order], shift, turn, most)])
+    kept = np.unique(np.concatenate(chosen))
+    kept = kept[np.argsort(-found[kept], kind="stable")]
+    most_evidence = np.maximum(scores.evidence.max(axis=1), 0.0)
+    best = most_evidence / max(float(most_evidence.max()), 1e-9)
+    return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], leads.step, is_cut)
+
+
+@dataclass(frozen=True, eq=False)
+class _Leads:
+    """Motions on their way down.
+
+    Attributes:
+        motions: (P, 3).
+        found: (P,) evidence on the level.
+        step: of the level, fine cells per cell.
+        yaw_step: between yaws that were looked at, rad.
+    """
+
+    motions: F64
+    found: F64
+    step: int
+    yaw_step: float
+
+
+def _descend(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    leads: _Leads,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> tuple[_Leads, F64]:
+    """Follow motions down to the last level, each to the best of its neighbours.
+
+    Returns:
+        Them there; and their evidence (P,), less what stays unexplained.
+    """
+    motions, found, last, yaw_step = leads.motions, leads.found, leads.step, leads.yaw_step
     target = max(1, round(DESCENT_CELL_M / reference.grid.grid.resolution))
     doubted = _doubted(reference, moving, motions, last, DESCENT[0][1], device, cancel)
     for most, points in DESCENT:
@@ -197,19 +255,39 @@ def coarse_search(
         motions, found = motions[rows, best], values[rows, best]
         motions, found = _apart(motions, found, float(last), yaw_step)
         doubted = _doubted(reference, moving, motions, last, points, device, cancel)
-    shift, turn = 2.5 * step, 2.5 * scores.yaw_step
-    chosen = []
-    for values, most in (
-        (found, config.candidates),
-        (doubted, config.candidates // DOUBTED_CANDIDATES),
-    ):
-        order = np.argsort(-values, kind="stable")
-        chosen.append(order[distinct_rows(motions[order], shift, turn, most)])
-    kept = np.unique(np.concatenate(chosen))
-    kept = kept[np.argsort(-found[kept], kind="stable")]
-    most_evidence = np.maximum(scores.evidence.max(axis=1), 0.0)
-    best = most_evidence / max(float(most_evidence.max()), 1e-9)
-    return CoarseSearch(step, scores.yaws, best, motions[kept], found[kept], last, is_cut)
+    return _Leads(motions, found, last, yaw_step), doubted
+
+
+def _leads(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    motions: F64,
+    step: int,
+    yaw_step: float,
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> _Leads:
+    """Return motions with their evidence on a level."""
+    found = score_motions(
+        reference, moving, motions, step, device,
+        sigma=COARSE_SIGMA, points=DESCENT[-1][1], cancel=cancel,
+    )  # fmt: skip
+    return _Leads(motions, found, step, yaw_step)
+
+
+def _joined(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    leads: tuple[_Leads, _Leads],
+    device: ComputeDevice,
+    cancel: CancelToken | None,
+) -> tuple[_Leads, F64]:
+    """Return two lots of motions on the finer of their levels; see ``_descend``."""
+    motions = np.concatenate([some.motions for some in leads])
+    step, yaw_step = min(some.step for some in leads), min(some.yaw_step for some in leads)
+    joined = _leads(reference, moving, motions, step, yaw_step, device, cancel)
+    points = DESCENT[-1][1]
+    return joined, _doubted(reference, moving, motions, step, points, device, cancel)
 
 
 def _most(values: F64, most: int) -> npt.NDArray[np.intp]:

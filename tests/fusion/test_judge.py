@@ -169,7 +169,8 @@ def test_maps_of_noise_are_refused_and_the_reason_says_what_was_not_searched(
     found = align_grids(*grids, QUICK, device)
     assert not found.accepted
     assert found.reason.endswith(
-        "walls fill the cells that were searched, and finer ones would take too long"
+        "walls fill the cells that were searched at every yaw; on finer ones only yaws with "
+        "parallel walls were"
     )
 
 

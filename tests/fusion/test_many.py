@@ -6,16 +6,15 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.errors import AlignmentError
-from slamfusion.fusion import groups
-from slamfusion.fusion.align import align_features
+from slamfusion.fusion import groups, many
+from slamfusion.fusion.align import align_features, rejected_alignment
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.groups import AlignedGroup, Members, align_group
-from slamfusion.fusion.pair_ranking import parallel_yaws, rank_pairs, wall_directions
+from slamfusion.fusion.pair_ranking import rank_pairs
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.start import StartPose, Starts
 from slamfusion.geometry import Pose2
@@ -56,16 +55,6 @@ def test_pairs_that_share_ground_are_more_promising_than_all_others(
     assert len(near) >= 5
     assert min(near) > max(apart)
     assert [pair.lead for pair in ranked] == sorted(leads.values(), reverse=True)
-
-
-@pytest.mark.parametrize("turn", [0, 20, 135])
-def test_walls_are_parallel_under_the_turn_between_two_maps(turn: int) -> None:
-    walls = np.zeros((120, 120), dtype=np.uint8)
-    walls[20, 20:100] = walls[20:70, 99] = 1
-    own = wall_directions(walls)
-    yaws = parallel_yaws(np.roll(own, turn), own)
-    assert yaws[0] == turn
-    assert (turn + 90) % 180 in yaws
 
 
 def test_groups_of_many_maps_lie_in_their_places(
@@ -142,5 +131,22 @@ def test_maps_of_which_no_two_fit_are_refused(
     features: dict[str, GridFeatures], device: ComputeDevice
 ) -> None:
     told = {name: StartPose(Pose2(500.0 * n, 0.0)) for n, name in enumerate(features)}
-    with pytest.raises(AlignmentError, match="no two of the inputs"):
+    with pytest.raises(AlignmentError, match=r"no two of the inputs .* no two can meet\)"):
         aligned(features, device, starts=Starts(told))
+
+
+def test_the_best_pair_of_each_map_is_searched_where_nothing_is_promising(
+    features: dict[str, GridFeatures], device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(many, "RATIO_MIN", math.inf)
+    searched: list[str] = []
+
+    def refuse(reference: GridFeatures, moving: GridFeatures, *_: Any, **__: Any) -> Alignment:
+        searched.extend((reference.grid.name, moving.grid.name))
+        return rejected_alignment(reference, moving, "no", 0.0)
+
+    monkeypatch.setattr(groups, "align_features", refuse)
+    with pytest.raises(AlignmentError, match="no two of the inputs"):
+        aligned(features, device)
+    assert set(searched) == features.keys()
+    assert len(searched) < 2 * len(features)
