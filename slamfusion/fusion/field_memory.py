@@ -10,8 +10,10 @@ __all__ = ["LEAST_KEPT", "FieldMemory"]
 
 # Maps that keep their fields however little memory is left: those of a usual job.
 LEAST_KEPT = 3
-# What the fields of a cell take, in bytes, and the share of the free memory that all may take.
+# What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
+# how much at most where little memory is wanted, bytes.
 FIELD_BYTES, FREE_SHARE = 40, 0.5
+SPARING_BYTES = 3 << 27
 
 
 class Fields(Protocol):
@@ -28,14 +30,16 @@ class Fields(Protocol):
 class FieldMemory:
     """Releases the fields of those maps of a job that were not looked at for longest."""
 
-    def __init__(self, cells: int | None = None) -> None:
+    def __init__(self, cells: int | None = None, *, is_sparing: bool = False) -> None:
         """Begin with none.
 
         Args:
             cells: of maps that may hold fields; None: as many as the memory that is free now lets.
+            is_sparing: not more than some hundred megabytes, though more be free.
         """
         if cells is None:
-            cells = int(FREE_SHARE * available_memory()) // FIELD_BYTES
+            room = int(FREE_SHARE * available_memory())
+            cells = (min(room, SPARING_BYTES) if is_sparing else room) // FIELD_BYTES
         self._most = cells
         self._used: dict[int, Fields] = {}
 

@@ -67,7 +67,7 @@ class PreparedInputs:
                 self.reasons[grid.name] = str(error)
             if self._factor > 1:
                 return_freed_memory()
-        self._memory = FieldMemory()
+        self._memory = FieldMemory(is_sparing=is_stored)
         self.features = {
             name: GridFeatures(grid, device, self._memory)
             for name, grid in self._normalized.items()

@@ -1,12 +1,12 @@
 """What a fleet costs and saves: Dask against processes, and a site that exceeds memory.
 
     python -m tests.benchmarks.bench_fleet overhead --maps 40 --workers 2
-    python -m tests.benchmarks.bench_fleet site --maps 60 --cells 3400 --parts 4 --folder DIR
+    python -m tests.benchmarks.bench_fleet site --maps 60 --cells 3300 --parts 1 --folder DIR
 
 ``overhead`` fuses the maps of a simulated site (``tests.support.sites``) on so many processes and
 on as many workers of a Dask cluster, in turn, after a warm-up of each, and prints wall clock and
 the processor time of the caller and of the workers. ``site`` draws maps of one building that
-overlap by a third or so into a folder, each turned by any angle, then fuses them into a Zarr store
+overlap by 20 to 60 % into a folder, each turned by any angle, then fuses them into a Zarr store
 with the installed command, and prints the size of the union, how many maps lie in their places, the
 time, and the peak of memory of each process. Further options go to that command.
 """
@@ -41,8 +41,6 @@ from tests.benchmarks.record import add_record_option, console_for
 from tests.support import sites
 from tests.support.sites import ManyMaps, many_maps
 
-# From one map to the next, as a share of a side.
-STRIDE = (0.45, 0.58)
 LOOK_S = 0.2
 
 
@@ -109,7 +107,6 @@ def draw_maps(folder: Path, count: int, cells: int, parts: int, seed: int) -> No
         parts: each drawn cell of 0.05 m becomes so many by so many.
         seed: of everything.
     """
-    sites.STRIDE = STRIDE
     rng = np.random.default_rng((seed, count, cells))
     facts = []
     for index, (coarse, pose, _) in enumerate(sites._maps_of(0, count, cells // parts, rng)):

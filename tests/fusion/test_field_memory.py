@@ -90,3 +90,16 @@ def test_of_many_maps_a_few_need_room_for_fields(monkeypatch: pytest.MonkeyPatch
     for count in (1, 3, 60):
         check_resampling([grid] * count, NormalizeConfig(), "fusing")
     assert asked == [24 * 10_000, 3 * 24 * 10_000, (3 * 24 + 57 * 4) * 10_000]
+
+
+@pytest.mark.parametrize(("is_stored", "kept"), [(True, [3, 4, 5]), (False, list(range(6)))])
+def test_for_a_vote_in_a_store_little_memory_is_taken(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, is_stored: bool, kept: list[int]
+) -> None:
+    monkeypatch.setattr(field_memory, "SPARING_BYTES", 1)
+    grids = [grid.grid.with_name(f"map {n}") for n, grid in enumerate(maps(6, device))]
+    prepared = PreparedInputs(grids, FusionConfig(), device, is_stored=is_stored)
+    features = list(prepared.features.values())
+    for item in features:
+        item.level(1)
+    assert [n for n, item in enumerate(features) if holds_fields(item)] == kept
