@@ -471,6 +471,7 @@ def test_a_scale_farther_from_one_never_helps(found: Evidence, offs: tuple[float
         assert decide(replace(found, scale=1.0 + sign * near)).accepted or not off.accepted
 
 
+@pytest.mark.once
 @settings(max_examples=examples(80), deadline=None)
 @given(found=any_evidence(), metres=values("common_m"), where=st.text(max_size=5))
 def test_what_is_only_said_decides_nothing(found: Evidence, metres: float, where: str) -> None:

@@ -88,6 +88,7 @@ def test_any_drawn_transform_comes_back_or_is_rejected(
         assert_right(found, moving, pose)
 
 
+@pytest.mark.once
 def test_nine_in_ten_drawn_transforms_are_accepted_and_right(device: ComputeDevice) -> None:
     rng = np.random.default_rng(4)
     accepted = 0

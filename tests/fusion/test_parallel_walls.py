@@ -120,6 +120,7 @@ def test_of_many_spectra_the_last_ones_are_kept(monkeypatch: pytest.MonkeyPatch)
     assert [kept.get(key) is not None for key in range(4)] == [True, False, True, True]
 
 
+@pytest.mark.once
 def test_where_walls_fill_the_coarse_cells_parallel_walls_lead_to_the_answer(
     site: ManyMaps,
     features: list[GridFeatures],

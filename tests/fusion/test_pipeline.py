@@ -518,6 +518,7 @@ def test_memory_is_asked_for_at_the_common_resolution(
     assert sum(asked) >= normalize.BYTES_PER_CELL * (4 * coarse.cells.size + box.area)
 
 
+@pytest.mark.once
 def test_coarser_copies_of_large_maps_are_aligned_and_all_their_cells_vote(
     device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -137,6 +137,7 @@ def test_what_cannot_be_compared_is_one_line(saved: list[Path], tmp_path: Path) 
 HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
+@pytest.mark.once
 def test_the_plot_is_drawn_alike_each_time_and_names_as_they_are_written(tmp_path: Path) -> None:
     truth = tmp_path / "true.tum"
     truth.write_text("truth", encoding="ascii")

@@ -75,6 +75,7 @@ def test_what_cannot_be_measured_does_not_take_the_verdict_along(
     check_document(plain(found.to_json()), "judge")
 
 
+@pytest.mark.once
 def test_the_report_shows_the_drive_and_the_errors(drive: Path, tmp_path: Path) -> None:
     files = [drive / "bent.tum", drive / "elsewhere.tum"]
     found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum")

@@ -17,6 +17,7 @@ from tests.support.documents import check_document
 DEVICE = NumpyDevice()
 
 
+@pytest.mark.once
 def test_a_log_is_mapped_measured_saved_and_gone_on_with(place: Path, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     begun = map_log(

@@ -39,6 +39,7 @@ def aligned() -> dict[str, Any]:
     return plain({**found.to_json(), **circumstances(RunConfig(), "numpy")})
 
 
+@pytest.mark.once
 def test_the_schema_is_what_the_types_say() -> None:
     assert json.loads(make_schema.PATH.read_text(encoding="utf-8")) == make_schema.make_schema(), (
         f"the types of the JSON documents have changed; run {MAKE}"

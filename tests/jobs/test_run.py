@@ -224,6 +224,7 @@ def assert_all_of_the_saved_map_is_there(run: LogRun) -> None:
     assert (run.usable.fused.cells[saved.aligned == 0] >= 0).all()
 
 
+@pytest.mark.once
 def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
     """It is in a frame of its own, and has a pose for each third scan."""
     moved = Pose2(6.0, -2.0, 1.0)

@@ -399,6 +399,7 @@ def test_tiles_of_other_maps_are_untouched(device: ComputeDevice):
         assert not np.setdiff1d(np.flatnonzero(changed), pages[touched != 0]).size
 
 
+@pytest.mark.once
 def test_large_scan_equals_the_twin(device: ComputeDevice, is_simulated: bool):
     rng = np.random.default_rng(6)
     maps, side, beams = (2, 5, 12) if is_simulated else (7, 14, 700)

@@ -290,5 +290,6 @@ def test_kernels_equal_their_twins_on_every_device(device: ComputeDevice, seed: 
     follow_both(device, seed, LikelihoodRule(FALLING, 15, 1 + seed, 2 + seed), 12, 2)
 
 
+@pytest.mark.once
 def test_a_large_scan_equals_the_twin(pocl: ComputeDevice):
     follow_both(pocl, 6, LikelihoodRule(FALLING, 16, 4, 64), 5000, 2)

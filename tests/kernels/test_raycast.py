@@ -147,6 +147,7 @@ def test_no_ray_gives_no_hit(device: ComputeDevice):
     assert device.cast_rays(device.upload(drawn("#")), empty, 5.0).shape == (0, 4)
 
 
+@pytest.mark.once
 def test_many_rays_equal_the_twin(device: ComputeDevice, is_simulated: bool):
     rng = np.random.default_rng(3)
     size = 40 if is_simulated else 700

@@ -56,6 +56,7 @@ def test_repeated_runs_give_the_same_bytes(pocl: ComputeDevice, fresh: ComputeDe
         assert [array.tobytes() for array in CHECKS[name](other, sample)] == first
 
 
+@pytest.mark.once
 def test_self_test_passes(device: ComputeDevice):
     assert all(passed for _, passed, _ in self_test(device))
 
