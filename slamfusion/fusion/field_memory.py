@@ -13,7 +13,7 @@ LEAST_KEPT = 3
 # What the fields of a cell take, in bytes, and the share of the free memory that all may take; and
 # how much at most where little memory is wanted, bytes.
 FIELD_BYTES, FREE_SHARE = 40, 0.5
-SPARING_BYTES = 3 << 27
+SPARING_BYTES = 2**28
 
 
 class Fields(Protocol):

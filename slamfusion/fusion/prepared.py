@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
@@ -60,11 +61,15 @@ class PreparedInputs:
         self.reasons: dict[str, str] = {}
         for grid in grids:
             try:
-                self._normalized[grid.name] = normalize_grid(
+                normalized = normalize_grid(
                     grid, self._factor * self._resolution, config.normalize, device
                 )
             except GridError as error:
                 self.reasons[grid.name] = str(error)
+                continue
+            self._normalized[grid.name] = (
+                normalized if self._factor == 1 else _without_percents(normalized)
+            )
             if self._factor > 1:
                 return_freed_memory()
         self._memory = FieldMemory(is_sparing=is_stored)
@@ -86,3 +91,11 @@ class PreparedInputs:
         if self._factor == 1:
             return self._normalized[name]
         return voting_grid(self._grids[name], self._resolution, self._config, self._device)
+
+
+def _without_percents(grid: NormalizedGrid) -> NormalizedGrid:
+    """Return a grid that is aligned and does not vote: where it lies is all that is asked of it.
+
+    What each cell is, -1, 0 or 1, stands for its percents, in the same memory.
+    """
+    return replace(grid, grid=replace(grid.grid, cells=grid.cells))
