@@ -1,7 +1,7 @@
 """What a fleet costs and saves: Dask against processes, and a site that exceeds memory.
 
     python -m tests.benchmarks.bench_fleet overhead --maps 40 --workers 2
-    python -m tests.benchmarks.bench_fleet site --maps 60 --cells 3300 --parts 1 --folder DIR
+    python -m tests.benchmarks.bench_fleet site --maps 60 --cells 3500 --parts 1 --folder DIR
 
 ``overhead`` fuses the maps of a simulated site (``tests.support.sites``) on so many processes and
 on as many workers of a Dask cluster, in turn, after a warm-up of each, and prints wall clock and
