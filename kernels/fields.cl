@@ -156,16 +156,17 @@ __kernel void look_up_where(__global const ushort *in, __global const uchar *mas
 
 /* What a wall point of the other map is worth in each cell:
  * base + hit[d2] - free * miss[d2] / FIELD_ONE, rounded down, within 0..FIELD_ONE.
- * distance2 (cells) ushort; free_share (cells) uchar 0..255; hit, miss one ushort for every d2;
- * out (cells) uchar. Global: (ceil(cells / RUN)). */
+ * distance2 (cells) ushort; free_share (cells) uchar 0..255; worths one uint for every d2: hit, and
+ * miss in the upper 16 bits, one gather for both; out (cells) uchar. Global: (ceil(cells / RUN)). */
 __kernel void score_field(__global const ushort *distance2, __global const uchar *free_share,
-                          __global const ushort *hit, __global const ushort *miss, const int base,
-                          const int cells, __global uchar *out) {
+                          __global const uint *worths, const int base, const int cells,
+                          __global uchar *out) {
   const int first = get_global_id(0) * RUN;
   const int stop = first + RUN < cells ? first + RUN : cells;
-  for (int index = first; index < stop; index++) {
-    const int d2 = distance2[index];
-    const int value = base + hit[d2] - (free_share[index] * miss[d2]) / FIELD_ONE;
+  IN_LANES for (int index = first; index < stop; index++) {
+    const uint worth = worths[distance2[index]];
+    const uint less = (free_share[index] * (worth >> 16)) / FIELD_ONE;
+    const int value = base + (ushort)worth - (int)less;
     out[index] = (uchar)(value < 0 ? 0 : value > FIELD_ONE ? FIELD_ONE : value);
   }
 }
@@ -199,6 +200,9 @@ __kernel void max_pair(__global const uchar *field, const int height, const int 
   }
 }
 
+/* Cells that are looked at together: off the input together, mostly. */
+#define WARP_CELLS 32
+
 /* Nearest-cell resampling: out[k, row, col] = in at the fixed pose k of the centre of the output
  * cell, fill outside. poses (count, 4) long Q30, output lattice to input lattice.
  * in (height, width) char; out (count, out_height, out_width) char.
@@ -215,11 +219,26 @@ __kernel void warp(__global const char *in, const int height, const int width,
   const long dx = 2 * pose.x, dy = 2 * pose.y;
   __global char *line = out + ((size_t)k * out_height + row) * out_width;
   const int stop = first + RUN < out_width ? first + RUN : out_width;
-  for (int col = first; col < stop; col++) {
-    const long c = x >> FIXED_TO_CELL_SHIFT, r = y >> FIXED_TO_CELL_SHIFT;
-    const bool inside = c >= 0 && r >= 0 && c < width && r < height;
-    line[col] = inside ? in[r * width + c] : fill;
-    x += dx;
-    y += dy;
+  for (int begin = first; begin < stop; begin += WARP_CELLS) {
+    const int end = LOWER(begin + WARP_CELLS, stop);
+    const long far_x = x + dx * (end - 1 - begin), far_y = y + dy * (end - 1 - begin);
+    /* Off to one side at both ends: off it between them too. */
+    const bool is_off = LOWER(x, far_x) >> FIXED_TO_CELL_SHIFT >= width ||
+                        LOWER(y, far_y) >> FIXED_TO_CELL_SHIFT >= height ||
+                        (x & far_x) < 0 || (y & far_y) < 0;
+    if (is_off) {
+      for (int col = begin; col < end; col++) line[col] = fill;
+    } else {
+      long across = x, down = y;
+      for (int col = begin; col < end; col++) {
+        const long c = across >> FIXED_TO_CELL_SHIFT, r = down >> FIXED_TO_CELL_SHIFT;
+        const bool inside = c >= 0 && r >= 0 && c < width && r < height;
+        line[col] = inside ? in[r * width + c] : fill;
+        across += dx;
+        down += dy;
+      }
+    }
+    x = far_x + dx;
+    y = far_y + dy;
   }
 }

@@ -106,10 +106,10 @@ class OpenCLFields(OpenCLQueue):
             raise DeviceError(message)
         out = self.empty(distance2.shape, np.uint8)
         cells = distance2.size
-        tables = (self._table(hit), self._table(miss))
+        worths = self._table(hit.astype(np.uint32) | miss.astype(np.uint32) << 16)
         scalars = (np.int32(base), np.int32(cells))
         self._launch(
-            "score_field", (-(-cells // RUN),), distance2, free_share, *tables, *scalars, out
+            "score_field", (-(-cells // RUN),), distance2, free_share, worths, *scalars, out
         )
         return out
 
