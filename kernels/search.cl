@@ -7,27 +7,36 @@
 #include "common.h"
 
 /* scores[k, i, j] = sum over points n of fields[k, offset(k, n) + i * field_width + j].
- * Field values are 0..15, so sixteen of them add in one byte lane without a carry.
+ * Field values are 0..15, so SHIFT_POINTS = 16 of them add in one byte lane without a carry.
  * fields: uchar planes, field_stride bytes from one k to the next (0: one plane for all);
  * offsets (count or 1, points) int: row * field_width + col of each point, offset_stride ints apart;
+ * spans (count, ceil(points / SHIFT_POINTS)) int4: first and last row, first and last column of the
+ * shifts at which any of so many points reads something else than `base`; elsewhere none is read;
  * scores (count, shift_height, shift_width) int, shift_width a multiple of SHIFT_LANES.
  * Global: (shift_width / SHIFT_LANES, ceil(shift_height / SHIFT_ROWS), count). */
 __kernel void correlate(__global const uchar *fields, const int field_stride, const int field_width,
                         __global const int *offsets, const int offset_stride, const int points,
-                        const int shift_height, const int shift_width, const int count,
-                        __global int *scores) {
+                        __global const int4 *spans, const int base, const int shift_height,
+                        const int shift_width, const int count, __global int *scores) {
   const int j = get_global_id(0) * SHIFT_LANES, i = get_global_id(1) * SHIFT_ROWS;
   const int k = get_global_id(2);
   if (j >= shift_width || i >= shift_height || k >= count) return;
   __global const uchar *field = fields + (size_t)k * field_stride + (size_t)i * field_width + j;
   __global const int *offset = offsets + (size_t)k * offset_stride;
+  __global const int4 *span = spans + (size_t)k * ((points + SHIFT_POINTS - 1) / SHIFT_POINTS);
   const int r1 = LOWER(1, shift_height - 1 - i) * field_width;
   const int r2 = LOWER(2, shift_height - 1 - i) * field_width;
   const int r3 = LOWER(3, shift_height - 1 - i) * field_width;
   int16 total0 = 0, total1 = 0, total2 = 0, total3 = 0, total4 = 0, total5 = 0, total6 = 0, total7 = 0;
-  for (int start = 0; start < points; start += 16) {
+  int away = 0;
+  for (int start = 0; start < points; start += SHIFT_POINTS, span++) {
+    const int stop = LOWER(start + SHIFT_POINTS, points);
+    const int4 live = *span;
+    if (i + SHIFT_ROWS <= live.x || i > live.y || j + SHIFT_LANES <= live.z || j > live.w) {
+      away += stop - start;
+      continue;
+    }
     ulong4 w0 = 0, w1 = 0, w2 = 0, w3 = 0;
-    const int stop = min(start + 16, points);
     for (int n = start; n < stop; n++) {
       __global const uchar *p = field + offset[n];
       w0 += LOAD32(p);
@@ -44,6 +53,9 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
     total6 += convert_int16(as_uchar16(w3.lo));
     total7 += convert_int16(as_uchar16(w3.hi));
   }
+  away *= base;
+  total0 += away; total1 += away; total2 += away; total3 += away;
+  total4 += away; total5 += away; total6 += away; total7 += away;
 #define ROW(n, x, y) if (i + n < shift_height) { \
   __global int *out = scores + ((size_t)k * shift_height + i + n) * shift_width + j; \
   STORE32(as_ulong4(x.lo), out); STORE32(as_ulong4(x.hi), out + 8); \
@@ -51,31 +63,51 @@ __kernel void correlate(__global const uchar *fields, const int field_stride, co
   ROW(0, total0, total1) ROW(1, total2, total3) ROW(2, total4, total5) ROW(3, total6, total7)
 }
 
-/* Sum of a forward and a backward score surface, and the best of each tile x tile block of shifts.
- * forward (count, height, stride) int; backward the same, read at (height - 1 - i, width - 1 - j);
- * only columns below width count. values, places (count, tiles_y, tiles_x) int; a place is
- * i * width + j; the first of equal scores wins. Global: (tiles_x, tiles_y, count). */
+/* Sum of a forward and a backward score surface, and the best of each tile of SHIFT_TILE x SHIFT_TILE
+ * shifts, SHIFT_TILE being 4. forward (count, height, stride) int from 0 to 2^26; backward the same,
+ * read at (height - 1 - i, width - 1 - j); only columns below width count. values, places (count,
+ * tiles_y, tiles_x) int; a place is i * width + j; the first of equal scores wins: what is compared
+ * is the score and, in four bits below it, how far the shift is from the tile's last.
+ * A work item does two tiles. Global: (ceil(width / 8), tiles_y, count). */
 __kernel void tile_peaks(__global const int *forward, __global const int *backward,
                          const int height, const int width, const int stride, const int count,
-                         const int tile, const int tiles_y, const int tiles_x,
-                         __global int *values, __global int *places) {
-  const int tx = get_global_id(0), ty = get_global_id(1), k = get_global_id(2);
-  if (tx >= tiles_x || ty >= tiles_y || k >= count) return;
-  __global const int *f = forward + (size_t)k * height * stride;
-  __global const int *b = backward + (size_t)k * height * stride;
-  int best = INT_MIN, place = 0;
-  for (int i = ty * tile; i < min((ty + 1) * tile, height); i++)
-    for (int j = tx * tile; j < min((tx + 1) * tile, width); j++) {
-      const int value = f[i * stride + j] + b[(height - 1 - i) * stride + (width - 1 - j)];
-      if (value > best) {
-        best = value;
-        place = i * width + j;
-      }
+                         const int tiles_y, const int tiles_x, __global int *values,
+                         __global int *places) {
+  const int j = get_global_id(0) * 2 * SHIFT_TILE, ty = get_global_id(1), k = get_global_id(2);
+  if (j >= width || ty >= tiles_y || k >= count) return;
+  __global const int *f = forward + (size_t)k * height * stride + j;
+  __global const int *b = backward + (size_t)k * height * stride + width - 1 - j;
+  const int8 column = (int8)(0, 1, 2, 3, 0, 1, 2, 3);
+  const int top = ty * SHIFT_TILE, cells = SHIFT_TILE * SHIFT_TILE;
+  const int rows = LOWER(SHIFT_TILE, height - top);
+  const int lanes = LOWER(2 * SHIFT_TILE, width - j);
+  int8 best = -1;
+  for (int r = 0; r < rows; r++) {
+    __global const int *own = f + (top + r) * stride, *other = b + (height - 1 - top - r) * stride;
+    int8 sum;
+    if (lanes == 2 * SHIFT_TILE) {
+      const int8 turned = as_int8(LOAD32(other - 2 * SHIFT_TILE + 1));
+      sum = as_int8(LOAD32(own)) + turned.s76543210;
+    } else {
+      int each[2 * SHIFT_TILE];
+      for (int c = 0; c < 2 * SHIFT_TILE; c++) each[c] = c < lanes ? own[c] + other[-c] : -1;
+      sum = vload8(0, each);
     }
-  const int out = (k * tiles_y + ty) * tiles_x + tx;
-  values[out] = best;
-  places[out] = place;
+    const int8 ranked = sum * cells + (cells - 1 - r * SHIFT_TILE) - column;
+    best = HIGHER(best, ranked);
+  }
+  const int4 first = HIGHER(best.even, best.odd);
+  const int ranks[2] = {HIGHER(first.x, first.y), HIGHER(first.z, first.w)};
+  for (int t = 0; t < 2 && t * SHIFT_TILE < lanes; t++) {
+    const int out = (k * tiles_y + ty) * tiles_x + j / SHIFT_TILE + t;
+    const int at = cells - 1 - ranks[t] % cells;
+    values[out] = ranks[t] / cells;
+    places[out] = (top + at / SHIFT_TILE) * width + j + t * SHIFT_TILE + at % SHIFT_TILE;
+  }
 }
+
+/* The sum of the two cells that a word of two ints names: words leave a vector in half the moves. */
+#define AT_BOTH(word) (field[(uint)(word)] + field[(word) >> 32])
 
 /* What the points are worth under each pose, summed over chunks of points:
  * partial[p, chunk] = sum of the field in the cells that the points meet, `base` for those off it.
@@ -96,19 +128,20 @@ __kernel void pose_scores(__global const int *points, const int count, const int
   const int tx = poses[4 * p + 2], ty = poses[4 * p + 3];
   const int first = c * chunk, stop = LOWER(first + chunk, count);
   const int even = first + ((stop - first) & ~7);
-  int sum = 0, met = 0;
+  int sum = 0;
+  int8 minus_met = 0;
   for (int i = first; i < even; i += 8) {
     const int8 x2 = *(__global const int8 *)(points + i);
     const int8 y2 = *(__global const int8 *)(points + stride + i);
     const int8 col = (cosine * x2 - sine * y2 + tx) >> shift;
     const int8 row = (sine * x2 + cosine * y2 + ty) >> shift;
     const int8 inside = (as_uint8(col) < (uint8)width) & (as_uint8(row) < (uint8)height);
-    const int8 at = inside & (row * width + col);
-    sum += field[at.s0] + field[at.s1] + field[at.s2] + field[at.s3];
-    sum += field[at.s4] + field[at.s5] + field[at.s6] + field[at.s7];
-    const int4 four = inside.lo + inside.hi;
-    met -= four.x + four.y + four.z + four.w;
+    minus_met += inside;
+    const ulong4 two = as_ulong4(inside & (row * width + col));
+    sum += (AT_BOTH(two.x) + AT_BOTH(two.y)) + (AT_BOTH(two.z) + AT_BOTH(two.w));
   }
+  const int4 four = minus_met.lo + minus_met.hi;
+  int met = -(four.x + four.y + four.z + four.w);
   for (int i = even; i < stop; i++) {
     const int x2 = points[i], y2 = points[stride + i];
     const int col = (cosine * x2 - sine * y2 + tx) >> shift;

@@ -68,6 +68,8 @@ __all__ = [
     "PRODUCT_SHIFT",
     "RAY_SHIFT",
     "SHIFT_LANES",
+    "SHIFT_POINTS",
+    "SHIFT_TILE",
     "TABLE_LAST",
     "TENSOR_SHIFT",
     "TILE",
@@ -119,6 +121,10 @@ WINDOW_LANES: Final = 32
 # Shifts along a row, and down the rows, that one work item of ``correlate`` does at once.
 SHIFT_LANES: Final = 32
 SHIFT_ROWS: Final = 4
+# Points that ``correlate`` adds in a byte: field values of at most 15.
+SHIFT_POINTS: Final = 16
+# Shifts a side of which ``tile_peaks`` keeps the best.
+SHIFT_TILE: Final = 4
 # Numbers per chunk of points: score, hits, clashes, points on the field.
 COUNT_TERMS: Final = 4
 # Numbers per chunk of points: six of the matrix, three of the gradient, the sum of weights.
@@ -271,6 +277,7 @@ _FOR_KERNELS: Final = (
     *("UNKNOWN", "FREE", "OCCUPIED", "FIXED_TO_CELL_SHIFT"),
     *("DISTANCE_MAX", "DISTANCE_ONE", "DISTANCE_UNSEEN", "FIELD_ONE", "SPECK_FREE_CELLS"),
     *("RUN", "DISTANCE_LANES", "WINDOW_LANES", "SHIFT_LANES", "SHIFT_ROWS"),
+    *("SHIFT_POINTS", "SHIFT_TILE"),
     *("REFINE_TERMS", "MOST_INPUTS", "BLOCK_CELLS", "EACH_LANE"),
     *("OPEN", "WALL", "RAY_FLOATS", "RAY_HIT_FLOATS"),
     *("TILE_SHIFT", "TILE", "TILE_MASK", "TILE_CELLS"),

@@ -42,6 +42,7 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import SHIFT_LANES
+from slamfusion.compute.shift_spans import grouped, shift_spans
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.shifts import SearchWindow, shift_range
@@ -365,7 +366,17 @@ def _bound_all(lattice: LatticeScore, step: int) -> I32:
     at_row, at_col = windows.rows - row0, windows.cols - col0
     plane = (windows.classes * step + at_row % step) * step + at_col % step
     offsets = (plane * plane_rows + at_row // step) * plane_cols + at_col // step
-    scores = device.correlate(field, offsets.astype(np.int32), (rows, lanes))
+    order = grouped(lattice.own)
+    # Where a window of the widest class meets the field, in blocks.
+    first = (1 - max(windows.sizes)) // step
+    ends = [-(-size // step) for size in lattice.field.shape]
+    box = (first, ends[0], first, ends[1])
+    spans = shift_spans(
+        windows.rows[:, order] // step, windows.cols[:, order] // step, np.array([box])
+    )
+    scores = device.correlate(
+        field, offsets[:, order].astype(np.int32), (rows, lanes), spans, lattice.base
+    )
     return device.download(scores)[:, :, :cols]
 
 

@@ -16,10 +16,11 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import SHIFT_LANES
+from slamfusion.compute.shift_spans import grouped, shift_spans
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, Level, spread_sample
 
-__all__ = ["TILE", "SearchWindow", "ShiftScores", "score_shifts", "shift_range", "shift_work"]
+__all__ = ["SearchWindow", "ShiftScores", "score_shifts", "shift_range", "shift_work"]
 
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
@@ -28,8 +29,6 @@ I32 = npt.NDArray[np.int32]
 COARSE_TOP = 15
 # Width of a wall on coarse levels, cells.
 COARSE_SIGMA = 0.75
-# Shifts a side of which only the best is kept.
-TILE = 4
 # Walls of each map that judge a shift; of half as many and of nearly three times as many the
 # right one ranks as high.
 COARSE_POINTS = 384
@@ -145,6 +144,7 @@ def score_shifts(
     centre = np.array(moving.centre) / step
     from_mov = spread_sample(mov.points, COARSE_POINTS)
     from_ref = spread_sample(ref.points, COARSE_POINTS)
+    from_mov, from_ref = from_mov[grouped(from_mov)], from_ref[grouped(from_ref)]
     own = from_mov / 2.0 - centre
     radii = np.hypot(own[:, 0], own[:, 1])
     rim = max(1.0, float(np.percentile(radii, RIM_PERCENTILE)))
@@ -162,7 +162,7 @@ def score_shifts(
         forward = surface.forward(on_ref, ours.base, some, own, device)
         backward = surface.backward(on_mov, theirs.base, some, from_ref // 2, centre, device)
         check_cancelled(cancel)
-        found = device.tile_peaks(forward, backward, width, TILE)
+        found = device.tile_peaks(forward, backward, width)
         peaks.append([part.reshape(len(some), -1) for part in found])
     values, places = (np.concatenate(parts) for parts in zip(*peaks, strict=True))
     floor = len(from_mov) * ours.base + len(from_ref) * theirs.base
@@ -224,9 +224,13 @@ class _ShiftSurface:
         cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
         x = np.floor(cos * own[:, 0] - sin * own[:, 1] + 0.5).astype(np.int32)
         y = np.floor(sin * own[:, 0] + cos * own[:, 1] + 0.5).astype(np.int32)
-        offsets = (y + reach) * plane_shape[1] + (x + reach)
+        y, x = y + reach, x + reach
+        row, col = reach - self.rows[0], reach - self.cols[0]
+        box = (row, row + self.ref.shape[0], col, col + self.ref.shape[1])
+        spans = shift_spans(y, x, np.array([box]))
+        offsets = y * plane_shape[1] + x
         check_cancelled(self.cancel)
-        return device.correlate(plane, offsets, (self.height, self.lanes))
+        return device.correlate(plane, offsets, (self.height, self.lanes), spans, base)
 
     def backward(
         self,
@@ -247,6 +251,20 @@ class _ShiftSurface:
         )
         check_cancelled(self.cancel)
         planes = device.warp(field, fixed_poses(poses), plane_shape, base)
+        spans = shift_spans(
+            points[None, :, 1], points[None, :, 0], self._boxes(yaws, centre, dx, dy)
+        )
         offsets = (points[:, 1] * plane_shape[1] + points[:, 0]).astype(np.int32)[None, :]
         check_cancelled(self.cancel)
-        return device.correlate(planes, offsets, (self.height, self.lanes))
+        return device.correlate(planes, offsets, (self.height, self.lanes), spans, base)
+
+    def _boxes(self, yaws: F64, centre: F64, dx: float, dy: float) -> npt.NDArray[np.int32]:
+        """Return (K, 4) from and to which row and column ``backward``'s planes show the field."""
+        height, width = self.mov.shape
+        corners = np.array([(0, 0), (width, 0), (0, height), (width, height)])
+        x, y = (corners - centre).T
+        cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+        sides = []
+        for at in (sin * x + cos * y - dy, cos * x - sin * y - dx):
+            sides += [np.floor(at.min(axis=1)) - 1, np.ceil(at.max(axis=1)) + 1]
+        return np.stack(sides, axis=1).astype(np.int32)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import SHIFT_TILE
 from slamfusion.fusion import shifts
 from slamfusion.fusion.shifts import (
     COARSE_SIGMA,
     COARSE_TOP,
-    TILE,
     SearchWindow,
     ShiftScores,
     score_shifts,
@@ -51,11 +51,11 @@ def assert_tiles_are(
     scores: ShiftScores, k: int, surface: np.ndarray, rows: tuple[int, int], cols: tuple[int, int]
 ) -> None:
     """Each tile of one yaw holds the best of its shifts, and where that is."""
-    tiles_y, tiles_x = (math.ceil(size / TILE) for size in surface.shape)
+    tiles_y, tiles_x = (math.ceil(size / SHIFT_TILE) for size in surface.shape)
     assert scores.evidence.shape[1] == tiles_y * tiles_x
     for tile in range(tiles_y * tiles_x):
-        row, col = (TILE * n for n in divmod(tile, tiles_x))
-        part = surface[row : row + TILE, col : col + TILE]
+        row, col = (SHIFT_TILE * n for n in divmod(tile, tiles_x))
+        part = surface[row : row + SHIFT_TILE, col : col + SHIFT_TILE]
         assert scores.evidence[k, tile] == pytest.approx(part.max(), abs=1e-9)
         at = np.ravel_multi_index(([k], [tile]), scores.evidence.shape)
         x, y, yaw = scores.motions(at)[0] / (scores.step, scores.step, 1.0)

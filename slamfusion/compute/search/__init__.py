@@ -35,6 +35,8 @@ class SearchDevice(ArrayDevice, Protocol):
         fields: DeviceArray[np.uint8],
         offsets: npt.NDArray[np.int32],
         shift_shape: tuple[int, int],
+        spans: npt.NDArray[np.int32] | None = None,
+        base: int = 0,
     ) -> DeviceArray[np.int32]:
         """See ``search.numpy.correlate``; ``shift_shape[1]`` a multiple of ``SHIFT_LANES``."""
 
@@ -65,7 +67,6 @@ class SearchDevice(ArrayDevice, Protocol):
         forward: DeviceArray[np.int32],
         backward: DeviceArray[np.int32],
         width: int,
-        tile: int,
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """See ``search.numpy.tile_peaks``."""
 

@@ -15,6 +15,8 @@ from slamfusion.compute.layout import (
     DISTANCE_ONE,
     DISTANCE_UNSEEN,
     REFINE_TERMS,
+    SHIFT_POINTS,
+    SHIFT_TILE,
     UNKNOWN,
 )
 
@@ -72,13 +74,23 @@ def squared_error(a: I8, b: I8, poses: I64, stride: int) -> I64:
     return out
 
 
-def correlate(fields: U8, offsets: I32, shift_shape: tuple[int, int]) -> I32:
+def correlate(
+    fields: U8,
+    offsets: I32,
+    shift_shape: tuple[int, int],
+    spans: I32 | None = None,
+    base: int = 0,
+) -> I32:
     """Return the sum over points of the field at point plus shift, for every whole-cell shift.
 
     Args:
         fields: (K or 1, FH, FW) uint8, values 0..15.
         offsets: (K or 1, N) int32, ``row * FW + col`` of each point; every shift stays inside.
         shift_shape: (SH, SW).
+        spans: (K, G, 4) int32 for each ``SHIFT_POINTS`` points the first and last row and the first
+            and last column of the shifts at which any of them reads something else than ``base``;
+            None: at all of them. See ``shift_spans``.
+        base: what is read elsewhere.
 
     Returns:
         (K, SH, SW) int32.
@@ -89,10 +101,20 @@ def correlate(fields: U8, offsets: I32, shift_shape: tuple[int, int]) -> I32:
     field_width = fields.shape[2]
     for k in range(count):
         field = fields[k if len(fields) > 1 else 0]
-        for offset in offsets[k if len(offsets) > 1 else 0]:
+        own = offsets[k if len(offsets) > 1 else 0]
+        scores[k] = base * len(own)
+        for n, offset in enumerate(own):
             row, col = divmod(int(offset), field_width)
-            scores[k] += field[row : row + height, col : col + width]
+            r0, r1, c0, c1 = (0, height, 0, width) if spans is None else _half_open(spans[k], n)
+            part = field[row : row + height, col : col + width][r0:r1, c0:c1]
+            scores[k, r0:r1, c0:c1] += part.astype(np.int32) - base
     return scores
+
+
+def _half_open(spans: I32, point: int) -> tuple[int, int, int, int]:
+    """Return the shifts, from and to, at which a point is read."""
+    r0, r1, c0, c1 = (int(value) for value in spans[point // SHIFT_POINTS])
+    return max(0, r0), max(0, r1 + 1), max(0, c0), max(0, c1 + 1)
 
 
 def polyphase(
@@ -147,18 +169,19 @@ def bound_blocks(
     return np.where(out > least, out, np.int32(-1))
 
 
-def tile_peaks(forward: I32, backward: I32, width: int, tile: int) -> tuple[I32, I32]:
+def tile_peaks(forward: I32, backward: I32, width: int) -> tuple[I32, I32]:
     """Return the best of each tile of shifts of ``forward`` plus reversed ``backward``.
 
     Args:
-        forward: (K, SH, SW) int32; only the first ``width`` columns count.
+        forward: (K, SH, SW) int32 from 0 to 2^26; only the first ``width`` columns count.
         backward: same shape, read at (SH - 1 - i, width - 1 - j).
         width: shifts along a row.
-        tile: shifts per tile side.
 
     Returns:
-        values: (K, TY, TX) int32, and places: same shape, ``i * width + j``; first of equals wins.
+        values: (K, TY, TX) int32 by tiles of ``SHIFT_TILE`` a side, and places: same shape,
+        ``i * width + j``; first of equals wins.
     """
+    tile = SHIFT_TILE
     total = forward[:, :, :width] + backward[:, ::-1, width - 1 :: -1]
     count, height, _ = total.shape
     tiles_y, tiles_x = -(-height // tile), -(-width // tile)

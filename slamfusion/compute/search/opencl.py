@@ -7,7 +7,14 @@ import numpy.typing as npt
 
 from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.lattice import narrow_motions
-from slamfusion.compute.layout import COUNT_TERMS, REFINE_TERMS, SHIFT_LANES, SHIFT_ROWS
+from slamfusion.compute.layout import (
+    COUNT_TERMS,
+    REFINE_TERMS,
+    SHIFT_LANES,
+    SHIFT_POINTS,
+    SHIFT_ROWS,
+    SHIFT_TILE,
+)
 from slamfusion.compute.opencl_queue import OpenCLQueue
 from slamfusion.errors import DeviceError
 
@@ -57,6 +64,8 @@ class OpenCLSearch(OpenCLQueue):
         fields: DeviceArray[np.uint8],
         offsets: npt.NDArray[np.int32],
         shift_shape: tuple[int, int],
+        spans: npt.NDArray[np.int32] | None = None,
+        base: int = 0,
     ) -> DeviceArray[np.int32]:
         """See ``search.numpy.correlate``."""
         planes, field_height, field_width = fields.shape
@@ -69,6 +78,9 @@ class OpenCLSearch(OpenCLQueue):
         points = offsets.shape[1]
         field_stride = np.int32(field_height * field_width if planes > 1 else 0)
         offset_stride = np.int32(points if len(offsets) > 1 else 0)
+        if spans is None:
+            everywhere = (0, height - 1, 0, width - 1)
+            spans = np.full((count, -(-points // SHIFT_POINTS), 4), everywhere, dtype=np.int32)
         self._launch(
             "correlate",
             (width // SHIFT_LANES, -(-height // SHIFT_ROWS), count),
@@ -78,6 +90,8 @@ class OpenCLSearch(OpenCLQueue):
             self.upload(offsets),
             offset_stride,
             np.int32(points),
+            self.upload(spans),
+            np.int32(base),
             np.int32(height),
             np.int32(width),
             np.int32(count),
@@ -133,15 +147,15 @@ class OpenCLSearch(OpenCLQueue):
         return bounds
 
     def tile_peaks(
-        self, forward: DeviceArray[np.int32], backward: DeviceArray[np.int32], width: int, tile: int
+        self, forward: DeviceArray[np.int32], backward: DeviceArray[np.int32], width: int
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """See ``search.numpy.tile_peaks``."""
         count, height, stride = forward.shape
-        tiles_y, tiles_x = -(-height // tile), -(-width // tile)
+        tiles_y, tiles_x = -(-height // SHIFT_TILE), -(-width // SHIFT_TILE)
         values = self.empty((count, tiles_y, tiles_x), np.int32)
         places = self.empty((count, tiles_y, tiles_x), np.int32)
-        sizes = [np.int32(v) for v in (height, width, stride, count, tile, tiles_y, tiles_x)]
-        size = (tiles_x, tiles_y, count)
+        sizes = [np.int32(v) for v in (height, width, stride, count, tiles_y, tiles_x)]
+        size = (-(-width // (2 * SHIFT_TILE)), tiles_y, count)
         self._launch("tile_peaks", size, forward, backward, *sizes, values, places)
         return self.download(values), self.download(places)
 
