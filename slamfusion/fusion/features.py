@@ -6,7 +6,7 @@ Computed once a grid and device, then shared by every pair the grid takes part i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -49,8 +49,15 @@ def spread_sample(points: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.in
     """Return at most ``most`` of the points, evenly strided through their raster order."""
     if len(points) <= most:
         return points
-    index = (np.arange(most, dtype=np.int64) * len(points)) // most
-    return np.ascontiguousarray(points[index])
+    return points.take(_spread_rows(len(points), most), axis=0)
+
+
+@lru_cache(maxsize=64)
+def _spread_rows(count: int, most: int) -> npt.NDArray[np.intp]:
+    """Return ``most`` of so many rows, evenly strided."""
+    rows = (np.arange(most, dtype=np.intp) * count) // most
+    rows.flags.writeable = False
+    return rows
 
 
 @dataclass(frozen=True, eq=False)

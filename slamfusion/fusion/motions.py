@@ -55,11 +55,18 @@ def fixed_similarities(
     cos, sin = scales * np.cos(motions[:, 2]), scales * np.sin(motions[:, 2])
     x = motions[:, 0] - cos * centre[0] + sin * centre[1]
     y = motions[:, 1] - sin * centre[0] - cos * centre[1]
-    there = np.stack((cos, sin, 2.0 * x, 2.0 * y), axis=1)
+    there = _fixed(cos, sin, 2.0 * x, 2.0 * y)
     cos, sin = cos / scales**2, sin / scales**2
-    back = np.stack((cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y)), axis=1)
-    one = float(FIXED_ONE)
-    return np.rint(there * one).astype(np.int64), np.rint(back * one).astype(np.int64)
+    back = _fixed(cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y))
+    return there, back
+
+
+def _fixed(*columns: F64) -> npt.NDArray[np.int64]:
+    """Return columns (P,) in fixed point, side by side: (P, 4) of four."""
+    fixed = np.empty((len(columns[0]), len(columns)), dtype=np.int64)
+    for n, column in enumerate(columns):
+        fixed[:, n] = np.rint(column * float(FIXED_ONE))
+    return fixed
 
 
 def turned_about(motion: F64, middle: F64, turns: F64) -> F64:

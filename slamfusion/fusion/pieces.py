@@ -9,6 +9,7 @@ A piece is the same piece under every motion, so two motions can be compared pie
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -53,14 +54,14 @@ class WallPieces:
     seen_m: F64
     doubt: float = 0.0
 
-    @property
+    @cached_property
     def weighed(self) -> F64:
         """(P, B) the evidence less ``doubt`` times what stays unexplained."""
         if self.doubt == 0.0:
             return self.evidence
         return np.asarray(self.evidence - self.doubt * (self.most - self.evidence))
 
-    @property
+    @cached_property
     def total(self) -> F64:
         """(P,) what is weighed, of all pieces: nats times metres, the mean of both maps' walls."""
         return np.asarray(self.weighed.sum(axis=1))

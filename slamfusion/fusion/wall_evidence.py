@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,8 @@ HIT = 0.75
 STRAY = 0.04
 # A place with walls so rare that one alone would decide is not believed to be that rare.
 CHANCE_MIN = 0.02
+# Tables that are kept, of 16 KiB each: a pair of maps asks for forty, some of them five times.
+TABLES_KEPT = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +81,7 @@ def score_table(sigma: float, base: int, span: int) -> ScoreTable:
     return ScoreTable(hit, miss, base, span, f"{sigma:g}/{base}/{span}")
 
 
+@lru_cache(maxsize=TABLES_KEPT)
 def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) -> EvidenceTable:
     """Return the table of L, less ``doubt`` times what L lacks of the most there is.
 
@@ -97,11 +100,10 @@ def evidence_table(chance: float, sigma: float, top: int, doubt: float = 0.0) ->
     unit = (1.0 + doubt) * math.log((HIT + STRAY) / STRAY) / top
     base = round(-least / unit)
     value = np.clip(np.rint(evidence / unit), -base, top - base).astype(np.int64)
-    hit, miss = np.maximum(value, 0), np.maximum(-value, 0)
+    hit, miss = (np.maximum(part, 0).astype(np.uint16) for part in (value, -value))
     name = f"evidence/{sigma:g}/{expected:.6f}/{top}/{doubt:g}"
-    return EvidenceTable(
-        hit.astype(np.uint16), miss.astype(np.uint16), base, top - base, name, unit
-    )
+    hit.flags.writeable = miss.flags.writeable = False
+    return EvidenceTable(hit, miss, base, top - base, name, unit)
 
 
 @cache

@@ -25,8 +25,8 @@ SOURCES = {path.name: path.read_text(encoding="utf-8") for path in kernel_folder
 OWN = {
     "POINTS_BETWEEN",  # how often a bound looks whether it can stop
     "AHEAD",  # cells of a walk that are fetched together
-    "VECTORS",
-    "WARP_CELLS",  # blocks in a row that are looked at together
+    "VECTORS",  # blocks in a row that are looked at together
+    "WARP_CELLS",  # cells that a resampling passes over together
     "MODEL_BASE",  # a flag of two values, False in Python
 }
 # The largest number that may stand in a kernel as such: a byte's, or a number of bits.
