@@ -1,10 +1,10 @@
 """Everything that runs once per cell, per point or per candidate pose, on a compute device.
 
 Each family of operations (``fields``, ``search``, ``votes``, ``rays``, ``tiles``, ``scan_match``,
-``cell_means``, ``hit_counts``, ``chunk_marks``, ``doubled_walls``) is a small protocol, a
-``numpy.py`` that defines it and an ``opencl.py``; ``ComputeDevice`` is all of them. ``open_device``
-chooses the device; the NumPy twins are a device too, for machines without OpenCL. pyopencl is
-imported here only, and only when an OpenCL device is asked for.
+``cell_means``, ``hit_counts``, ``chunk_marks``, ``doubled_walls``, ``wall_pieces``) is a small
+protocol, a ``numpy.py`` that defines it and an ``opencl.py``; ``ComputeDevice`` is all of them.
+``open_device`` chooses the device; the NumPy twins are a device too, for machines without OpenCL.
+pyopencl is imported here only, and only when an OpenCL device is asked for.
 """
 
 from __future__ import annotations

@@ -31,6 +31,8 @@ from slamfusion.compute.tiles import TileDevice
 from slamfusion.compute.tiles import numpy as tiles
 from slamfusion.compute.votes import VoteDevice
 from slamfusion.compute.votes import numpy as votes
+from slamfusion.compute.wall_pieces import WallPieceDevice
+from slamfusion.compute.wall_pieces import numpy as wall_pieces
 
 __all__ = ["FAMILIES", "ComputeDevice", "NumpyDevice"]
 
@@ -46,6 +48,7 @@ FAMILIES: dict[str, type] = {
     "hit_counts": HitCountDevice,
     "chunk_marks": ChunkMarkDevice,
     "doubled_walls": DoubledWallDevice,
+    "wall_pieces": WallPieceDevice,
 }
 
 
@@ -60,6 +63,7 @@ class ComputeDevice(
     HitCountDevice,
     ChunkMarkDevice,
     DoubledWallDevice,
+    WallPieceDevice,
     Protocol,
 ):
     """What a compute device must offer: all families."""
@@ -128,6 +132,8 @@ class NumpyDevice:
     nearest_marks = _twin(chunk_marks.nearest_marks)
 
     mark_doubled = _twin(doubled_walls.mark_doubled)
+
+    piece_sums = _twin(wall_pieces.piece_sums)
 
     @staticmethod
     def upload(array: npt.NDArray[Any]) -> Any:

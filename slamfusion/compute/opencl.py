@@ -12,6 +12,7 @@ from slamfusion.compute.scan_match.opencl import OpenCLScanMatch
 from slamfusion.compute.search.opencl import OpenCLSearch
 from slamfusion.compute.tiles.opencl import OpenCLTiles
 from slamfusion.compute.votes.opencl import OpenCLVotes
+from slamfusion.compute.wall_pieces.opencl import OpenCLWallPieces
 
 __all__ = ["OpenCLDevice"]
 
@@ -27,6 +28,7 @@ class OpenCLDevice(
     OpenCLHitCounts,
     OpenCLChunkMarks,
     OpenCLDoubledWalls,
+    OpenCLWallPieces,
 ):
     """``ComputeDevice`` on one OpenCL device.
 

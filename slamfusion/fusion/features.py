@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -32,7 +32,7 @@ from slamfusion.fusion.wall_evidence import (
     score_table,
 )
 
-__all__ = ["GridFeatures", "Level", "ScoreTable", "score_table", "spread_sample"]
+__all__ = ["GridFeatures", "Level", "PointPieces", "ScoreTable", "score_table", "spread_sample"]
 
 
 # Farther than this from its walls the unknown says nothing, metres, and the least in cells.
@@ -85,6 +85,18 @@ class Level:
     points: npt.NDArray[np.int32]
 
 
+class PointPieces(NamedTuple):
+    """Points piece by piece.
+
+    Attributes:
+        points: (N, 2) int32 lattice positions in half cells.
+        starts: (B + 1,) int32 the first point of each piece, and N.
+    """
+
+    points: npt.NDArray[np.int32]
+    starts: npt.NDArray[np.int32]
+
+
 class GridFeatures:
     """The levels and fields of one normalised grid on one device.
 
@@ -108,8 +120,8 @@ class GridFeatures:
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
         self._known_distances: dict[int, npt.NDArray[np.float64]] = {}
-        self._pieces: dict[tuple[float, int], npt.NDArray[np.intp]] = {}
-        self._seen: dict[int, npt.NDArray[np.bool_]] = {}
+        self._pieces: dict[tuple[float, int], PointPieces] = {}
+        self._seen: dict[int, DeviceArray[Any]] = {}
         self._surface_walls: DeviceArray[Any] | None = None
         self._solid_level: Level | None = None
 
@@ -266,8 +278,8 @@ class GridFeatures:
 
     def pieces(
         self, per_half_cell: float, most: int, cancel: CancelToken | None = None
-    ) -> npt.NDArray[np.intp]:
-        """Return (N,) the piece of each sampled surface wall, numbered from 0; see ``pieces``.
+    ) -> PointPieces:
+        """Return sampled surface walls piece by piece; see ``pieces``.
 
         Args:
             per_half_cell: half a cell, in sides of a piece. most: walls that are sampled.
@@ -281,18 +293,22 @@ class GridFeatures:
             points = spread_sample(self.level(1, cancel).points, most)
             col, row = np.floor(points * per_half_cell).astype(np.int64).T
             squares = col * (row.max(initial=0) + 1) + row
-            self._pieces[key] = np.unique(squares, return_inverse=True)[1].ravel()
+            order = np.argsort(squares, kind="stable")
+            first = np.unique(squares[order], return_index=True)[1]
+            starts = np.append(first, len(points)).astype(np.int32)
+            self._pieces[key] = PointPieces(points.take(order, axis=0), starts)
         return self._pieces[key]
 
-    def seen(self, near2: int, cancel: CancelToken | None = None) -> npt.NDArray[np.bool_]:
-        """Return (H, W) the cells that are known, or within this squared distance of a wall.
+    def seen(self, near2: int, cancel: CancelToken | None = None) -> DeviceArray[Any]:
+        """Return (H, W) uint8, 1 where known or within this squared distance of a wall.
 
         Raises:
             CancelledSearchError: ``cancel`` says so.
         """
         if near2 not in self._seen:
             distance2 = self.device.download(self.level(1, cancel).distance2)
-            self._seen[near2] = (distance2 <= near2) | (self.grid.cells >= 0)
+            is_seen = (distance2 <= near2) | (self.grid.cells >= 0)
+            self._seen[near2] = self.device.upload(is_seen.astype(np.uint8))
         return self._seen[near2]
 
     def evidence_table(

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.lattice import fixed_cells
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
-from slamfusion.fusion.features import GridFeatures, spread_sample
+from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import fixed_similarities
 
 __all__ = ["PIECE_M", "WallPieces", "wall_pieces"]
@@ -176,26 +175,14 @@ def _side(
     """Return (P, B) evidence and most possible of one map's pieces, and (P,) metres seen."""
     size = own.grid.grid.resolution
     level = own.level(1, cancel)
-    points = spread_sample(level.points, most_points)
+    side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
+    points, starts = own.pieces(size / (2.0 * side), most_points, cancel)
     # Half: both maps' walls are counted.
     metres = 0.5 * size * len(level.points) / max(1, len(points))
-    side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
-    piece = own.pieces(size / (2.0 * side), most_points, cancel)
-    count = int(piece.max(initial=-1)) + 1
     table = other.evidence_table(1, sigma, FIELD_TOP, cancel)
-    field = device.download(other.field(1, table, cancel))
-    seen = other.seen(int((2.0 * sigma) ** 2), cancel)
-    x2, y2 = points[:, 0].astype(np.int64), points[:, 1].astype(np.int64)
-    evidence, most = np.zeros((len(poses), count)), np.zeros((len(poses), count))
-    seen_m = np.zeros(len(poses))
-    for k, pose in enumerate(poses):
-        row, col = fixed_cells(pose, x2, y2)
-        inside = (row >= 0) & (col >= 0) & (row < field.shape[0]) & (col < field.shape[1])
-        row, col, mine = row[inside], col[inside], piece[inside]
-        value = (field[row, col].astype(np.float64) - table.base) * (table.unit * metres)
-        is_seen = seen[row, col]
-        evidence[k] = np.bincount(mine, weights=value, minlength=count)
-        top = is_seen * (table.span * table.unit * metres)
-        most[k] = np.bincount(mine, weights=top, minlength=count)
-        seen_m[k] = float(is_seen.sum()) * metres
-    return evidence, most, seen_m
+    field, seen = other.field(1, table, cancel), other.seen(int((2.0 * sigma) ** 2), cancel)
+    check_cancelled(cancel)
+    sums = device.piece_sums(points, starts, poses, field, seen, table.base)
+    met = sums[:, :, 1].astype(np.float64)
+    evidence = np.asarray(sums[:, :, 0] * (table.unit * metres))
+    return evidence, met * (table.span * table.unit * metres), np.asarray(met.sum(axis=1) * metres)

@@ -55,9 +55,9 @@ def test_what_is_made_again_is_the_same(device: ComputeDevice) -> None:
         table = item.evidence_table(2, 0.75, 191)
         arrays = (
             item.cells, item.known, item.level(1).distance, item.level(2).far_distance,
-            item.solid_level().distance2, item.field(2, table),
+            item.solid_level().distance2, item.field(2, table), item.seen(4),
         )  # fmt: skip
-        own = (item.seen(4), item.pieces(0.1, 500), item.level(2).points, item.wall_points)
+        own = (*item.pieces(0.1, 500), item.level(2).points, item.wall_points)
         return [*(device.download(array).tolist() for array in arrays), *(a.tolist() for a in own)]
 
     before = looked_at(features)

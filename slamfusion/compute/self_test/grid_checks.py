@@ -161,6 +161,14 @@ def _pose_scores(device: ComputeDevice, sample: Sample) -> Arrays:
     return [device.pose_scores(sample.points(count), poses, field, BASE) for count in (1, 150, 700)]
 
 
+def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
+    field, seen = device.upload(sample.field), device.upload(sample.free)
+    poses = fixed_poses(sample.motions)
+    # A piece of one point, one of none, a large one.
+    starts = np.array([0, 1, 1, 90, 150], dtype=np.int32)
+    return [device.piece_sums(sample.points(150), starts, poses, field, seen, BASE)]
+
+
 def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     x, y, yaw = sample.motions.T
     poses = np.stack((np.cos(yaw), np.sin(yaw), x, y), axis=1).astype(np.float32)
@@ -265,6 +273,7 @@ GRID_CHECKS: dict[str, Check] = {
     "tile_peaks": _tile_peaks,
     "pose_counts": _pose_counts,
     "pose_scores": _pose_scores,
+    "piece_sums": _piece_sums,
     "refine_terms": _refine_terms,
     "vote_majority": _vote_majority,
     "vote_weighted": _vote_weighted,
