@@ -190,22 +190,35 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * Forward: points of the moving grid on the reference's field; the gradient is used as it is, the arm
  * is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
- * partial[p, chunk] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
- * points (count, 2) float cells; poses (n, 4) float cos, sin, tx, ty in cells, points to field;
- * distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
- * Global: (chunks, n). */
-__kernel void refine_terms(__global const float *points, const int count,
-                           __global const float *poses, const int n,
-                           __global const ushort *distance, const int height, const int width,
-                           const float scale, const float cx, const float cy, const int backward,
-                           const int chunk, const int chunks, __global float *partial) {
+ * partial[p, chunk] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights; the
+ * chunks of the forward side, then those of the backward side.
+ * *_points (count, 2) float cells; *_poses (n, 4) float cos, sin, tx, ty in cells, points to field;
+ * *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
+ * Global: (chunks of both sides, n). */
+__kernel void refine_terms(__global const float *forward_points, const int forward_count,
+                           __global const float *forward_poses,
+                           __global const ushort *forward_distance, const int forward_height,
+                           const int forward_width, __global const float *backward_points,
+                           const int backward_count, __global const float *backward_poses,
+                           __global const ushort *backward_distance, const int backward_height,
+                           const int backward_width, const int n, const float scale,
+                           const float cx, const float cy, const int chunk, const int forward_chunks,
+                           const int chunks, __global float *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
+  const bool backward = c >= forward_chunks;
+  __global const float *points = backward ? backward_points : forward_points;
+  __global const float *poses = backward ? backward_poses : forward_poses;
+  __global const ushort *distance = backward ? backward_distance : forward_distance;
+  const int height = backward ? backward_height : forward_height;
+  const int width = backward ? backward_width : forward_width;
+  const int first = (backward ? c - forward_chunks : c) * chunk;
+  const int stop = min(first + chunk, backward ? backward_count : forward_count);
   const float cosine = poses[4 * p], sine = poses[4 * p + 1];
   const float tx = poses[4 * p + 2], ty = poses[4 * p + 3];
   float sum[REFINE_TERMS];
   for (int i = 0; i < REFINE_TERMS; i++) sum[i] = 0.0f;
-  for (int i = c * chunk; i < min((c + 1) * chunk, count); i++) {
+  for (int i = first; i < stop; i++) {
     const float px = points[2 * i], py = points[2 * i + 1];
     const float qx = cosine * px - sine * py + tx, qy = sine * px + cosine * py + ty;
     if (!(qx >= 0.5f && qy >= 0.5f && qx < width && qy < height)) continue;

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.search import FitSide
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, ScoreTable, spread_sample
 from slamfusion.fusion.motions import invert, to_lattice
@@ -80,6 +81,7 @@ def refine(
         ref, mov = reference.solid_level(cancel), moving.solid_level(cancel)
     from_mov = device.upload((spread_sample(mov.points, points) / 2.0).astype(np.float32))
     from_ref = device.upload((spread_sample(ref.points, points) / 2.0).astype(np.float32))
+    on_ref, on_mov = (level.far_distance if everywhere else level.distance for level in (ref, mov))
     centre_mov = (moving.centre[0] / step, moving.centre[1] / step)
     pivot = (ref.shape[1] / 2.0, ref.shape[0] / 2.0)
     reach = math.hypot(*mov.shape) / 2.0
@@ -89,24 +91,13 @@ def refine(
         for _ in range(iterations):
             poses = to_lattice(local[moves], centre_mov)
             check_cancelled(cancel)
-            forward = device.refine_terms(
-                from_mov,
-                _device_poses(poses),
-                ref.distance if not everywhere else ref.far_distance,
+            terms = device.refine_terms(
+                FitSide(from_mov, _device_poses(poses), on_ref),
+                FitSide(from_ref, _device_poses(invert(poses)), on_mov),
                 scale=scale,
                 centre=pivot,
-                backward=False,
             )
-            check_cancelled(cancel)
-            backward = device.refine_terms(
-                from_ref,
-                _device_poses(invert(poses)),
-                mov.distance if not everywhere else mov.far_distance,
-                scale=scale,
-                centre=pivot,
-                backward=True,
-            )
-            change = _solve(forward + backward, scale, reach)
+            change = _solve(terms, scale, reach)
             local[moves] = _apply(local[moves], change, pivot)
             moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
             if not len(moves):

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import DISTANCE_ONE, DISTANCE_UNSEEN
+from slamfusion.compute.search import FitSide
 from slamfusion.fusion.features import FINE_TABLE
 from slamfusion.fusion.motions import displacement, invert, to_lattice
 from slamfusion.fusion.refine import polish, rank, refine, settle
@@ -204,13 +205,12 @@ def test_points_on_unseen_cells_are_left_out_of_the_fit(
     assert 100 < seen.sum() < inside.sum() - 50
 
     def terms(own: np.ndarray, field: np.ndarray) -> np.ndarray:
-        return device.refine_terms(
-            device.upload(own.astype(np.float32)),
-            np.array([[1.0, 0.0, *shift]], dtype=np.float32),
-            device.upload(field),
-            scale=6.0,
-            centre=(25.0, 20.0),
-            backward=backward,
+        pose = np.array([[1.0, 0.0, *shift]], dtype=np.float32)
+        side, nothing = (
+            FitSide(device.upload(some.astype(np.float32)), pose, device.upload(field))
+            for some in (own, np.full((1, 2), -99.0))
         )
+        sides = (nothing, side) if backward else (side, nothing)
+        return device.refine_terms(*sides, scale=6.0, centre=(25.0, 20.0))
 
     assert terms(points, masked) == pytest.approx(terms(points[seen], distance), rel=1e-4)

@@ -5,14 +5,29 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray
 
-__all__ = ["SearchDevice"]
+__all__ = ["FitSide", "SearchDevice"]
+
+
+class FitSide(NamedTuple):
+    """Walls of one map on the distances of the other.
+
+    Attributes:
+        points: (N, 2) float32 on the device, cells.
+        poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
+        distance: (H, W) uint16 on the device, to the nearest wall in 1/256 cell; a point that reads
+            a cell of ``DISTANCE_UNSEEN`` counts for nothing.
+    """
+
+    points: DeviceArray[np.float32]
+    poses: npt.NDArray[np.float32]
+    distance: DeviceArray[np.uint16]
 
 
 class SearchDevice(ArrayDevice, Protocol):
@@ -95,12 +110,10 @@ class SearchDevice(ArrayDevice, Protocol):
 
     def refine_terms(
         self,
-        points: DeviceArray[np.float32],
-        poses: npt.NDArray[np.float32],
-        distance: DeviceArray[np.uint16],
+        forward: FitSide,
+        backward: FitSide,
         *,
         scale: float,
         centre: tuple[float, float],
-        backward: bool,
     ) -> npt.NDArray[np.float64]:
         """See ``search.numpy.refine_terms``."""

@@ -19,6 +19,7 @@ from slamfusion.compute.layout import (
     SHIFT_TILE,
     UNKNOWN,
 )
+from slamfusion.compute.search import FitSide
 
 __all__ = [
     "bound_blocks",
@@ -263,13 +264,7 @@ def pose_scores(points: I32, poses: I64, field: U8, base: int) -> I64:
 
 
 def refine_terms(
-    points: F32,
-    poses: F32,
-    distance: U16,
-    *,
-    scale: float,
-    centre: tuple[float, float],
-    backward: bool,
+    forward: FitSide, backward: FitSide, *, scale: float, centre: tuple[float, float]
 ) -> F64:
     """Return the normal equations of a robust point-to-wall fit, one row per pose.
 
@@ -278,17 +273,22 @@ def refine_terms(
     McClure's 1 / (1 + (d / scale)^2)^2.
 
     Args:
-        points: (N, 2) float32, cells.
-        poses: (P, 4) float32 cos, sin, x, y (cells), points to field.
-        distance: (H, W) uint16, to the nearest wall in 1/256 cell; a point that reads a cell of
-            ``DISTANCE_UNSEEN`` counts for nothing.
+        forward: points of the moving grid on the reference's distances.
+        backward: points of the reference on the moving grid's.
         scale: cells.
         centre: x and y in cells of the reference.
-        backward: points belong to the reference and the field to the moving grid.
 
     Returns:
-        (P, 10) float64: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
+        (P, 10) float64, of both sides: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
     """
+    ahead = _side_terms(forward, scale, centre, backward=False)
+    return ahead + _side_terms(backward, scale, centre, backward=True)
+
+
+def _side_terms(side: FitSide, scale: float, centre: tuple[float, float], *, backward: bool) -> F64:
+    """Return what the points of one side add to the normal equations."""
+    points, distance = np.asarray(side.points), np.asarray(side.distance)
+    poses = side.poses
     height, width = distance.shape
     cells = distance / float(DISTANCE_ONE)
     out = np.zeros((len(poses), REFINE_TERMS))

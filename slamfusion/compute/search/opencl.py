@@ -16,6 +16,7 @@ from slamfusion.compute.layout import (
     SHIFT_TILE,
 )
 from slamfusion.compute.opencl_queue import OpenCLQueue
+from slamfusion.compute.search import FitSide
 from slamfusion.errors import DeviceError
 
 __all__ = ["OpenCLSearch"]
@@ -225,35 +226,27 @@ class OpenCLSearch(OpenCLQueue):
 
     def refine_terms(
         self,
-        points: DeviceArray[np.float32],
-        poses: npt.NDArray[np.float32],
-        distance: DeviceArray[np.uint16],
+        forward: FitSide,
+        backward: FitSide,
         *,
         scale: float,
         centre: tuple[float, float],
-        backward: bool,
     ) -> npt.NDArray[np.float64]:
         """See ``search.numpy.refine_terms``."""
-        count, n = points.shape[0], len(poses)
-        chunks = -(-count // CHUNK_POINTS)
-        partial = self.empty((n, chunks, REFINE_TERMS), np.float32)
-        height, width = distance.shape
+        n = len(forward.poses)
+        sides, chunks = [], []
+        for side in (forward, backward):
+            count = side.points.shape[0]
+            sizes = [np.int32(v) for v in side.distance.shape]
+            poses = self.upload(side.poses)
+            sides += [side.points, np.int32(count), poses, side.distance, *sizes]
+            chunks.append(-(-count // CHUNK_POINTS))
+        partial = self.empty((n, sum(chunks), REFINE_TERMS), np.float32)
+        floats = [np.float32(v) for v in (scale, *centre)]
+        counts = [np.int32(v) for v in (CHUNK_POINTS, chunks[0], sum(chunks))]
         self._launch(
-            "refine_terms",
-            (chunks, n),
-            points,
-            np.int32(count),
-            self.upload(poses),
-            np.int32(n),
-            distance,
-            np.int32(height),
-            np.int32(width),
-            np.float32(scale),
-            np.float32(centre[0]),
-            np.float32(centre[1]),
-            np.int32(backward),
-            np.int32(CHUNK_POINTS),
-            np.int32(chunks),
-            partial,
+            "refine_terms", (sum(chunks), n), *sides, np.int32(n), *floats, *counts, partial
         )
-        return np.asarray(self.download(partial).sum(axis=1, dtype=np.float64))
+        parts = self.download(partial)
+        ahead, back = parts[:, : chunks[0]], parts[:, chunks[0] :]
+        return np.asarray(ahead.sum(axis=1, dtype=np.float64) + back.sum(axis=1, dtype=np.float64))

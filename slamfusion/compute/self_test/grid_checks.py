@@ -12,6 +12,7 @@ from slamfusion.compute.doubled_walls import RaySteps
 from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_MAX, DISTANCE_TABLE, DISTANCE_UNSEEN
+from slamfusion.compute.search import FitSide
 from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
 from slamfusion.compute.shift_spans import shift_spans
 from slamfusion.compute.votes import Votes
@@ -183,14 +184,11 @@ def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     eighths = sample.rng.integers(0, 8 * np.array(size), (150, 2)) / 8.0
     unseen = fields.look_up(sample.distance2, DISTANCE_TABLE)
     unseen[sample.rng.random(sample.shape) < 0.15] = DISTANCE_UNSEEN
-    pairs = (
-        (points, poses, distance),
-        (device.upload(eighths.astype(np.float32)), turns, device.upload(unseen)),
-    )
+    rounded = FitSide(points, poses, distance)
+    exact = FitSide(device.upload(eighths.astype(np.float32)), turns, device.upload(unseen))
     return [
-        device.refine_terms(*pair, scale=6.0, centre=centre, backward=backward)
-        for pair in pairs
-        for backward in (False, True)
+        device.refine_terms(forward, backward, scale=6.0, centre=centre)
+        for forward, backward in ((rounded, rounded), (exact, rounded), (rounded, exact))
     ]
 
 
