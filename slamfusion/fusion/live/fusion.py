@@ -34,9 +34,10 @@ The rules, for a robot that drives by the fused map:
   do the reference is laid onto it again as it grows, so that the frame stays (``live.anchor``).
 * **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
   One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
-  decides, or else the last map that was agreed on: the one that still fits it goes on. Where both
-  do, or none, nobody can say who is right: both are named and nothing new is published, so that
-  the robot keeps that last map.
+  decides, or else the last fused map; where both still fit it, since both drew it, what the last
+  majority decided: the one that still fits goes on. Where both do, or none, nobody can say who is
+  right: both are named and nothing new is published, so that the robot keeps that last map, until
+  a third has come back and agrees with one, or a search finds both to agree in another place.
 """
 
 from __future__ import annotations
@@ -237,6 +238,7 @@ class LiveFusion:
             self._voting.last_fused,
             is_idle=not has_news,
             is_wanted=lambda: self._inbox.has_new or (is_wanted is not None and is_wanted()),
+            agreed=lambda: self._voting.agreed,
         )
         self._place()
         if self._voting.layers is None and self._supervisor.lattice is not None:
@@ -244,9 +246,7 @@ class LiveFusion:
         clock.append(time.perf_counter())
         supervisor = self._supervisor
         box = self._voting.vote(self._tracks.values(), supervisor.voters, supervisor.reference)
-        fused = agreement = None
-        if box is not None:
-            fused, agreement = self._voting.grids()
+        fused, agreement = (None, None) if box is None else self._voting.grids()
         clock.append(time.perf_counter())
         if not has_news and box is None and self._state() == before:
             return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from slamfusion.fusion.features import GridFeatures
@@ -10,14 +10,19 @@ from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.limits import unusable
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.normalize import normalize_grid
+from slamfusion.fusion.records import Alignment
+from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
 
 __all__ = ["Recovered", "recover"]
 
 LAST_FUSED = "the last fused map"
+LAST_AGREED = "the last map that a majority decided"
 # What ``Track.tried`` has in the place of a reference's version: all was tried in vain on the last
 # fused map; or the input was only held against it where it lay, and waits for its search.
 IN_VAIN, WAITING = -1, -2
+# An input, how it fits a map, and its map frame in the fused frame there.
+Fit = tuple[Track, Alignment, Pose2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +31,7 @@ class Recovered:
 
     Attributes:
         reference: the input that others are aligned to from now on; None without.
-        held: the last fused map, which it fits; None without.
+        held: the fused map that it fits; None without.
         problem: why nobody votes, one line; None: as before.
     """
 
@@ -36,47 +41,61 @@ class Recovered:
 
 
 def recover(
-    tracks: Sequence[Track], aligner: Aligner, fused: Callable[[], OccupancyGrid | None]
+    tracks: Sequence[Track],
+    aligner: Aligner,
+    fused: Callable[[], OccupancyGrid | None],
+    agreed: Callable[[], OccupancyGrid | None] = lambda: None,
 ) -> Recovered:
     """Let inputs vote again that fit the last fused map.
 
     Inputs that fit it and each other come back together; one that fits it, when no other does.
-    Those that fit it and not each other stay in doubt. One that does not is searched, once with
-    each of its maps, as soon as it may be.
+    Where several fit it and not each other, it may be wrong as they are: they drew it. Then the
+    one goes on that alone fits what a majority last decided; else all stay in doubt until a search
+    finds two that agree. One that fits nowhere is searched, once with each of its maps, as soon as
+    it may be.
 
     Args:
         tracks: inputs whose newest message is a usable map.
         aligner: aligns, and knows the time.
         fused: gives the last fused map; asked for only when it is needed.
+        agreed: gives what a majority last decided, if anything; the same.
     """
     names = "/".join(track.name for track in tracks)
     if not tracks:
         return Recovered(problem="no input is left")
     if not _is_due(tracks, names, aligner):
         return Recovered()
-    last = _hold(fused(), aligner)
+    last = _hold(fused(), LAST_FUSED, aligner)
     if last is None:
         return _doubt(tracks, f"{LAST_FUSED} has too few walls to go by")
     _begin(tracks, names)
-    found = {
-        track.name: (track, *fit)
-        for track in tracks
-        if track.transform is not None and (fit := aligner.fit(track, last)) is not None
-    }
+    found = _fitting([track for track in tracks if track.transform is not None], last, aligner)
     group = _largest_group([track for track, _, _ in found.values()], aligner)
     if len(group) == 1 and len(found) > 1:
-        for track in tracks:
-            track.tried = (track.version, names, IN_VAIN)
-        return _doubt(tracks, f"{', '.join(found)} disagree and nobody can say who is right")
+        kept = _hold(agreed(), LAST_AGREED, aligner)
+        rivals = [track for track, _, _ in found.values()]
+        fits = {} if kept is None else _fitting(rivals, kept, aligner)
+        if kept is None or len(fits) != 1:
+            return _dispute(tracks, names, found, aligner)
+        last, found, group = kept, fits, [track for track, _, _ in fits.values()]
     for track in group:
         _, pair, moved = found[track.name]
         aligner.believe(track, moved, pair, is_tracked=True)
     for track in tracks:
         if group and track not in group:
-            track.refuse(f"does not fit {LAST_FUSED}")
+            track.refuse(f"does not fit {last.name}")
     if group:
         return Recovered(max(group, key=lambda track: track.walls), last)
     return _search(last, tracks, names, aligner)
+
+
+def _fitting(tracks: Sequence[Track], held: Held, aligner: Aligner) -> dict[str, Fit]:
+    """Return the inputs that fit a map where they stand, by name."""
+    return {
+        track.name: (track, *fit)
+        for track in tracks
+        if (fit := aligner.fit(track, held)) is not None
+    }
 
 
 def _doubt(tracks: Sequence[Track], problem: str) -> Recovered:
@@ -111,22 +130,65 @@ def _begin(tracks: Sequence[Track], names: str) -> None:
             track.tried = (track.version, names, WAITING)
 
 
+def _dispute(
+    tracks: Sequence[Track], names: str, found: Mapping[str, Fit], aligner: Aligner
+) -> Recovered:
+    """Look for two that agree where those that fit the last fused map do not fit each other.
+
+    An input that fits nowhere, as one that has come back, is searched on one of them; without any,
+    the one whose place was looked for last. Where it is found both go on.
+    """
+    problem = f"{', '.join(found)} disagree and nobody can say who is right"
+    rivals = [track for track, _, _ in found.values()]
+    absent = [track for track in tracks if track not in rivals]
+    wanted = absent or [max(rivals, key=lambda track: track.searched_s)]
+
+    def rival(track: Track) -> Track:
+        others = [other for other in rivals if other is not track]
+        # Twice on each: where it jumped there its next map must confirm it.
+        return others[track.searches // 2 % len(others)]
+
+    partners = {track.name: rival(track) for track in wanted}
+    chosen = _search_one(wanted, lambda track: aligner.held(partners[track.name]), names, aligner)
+    for track in tracks:
+        if track is chosen:
+            continue
+        if track not in wanted:
+            track.tried = (track.version, names, IN_VAIN)
+        if track not in wanted or track.jump is None:
+            track.refuse(problem)
+    if chosen is None:
+        return Recovered(problem=problem)
+    partner, pair, moved = found[partners[chosen.name].name]
+    aligner.believe(partner, moved, pair, is_tracked=True)
+    return Recovered(partner)
+
+
 def _search(last: Held, tracks: Sequence[Track], names: str, aligner: Aligner) -> Recovered:
-    """Search the input that waited longest on the last fused map, before all one that jumped."""
-    able = [track for track in tracks if aligner.may_search(track)]
-    jumped = [track for track in able if aligner.may_confirm(track)]
-    waiting = [track for track in able if not _is_in_vain(track, names)]
+    """Search one input on the last fused map."""
     for track in tracks:
         if track.jump is None:
             track.refuse(f"does not fit {LAST_FUSED}")
-    chosen = min(jumped or waiting, key=lambda track: track.searched_s, default=None)
-    if chosen is not None:
-        is_done = not aligner.confirm(chosen, [last]) if jumped else aligner.search(chosen, last)
-        if is_done and not chosen.votes:
-            chosen.tried = (chosen.version, names, IN_VAIN)
-        if chosen.votes:
-            return Recovered(held=last)
+    if _search_one(tracks, lambda _: last, names, aligner) is not None:
+        return Recovered(held=last)
     return Recovered(problem=f"no input fits {LAST_FUSED}")
+
+
+def _search_one(
+    tracks: Sequence[Track], held: Callable[[Track], Held], names: str, aligner: Aligner
+) -> Track | None:
+    """Search the input that waited longest, before all one that jumped; return it if it votes."""
+    able = [track for track in tracks if aligner.may_search(track)]
+    jumped = [track for track in able if aligner.may_confirm(track)]
+    waiting = [track for track in able if not _is_in_vain(track, names)]
+    chosen = min(jumped or waiting, key=lambda track: track.searched_s, default=None)
+    if chosen is None:
+        return None
+    where = held(chosen)
+    is_done = not aligner.confirm(chosen, [where]) if jumped else aligner.search(chosen, where)
+    if is_done and not chosen.votes:
+        chosen.tried = (chosen.version, names, IN_VAIN)
+    return chosen if chosen.votes else None
 
 
 def _largest_group(tracks: Sequence[Track], aligner: Aligner) -> list[Track]:
@@ -139,10 +201,10 @@ def _largest_group(tracks: Sequence[Track], aligner: Aligner) -> list[Track]:
     return best
 
 
-def _hold(fused: OccupancyGrid | None, aligner: Aligner) -> Held | None:
-    """Return the last fused map as something to align to; None without walls."""
+def _hold(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> Held | None:
+    """Return a fused map as something to align to; None without walls."""
     if fused is None or unusable(fused, aligner.config.normalize) is not None:
         return None
     thresholds, device = aligner.config.normalize, aligner.device
     normal = normalize_grid(fused, fused.resolution, thresholds, device)
-    return Held(LAST_FUSED, IDENTITY, GridFeatures(normal, device))
+    return Held(name, IDENTITY, GridFeatures(normal, device))

@@ -52,6 +52,7 @@ class InputSupervisor:
         self._began: tuple[float, tuple[tuple[str, int], ...]] = (NEVER, ())
         self._now_s = 0.0
         self._fused: Callable[[], OccupancyGrid | None] = lambda: None
+        self._agreed: Callable[[], OccupancyGrid | None] = lambda: None
         self._is_wanted: Callable[[], bool] | None = None
 
     def configure(self, live: LiveConfig) -> None:
@@ -95,6 +96,7 @@ class InputSupervisor:
         *,
         is_idle: bool,
         is_wanted: Callable[[], bool] | None = None,
+        agreed: Callable[[], OccupancyGrid | None] = lambda: None,
     ) -> None:
         """Align what is new, came back or changed.
 
@@ -103,8 +105,10 @@ class InputSupervisor:
             is_idle: whether no new map waits for the answer.
             fused: gives the last fused map; asked for only when no input is left to align to.
             is_wanted: asked while steady voters are aligned that no map waits for; True: give up.
+            agreed: gives what a majority last decided; asked for only where the last two disagree.
         """
-        self._now_s, self._fused, self._is_wanted = now_s, fused, is_wanted
+        self._now_s, self._is_wanted = now_s, is_wanted
+        self._fused, self._agreed = fused, agreed
         self._aligner.now_s, self._aligner.is_wanted = now_s, is_wanted
         self._aligner.has_searched = False
         if self.lattice is None:
@@ -242,7 +246,7 @@ class InputSupervisor:
     def _arbitrate(self, track: Track, reference: Track, others: list[Track]) -> None:
         """Find who is wrong when an input that voted fits the reference no more.
 
-        A third decides; without one the last fused map, on which both had agreed.
+        A third decides; without one what a majority or both had agreed on, see ``recovery``.
         """
         if not others:
             reference.accepted = track.accepted = False
@@ -265,7 +269,7 @@ class InputSupervisor:
     def _recover(self) -> None:
         """Go by the last fused map: no input is left to align to."""
         live = [track for track in self.tracks.values() if track.is_live]
-        found = recover(live, self._aligner, self._fused)
+        found = recover(live, self._aligner, self._fused, self._agreed)
         self.problem = self.problem if found.problem is None else found.problem
         if found.held is not None:
             self._anchor.keep(found.held)

@@ -16,6 +16,9 @@ from slamfusion.grid import CellBox, OccupancyGrid
 
 __all__ = ["Voting"]
 
+# Voters of which two overrule one: what they say is on the fused map is agreed on by more than one.
+MAJORITY = 3
+
 
 class Voting:
     """Lays what changed of each voter and votes on it.
@@ -24,6 +27,8 @@ class Voting:
         live: its ``extent`` counts; may be replaced.
         layers: None before the first fusion.
         names: who voted last.
+        agreed: the fused map when a majority last decided, before all but two or fewer lost their
+            vote; None while a majority decides, and before one ever did.
     """
 
     def __init__(self, config: FusionConfig, live: LiveConfig, device: ComputeDevice) -> None:
@@ -31,6 +36,7 @@ class Voting:
         self.live = live
         self.layers: FusedLayers | None = None
         self.names: tuple[str, ...] = ()
+        self.agreed: OccupancyGrid | None = None
         self._config = config
         self._device = device
 
@@ -94,6 +100,7 @@ class Voting:
         grown = [self._make_room(layers, track, reference) for track in voters]
         voters = [track for track in voters if track.votes]
         names = tuple(track.name for track in voters)
+        self._keep_agreed(names)
         for track in tracks:
             if track.name not in names:
                 layers.lift(track.name)
@@ -113,6 +120,13 @@ class Voting:
         for other in others:
             box = hull(box, other)
         return moved(box, -layers.box.row0, -layers.box.col0)
+
+    def _keep_agreed(self, names: Sequence[str]) -> None:
+        """Keep what a majority decided while fewer voters are left than make one."""
+        if len(names) >= MAJORITY:
+            self.agreed = None
+        elif len(self.names) >= MAJORITY:
+            self.agreed = self.last_fused()
 
     @property
     def _is_weighted(self) -> bool:

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion.live.recovery import LAST_FUSED, recover
+from slamfusion.fusion.live.records import LiveUpdate
+from slamfusion.fusion.live.recovery import LAST_AGREED, LAST_FUSED, recover
 from slamfusion.fusion.live.track import Track
 from slamfusion.grid import OccupancyGrid
-from tests.fusion.live.maps import AWAY, Drive, moved_frame, started, three
+from tests.fusion.live.maps import (
+    AWAY,
+    Drive,
+    live_fusion,
+    moved_frame,
+    started,
+    three,
+    touched,
+)
 
 
 def doubtful(device: ComputeDevice) -> tuple[Drive, list[Track]]:
@@ -68,3 +81,44 @@ def test_what_was_tried_is_not_tried_again_and_the_map_not_asked_for(
     found = recover(tracks, aligner, fused)
     assert (found.reference, found.problem) == (None, None)
     assert not any(track.votes for track in tracks)
+
+
+def bent(grid: OccupancyGrid, aside: int) -> OccupancyGrid:
+    """Return a map of which one half is drawn some cells aside, as when a SLAM slips on its way."""
+    cells = grid.cells.copy()
+    half = cells[:, cells.shape[1] // 2 :]
+    half[:] = np.roll(half, aside, axis=0)
+    return replace(grid, cells=cells)
+
+
+def bend_until(drive: Drive, is_done: Callable[[], bool]) -> LiveUpdate:
+    """Let b bend, a cell aside with each map, while a goes on as it was."""
+    for aside in range(1, 30):
+        update = drive.step(touched(three()["a"], aside, 0.002), bent(three()["b"], aside))
+        if is_done():
+            return update
+    raise AssertionError(drive.live.inputs(drive.now_s))
+
+
+def test_of_two_that_drew_the_last_map_the_one_goes_on_that_fits_what_a_majority_decided(
+    device: ComputeDevice,
+) -> None:
+    drive = started(device)
+    drive.live.drop("c", "lost")
+    drive.maybe()
+    update = bend_until(drive, lambda: drive.accepted() != "ab")
+    assert drive.accepted() == "a"
+    assert drive.input("b").reason == f"does not fit {LAST_AGREED}"
+    assert update.fused is not None
+
+
+def test_a_third_that_comes_while_two_disagree_says_who_is_right(device: ComputeDevice) -> None:
+    drive = Drive(live_fusion(device))
+    drive.step(three()["a"], three()["b"])
+    update = bend_until(drive, lambda: drive.accepted() == "")
+    assert update.problem == "a, b disagree and nobody can say who is right"
+    drive.step(moved_frame(three()["c"], AWAY))
+    for _ in range(3):
+        if not drive.accepted():
+            drive.maybe()
+    assert drive.accepted() == "ac"

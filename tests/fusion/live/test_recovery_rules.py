@@ -11,6 +11,7 @@ from slamfusion.config import LiveConfig
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.recovery import (
     IN_VAIN,
+    LAST_AGREED,
     LAST_FUSED,
     WAITING,
     Recovered,
@@ -24,11 +25,11 @@ from tests.fusion.live.scripted import CELL_M, MISFIT, Script, found, scripted_a
 LIVE = LiveConfig(search_pause_s=5.0, confirm_s=3.0, jump_m=0.5)
 
 
-def room() -> OccupancyGrid:
-    """Return the last fused map, called F in the script: a room with enough walls to go by."""
+def room(name: str = "F") -> OccupancyGrid:
+    """Return a fused map with enough walls to go by; the last one is called F in the script."""
     cells = np.zeros((20, 20), dtype=np.int8)
     cells[[0, -1], :] = cells[:, [0, -1]] = 100
-    return OccupancyGrid(cells, CELL_M, Pose2(), "F")
+    return OccupancyGrid(cells, CELL_M, Pose2(), name)
 
 
 class Last:
@@ -38,6 +39,7 @@ class Last:
         self.tracks = tracks
         self.aligner: Aligner = scripted_aligner(live)
         self.fused: OccupancyGrid | None = room()
+        self.agreed: OccupancyGrid | None = None
         self.asked = 0
 
     def __call__(self) -> Recovered:
@@ -46,7 +48,7 @@ class Last:
             return self.fused
 
         self.aligner.has_searched = False
-        return recover(self.tracks, self.aligner, fused)
+        return recover(self.tracks, self.aligner, fused, lambda: self.agreed)
 
     def voters(self) -> str:
         return "".join(track.name for track in self.tracks if track.votes)
@@ -103,6 +105,84 @@ def test_of_those_that_fit_it_and_not_each_other_nobody_is_right(
     last.aligner.now_s += 100.0
     assert last().problem is None
     assert (last.asked, script.said()) == (1, [])
+
+
+@pytest.mark.parametrize(
+    ("misfits", "voters"), [("", ""), ("a", "b"), ("b", "a"), ("ab", "")], ids=str
+)
+def test_of_two_that_fit_it_and_not_each_other_the_last_majority_decides(
+    script: Script, misfits: str, voters: str
+) -> None:
+    disagree(script, "ab", "ba", *(f"M{name}" for name in misfits))
+    last = Last(doubted("a"), doubted("b"))
+    last.agreed = room("M")
+    got = last()
+    assert last.voters() == voters
+    for track in last.tracks:
+        if voters:
+            assert got.reference is not None
+            assert got.held is not None
+            assert (got.reference.name, got.held.name, got.problem) == (voters, LAST_AGREED, None)
+            assert track.votes or track.reason == f"does not fit {LAST_AGREED}"
+        else:
+            assert track.reason == "a, b disagree and nobody can say who is right"
+
+
+def test_a_majority_is_asked_only_where_those_disagree_that_fit_the_last_map(
+    script: Script,
+) -> None:
+    last = Last(doubted("a"), doubted("b"))
+    last.agreed = room("M")
+    last()
+    assert last.voters() == "ab"
+    assert not {"track Ma", "track Mb"} & set(script.said("track"))
+
+
+def test_one_that_fits_nowhere_is_searched_on_those_that_disagree_twice_on_each(
+    script: Script,
+) -> None:
+    disagree(script, "ab", "ba", "Fc")
+    last = Last(doubted("a"), doubted("b"), doubted("c"))
+    searches = []
+    for version in range(1, 6):
+        last.tracks[2].version = version
+        problem = last().problem
+        assert problem == "a, b disagree and nobody can say who is right"
+        assert {track.reason for track in last.tracks} == {problem}
+        searches += script.said("search")
+        last.aligner.now_s += LIVE.search_pause_s
+    assert searches == ["search ac", "search ac", "search bc", "search bc", "search ac"]
+    # Where it is found both go on, and the other is held against them next.
+    script.searched["ac"] = found(0.2)
+    last.tracks[2].version = 9
+    got = last()
+    assert (last.voters(), got.reference, got.problem) == ("ac", last.tracks[0], None)
+    assert last.tracks[2].transform == Pose2(0.2)
+
+
+def test_one_that_jumped_onto_one_of_them_is_confirmed_by_its_next_map(script: Script) -> None:
+    disagree(script, "ab", "ba", "Fc")
+    script.searched["ac"] = found(7.0)
+    last = Last(doubted("a"), doubted("b"), doubted("c"))
+    last()
+    assert last.voters() == ""
+    assert last.tracks[2].reason.startswith("jumped by 7.00 m")
+    last.aligner.now_s += LIVE.search_pause_s
+    last.tracks[2].version = 2
+    last()
+    assert last.voters() == "ac"
+
+
+def test_without_a_third_the_one_that_was_placed_last_is_searched_on_the_other(
+    script: Script,
+) -> None:
+    disagree(script, "ab", "ba")
+    script.searched["ab"] = found(0.3, reason="b is there")
+    last = Last(doubted("a", searched_s=10.0), doubted("b", searched_s=90.0))
+    got = last()
+    assert script.said("search") == ["search ab"]
+    assert (last.voters(), got.reference) == ("ab", last.tracks[0])
+    assert last.tracks[1].reason == "b is there"
 
 
 @pytest.mark.parametrize("odd", [0, 1, 2])

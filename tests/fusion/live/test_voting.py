@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
@@ -59,6 +60,25 @@ def test_what_was_laid_is_not_laid_again_until_a_voter_leaves(device: ComputeDev
     assert voting.grids()[0].cells.shape == fused.cells.shape
     assert voting.vote(tracks, [], "a") is None
     assert voting.names == ()
+
+
+def test_what_a_majority_decided_is_kept_while_fewer_are_left_than_make_one(
+    device: ComputeDevice,
+) -> None:
+    voting = voting_of(device)
+    tracks = [voter("a", 0.0, device), voter("b", 0.5, device), voter("c", 1.0, device)]
+    voting.vote(tracks, tracks[:2], "a")
+    assert voting.agreed is None
+    voting.vote(tracks, tracks, "a")
+    whole = voting.grids()[0]
+    assert voting.agreed is None
+    for left in (tracks[:2], tracks[:1], [], tracks[1:]):
+        voting.vote(tracks, left, "a")
+        assert voting.agreed is not None
+        assert np.array_equal(voting.agreed.cells, whole.cells)
+    assert not np.array_equal(voting.grids()[0].cells, whole.cells)
+    voting.vote(tracks, tracks, "a")
+    assert voting.agreed is None
 
 
 def test_the_extent_of_the_reference_cuts_the_others(device: ComputeDevice) -> None:
