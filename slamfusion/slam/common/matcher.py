@@ -246,6 +246,7 @@ def search_pose(
     hypotheses: Sequence[PoseHypothesis],
     config: MatcherConfig,
     rng: np.random.Generator,
+    trust: float = 1.0,
 ) -> Match:
     """Search around some hypotheses.
 
@@ -254,12 +255,14 @@ def search_pose(
         hypotheses: at least one; the first look draws as many poses around each.
         config: numbers of draws and the weights of a hypothesis.
         rng: where the draws come from.
+        trust: times what leaving the place of a hypothesis costs.
     """
     centres = np.array([one.pose for one in hypotheses])
     sigmas = np.array([one.spread.sigmas() for one in hypotheses])
     weights = np.array([config.prior_weight_xy, config.prior_weight_xy, config.prior_weight_yaw])
     # The score is a mean: of few cells it is worth less against the hypotheses.
     weights *= max(1.0, TELLING_CELLS / scan.cells)
+    weights[:2] *= trust
 
     def loss(poses: F64) -> F64:
         away = poses[:, None, :] - centres

@@ -47,6 +47,10 @@ SCORE_MEMORY = 50
 MOST_ONWARD = 3.0
 # Spread of the first look without odometry, in that with it: acceleration is not known.
 NO_ODOMETRY_SPREAD = 2.0
+# Scans in a map below which leaving the odometry costs more, the more the fewer they are. The beams
+# of one scan mark some cells of a wall alone, so the next ones fit best where it was taken: a robot
+# that drives seems to stand, and what is mapped there says so again.
+YOUNG_SCANS = 20
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ class Tracker:
         searches_again: search again, wider, where little fits; False leaves that to the producer.
         resolves_degeneracy: odometry decides along a match's degenerate direction, as along a
             corridor.
+        doubts_young_map: odometry counts for more while few scans are in the map.
         expects_standstill: without odometry the robot is expected to stand rather than to go on as
             it went.
         pose: of the robot at the last scan; None before the first.
@@ -92,6 +97,7 @@ class Tracker:
     expects_standstill: bool = False
     searches_again: bool = True
     resolves_degeneracy: bool = False
+    doubts_young_map: bool = False
     pose: Pose2 | None = None
     odometry: Pose2 | None = None
     step: Pose2 = IDENTITY
@@ -118,7 +124,7 @@ class Tracker:
         # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
         return [
             self._hypothesis(step, 1.0, 0.0),
-            self._hypothesis(onward, 1.0, self.config.drift_loss),
+            self._hypothesis(onward, 1.0, self.config.drift_loss * self._trust()),
         ]
 
     def match(
@@ -133,13 +139,14 @@ class Tracker:
         """
         config = self.config
         scan = ScanOnTiles(self.device, walls, points, config.beams)
-        match = search_pose(scan, hypotheses, config, self.rng)
+        trust = self._trust() if len(hypotheses) > 1 else 1.0
+        match = search_pose(scan, hypotheses, config, self.rng, trust)
         mean = self.running_mean_score
         is_low = mean is not None and match.score < LOW_SHARE * mean
         if is_low and self.searches_again:
             more = replace(config, first_poses=SECOND_SEARCH_POSES * config.first_poses)
             around = [replace(g, spread=g.spread.wider(SECOND_SEARCH_SPREAD)) for g in hypotheses]
-            again = search_pose(scan, around, more, self.rng)
+            again = search_pose(scan, around, more, self.rng, trust)
             if again.score > match.score + SECOND_SEARCH_GAIN:
                 match = again
         if self.resolves_degeneracy and len(hypotheses) > 1:
@@ -183,6 +190,11 @@ class Tracker:
         times = min(duration_s / self.step_s, MOST_ONWARD)
         step = self.step
         return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
+
+    def _trust(self) -> float:
+        """Return how many times more leaving the odometry costs than on a map of many scans."""
+        mapped = max(1, self.health.scans_used)
+        return max(1.0, YOUNG_SCANS / mapped) if self.doubts_young_map else 1.0
 
     def _hypothesis(self, step: Pose2, wider: float, loss: float) -> PoseHypothesis:
         start = self.pose or IDENTITY

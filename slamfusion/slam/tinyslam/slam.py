@@ -78,7 +78,7 @@ class TinySlam:
         self._config = config
         self._device = device
         rng = np.random.default_rng(seed)
-        self._tracker = Tracker(config.matcher, device, rng, self.health)
+        self._tracker = Tracker(config.matcher, device, rng, self.health, doubts_young_map=True)
         self._map = TileMap(
             device,
             {

@@ -64,6 +64,21 @@ def test_where_nothing_tells_the_hypothesis_is_kept(mapped: ScanOnTiles):
     np.testing.assert_allclose(match.pose, nowhere.pose, atol=1e-4)
 
 
+def test_a_hypothesis_that_is_trusted_more_is_left_less(mapped: ScanOnTiles):
+    found = [
+        search_pose(mapped, [at(0.1, 0.1, 0.0)], MatcherConfig(), np.random.default_rng(2), trust)
+        for trust in (1.0, 20.0, 1000.0)
+    ]
+    left = [float(np.hypot(*(match.pose[:2] - at(0.1, 0.1, 0.0).pose[:2]))) for match in found]
+    assert left[0] > 0.1
+    assert left[0] > left[1] > left[2]
+    assert left[2] < 0.01
+    # The heading is as free as before.
+    turned = at(0.0, 0.0, 0.06)
+    match = search_pose(mapped, [turned], MatcherConfig(), np.random.default_rng(2), 1000.0)
+    assert abs(match.pose[2] - POSE.yaw_rad) < 0.03
+
+
 def test_equal_seeds_draw_equal_poses(mapped: ScanOnTiles):
     found = [
         search_pose(mapped, [at(0.1, 0.1, 0.1)], MatcherConfig(), np.random.default_rng(7))

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import MatcherConfig
 from slamfusion.geometry import Pose2
+from slamfusion.slam.common import tracking
 from slamfusion.slam.common.mapper import Health
 from slamfusion.slam.common.matcher import FieldMap, Match, ScanOnTiles, Spread, search_pose
 from slamfusion.slam.common.matcher import PoseHypothesis as Guess
@@ -79,6 +80,30 @@ def test_odometry_is_one_hypothesis_and_going_on_the_other() -> None:
     assert_guess(by_odometry, last.compose(Pose2(0.3, 0.4, -0.2)), (0.1 + 0.15 * 0.5, 0.09))
     half = Pose2(0.1, 0.0, 0.05)
     assert_guess(onward, last.compose(half), (0.1 + 0.15 * 0.1, 0.05 + 0.2 * 0.05), loss=0.05)
+
+
+@pytest.mark.parametrize(
+    ("doubts", "scans_used", "times"),
+    [(False, 1, 1.0), (True, 0, 20.0), (True, 1, 20.0), (True, 8, 2.5), (True, 20, 1.0)],
+)
+def test_on_a_young_map_that_is_doubted_leaving_the_odometry_costs_more(
+    doubts: bool, scans_used: int, times: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trusts = []
+
+    def search(*args: Any) -> Match:
+        trusts.append(args[-1])
+        return search_pose(*args)
+
+    monkeypatch.setattr(tracking, "search_pose", search)
+    found = driven(doubts_young_map=doubts)
+    found.health.scans_used = scans_used
+    hypotheses = HYPOTHESES(found, 12.0, Pose2(0.1))
+    assert [one.loss for one in hypotheses] == [0.0, pytest.approx(0.05 * times)]
+    found.match(ring(100, 100), POINTS, hypotheses)
+    # Where the odometry says nothing, going on is a hypothesis like any other.
+    found.match(ring(100, 100), POINTS, HYPOTHESES(found, 12.0, None))
+    assert trusts == [times, 1.0]
 
 
 @pytest.mark.parametrize("stands", [False, True])
