@@ -99,7 +99,8 @@ class ImpliedPairs:
             motion_of(reference, moving, found.transform), motion_of(reference, moving, transform)
         )
         words = f"{evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls could give"
-        is_borne_out = fits and not went
+        # On little ground a few walls meet in a wrong place, too.
+        is_borne_out = fits and not went and (found.accepted or not little)
         return Implied(found, is_borne_out or bool(little), little or words, is_borne_out)
 
 

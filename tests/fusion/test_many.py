@@ -87,13 +87,15 @@ def test_a_false_pair_is_named_and_the_maps_lie_right_without_it(
     device: ComputeDevice,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The pair that is believed first is put 5 m aside."""
+    """The pair that is believed first is put 5 m aside, of those that loops are about."""
     wrong: list[frozenset[str]] = []
+    most = max(site.buildings, key=site.buildings.count)
+    names = {grid.name for grid, its in zip(site.grids, site.buildings, strict=True) if its == most}
 
     def lie(reference: GridFeatures, moving: GridFeatures, *args: Any, **more: Any) -> Alignment:
         pair = align_features(reference, moving, *args, **more)
         key = frozenset((pair.reference, pair.moving))
-        if pair.accepted and (not wrong or key == wrong[0]):
+        if pair.accepted and key <= names and (not wrong or key == wrong[0]):
             wrong[:] = [key]
             pair = replace(pair, transform=pair.transform.compose(Pose2(4.0, 3.0)))
         return pair
