@@ -15,7 +15,7 @@ from tests.support.searches import CALLERS, RememberedSearches
 
 TESTS = Path(__file__).parent
 # Sets of parameters of one test under --few-each.
-FEW = 3
+FEW = 2
 
 # Examples of each property: in every run, under --full, and where NumPy and OpenCV are looked at
 # alone. A busy machine is no fault of the code.

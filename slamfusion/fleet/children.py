@@ -6,11 +6,11 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from multiprocessing import resource_tracker
 from types import FrameType
 
-__all__ = ["interrupts_held", "thread_limits", "threads_limited"]
+__all__ = ["interrupts_held", "restore_variables", "thread_limits", "threads_limited"]
 
 # What PoCL, OpenMP and OpenBLAS read before they start their threads; what the user set stays.
 THREAD_VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -56,6 +56,19 @@ def threads_limited(threads: int) -> Iterator[None]:
     finally:
         for name in added:
             del os.environ[name]
+
+
+def restore_variables(values: Mapping[str, str | None]) -> None:
+    """Put variables of the environment back.
+
+    Args:
+        values: by name; None: it was not set.
+    """
+    for name, value in values.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
 
 
 def thread_limits(threads: int) -> dict[str, str]:

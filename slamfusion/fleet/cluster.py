@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import time
 import warnings
 from collections import defaultdict
@@ -16,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 from slamfusion.cores import usable_cores
 from slamfusion.errors import FleetError, SlamFusionError
-from slamfusion.fleet.children import interrupts_held, thread_limits
+from slamfusion.fleet.children import interrupts_held, restore_variables, thread_limits
 from slamfusion.fleet.scheduler import Task
 from slamfusion.fleet.worker import WorkerFacts, do_alone, facts_of_worker
 from slamfusion.version import __version__
@@ -151,6 +152,7 @@ class DaskCluster:
     def _start(self, processes: int) -> Any:
         """Start a cluster of processes of this machine, which nobody else can reach."""
         limits = thread_limits(max(1, usable_cores() // processes))
+        before = dict(os.environ)
         with interrupts_held():
             cluster = distributed.LocalCluster(
                 n_workers=processes,
@@ -162,6 +164,11 @@ class DaskCluster:
                 silence_logs=logging.CRITICAL,
                 env=limits,
             )
+        # Dask sets variables that are meant for workers here, whenever it starts one.
+        left = {
+            name: before.get(name) for name in os.environ if os.environ[name] != before.get(name)
+        }
+        self._ends.callback(restore_variables, left)
         self._ends.callback(cluster.close, timeout=ANSWER_S)
         return cluster
 

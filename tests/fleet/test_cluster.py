@@ -48,9 +48,17 @@ def device() -> ComputeDevice:
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Scheduler]:
     told: list[str] = []
+    before = variables()
     with open_scheduler("local:2", warn=told.append) as scheduler:
         assert told == []
         yield scheduler
+    assert variables() == before
+
+
+def variables() -> dict[str, str]:
+    """Return the environment but what pytest sets for each test, and pyopencl for itself."""
+    passing = {"PYTEST_CURRENT_TEST", "POCL_DEVICES", "PYOPENCL_HOME", "LD_LIBRARY_PATH"}
+    return {name: value for name, value in os.environ.items() if name not in passing}
 
 
 def outcome(result: FusionResult) -> tuple[object, ...]:
