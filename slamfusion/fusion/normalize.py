@@ -35,6 +35,9 @@ __all__ = [
 ALIGNED_BYTES_PER_CELL, BYTES_PER_CELL, VOTED_BYTES_PER_CELL = 4, 24, 7
 # Cells on the longest side of a map that is aligned as it is: of larger ones a coarser copy is.
 ALIGNED_CELLS = 3000
+# Where little memory is wanted copies are coarser still, as long as all of them together have more
+# cells than this, up to cells of this size, metres, on which walls of a building are still apart.
+SPARING_CELLS, SPARING_CELL_M = 2**27, 0.15
 # Rows of blocks that are pooled at once.
 POOLED_ROWS = 16
 
@@ -117,7 +120,7 @@ def check_resampling(
             f", the cell size of {finest.name}, to which this map's {largest.resolution:g} m is "
             "brought (is it right? fusion.normalize.resolution sets another),"
         )
-    factor = coarsening(grids, resolution)
+    factor = coarsening(grids, resolution, is_sparing=is_stored)
     looked_at = sum(sorted(own_cells)[-LEAST_KEPT:])
     needed = sum(own_cells) * ALIGNED_BYTES_PER_CELL
     needed += looked_at * (BYTES_PER_CELL - ALIGNED_BYTES_PER_CELL)
@@ -129,7 +132,9 @@ def check_resampling(
     check_memory(needed, said, largest.name)
 
 
-def coarsening(grids: Sequence[OccupancyGrid], resolution: float) -> int:
+def coarsening(
+    grids: Sequence[OccupancyGrid], resolution: float, *, is_sparing: bool = False
+) -> int:
     """Return how many times coarser the cells are on which grids are aligned than those fused.
 
     1 but for maps so large that their fields would not fit into memory. Alignments are told in
@@ -138,13 +143,16 @@ def coarsening(grids: Sequence[OccupancyGrid], resolution: float) -> int:
     Args:
         grids: one or more.
         resolution: of the fused cells, metres.
+        is_sparing: of many maps also for the copies to take little memory together.
     """
-    sides = [
-        max(box.height, box.width) * grid.resolution
-        for grid in grids
-        if (box := grid.known_box()) is not None
-    ]
-    return max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
+    boxes = [(box, grid.resolution) for grid in grids if (box := grid.known_box()) is not None]
+    sides = [max(box.height, box.width) * size for box, size in boxes]
+    factor = max(1, math.ceil(max(sides, default=0.0) / resolution / ALIGNED_CELLS))
+    if is_sparing:
+        cells = sum(box.area * (size / resolution) ** 2 for box, size in boxes)
+        wanted = math.ceil(math.sqrt(cells / SPARING_CELLS))
+        factor = max(factor, min(wanted, math.floor(SPARING_CELL_M / resolution + 1e-9)))
+    return factor
 
 
 def _cells_at(grid: OccupancyGrid, resolution: float) -> int:

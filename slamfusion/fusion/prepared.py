@@ -56,7 +56,7 @@ class PreparedInputs:
         self._grids = {grid.name: grid for grid in grids}
         self._config, self._device = config.normalize, device
         self._resolution = common_resolution(list(grids), config.normalize)
-        self._factor = coarsening(grids, self._resolution)
+        self._factor = coarsening(grids, self._resolution, is_sparing=is_stored)
         self._normalized: dict[str, NormalizedGrid] = {}
         self.reasons: dict[str, str] = {}
         for grid in grids:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
+from slamfusion.fusion import normalize
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     common_resolution,
@@ -254,3 +255,17 @@ def test_a_grid_votes_as_what_is_aligned_of_it(device: ComputeDevice, ratio: flo
     assert np.array_equal(voting.cells, aligned.cells)
     assert np.array_equal(voting.grid.cells, aligned.grid.cells)
     assert voting.grid.origin == aligned.grid.origin
+
+
+@pytest.mark.parametrize(
+    ("most", "resolution", "factor"),
+    [(30_000, 0.05, 1), (29_999, 0.05, 2), (7_000, 0.05, 3), (1_000, 0.05, 3), (1_000, 0.2, 1)],
+)
+def test_copies_of_many_maps_are_coarser_where_little_memory_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, most: int, resolution: float, factor: int
+) -> None:
+    """Three maps of 100 x 100 known cells; cells are 0.15 m at most for it."""
+    monkeypatch.setattr(normalize, "SPARING_CELLS", most)
+    grids = 3 * [OccupancyGrid(np.zeros((100, 100), dtype=np.int8), resolution)]
+    assert normalize.coarsening(grids, resolution) == 1
+    assert normalize.coarsening(grids, resolution, is_sparing=True) == factor
