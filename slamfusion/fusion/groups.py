@@ -31,6 +31,7 @@ from slamfusion.fusion.placement import placed
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.start import StartPose, Starts, named_input, start_distance
 from slamfusion.geometry import Pose2
+from slamfusion.io.memory import return_freed_memory
 
 __all__ = [
     "LEAST_FUSED",
@@ -52,6 +53,8 @@ LEAST_FUSED = 2
 # Of more pairs most share nothing: those that are promising are aligned, what is refused is not
 # searched once more, and nothing is proven.
 THOROUGH_PAIRS = 15
+# An input of more cells keeps no fields after its last pair: they are some 30 bytes a cell.
+KEPT_CELLS = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +211,16 @@ class _Aligner:
             if second_look is not None:
                 pair = second_look(pair, self.features[pair.reference], self.features[pair.moving])
             pairs.append(pair)
+            if b == wanted[-1][1]:
+                self._looked_at(a)
         return pairs
+
+    def _looked_at(self, name: str) -> None:
+        """Let go of what an input that is in no more pairs was looked at with, if it is much."""
+        features = self.features[name]
+        if math.prod(features.shape) > KEPT_CELLS:
+            features.release()
+            return_freed_memory()
 
     def _pair(self, a: str, b: str) -> tuple[GridFeatures, GridFeatures, StartPose | None]:
         """Return two inputs, the one that is held still first, and where the other may lie."""

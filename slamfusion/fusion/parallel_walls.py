@@ -188,8 +188,9 @@ def wall_directions(solid: npt.NDArray[np.uint8]) -> F64:
     """
     shrink = min(1.0, DIRECTION_CELLS / max(solid.shape))
     size = (max(1, round(solid.shape[1] * shrink)), max(1, round(solid.shape[0] * shrink)))
-    picture = cv2.resize(solid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    picture = cv2.GaussianBlur(picture, (0, 0), DIRECTION_BLUR)
+    # Shrunken in whole numbers: of a large map a picture of floats is much memory.
+    small = cv2.resize(solid * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    picture = cv2.GaussianBlur(small.astype(np.float32), (0, 0), DIRECTION_BLUR)
     along_x = cv2.Scharr(picture, cv2.CV_32F, 1, 0)
     along_y = cv2.Scharr(picture, cv2.CV_32F, 0, 1)
     xx, yy, xy = (
@@ -297,18 +298,20 @@ def parallel_shifts(reference: TurnedMap, moving: TurnedMap) -> ParallelShifts:
         reference, moving: of one level.
     """
     still, still_walls = reference.spectra(-reference.main_deg)
-    products, yaws = [], []
+    yaws = []
     for yaw in parallel_yaws(reference.directions, moving.directions):
         # Turned to the main direction of either, a yaw is nearly a multiple of the step.
         step_deg = moving.yaw_step_deg
         beyond = (yaw - reference.main_deg + moving.main_deg) / step_deg
         turned = round(beyond) * step_deg - moving.main_deg
-        for half_turn in (0.0, 180.0):
-            evidence, walls = moving.spectra(turned + half_turn)
-            products.append(still * np.conj(walls) + np.conj(evidence) * still_walls)
-            yaws.append(turned + half_turn)
+        yaws += [turned, turned + 180.0]
     sides = (reference.size, reference.size)
-    scores: F32 = scipy.fft.irfft2(np.stack(products), s=sides).astype(np.float32, copy=False)
+    scores: F32 = np.empty((len(yaws), *sides), dtype=np.float32)
+    for plane, yaw in zip(scores, yaws, strict=True):
+        evidence, walls = moving.spectra(yaw)
+        product = still * np.conj(walls)
+        product += np.conj(evidence) * still_walls
+        plane[:] = scipy.fft.irfft2(product, s=sides, overwrite_x=True)
     return ParallelShifts(np.array(yaws), reference.main_deg, scores)
 
 
