@@ -78,11 +78,13 @@ class PoseHypothesis:
         pose: (3,) x, y in metres and yaw in radians, map frame.
         spread: how far to look around it.
         loss: what believing it costs, in units of the score.
+        by_odometry: whether it is where odometry says.
     """
 
     pose: F64
     spread: Spread
     loss: float = 0.0
+    by_odometry: bool = False
 
 
 @dataclass(frozen=True)

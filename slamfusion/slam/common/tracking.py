@@ -47,6 +47,9 @@ SCORE_MEMORY = 50
 MOST_ONWARD = 3.0
 # Spread of the first look without odometry, in that with it: acceleration is not known.
 NO_ODOMETRY_SPREAD = 2.0
+# Where scans are missing and there is no odometry a robot may have stopped anywhere on its way. At
+# most so many places beyond are searched, MOST_ONWARD steps apart: as far as a first look spreads.
+PLACES_ON_THE_WAY = 8
 # Scans in a map below which leaving the odometry costs more, the more the fewer they are. The beams
 # of one scan mark some cells of a wall alone, so the next ones fit best where it was taken: a robot
 # that drives seems to stand, and what is mapped there says so again.
@@ -113,17 +116,16 @@ class Tracker:
             return [PoseHypothesis(row_of(odometry or IDENTITY), self._spread(IDENTITY, 1.0))]
         onward = self._onward(stamp_s - self.stamp_s)
         if odometry is None or self.odometry is None:
-            step = IDENTITY if self.expects_standstill else onward
-            return [self._hypothesis(step, NO_ODOMETRY_SPREAD, 0.0)]
+            return self._without_odometry(onward, stamp_s - self.stamp_s)
         step = self.odometry.inverse().compose(odometry)
         if math.hypot(step.x, step.y) > self.config.jump_m:
             reason = f"odometry jumped by more than {self.config.jump_m:g} m: not believed"
             self.health.skips.add(reason, self.health.scans)
             self.has_jumped = True
             return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]
-        # Odometry that stalls and then catches up, or wheels that slip, are what this one is for.
         return [
-            self._hypothesis(step, 1.0, 0.0),
+            replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True),
+            # Odometry that stalls and then catches up, or wheels that slip, are what this is for.
             self._hypothesis(onward, 1.0, self.config.drift_loss * self._trust()),
         ]
 
@@ -139,7 +141,10 @@ class Tracker:
         """
         config = self.config
         scan = ScanOnTiles(self.device, walls, points, config.beams)
-        trust = self._trust() if len(hypotheses) > 1 else 1.0
+        by_odometry = hypotheses[0].by_odometry
+        trust = self._trust() if by_odometry else 1.0
+        if not by_odometry:  # as many draws around each place on the way
+            config = replace(config, first_poses=len(hypotheses) * config.first_poses)
         match = search_pose(scan, hypotheses, config, self.rng, trust)
         mean = self.running_mean_score
         is_low = mean is not None and match.score < LOW_SHARE * mean
@@ -149,7 +154,7 @@ class Tracker:
             again = search_pose(scan, around, more, self.rng, trust)
             if again.score > match.score + SECOND_SEARCH_GAIN:
                 match = again
-        if self.resolves_degeneracy and len(hypotheses) > 1:
+        if self.resolves_degeneracy and by_odometry:
             hessian = response_hessian(scan, match.pose)
             pose = keep_degenerate_prior(hessian, match.pose, hypotheses[0].pose)
             is_moved = pose is not match.pose  # the Hessian is that of another place then
@@ -190,6 +195,30 @@ class Tracker:
         times = min(duration_s / self.step_s, MOST_ONWARD)
         step = self.step
         return Pose2(step.x * times, step.y * times, step.yaw_rad * times)
+
+    def _without_odometry(self, onward: Pose2, duration_s: float) -> list[PoseHypothesis]:
+        """Return where the robot may be: as expected, and where scans are missing all the way on.
+
+        The further from where it would have come to as it went the less likely, by ``drift_loss``.
+        """
+        expected = IDENTITY if self.expects_standstill else onward
+        missing = duration_s / (MOST_ONWARD * self.step_s) if self.step_s > 0.0 else 0.0
+        if missing <= 1.0 or self.step == IDENTITY:
+            return [self._hypothesis(expected, NO_ODOMETRY_SPREAD, 0.0)]
+        gone = [IDENTITY]
+        while len(gone) <= min(math.ceil(missing), PLACES_ON_THE_WAY):
+            gone.append(gone[-1].compose(onward))
+        likely = 0 if self.expects_standstill else len(gone) - 1
+        found = [
+            self._hypothesis(
+                step,
+                NO_ODOMETRY_SPREAD,
+                self.config.drift_loss * abs(index - likely) / (len(gone) - 1),
+            )
+            for index, step in enumerate(gone)
+        ]
+        first = gone.index(expected)
+        return [found[first], *found[:first], *found[first + 1 :]]
 
     def _trust(self) -> float:
         """Return how many times more leaving the odometry costs than on a map of many scans."""

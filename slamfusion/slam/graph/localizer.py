@@ -128,7 +128,7 @@ class Localizer:
                 seen.points,
                 hypotheses[0].pose,
                 mean_score,
-                by_odometry=len(hypotheses) > 1,
+                by_odometry=hypotheses[0].by_odometry,
             )
         local = pose_of(at)
         self._tracker.advance(local, seen.odometry, seen.scan.stamp_s)

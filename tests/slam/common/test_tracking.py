@@ -126,8 +126,27 @@ def test_without_odometry_the_robot_goes_on_or_stands_as_its_mapper_says(stands:
     ("later_s", "times"), [(0.5, 0.5), (1.0, 1.0), (2.9, 2.9), (3.0, 3.0), (3.1, 3.0), (60.0, 3.0)]
 )
 def test_a_step_is_drawn_out_three_times_at_most(later_s: float, times: float) -> None:
-    (found,) = HYPOTHESES(driven(HOME, Pose2(0.2, 0.1, 0.1)), 11.0 + later_s, None)
+    found, *others = HYPOTHESES(driven(HOME, Pose2(0.2, 0.1, 0.1)), 11.0 + later_s, None)
+    assert bool(others) == (later_s > 3.0)
     np.testing.assert_allclose(found.pose, times * np.array([0.2, 0.1, 0.1]), atol=1e-9)
+
+
+@pytest.mark.parametrize("stands", [False, True])
+def test_where_scans_are_missing_a_robot_without_odometry_may_be_anywhere_on_its_way(
+    stands: bool,
+) -> None:
+    step = Pose2(0.2, 0.0, 0.1)
+    thrice = Pose2(0.6, 0.0, 0.3)
+    way = [HOME, thrice, thrice.compose(thrice), thrice.compose(thrice).compose(thrice)]
+    found = HYPOTHESES(driven(HOME, step, **{STANDS: stands}), 11.0 + 7.0, None)
+    # The first one is where it is expected; as it went it would have come the whole way.
+    order = [0, 1, 2, 3] if stands else [1, 0, 2, 3]
+    for guess, index in zip(found, order, strict=True):
+        loss = 0.05 * (index if stands else 3 - index) / 3
+        np.testing.assert_allclose(guess.pose, of_pose(way[index]), atol=1e-9)
+        assert guess.loss == pytest.approx(loss)
+    assert len(HYPOTHESES(driven(HOME, step), 11.0 + 3600.0, None)) == 9
+    assert len(HYPOTHESES(driven(HOME, HOME), 11.0 + 3600.0, None)) == 1
 
 
 def test_a_robot_goes_on_also_after_a_short_step_and_not_after_none() -> None:
@@ -215,7 +234,7 @@ def ring(inside: int, outside: int) -> FieldMap:
 
 
 POINTS = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01]])
-HERE = Guess(np.zeros(3), Spread(0.1, 0.05))
+HERE = Guess(np.zeros(3), Spread(0.1, 0.05), by_odometry=True)
 
 
 def searched(
@@ -305,9 +324,10 @@ def test_along_a_corridor_odometry_decides_where_that_is_asked_for(resolves: boo
     # By the same draws the place is that of the search, but for what is settled.
     again = tracker(SCORES_ALONE).match(corridor(250), WALLS, [HERE, ELSEWHERE])
     assert match.pose[1] == pytest.approx(again.pose[1], abs=1e-3)
-    # One hypothesis alone has nothing to be settled by.
+    # Without odometry nothing settles it.
     alone = tracker(SCORES_ALONE, **{RESOLVES: True})
-    match = alone.match(corridor(250), WALLS, [replace(HERE, pose=np.array([0.0, 0.1, 0.0]))])
+    beside = replace(HERE, pose=np.array([0.0, 0.1, 0.0]), by_odometry=False)
+    match = alone.match(corridor(250), WALLS, [beside])
     assert abs(match.pose[0]) > 1e-3
     assert getattr(match, CURVATURE) is None
 
