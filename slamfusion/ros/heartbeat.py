@@ -22,13 +22,59 @@ from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventType
 from slamfusion.ros import qos
 from slamfusion.ros.base import NodeBase
 
-__all__ = ["Heartbeat"]
+__all__ = ["Heartbeat", "Liveliness"]
 
 # A lease that ran out is believed after this long, seconds: when this process itself was stopped,
 # every lease seems to have run out at once, and the next sign of life is a third of a second away.
 DOUBT_S = 0.5
 # Kept of the time after which a writer is dead, seconds, to see it and to say so.
 NOTICE_S = 0.2
+
+
+class Liveliness:
+    """What the events of a lease say of the writers of a topic, seconds on a growing clock.
+
+    Attributes:
+        is_back: whether the writer that lives now is the one that had fallen silent. It stands
+            until all are silent again: under load a lease may run out and be renewed more than once
+            before anybody asks.
+    """
+
+    def __init__(self) -> None:
+        """Start without writers."""
+        self.is_back = False
+        self._silent_since_s: float | None = None
+        self._alive = 0
+
+    def take(self, alive: int, not_alive: int, not_alive_change: int, now_s: float) -> bool:
+        """Take an event; return whether there are writers that live now, or none any more.
+
+        Args:
+            alive, not_alive: writers that renew their lease, and that do not.
+            not_alive_change: how many more do not since the last event.
+            now_s: when.
+        """
+        had, self._alive = self._alive, alive
+        if alive > 0:
+            self._silent_since_s = None
+            if had == 0:
+                self.is_back = not_alive_change < 0
+        else:
+            self.is_back = False
+            if not_alive > 0 and self._silent_since_s is None:
+                self._silent_since_s = now_s
+        # Without any writer: one that said good-bye is missed by who reads the maps, one that had
+        # fallen silent has now been given up by DDS, and stays dead.
+        return (had > 0) != (alive > 0)
+
+    def is_dead(self, now_s: float) -> bool:
+        """Whether every writer has fallen silent, and none has taken its place."""
+        since_s = self._silent_since_s
+        return since_s is not None and now_s - since_s > DOUBT_S
+
+    def forgive(self) -> None:
+        """Take the writers for living ones until their lease runs out anew."""
+        self._silent_since_s = None
 
 
 class Heartbeat:
@@ -48,20 +94,22 @@ class Heartbeat:
     def __init__(
         self, base: NodeBase, topic: str, lost_after_s: float, on_change: Callable[[], None]
     ) -> None:
-        self.is_back = False
         self._base = base
         self._topic = topic
         self._on_change = on_change
-        self._silent_since_s: float | None = None
-        self._alive = 0
+        self._writers = Liveliness()
         self._lost_after_s = lost_after_s
         self._subscription: Any = None
 
     @property
     def is_dead(self) -> bool:
         """Whether every writer with a lease has fallen silent, and none has taken its place."""
-        since_s = self._silent_since_s
-        return since_s is not None and time.monotonic() - since_s > DOUBT_S
+        return self._writers.is_dead(time.monotonic())
+
+    @property
+    def is_back(self) -> bool:
+        """Whether the writer that lives now is the one that had fallen silent."""
+        return self._writers.is_back
 
     def look(self) -> None:
         """Begin to watch when a writer offers a lease."""
@@ -78,7 +126,7 @@ class Heartbeat:
     def forgive(self) -> None:
         """Take note that somebody sends: the topic lives, whatever became of the lease."""
         if self.is_dead:
-            self._silent_since_s = None
+            self._writers.forgive()
 
     def ask(self, lost_after_s: float) -> None:
         """Ask for another lease, if it is one."""
@@ -86,8 +134,7 @@ class Heartbeat:
             return
         self._lost_after_s = lost_after_s
         self.close()
-        self._silent_since_s = None
-        self._alive = 0
+        self._writers = Liveliness()
         self.look()
 
     def close(self) -> None:
@@ -117,15 +164,8 @@ class Heartbeat:
             )
 
     def _on_liveliness(self, event: Any) -> None:
-        had, self._alive = self._alive, event.alive_count
-        if self._alive > 0:
-            self._silent_since_s = None
-            self.is_back = had == 0 and event.not_alive_count_change < 0
-        elif event.not_alive_count > 0 and self._silent_since_s is None:
-            self._silent_since_s = time.monotonic()
-        # Without any writer: one that said good-bye is missed by who reads the maps, one that had
-        # fallen silent has now been given up by DDS, and stays dead.
-        if (had > 0) != (self._alive > 0):
+        counts = event.alive_count, event.not_alive_count, event.not_alive_count_change
+        if self._writers.take(*counts, time.monotonic()):
             self._on_change()
 
 

@@ -26,6 +26,8 @@ __all__ = ["Arrived", "Believed", "FusionSession", "Memory", "Ports", "Snapshot"
 
 # Updates of one turn of the worker; it is to be woken again each second.
 ROUNDS = 8
+# Updates after which what is known of an input has seen that it was lost: one may be under way.
+NOTICED = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +172,8 @@ class FusionSession:
         self._wanted_live: LiveConfig | None = None
         self._is_reset_wanted = False
         # Of the thread that looks after the inputs.
-        self._lost: set[str] = set()
+        # Inputs that are lost, and how many updates there were before.
+        self._lost: dict[str, int] = {}
 
     # -- from other threads -----------------------------------------------------------------------
 
@@ -200,23 +203,27 @@ class FusionSession:
         Returns:
             Whether the worker has something to do.
         """
+        record = self.snapshot.believed.inputs.get(name)
+        is_believed = record is not None and record.accepted
         if lost and has_map:
-            record = self.snapshot.believed.inputs.get(name)
             # Also where a map that waited was taken after all.
-            if name not in self._lost or (record is not None and record.accepted):
+            if name not in self._lost or is_believed:
                 self._live.drop(name, lost)
-                self._lost.add(name)
+                self._lost[name] = self.snapshot.updates
                 return True
-        elif name in self._lost:
-            self._lost.remove(name)
-            if is_back:
-                self._live.recall(name)
-                return True
+        elif name in self._lost and is_back:
+            del self._lost[name]
+            self._live.recall(name)
+            return True
+        elif is_believed and self.snapshot.updates - self._lost.get(name, 0) >= NOTICED:
+            # By a map of its own. Until then it may yet turn out to be the one that was lost: its
+            # first message may come ahead of the news of its process.
+            self._lost.pop(name, None)
         return False
 
     def forget(self, name: str) -> None:
         """Forget how an input was that is none any more; from the thread of ``look``."""
-        self._lost.discard(name)
+        self._lost.pop(name, None)
 
     # -- in the worker's thread -------------------------------------------------------------------
 

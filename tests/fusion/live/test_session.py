@@ -178,6 +178,36 @@ def test_an_input_that_is_lost_votes_no_more_and_is_recalled_with_its_map(
     assert not session.snapshot.believed.inputs["b"].accepted
 
 
+def test_an_input_that_sends_before_its_process_is_known_to_live_is_recalled_all_the_same(
+    device: ComputeDevice,
+) -> None:
+    session, desk = started(device)
+    assert session.look("b", "lost: gone", has_map=True, is_back=False)
+    # Before anything was updated, and after.
+    assert not session.look("b", "", has_map=True, is_back=False)
+    later(session, desk)
+    assert not session.look("b", "", has_map=True, is_back=False)
+    later(session, desk)
+    assert session.look("b", "", has_map=True, is_back=True)
+    later(session, desk)
+    assert session.snapshot.believed.inputs["b"].accepted
+    assert not session.look("b", "", has_map=True, is_back=True), "once"
+
+
+def test_an_input_that_came_back_by_a_map_of_its_own_is_not_recalled(
+    device: ComputeDevice,
+) -> None:
+    session, desk = started(device)
+    assert session.look("b", "lost: gone", has_map=True, is_back=False)
+    later(session, desk)
+    for count in (1, 2):
+        desk.put(touched(three()["b"], count))
+        later(session, desk)
+    assert session.snapshot.believed.inputs["b"].accepted
+    assert not session.look("b", "", has_map=True, is_back=False)
+    assert not session.look("b", "", has_map=True, is_back=True)
+
+
 def test_an_input_whose_last_map_was_taken_after_it_was_lost_is_lost_again(
     device: ComputeDevice,
 ) -> None:
