@@ -1,19 +1,25 @@
-"""Hold the fused frame by the last fused map until the maps that came back have outgrown it.
+"""Hold the fused frame by the last fused map until the maps that took over have outgrown it.
 
-Inputs that come back by the last fused map are often young, and a young map straightens while it
-grows: what it draws far from where it began is then off by more and more. So the reference is laid
+Inputs that come back, or begin anew, are young, and a young map straightens while it grows: what it
+draws far from where it began is then off by more and more. So where one is the reference it is laid
 onto that fused map again as it grows, and all that stand with it are carried along.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
 
+from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.align import Aligner, Held
+from slamfusion.fusion.live.limits import unusable
 from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
+from slamfusion.grid import IDENTITY, OccupancyGrid
 
-__all__ = ["Anchor"]
+__all__ = ["LAST_FUSED", "Anchor", "hold_map"]
+
+LAST_FUSED = "the last fused map"
 
 # The reference is laid onto the last fused map again when it has this many times the walls.
 GROWTH = 1.2
@@ -32,6 +38,8 @@ class Anchor:
     def __init__(self) -> None:
         """Start without one."""
         self.held: Held | None = None
+        # The last fused map from before an input began anew.
+        self._before: Held | None = None
         self._laid: tuple[str, int] = ("", 0)
 
     @property
@@ -43,6 +51,39 @@ class Anchor:
         """Take the last fused map that inputs came back by, unless a fuller one is held."""
         if len(held.features.wall_points) > self.walls:
             self.held, self._laid = held, ("", 0)
+
+    def note(
+        self, tracks: Collection[Track], fused: Callable[[], OccupancyGrid | None], aligner: Aligner
+    ) -> None:
+        """Remember the last fused map when an input begins anew, until all have outgrown it.
+
+        With it goes what it alone, or with one other, knew: a majority of young maps knows little.
+
+        Args:
+            tracks: all inputs.
+            fused: gives the last fused map; asked for only where it is needed.
+            aligner: knows what is a wall.
+        """
+        has_begun = any(track.has_begun_anew for track in tracks)
+        for track in tracks:
+            track.has_begun_anew = False
+        if has_begun and self._before is None:
+            self._before = hold_map(fused(), LAST_FUSED, aligner)
+        elif self._before is not None:
+            grown = GROWN * len(self._before.features.wall_points)
+            standing = [track.walls for track in tracks if track.stands]
+            if standing and min(standing) >= grown:
+                self._before = None
+
+    def hand_over(self, reference: Track) -> None:
+        """Hold that map while an input that knows less takes over.
+
+        Args:
+            reference: the input that others are aligned to from now on.
+        """
+        before = self._before
+        if before is not None and reference.walls < GROWN * len(before.features.wall_points):
+            self.keep(before)
 
     def settle(self, reference: Track, tracks: Iterable[Track], aligner: Aligner) -> None:
         """Lay the reference onto the map again if it has grown, and carry along who stands with it.
@@ -79,6 +120,15 @@ class Anchor:
                     track.relay = True
         if reference.walls >= GROWN * self.walls:
             self.held = None
+
+
+def hold_map(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> Held | None:
+    """Return a fused map as something to align to; None without walls."""
+    if fused is None or unusable(fused, aligner.config.normalize) is not None:
+        return None
+    thresholds, device = aligner.config.normalize, aligner.device
+    normal = normalize_grid(fused, fused.resolution, thresholds, device)
+    return Held(name, IDENTITY, GridFeatures(normal, device))
 
 
 def _found(reference: Track, held: Held, aligner: Aligner) -> tuple[Pose2 | None, bool]:

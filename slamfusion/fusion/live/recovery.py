@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.align import Aligner, Held
-from slamfusion.fusion.live.limits import unusable
+from slamfusion.fusion.live.anchor import LAST_FUSED, hold_map
 from slamfusion.fusion.live.track import Track
-from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
-from slamfusion.grid import IDENTITY, OccupancyGrid
+from slamfusion.grid import OccupancyGrid
 
 __all__ = ["Recovered", "recover"]
 
-LAST_FUSED = "the last fused map"
 LAST_AGREED = "the last map that a majority decided"
 # What ``Track.tried`` has in the place of a reference's version: all was tried in vain on the last
 # fused map; or the input was only held against it where it lay, and waits for its search.
@@ -65,14 +62,14 @@ def recover(
         return Recovered(problem="no input is left")
     if not _is_due(tracks, names, aligner):
         return Recovered()
-    last = _hold(fused(), LAST_FUSED, aligner)
+    last = hold_map(fused(), LAST_FUSED, aligner)
     if last is None:
         return _doubt(tracks, f"{LAST_FUSED} has too few walls to go by")
     _begin(tracks, names)
     found = _fitting([track for track in tracks if track.transform is not None], last, aligner)
     group = _largest_group([track for track, _, _ in found.values()], aligner)
     if len(group) == 1 and len(found) > 1:
-        kept = _hold(agreed(), LAST_AGREED, aligner)
+        kept = hold_map(agreed(), LAST_AGREED, aligner)
         rivals = [track for track, _, _ in found.values()]
         fits = {} if kept is None else _fitting(rivals, kept, aligner)
         if kept is None or len(fits) != 1:
@@ -199,12 +196,3 @@ def _largest_group(tracks: Sequence[Track], aligner: Aligner) -> list[Track]:
         if len(others) >= len(best):
             best = [seed, *others]
     return best
-
-
-def _hold(fused: OccupancyGrid | None, name: str, aligner: Aligner) -> Held | None:
-    """Return a fused map as something to align to; None without walls."""
-    if fused is None or unusable(fused, aligner.config.normalize) is not None:
-        return None
-    thresholds, device = aligner.config.normalize, aligner.device
-    normal = normalize_grid(fused, fused.resolution, thresholds, device)
-    return Held(name, IDENTITY, GridFeatures(normal, device))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
@@ -111,6 +111,8 @@ class InputSupervisor:
         self._fused, self._agreed = fused, agreed
         self._aligner.now_s, self._aligner.is_wanted = now_s, is_wanted
         self._aligner.has_searched = False
+        if self.lattice is not None:
+            self._anchor.note(self.tracks.values(), fused, self._aligner)
         if self.lattice is None:
             self._begin()
         elif self._choose_reference():
@@ -126,7 +128,8 @@ class InputSupervisor:
         usable = fusable([t for t in self.tracks.values() if t.is_live], self._config.normalize)
         least = self._live.minimum_inputs
         if len(usable) < least:
-            self._doubt(usable, f"waits for {least} inputs that agree, has {len(usable)}")
+            self.problem = f"waits for {least} inputs that agree, has {len(usable)}"
+            _doubt(usable, self.problem)
             return
         versions = tuple((track.name, track.version) for track in usable)
         last_s, tried = self._began
@@ -137,7 +140,8 @@ class InputSupervisor:
         try:
             group, lattice = align_first(usable, least, self._aligner)
         except SlamFusionError as error:
-            self._doubt(usable, str(error))
+            self.problem = str(error)
+            _doubt(usable, self.problem)
         else:
             self.reference = group.reference
             believe_first(group, lattice, self.tracks, self._aligner)
@@ -159,6 +163,7 @@ class InputSupervisor:
         return True
 
     def _hand_over(self, track: Track) -> None:
+        self._anchor.hand_over(track)
         self.reference = track.name
         track.reason = "the reference"
         track.pin()
@@ -260,12 +265,6 @@ class InputSupervisor:
                     self._hand_over(third)
                 return
 
-    def _doubt(self, tracks: list[Track], problem: str) -> None:
-        """Let none of these vote, for one reason."""
-        self.problem = problem
-        for track in tracks:
-            track.refuse(problem)
-
     def _recover(self) -> None:
         """Go by the last fused map: no input is left to align to."""
         live = [track for track in self.tracks.values() if track.is_live]
@@ -275,6 +274,12 @@ class InputSupervisor:
             self._anchor.keep(found.held)
         if found.reference is not None:
             self._hand_over(found.reference)
+
+
+def _doubt(tracks: Sequence[Track], problem: str) -> None:
+    """Let none of these vote, for one reason."""
+    for track in tracks:
+        track.refuse(problem)
 
 
 def _is_due(track: Track, reference: Track, aligner: Aligner) -> bool:

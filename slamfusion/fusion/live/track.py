@@ -27,6 +27,8 @@ I8 = npt.NDArray[np.int8]
 
 # Share of the old walls.
 STANDING_MIN = 0.4
+# A map with less than this share of the walls of the one before was begun anew.
+ANEW_SHARE = 0.5
 # Cells in which nothing lies, that a box of changes may hold for each cell of the two maps.
 SPARE_SHARE = 4
 NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
@@ -207,6 +209,7 @@ class Track:
         known: cells of the layer's lattice that hold every known one.
         walls: wall cells of the layer.
         is_live: whether its newest message was a usable map, and recent.
+        has_begun_anew: whether a new map took the place of a fuller one, until that is noted.
         is_steady: whether the newest map stands where ``transform`` belongs.
         accepted: whether its last alignment was believed; it votes while it is steady too.
         reason: why (not), one line.
@@ -238,6 +241,7 @@ class Track:
     known: CellBox | None = None
     walls: int = 0
     is_live: bool = False
+    has_begun_anew: bool = False
     is_steady: bool = False
     accepted: bool = False
     reason: str = "no map yet"
@@ -334,6 +338,7 @@ class Track:
             return change
         self.version += 1
         self._take(layer, thresholds, change)
+        self.has_begun_anew = self.has_begun_anew or self.walls < ANEW_SHARE * walls
         self.drift += change.walls
         self._features_drift += change.walls
         self.key_drift += change.walls
