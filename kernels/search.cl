@@ -194,7 +194,18 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * chunks of the forward side, then those of the backward side.
  * *_points (count, 2) float cells; *_poses (n, 4) float cos, sin, tx, ty in cells, points to field;
  * *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
+ * REFINE_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing.
  * Global: (chunks of both sides, n). */
+#define REFINE_LANES 8
+#define GATHERED(i) (float8)(corners[0][i], corners[1][i], corners[2][i], corners[3][i], \
+                             corners[4][i], corners[5][i], corners[6][i], corners[7][i])
+
+INLINE float lanes_sum(const float8 lanes) {
+  const float4 four = lanes.lo + lanes.hi;
+  const float2 two = four.lo + four.hi;
+  return two.x + two.y;
+}
+
 __kernel void refine_terms(__global const float *forward_points, const int forward_count,
                            __global const float *forward_poses,
                            __global const ushort *forward_distance, const int forward_height,
@@ -213,48 +224,73 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
   const int height = backward ? backward_height : forward_height;
   const int width = backward ? backward_width : forward_width;
   const int first = (backward ? c - forward_chunks : c) * chunk;
-  const int stop = min(first + chunk, backward ? backward_count : forward_count);
+  const int stop = LOWER(first + chunk, backward ? backward_count : forward_count);
   const float cosine = poses[4 * p], sine = poses[4 * p + 1];
   const float tx = poses[4 * p + 2], ty = poses[4 * p + 3];
-  float sum[REFINE_TERMS];
-  for (int i = 0; i < REFINE_TERMS; i++) sum[i] = 0.0f;
-  for (int i = first; i < stop; i++) {
-    const float px = points[2 * i], py = points[2 * i + 1];
-    const float qx = cosine * px - sine * py + tx, qy = sine * px + cosine * py + ty;
-    if (!(qx >= 0.5f && qy >= 0.5f && qx < width && qy < height)) continue;
-    const int col = (int)(qx - 0.5f), row = (int)(qy - 0.5f);
-    if (col + 1 >= width || row + 1 >= height) continue;
-    const float u = qx - 0.5f - col, v = qy - 0.5f - row;
-    __global const ushort *at = distance + (size_t)row * width + col;
-    if (HIGHER(HIGHER(at[0], at[1]), HIGHER(at[width], at[width + 1])) == DISTANCE_UNSEEN) continue;
-    const float d00 = at[0] * (1.0f / DISTANCE_ONE), d01 = at[1] * (1.0f / DISTANCE_ONE);
-    const float d10 = at[width] * (1.0f / DISTANCE_ONE);
-    const float d11 = at[width + 1] * (1.0f / DISTANCE_ONE);
-    const float d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11);
-    float gx = (1 - v) * (d01 - d00) + v * (d11 - d10);
-    float gy = (1 - u) * (d10 - d00) + u * (d11 - d01);
-    const float root = 1.0f + (d * d) / (scale * scale);
-    const float weight = 1.0f / (root * root);
-    float ax = qx - cx, ay = qy - cy;
+  const float narrow = 1.0f / (scale * scale);
+  float8 xx = 0.0f, xy = 0.0f, xt = 0.0f, yy = 0.0f, yt = 0.0f, tt = 0.0f;
+  float8 x = 0.0f, y = 0.0f, t = 0.0f, all = 0.0f;
+  for (int i = first; i < stop && width > 1 && height > 1; i += REFINE_LANES) {
+    float px[REFINE_LANES], py[REFINE_LANES];
+    for (int lane = 0; lane < REFINE_LANES; lane++) {
+      const int at = LOWER(i + lane, stop - 1);
+      px[lane] = points[2 * at];
+      py[lane] = points[2 * at + 1];
+    }
+    const float8 ox = (float8)(px[0], px[1], px[2], px[3], px[4], px[5], px[6], px[7]);
+    const float8 oy = (float8)(py[0], py[1], py[2], py[3], py[4], py[5], py[6], py[7]);
+    const float8 qx = cosine * ox - sine * oy + tx, qy = sine * ox + cosine * oy + ty;
+    /* Cells of the corner below; a point that has none on the map looks at the first ones. */
+    const int8 on = ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < stop - i) & (qx >= 0.5f) & (qy >= 0.5f) &
+                    (qx < width - 0.5f) & (qy < height - 0.5f);
+    const float8 fx = on ? qx - 0.5f : (float8)0.0f, fy = on ? qy - 0.5f : (float8)0.0f;
+    const int8 col = convert_int8(fx), row = convert_int8(fy);
+    const int8 cell = row * width + col;
+    const int cells[REFINE_LANES] = {cell.s0, cell.s1, cell.s2, cell.s3,
+                                     cell.s4, cell.s5, cell.s6, cell.s7};
+    float corners[REFINE_LANES][4];
+    for (int lane = 0; lane < REFINE_LANES; lane++) {
+      __global const ushort *at = distance + cells[lane];
+      corners[lane][0] = at[0];
+      corners[lane][1] = at[1];
+      corners[lane][2] = at[width];
+      corners[lane][3] = at[width + 1];
+    }
+    const float8 r00 = GATHERED(0), r01 = GATHERED(1), r10 = GATHERED(2), r11 = GATHERED(3);
+    const float unseen = DISTANCE_UNSEEN;
+    const int8 counts = on & (r00 < unseen) & (r01 < unseen) & (r10 < unseen) & (r11 < unseen);
+    const float8 u = fx - convert_float8(col), v = fy - convert_float8(row);
+    const float8 d00 = r00 * (1.0f / DISTANCE_ONE), d01 = r01 * (1.0f / DISTANCE_ONE);
+    const float8 d10 = r10 * (1.0f / DISTANCE_ONE), d11 = r11 * (1.0f / DISTANCE_ONE);
+    const float8 d = (1 - v) * ((1 - u) * d00 + u * d01) + v * ((1 - u) * d10 + u * d11);
+    float8 gx = (1 - v) * (d01 - d00) + v * (d11 - d10);
+    float8 gy = (1 - u) * (d10 - d00) + u * (d11 - d01);
+    const float8 root = 1.0f + d * d * narrow;
+    const float8 weight = counts ? 1.0f / (root * root) : (float8)0.0f;
+    float8 ax = qx - cx, ay = qy - cy;
     if (backward) {
-      const float hx = -(cosine * gx + sine * gy), hy = -(cosine * gy - sine * gx);
+      const float8 hx = -(cosine * gx + sine * gy), hy = -(cosine * gy - sine * gx);
       gx = hx;
       gy = hy;
-      ax = px - cx;
-      ay = py - cy;
+      ax = ox - cx;
+      ay = oy - cy;
     }
-    const float gt = gy * ax - gx * ay;
-    sum[0] += weight * gx * gx;
-    sum[1] += weight * gx * gy;
-    sum[2] += weight * gx * gt;
-    sum[3] += weight * gy * gy;
-    sum[4] += weight * gy * gt;
-    sum[5] += weight * gt * gt;
-    sum[6] += weight * gx * d;
-    sum[7] += weight * gy * d;
-    sum[8] += weight * gt * d;
-    sum[9] += weight;
+    const float8 gt = gy * ax - gx * ay;
+    const float8 wx = weight * gx, wy = weight * gy, wt = weight * gt;
+    xx += wx * gx;
+    xy += wx * gy;
+    xt += wx * gt;
+    yy += wy * gy;
+    yt += wy * gt;
+    tt += wt * gt;
+    x += wx * d;
+    y += wy * d;
+    t += wt * d;
+    all += weight;
   }
+  const float sum[REFINE_TERMS] = {
+      lanes_sum(xx), lanes_sum(xy), lanes_sum(xt), lanes_sum(yy), lanes_sum(yt),
+      lanes_sum(tt), lanes_sum(x),  lanes_sum(y),  lanes_sum(t),  lanes_sum(all)};
   for (int i = 0; i < REFINE_TERMS; i++) partial[(p * chunks + c) * REFINE_TERMS + i] = sum[i];
 }
 

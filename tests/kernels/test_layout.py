@@ -27,6 +27,7 @@ OWN = {
     "AHEAD",  # cells of a walk that are fetched together
     "VECTORS",  # blocks in a row that are looked at together
     "WARP_CELLS",  # cells that a resampling passes over together
+    "REFINE_LANES",  # points of a fit that are done at once
     "MODEL_BASE",  # a flag of two values, False in Python
 }
 # The largest number that may stand in a kernel as such: a byte's, or a number of bits.
