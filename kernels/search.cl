@@ -110,10 +110,10 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
 #define AT_BOTH(word) (field[(uint)(word)] + field[(word) >> 32])
 
 /* What the points are worth under each pose, summed over chunks of points:
- * partial[p, chunk] = sum of the field in the cells that the points meet, `base` for those off it.
+ * partial[chunk, p] = sum of the field in the cells that the points meet, `base` for those off it.
  * points (2, stride) int: x of all points about their middle, then y, stride and chunk multiples of 8;
  * poses (n, 4) int, points to field, with `shift` bits below a whole cell (see narrow_motions);
- * field (height, width) uchar; partial (n, chunks) int.
+ * field (height, width) uchar; partial (chunks, n) int.
  * 32 bits, so that eight points move at once: three times as fast on PoCL as one by one in 64.
  * A point off the field reads its first cell, which is put right at the end.
  * Global: (chunks, n). */
@@ -150,7 +150,7 @@ __kernel void pose_scores(__global const int *points, const int count, const int
     sum += field[inside ? row * width + col : 0];
     met += inside;
   }
-  partial[p * chunks + c] = sum + (stop - first - met) * (base - (int)field[0]);
+  partial[c * n + p] = sum + (stop - first - met) * (base - (int)field[0]);
 }
 
 /* What the points meet under each pose, summed over chunks of points:

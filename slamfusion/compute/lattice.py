@@ -11,6 +11,7 @@ __all__ = ["fixed_cells", "fixed_poses", "narrow_motions"]
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
+F64 = npt.NDArray[np.float64]
 
 # The place of a point after a pose stays below this, so that it fits 32 bits with its sign and what
 # rounding adds.
@@ -53,18 +54,21 @@ def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
     wide = points.astype(np.int64)
     middle = (wide.min(axis=0) + wide.max(axis=0)) // 2 if len(wide) else np.zeros(2, np.int64)
     near = wide - middle
-    # By columns: each is one stretch of memory, which is what makes many poses quick.
-    cos, sin, x, y = np.ascontiguousarray(poses.T)
-    moved = (cos, sin, cos * middle[0] - sin * middle[1] + x, sin * middle[0] + cos * middle[1] + y)
+    # By columns, each one stretch of memory; in float64, which adds and multiplies in lanes and is
+    # exact, as no place is beyond 2^53.
+    moved = np.array(poses.T, dtype=np.float64, order="C")
+    moved[2] += moved[0] * middle[0] - moved[1] * middle[1]
+    moved[3] += moved[1] * middle[0] + moved[0] * middle[1]
     reach = int(np.abs(near).max(axis=0, initial=0).sum())
-    farthest = max(map(_largest, moved[:2])) * reach + max(map(_largest, moved[2:]))
+    farthest = _largest(moved[:2]) * reach + _largest(moved[2:])
     drop = max(1, (farthest // NARROW_LIMIT).bit_length())
+    moved *= 0.5**drop
+    moved += 0.5
     narrow = np.empty((len(poses), 4), dtype=np.int32)
-    for n, column in enumerate(moved):
-        narrow[:, n] = (column + (1 << (drop - 1))) >> drop
+    narrow.T[:] = np.floor(moved, out=moved)
     return near.astype(np.int32), narrow, FIXED_TO_CELL_SHIFT - drop
 
 
-def _largest(values: I64) -> int:
+def _largest(values: F64) -> int:
     """Return the largest magnitude of any; 0 of none."""
-    return max(int(values.max(initial=0)), -int(values.min(initial=0)))
+    return int(max(values.max(initial=0.0), -values.min(initial=0.0)))

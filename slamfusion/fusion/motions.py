@@ -43,30 +43,35 @@ def invert(motions: F64) -> F64:
 
 
 def fixed_similarities(
-    motions: F64, centre: tuple[float, float], scales: F64
+    motions: F64, centre: tuple[float, float], scales: F64 | None = None
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return (P, 4) fixed poses from the moving lattice to the reference's, and back.
 
     Args:
         motions: (P, 3) where the moving centre lands, cells, and yaw.
         centre: the moving map's, cells.
-        scales: (P,) how much longer the moving map's metre is taken, about its centre.
+        scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
     """
-    cos, sin = scales * np.cos(motions[:, 2]), scales * np.sin(motions[:, 2])
-    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
-    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
+    # By columns: each is one stretch of memory, which is what makes many poses quick.
+    x, y, yaw = np.ascontiguousarray(motions.T)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    if scales is not None:
+        cos, sin = scales * cos, scales * sin
+    x = x - cos * centre[0] + sin * centre[1]
+    y = y - sin * centre[0] - cos * centre[1]
     there = _fixed(cos, sin, 2.0 * x, 2.0 * y)
-    cos, sin = cos / scales**2, sin / scales**2
+    if scales is not None:
+        cos, sin = cos / scales**2, sin / scales**2
     back = _fixed(cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y))
     return there, back
 
 
 def _fixed(*columns: F64) -> npt.NDArray[np.int64]:
-    """Return columns (P,) in fixed point, side by side: (P, 4) of four."""
-    fixed = np.empty((len(columns[0]), len(columns)), dtype=np.int64)
-    for n, column in enumerate(columns):
-        fixed[:, n] = np.rint(column * float(FIXED_ONE))
-    return fixed
+    """Return columns (P,) in fixed point, side by side: (P, 4) of four, each one stretch."""
+    fixed = np.empty((len(columns), len(columns[0])), dtype=np.int64)
+    for row, column in zip(fixed, columns, strict=True):
+        row[:] = np.rint(column * float(FIXED_ONE))
+    return fixed.T
 
 
 def turned_about(motion: F64, middle: F64, turns: F64) -> F64:

@@ -150,8 +150,7 @@ def wall_pieces(
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
-    size = np.ones(len(motions)) if scales is None else scales
-    there, back = fixed_similarities(motions, moving.centre, size)
+    there, back = fixed_similarities(motions, moving.centre, scales)
     sides = ((moving, there, reference), (reference, back, moving))
     parts, most_parts, seen_m = [], [], np.zeros(len(motions))
     for own, pose, other in sides:

@@ -328,7 +328,8 @@ def _neighbours(motions: F64, shift: float, turn: float) -> F64:
     """Return (P, 27, 3): each motion and its neighbours, shifted and turned by so much."""
     steps = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1], [0, -1, 1], indexing="ij"), axis=-1)
     offsets = steps.reshape(-1, 3) * np.array([shift, shift, turn])
-    return np.asarray(motions[:, None, :] + offsets[None, :, :])
+    # Each column stays one stretch of memory.
+    return np.asarray((motions.T[:, :, None] + offsets.T[:, None, :]).transpose(1, 2, 0))
 
 
 def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F64]:
@@ -374,8 +375,7 @@ def score_motions(
     ref, mov = reference.level(step, cancel), moving.level(step, cancel)
     local = motions / np.array([step, step, 1.0])
     centre = (moving.centre[0] / step, moving.centre[1] / step)
-    size = np.ones(len(motions)) if scales is None else scales
-    there, back = fixed_similarities(local, centre, size)
+    there, back = fixed_similarities(local, centre, scales)
     total = np.zeros(len(motions))
     for own, pose, features in ((mov, there, reference), (ref, back, moving)):
         table = features.evidence_table(step, sigma, FINE_TOP, cancel, doubt)

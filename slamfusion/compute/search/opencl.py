@@ -207,7 +207,7 @@ class OpenCLSearch(OpenCLQueue):
         planes = np.zeros((2, stride), np.int32)
         near, narrow, shift = narrow_motions(points, poses)
         planes[:, :count] = near.T
-        partial = self.empty((n, chunks), np.int32)
+        partial = self.empty((chunks, n), np.int32)
         before = [np.int32(v) for v in (count, stride)]
         sizes = [np.int32(v) for v in (*field.shape, base, CHUNK_SCORED, chunks)]
         self._launch(
@@ -222,7 +222,7 @@ class OpenCLSearch(OpenCLQueue):
             *sizes,
             partial,
         )
-        return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
+        return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64))
 
     def refine_terms(
         self,
