@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.search import ScoredSide
 from slamfusion.config import AlignConfig
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
@@ -376,15 +377,17 @@ def score_motions(
     local = motions / np.array([step, step, 1.0])
     centre = (moving.centre[0] / step, moving.centre[1] / step)
     there, back = fixed_similarities(local, centre, scales)
-    total = np.zeros(len(motions))
+    sides, units = [], []
     for own, pose, features in ((mov, there, reference), (ref, back, moving)):
         table = features.evidence_table(step, sigma, FINE_TOP, cancel, doubt)
         field = features.field(step, table, cancel)
         sample = spread_sample(own.points, points)
-        check_cancelled(cancel)
-        values = device.pose_scores(sample, pose, field, table.base)
-        weight = len(own.points) / len(sample)
-        total += (values - len(sample) * table.base) * (table.unit * weight)
+        sides.append(ScoredSide(sample, pose, field, table.base))
+        units.append(table.unit * (len(own.points) / len(sample)))
+    check_cancelled(cancel)
+    total = np.zeros(len(motions))
+    for values, side, unit in zip(device.pose_scores(*sides), sides, units, strict=True):
+        total += (values - len(side.points) * side.base) * unit
     return total
 
 

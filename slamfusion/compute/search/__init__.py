@@ -12,7 +12,23 @@ import numpy.typing as npt
 
 from slamfusion.compute.arrays import ArrayDevice, DeviceArray
 
-__all__ = ["FitSide", "SearchDevice"]
+__all__ = ["FitSide", "ScoredSide", "SearchDevice"]
+
+
+class ScoredSide(NamedTuple):
+    """Walls of one map on a field of the other.
+
+    Attributes:
+        points: (N, 2) int32 lattice positions, x and y in half cells.
+        poses: (P, 4) int64 fixed poses, points to field.
+        field: (H, W) uint8 on the device.
+        base: worth of a point off the field.
+    """
+
+    points: npt.NDArray[np.int32]
+    poses: npt.NDArray[np.int64]
+    field: DeviceArray[np.uint8]
+    base: int
 
 
 class FitSide(NamedTuple):
@@ -99,13 +115,7 @@ class SearchDevice(ArrayDevice, Protocol):
     ) -> npt.NDArray[np.int64]:
         """See ``search.numpy.pose_counts``."""
 
-    def pose_scores(
-        self,
-        points: npt.NDArray[np.int32],
-        poses: npt.NDArray[np.int64],
-        field: DeviceArray[np.uint8],
-        base: int,
-    ) -> npt.NDArray[np.int64]:
+    def pose_scores(self, *sides: ScoredSide) -> list[npt.NDArray[np.int64]]:
         """See ``search.numpy.pose_scores``."""
 
     def refine_terms(

@@ -19,7 +19,7 @@ from slamfusion.compute.layout import (
     SHIFT_TILE,
     UNKNOWN,
 )
-from slamfusion.compute.search import FitSide
+from slamfusion.compute.search import FitSide, ScoredSide
 
 __all__ = [
     "bound_blocks",
@@ -239,27 +239,26 @@ def pose_counts(
     return out
 
 
-def pose_scores(points: I32, poses: I64, field: U8, base: int) -> I64:
-    """Return the sum of the field over the points under each pose, in 32 bits (``narrow_motions``).
+def pose_scores(*sides: ScoredSide) -> list[I64]:
+    """Return of each side (P,) the sum of its field over its points under each of its poses.
 
-    Args:
-        points: (N, 2) int32 lattice positions, x and y in half cells.
-        poses: (P, 4) int64 fixed poses, points to field.
-        field: (H, W) uint8.
-        base: worth of a point off the field.
-
-    Returns:
-        (P,) int64.
+    In 32 bits: see ``narrow_motions``.
     """
+    return [_pose_scores(side) for side in sides]
+
+
+def _pose_scores(side: ScoredSide) -> I64:
+    """Return (P,) the sum of the field over the points under each pose of one side."""
+    field = np.asarray(side.field)
     height, width = field.shape
-    out = np.zeros(len(poses), dtype=np.int64)
-    near, narrow, shift = narrow_motions(points, poses)
+    out = np.zeros(len(side.poses), dtype=np.int64)
+    near, narrow, shift = narrow_motions(side.points, side.poses)
     x2, y2 = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
     for p, (cos, sin, x, y) in enumerate(narrow.astype(np.int64)):
         col, row = (cos * x2 - sin * y2 + x) >> shift, (sin * x2 + cos * y2 + y) >> shift
         inside = (row >= 0) & (col >= 0) & (row < height) & (col < width)
         known = field[row[inside], col[inside]]
-        out[p] = known.sum(dtype=np.int64) + base * (len(points) - len(known))
+        out[p] = known.sum(dtype=np.int64) + side.base * (len(side.points) - len(known))
     return out
 
 

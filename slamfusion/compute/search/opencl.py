@@ -16,7 +16,7 @@ from slamfusion.compute.layout import (
     SHIFT_TILE,
 )
 from slamfusion.compute.opencl_queue import OpenCLQueue
-from slamfusion.compute.search import FitSide
+from slamfusion.compute.search import FitSide, ScoredSide
 from slamfusion.errors import DeviceError
 
 __all__ = ["OpenCLSearch"]
@@ -193,23 +193,23 @@ class OpenCLSearch(OpenCLQueue):
         )
         return np.asarray(self.download(partial).sum(axis=1, dtype=np.int64))
 
-    def pose_scores(
-        self,
-        points: npt.NDArray[np.int32],
-        poses: npt.NDArray[np.int64],
-        field: DeviceArray[np.uint8],
-        base: int,
-    ) -> npt.NDArray[np.int64]:
+    def pose_scores(self, *sides: ScoredSide) -> list[npt.NDArray[np.int64]]:
         """See ``search.numpy.pose_scores``."""
-        count, n = len(points), len(poses)
+        # All are started before the first is waited for.
+        started = [self._start_scores(side) for side in sides]
+        return [np.asarray(self.download(sums).sum(axis=0, dtype=np.int64)) for sums in started]
+
+    def _start_scores(self, side: ScoredSide) -> DeviceArray[np.int32]:
+        """Start to score one side; return (chunks, P) sums, one row for each chunk of points."""
+        count, n = len(side.points), len(side.poses)
         chunks = -(-count // CHUNK_SCORED)
         stride = -(-count // POINT_LANES) * POINT_LANES
         planes = np.zeros((2, stride), np.int32)
-        near, narrow, shift = narrow_motions(points, poses)
+        near, narrow, shift = narrow_motions(side.points, side.poses)
         planes[:, :count] = near.T
         partial = self.empty((chunks, n), np.int32)
         before = [np.int32(v) for v in (count, stride)]
-        sizes = [np.int32(v) for v in (*field.shape, base, CHUNK_SCORED, chunks)]
+        sizes = [np.int32(v) for v in (*side.field.shape, side.base, CHUNK_SCORED, chunks)]
         self._launch(
             "pose_scores",
             (chunks, n),
@@ -218,11 +218,11 @@ class OpenCLSearch(OpenCLQueue):
             self.upload(narrow),
             np.int32(n),
             np.int32(shift),
-            field,
+            side.field,
             *sizes,
             partial,
         )
-        return np.asarray(self.download(partial).sum(axis=0, dtype=np.int64))
+        return partial
 
     def refine_terms(
         self,

@@ -12,7 +12,7 @@ from slamfusion.compute.doubled_walls import RaySteps
 from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_MAX, DISTANCE_TABLE, DISTANCE_UNSEEN
-from slamfusion.compute.search import FitSide
+from slamfusion.compute.search import FitSide, ScoredSide
 from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
 from slamfusion.compute.shift_spans import shift_spans
 from slamfusion.compute.votes import Votes
@@ -159,7 +159,8 @@ def _pose_counts(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _pose_scores(device: ComputeDevice, sample: Sample) -> Arrays:
     field, poses = device.upload(sample.field), fixed_poses(sample.motions)
-    return [device.pose_scores(sample.points(count), poses, field, BASE) for count in (1, 150, 700)]
+    sides = [ScoredSide(sample.points(count), poses, field, BASE) for count in (1, 150, 700)]
+    return device.pose_scores(*sides)
 
 
 def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
