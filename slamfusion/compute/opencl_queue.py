@@ -153,7 +153,7 @@ class OpenCLQueue:
         rounded = tuple(-(-s // part) * part for s, part in zip(size, local, strict=True))
         plain = [a.buffer if isinstance(a, OpenCLArray) else a for a in arguments]
         try:
-            self.program[name](self.queue, rounded, local, *plain)
+            self.program.kernel(name, plain)(self.queue, rounded, local, *plain)
         except cl.Error as error:
             failure = self._failed(f"kernel {name}", error)
             raise failure from error

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyopencl as cl  # noqa: TID251 - compute/ is where pyopencl belongs
 
 from slamfusion.compute.compute_device import FAMILIES
@@ -87,7 +89,19 @@ class KernelProgram:
             message = f"the kernels do not build on {device.name.strip()}: {words}"
             raise DeviceError(message) from error
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
+        self._typed: set[str] = set()
 
-    def __getitem__(self, name: str) -> Any:
-        """Return the kernel object of that name."""
-        return self._kernels[name]
+    def kernel(self, name: str, arguments: Sequence[Any]) -> Any:
+        """Return the kernel object of that name.
+
+        Args:
+            name: of the kernel.
+            arguments: of a launch. The types of the numbers among them are those of every launch:
+                pyopencl is told them once, as it takes 4 us to find out that of each number.
+        """
+        kernel = self._kernels[name]
+        if name not in self._typed:
+            types = [type(item) if isinstance(item, np.generic) else None for item in arguments]
+            kernel.set_scalar_arg_dtypes(types)
+            self._typed.add(name)
+        return kernel
