@@ -339,7 +339,10 @@ def _apart(motions: F64, values: F64, shift: float, turn: float) -> tuple[F64, F
     yaw = np.mod(motions[order, 2], 2.0 * math.pi)
     sides = np.array([2.0 * shift, 2.0 * shift, 2.0 * turn])
     boxes = np.floor(np.column_stack((motions[order, :2], yaw)) / sides).astype(np.int64)
-    _, first = np.unique(boxes, axis=0, return_index=True)
+    # One number for each box: rows of several are compared ten times as slowly.
+    boxes -= boxes.min(axis=0, initial=0)
+    numbers = np.ravel_multi_index(tuple(boxes.T), tuple(boxes.max(axis=0, initial=0) + 1))
+    _, first = np.unique(numbers, return_index=True)
     kept = order[np.sort(first)]
     return motions[kept], values[kept]
 
