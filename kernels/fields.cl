@@ -48,24 +48,56 @@ __kernel void surface_walls(__global const char *cells, __global const uchar *so
   }
 }
 
+/* Of a block of cells whether there is any wall, and the free share 0..255. */
+INLINE void set_block(__global uchar *out_wall, __global uchar *out_free, const int index,
+                      const int wall, const int free_cells, const int step) {
+  out_wall[index] = (uchar)wall;
+  out_free[index] = (uchar)((free_cells * FIELD_ONE) / (step * step));
+}
+
 /* Blocks of step x step cells: a coarse wall where any fine wall is, and the free share 0..255.
  * walls (height, width) uchar; cells (height, width) char; out_* (out_height, out_width) uchar.
- * Blocks that reach over the edge count the missing cells as unknown. Global: (out_width,
- * out_height). */
+ * Blocks that reach over the edge count the missing cells as unknown. A work item does the blocks
+ * that RUN columns hold, adding whole rows in lanes, then columns; one block where it is wider.
+ * Global: (ceil(out_width / max(1, RUN / step)), out_height). */
 __kernel void shrink(__global const uchar *walls, __global const char *cells, const int height,
                      const int width, const int step, const int out_height, const int out_width,
                      __global uchar *out_wall, __global uchar *out_free) {
-  const int col = get_global_id(0), row = get_global_id(1);
-  if (col >= out_width || row >= out_height) return;
-  uchar wall = 0;
-  int free_cells = 0;
-  for (int r = row * step; r < min((row + 1) * step, height); r++)
-    for (int c = col * step; c < min((col + 1) * step, width); c++) {
-      wall |= walls[r * width + c];
-      free_cells += cells[r * width + c] == FREE;
+  const int blocks = HIGHER(1, RUN / step);
+  const int first = get_global_id(0) * blocks, row = get_global_id(1);
+  if (first >= out_width || row >= out_height) return;
+  const int stop = LOWER(first + blocks, out_width);
+  const int left = first * step, cols = LOWER(stop * step, width) - left;
+  const int top = row * step, bottom = LOWER(top + step, height);
+  if (step > RUN) {
+    int wall = 0, free_cells = 0;
+    for (int r = top; r < bottom; r++)
+      for (int i = r * width + left; i < r * width + left + cols; i++) {
+        wall |= walls[i];
+        free_cells += cells[i] == FREE;
+      }
+    set_block(out_wall, out_free, row * out_width + first, wall, free_cells, step);
+    return;
+  }
+  uchar wall_in[RUN], free_in[RUN];
+  for (int i = 0; i < RUN; i++) wall_in[i] = free_in[i] = 0;
+  for (int r = top; r < bottom; r++) {
+    __global const uchar *wall_row = walls + r * width + left;
+    __global const char *cell_row = cells + r * width + left;
+    for (int i = 0; i < cols; i++) {
+      wall_in[i] |= wall_row[i];
+      free_in[i] += cell_row[i] == FREE;
     }
-  out_wall[row * out_width + col] = wall;
-  out_free[row * out_width + col] = (uchar)((free_cells * FIELD_ONE) / (step * step));
+  }
+  for (int col = first, from = 0; col < stop; col++, from += step) {
+    int wall = 0, free_cells = 0;
+    const int to = LOWER(from + step, cols);
+    for (int i = from; i < to; i++) {
+      wall |= wall_in[i];
+      free_cells += free_in[i];
+    }
+    set_block(out_wall, out_free, row * out_width + col, wall, free_cells, step);
+  }
 }
 
 /* First pass of the exact Euclidean distance (Meijster, Roerdink and Hesselink 2000): distance along

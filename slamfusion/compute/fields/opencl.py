@@ -53,7 +53,8 @@ class OpenCLFields(OpenCLQueue):
         shape = (-(-height // step), -(-width // step))
         wall, free = self.empty(shape, np.uint8), self.empty(shape, np.uint8)
         sizes = [np.int32(v) for v in (height, width, step, *shape)]
-        self._launch("shrink", shape[::-1], walls, cells, *sizes, wall, free)
+        size = (-(-shape[1] // max(1, RUN // step)), shape[0])
+        self._launch("shrink", size, walls, cells, *sizes, wall, free)
         return wall, free
 
     def distance_squared(

@@ -11,7 +11,13 @@ from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.doubled_walls import RaySteps
 from slamfusion.compute.fields import numpy as fields
 from slamfusion.compute.lattice import fixed_poses
-from slamfusion.compute.layout import DISTANCE2_MAX, DISTANCE_MAX, DISTANCE_TABLE, DISTANCE_UNSEEN
+from slamfusion.compute.layout import (
+    DISTANCE2_MAX,
+    DISTANCE_MAX,
+    DISTANCE_TABLE,
+    DISTANCE_UNSEEN,
+    RUN,
+)
 from slamfusion.compute.search import FitSide, ScoredSide
 from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
 from slamfusion.compute.shift_spans import shift_spans
@@ -35,7 +41,9 @@ def _surface_walls(device: ComputeDevice, sample: Sample) -> Arrays:
 
 def _shrink(device: ComputeDevice, sample: Sample) -> Arrays:
     walls, cells = device.upload(sample.walls), device.upload(sample.cells)
-    return [a for step in (1, 7) for a in fetch(device, device.shrink(walls, cells, step))]
+    # Blocks of one cell, many in a run, and one that is wider than a run.
+    steps = (1, 7, RUN + 6)
+    return [a for step in steps for a in fetch(device, device.shrink(walls, cells, step))]
 
 
 def _distance_squared(device: ComputeDevice, sample: Sample) -> Arrays:
