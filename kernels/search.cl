@@ -190,8 +190,8 @@ __kernel void pose_counts(__global const int *points, const int count, __global 
  * Forward: points of the moving grid on the reference's field; the gradient is used as it is, the arm
  * is the mapped point. Backward: points of the reference on the moving field;
  * the gradient turns into the reference frame and changes sign, the arm is the point itself.
- * partial[p, chunk] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights; the
- * chunks of the forward side, then those of the backward side.
+ * partial[chunk, p] = REFINE_TERMS floats: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights; the
+ * chunks of the forward side, then those of the backward side. scales (n) float cells.
  * *_points (count, 2) float cells; *_poses (n, 4) float cos, sin, tx, ty in cells, points to field;
  * *_distance (height, width) ushort, 1/256 cell; DISTANCE_UNSEEN where a point counts for nothing.
  * REFINE_LANES = 8 points are done at once; what lies off the map, or is not seen, weighs nothing.
@@ -212,9 +212,10 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
                            const int forward_width, __global const float *backward_points,
                            const int backward_count, __global const float *backward_poses,
                            __global const ushort *backward_distance, const int backward_height,
-                           const int backward_width, const int n, const float scale,
-                           const float cx, const float cy, const int chunk, const int forward_chunks,
-                           const int chunks, __global float *partial) {
+                           const int backward_width, const int n,
+                           __global const float *scales, const float cx, const float cy,
+                           const int chunk, const int forward_chunks, const int chunks,
+                           __global float *partial) {
   const int c = get_global_id(0), p = get_global_id(1);
   if (c >= chunks || p >= n) return;
   const bool backward = c >= forward_chunks;
@@ -227,7 +228,7 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
   const int stop = LOWER(first + chunk, backward ? backward_count : forward_count);
   const float cosine = poses[4 * p], sine = poses[4 * p + 1];
   const float tx = poses[4 * p + 2], ty = poses[4 * p + 3];
-  const float narrow = 1.0f / (scale * scale);
+  const float narrow = 1.0f / (scales[p] * scales[p]);
   float8 xx = 0.0f, xy = 0.0f, xt = 0.0f, yy = 0.0f, yt = 0.0f, tt = 0.0f;
   float8 x = 0.0f, y = 0.0f, t = 0.0f, all = 0.0f;
   for (int i = first; i < stop && width > 1 && height > 1; i += REFINE_LANES) {
@@ -291,7 +292,7 @@ __kernel void refine_terms(__global const float *forward_points, const int forwa
   const float sum[REFINE_TERMS] = {
       lanes_sum(xx), lanes_sum(xy), lanes_sum(xt), lanes_sum(yy), lanes_sum(yt),
       lanes_sum(tt), lanes_sum(x),  lanes_sum(y),  lanes_sum(t),  lanes_sum(all)};
-  for (int i = 0; i < REFINE_TERMS; i++) partial[(p * chunks + c) * REFINE_TERMS + i] = sum[i];
+  for (int i = 0; i < REFINE_TERMS; i++) partial[(c * n + p) * REFINE_TERMS + i] = sum[i];
 }
 
 /* Joint counts of two trinary grids: partial[chunk, 3 (a + 1) + (b + 1)] over chunks of `chunk`

@@ -7,6 +7,7 @@ the search, on full-resolution cells. What a motion is: see ``motions``.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -31,15 +32,23 @@ SETTLED_CELLS = 0.02
 SURFACE_RADII = (1, 2, 3, 4)
 # Robust scales of the last fit of two maps that show the same walls, cells.
 POLISH_SCALES = (4.0, 2.0, 1.0)
+# Where the six terms of a symmetric matrix of three rows stand, and its diagonal among the nine.
+SYMMETRIC, DIAGONAL = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5]), slice(0, 9, 4)
 # So many times as many wall cells to a cell of their surface, and the walls of a map are thicker.
 THICKER = 1.15
 
 
-def _device_poses(motions: F64) -> npt.NDArray[np.float32]:
-    """Return (N, 4) float32 cos, sin, x, y."""
-    return np.stack(
-        (np.cos(motions[:, 2]), np.sin(motions[:, 2]), motions[:, 0], motions[:, 1]), axis=1
-    ).astype(np.float32)
+def _device_poses(
+    motions: F64, centre: tuple[float, float]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return (N, 4) float32 cos, sin, x, y from the moving lattice to the reference's, and back."""
+    cos, sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
+    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
+    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
+    there, back = np.empty((2, len(motions), 4), dtype=np.float32)
+    there.T[:] = cos, sin, x, y
+    back.T[:] = cos, -sin, -cos * x - sin * y, sin * x - cos * y
+    return there, back
 
 
 def refine(
@@ -47,7 +56,7 @@ def refine(
     moving: GridFeatures,
     motions: F64,
     step: int,
-    scales: tuple[float, ...],
+    scales: Sequence[float | F64],
     device: ComputeDevice,
     *,
     points: int = REFINE_POINTS,
@@ -62,7 +71,8 @@ def refine(
         reference, moving: the two grids.
         motions: (P, 3) where the moving centre lands, fine cells, and yaw.
         step: level to work on, fine cells a cell.
-        scales: robust scale of each round, in cells of the level, wide to narrow.
+        scales: robust scale of each round, in cells of the level, wide to narrow; (P,) where each
+            motion has its own.
         device: computes the normal equations.
         points: at most this many wall points of each grid.
         iterations: Gauss-Newton steps a scale; a pose that moves by less than 0.02 cells stops.
@@ -87,17 +97,18 @@ def refine(
     reach = math.hypot(*mov.shape) / 2.0
     local = motions / np.array([step, step, 1.0])
     for scale in scales:
+        widths = np.broadcast_to(np.asarray(scale, dtype=np.float64), len(local))
         moves = np.arange(len(local))
         for _ in range(iterations):
-            poses = to_lattice(local[moves], centre_mov)
+            there, back = _device_poses(local[moves], centre_mov)
             check_cancelled(cancel)
             terms = device.refine_terms(
-                FitSide(from_mov, _device_poses(poses), on_ref),
-                FitSide(from_ref, _device_poses(invert(poses)), on_mov),
-                scale=scale,
+                FitSide(from_mov, there, on_ref),
+                FitSide(from_ref, back, on_mov),
+                scales=widths[moves].astype(np.float32),
                 centre=pivot,
             )
-            change = _solve(terms, scale, reach)
+            change = _solve(terms, widths[moves], reach)
             local[moves] = _apply(local[moves], change, pivot)
             moves = moves[(np.abs(change) * (1.0, 1.0, reach) >= SETTLED_CELLS).any(axis=1)]
             if not len(moves):
@@ -105,14 +116,12 @@ def refine(
     return np.asarray(local * np.array([step, step, 1.0]))
 
 
-def _solve(terms: F64, scale: float, reach: float) -> F64:
-    """Return the damped Gauss-Newton step (P, 3) of each pose, no longer than the scale."""
-    h = terms[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    ridge = np.array([1.0, 1.0, reach * reach]) * 1e-3
-    weight = np.maximum(terms[:, 9], 1.0)[:, None]
-    h = h + np.eye(3) * (ridge * weight)[:, None, :]
-    step = -np.linalg.solve(h, terms[:, 6:9, None])[:, :, 0]
-    length = np.hypot(step[:, 0], step[:, 1]) / scale + np.abs(step[:, 2]) * reach / scale
+def _solve(terms: F64, scales: F64, reach: float) -> F64:
+    """Return the damped Gauss-Newton step (P, 3) of each pose, no longer than its scale."""
+    h = terms.take(SYMMETRIC, axis=1)
+    h[:, DIAGONAL] += np.maximum(terms[:, 9:], 1.0) * (1e-3, 1e-3, 1e-3 * (reach * reach))
+    step = -np.linalg.solve(h.reshape(-1, 3, 3), terms[:, 6:9, None])[:, :, 0]
+    length = np.hypot(step[:, 0], step[:, 1]) / scales + np.abs(step[:, 2]) * reach / scales
     return np.asarray(step / np.maximum(1.0, length)[:, None])
 
 
@@ -149,22 +158,17 @@ def settle(
         reference, moving, motions, 1, (12.0, 8.0), device, points=FINE_POINTS, cancel=cancel
     )
     spread = _surface_distance(reference, moving, motions, device, cancel)
-    settled = np.empty_like(motions)
-    for radius in np.unique(spread):
-        mine = spread == radius
-        last = SCALE_SPREAD * float(radius)
-        settled[mine] = refine(
-            reference,
-            moving,
-            motions[mine],
-            1,
-            (last,),
-            device,
-            points=FINE_POINTS,
-            solid=True,
-            cancel=cancel,
-        )
-    return settled
+    return refine(
+        reference,
+        moving,
+        motions,
+        1,
+        (SCALE_SPREAD * spread,),
+        device,
+        points=FINE_POINTS,
+        solid=True,
+        cancel=cancel,
+    )
 
 
 def polish(

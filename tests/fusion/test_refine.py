@@ -39,6 +39,17 @@ def test_refine_treats_each_motion_alone(device: ComputeDevice) -> None:
     assert np.allclose(together, alone, atol=1e-4)
 
 
+def test_each_motion_may_have_a_scale_of_its_own(device: ComputeDevice) -> None:
+    grid = features_of(building(2), device)
+    starts = np.array([*grid.centre, 0.0]) + np.array([[2, 1, 0.02], [-3, 0, -0.03], [0, 4, 0.0]])
+    scales = np.array([8.0, 2.0, 1.0])
+    together = refine(grid, grid, starts, 1, (scales,), device, iterations=1)
+    for start, scale, found in zip(starts, scales, together, strict=True):
+        alone = refine(grid, grid, start[None], 1, (float(scale),), device, iterations=1)[0]
+        assert np.allclose(found, alone, atol=1e-4)
+        assert 0.0 < np.hypot(*(found - start)[:2]) < 1.01 * scale
+
+
 def rooms(thick: int) -> OccupancyGrid:
     """Three rooms in unknown space; walls grow by ``thick`` cells away from their middle line."""
     lines = np.zeros((90, 120), dtype=bool)
@@ -211,6 +222,7 @@ def test_points_on_unseen_cells_are_left_out_of_the_fit(
             for some in (own, np.full((1, 2), -99.0))
         )
         sides = (nothing, side) if backward else (side, nothing)
-        return device.refine_terms(*sides, scale=6.0, centre=(25.0, 20.0))
+        scales = np.array([6.0], dtype=np.float32)
+        return device.refine_terms(*sides, scales=scales, centre=(25.0, 20.0))
 
     assert terms(points, masked) == pytest.approx(terms(points[seen], distance), rel=1e-4)

@@ -123,7 +123,7 @@ class SearchDevice(ArrayDevice, Protocol):
         forward: FitSide,
         backward: FitSide,
         *,
-        scale: float,
+        scales: npt.NDArray[np.float32],
         centre: tuple[float, float],
     ) -> npt.NDArray[np.float64]:
         """See ``search.numpy.refine_terms``."""

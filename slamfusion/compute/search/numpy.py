@@ -263,7 +263,7 @@ def _pose_scores(side: ScoredSide) -> I64:
 
 
 def refine_terms(
-    forward: FitSide, backward: FitSide, *, scale: float, centre: tuple[float, float]
+    forward: FitSide, backward: FitSide, *, scales: F32, centre: tuple[float, float]
 ) -> F64:
     """Return the normal equations of a robust point-to-wall fit, one row per pose.
 
@@ -274,17 +274,17 @@ def refine_terms(
     Args:
         forward: points of the moving grid on the reference's distances.
         backward: points of the reference on the moving grid's.
-        scale: cells.
+        scales: (P,) float32 of each pose, cells.
         centre: x and y in cells of the reference.
 
     Returns:
         (P, 10) float64, of both sides: Hxx Hxy Hxt Hyy Hyt Htt, gx gy gt, sum of weights.
     """
-    ahead = _side_terms(forward, scale, centre, backward=False)
-    return ahead + _side_terms(backward, scale, centre, backward=True)
+    ahead = _side_terms(forward, scales, centre, backward=False)
+    return ahead + _side_terms(backward, scales, centre, backward=True)
 
 
-def _side_terms(side: FitSide, scale: float, centre: tuple[float, float], *, backward: bool) -> F64:
+def _side_terms(side: FitSide, scales: F32, centre: tuple[float, float], *, backward: bool) -> F64:
     """Return what the points of one side add to the normal equations."""
     points, distance = np.asarray(side.points), np.asarray(side.distance)
     poses = side.poses
@@ -292,6 +292,7 @@ def _side_terms(side: FitSide, scale: float, centre: tuple[float, float], *, bac
     cells = distance / float(DISTANCE_ONE)
     out = np.zeros((len(poses), REFINE_TERMS))
     for p, (cosine, sine, tx, ty) in enumerate(poses.astype(np.float64)):
+        scale = float(scales[p])
         px, py = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
         qx, qy = cosine * px - sine * py + tx, sine * px + cosine * py + ty
         col = np.floor(qx - 0.5).astype(np.int64)

@@ -229,7 +229,7 @@ class OpenCLSearch(OpenCLQueue):
         forward: FitSide,
         backward: FitSide,
         *,
-        scale: float,
+        scales: npt.NDArray[np.float32],
         centre: tuple[float, float],
     ) -> npt.NDArray[np.float64]:
         """See ``search.numpy.refine_terms``."""
@@ -241,12 +241,19 @@ class OpenCLSearch(OpenCLQueue):
             poses = self.upload(side.poses)
             sides += [side.points, np.int32(count), poses, side.distance, *sizes]
             chunks.append(-(-count // CHUNK_POINTS))
-        partial = self.empty((n, sum(chunks), REFINE_TERMS), np.float32)
-        floats = [np.float32(v) for v in (scale, *centre)]
+        partial = self.empty((sum(chunks), n, REFINE_TERMS), np.float32)
+        middle = [np.float32(v) for v in centre]
         counts = [np.int32(v) for v in (CHUNK_POINTS, chunks[0], sum(chunks))]
         self._launch(
-            "refine_terms", (sum(chunks), n), *sides, np.int32(n), *floats, *counts, partial
+            "refine_terms",
+            (sum(chunks), n),
+            *sides,
+            np.int32(n),
+            self.upload(scales),
+            *middle,
+            *counts,
+            partial,
         )
         parts = self.download(partial)
-        ahead, back = parts[:, : chunks[0]], parts[:, chunks[0] :]
-        return np.asarray(ahead.sum(axis=1, dtype=np.float64) + back.sum(axis=1, dtype=np.float64))
+        ahead, back = parts[: chunks[0]], parts[chunks[0] :]
+        return np.asarray(ahead.sum(axis=0, dtype=np.float64) + back.sum(axis=0, dtype=np.float64))

@@ -193,10 +193,11 @@ def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:
     eighths = sample.rng.integers(0, 8 * np.array(size), (150, 2)) / 8.0
     unseen = fields.look_up(sample.distance2, DISTANCE_TABLE)
     unseen[sample.rng.random(sample.shape) < 0.15] = DISTANCE_UNSEEN
+    scales = np.array([6.0, 3.0, 12.0], dtype=np.float32)
     rounded = FitSide(points, poses, distance)
     exact = FitSide(device.upload(eighths.astype(np.float32)), turns, device.upload(unseen))
     return [
-        device.refine_terms(forward, backward, scale=6.0, centre=centre)
+        device.refine_terms(forward, backward, scales=scales, centre=centre)
         for forward, backward in ((rounded, rounded), (exact, rounded), (rounded, exact))
     ]
 
