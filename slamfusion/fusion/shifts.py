@@ -35,8 +35,9 @@ COARSE_POINTS = 384
 # Cells that the walls at this percentile of their radii move from one yaw to the next.
 YAW_STEP_CELLS = 1.3
 RIM_PERCENTILE = 90.0
-# Memory that yaws take that are scored at once: more costs more to get than more launches do.
-BATCH_BYTES = 1 << 25
+# Memory that yaws take that are scored at once: of more, each batch would be given new pages, which
+# costs more than more launches do.
+BATCH_BYTES = 1 << 23
 
 
 @dataclass(frozen=True)
