@@ -27,7 +27,7 @@ from slamfusion.slam.common.matcher import (
     Spread,
     search_pose,
 )
-from slamfusion.slam.common.pose_rows import row_of
+from slamfusion.slam.common.pose_rows import pose_of, row_of
 from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
 
 __all__ = ["Tracker", "TrackerState"]
@@ -54,6 +54,10 @@ PLACES_ON_THE_WAY = 8
 # of one scan mark some cells of a wall alone, so the next ones fit best where it was taken: a robot
 # that drives seems to stand, and what is mapped there says so again.
 YOUNG_SCANS = 20
+# What standing still is to cost there, of the score, where the odometry says that it drove: by some
+# of it a scan fits better where another one was taken. A long step costs that anyway, and odometry
+# that is far off over one must be left; one too short to cost it even so tells nothing.
+STANDING_LOSS = 0.1
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ class Tracker:
         return [
             replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True),
             # Odometry that stalls and then catches up, or wheels that slip, are what this is for.
-            self._hypothesis(onward, 1.0, self.config.drift_loss * self._trust()),
+            self._hypothesis(onward, 1.0, self.config.drift_loss * self._trust(step)),
         ]
 
     def match(
@@ -142,7 +146,8 @@ class Tracker:
         config = self.config
         scan = ScanOnTiles(self.device, walls, points, config.beams)
         by_odometry = hypotheses[0].by_odometry
-        trust = self._trust() if by_odometry else 1.0
+        step = (self.pose or IDENTITY).inverse().compose(pose_of(hypotheses[0].pose))
+        trust = self._trust(step) if by_odometry else 1.0
         if not by_odometry:  # as many draws around each place on the way
             config = replace(config, first_poses=len(hypotheses) * config.first_poses)
         match = search_pose(scan, hypotheses, config, self.rng, trust)
@@ -220,10 +225,19 @@ class Tracker:
         first = gone.index(expected)
         return [found[first], *found[:first], *found[first + 1 :]]
 
-    def _trust(self) -> float:
-        """Return how many times more leaving the odometry costs than on a map of many scans."""
-        mapped = max(1, self.health.scans_used)
-        return max(1.0, YOUNG_SCANS / mapped) if self.doubts_young_map else 1.0
+    def _trust(self, step: Pose2) -> float:
+        """Return how many times more leaving the odometry costs than on a map of many scans.
+
+        Args:
+            step: since the last scan, by odometry; no more than lets standing cost enough.
+        """
+        if not self.doubts_young_map:
+            return 1.0
+        spreads = math.hypot(step.x, step.y) / self._spread(step, 1.0).xy_m
+        standing = self.config.prior_weight_xy * spreads**2
+        if standing * YOUNG_SCANS < STANDING_LOSS:
+            return 1.0
+        return max(1.0, min(YOUNG_SCANS / max(1, self.health.scans_used), STANDING_LOSS / standing))
 
     def _hypothesis(self, step: Pose2, wider: float, loss: float) -> PoseHypothesis:
         start = self.pose or IDENTITY

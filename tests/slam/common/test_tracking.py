@@ -82,12 +82,27 @@ def test_odometry_is_one_hypothesis_and_going_on_the_other() -> None:
     assert_guess(onward, last.compose(half), (0.1 + 0.15 * 0.1, 0.05 + 0.2 * 0.05), loss=0.05)
 
 
+# What standing still costs is 0.04 for a step of one spread: 0.1 m, and 0.15 m for each metre.
 @pytest.mark.parametrize(
-    ("doubts", "scans_used", "times"),
-    [(False, 1, 1.0), (True, 0, 20.0), (True, 1, 20.0), (True, 8, 2.5), (True, 20, 1.0)],
+    ("doubts", "scans_used", "step_m", "times"),
+    [
+        (False, 1, 0.05, 1.0),
+        # By the number of scans in the map,
+        (True, 8, 0.05, 2.5),
+        (True, 19, 0.05, 20 / 19),
+        (True, 20, 0.05, 1.0),
+        # as far as it takes: more for a short step than for a long one,
+        (True, 0, 0.04, 0.1 / (0.04 * (0.04 / 0.106) ** 2)),
+        (True, 1, 0.05, 0.1 / (0.04 * (0.05 / 0.1075) ** 2)),
+        (True, 1, 0.1, 0.1 / (0.04 * (0.1 / 0.115) ** 2)),
+        (True, 1, 0.3, 1.0),
+        # but nothing for one that tells nothing.
+        (True, 0, 0.037, 1.0),
+        (True, 1, 0.0, 1.0),
+    ],
 )
 def test_on_a_young_map_that_is_doubted_leaving_the_odometry_costs_more(
-    doubts: bool, scans_used: int, times: float, monkeypatch: pytest.MonkeyPatch
+    doubts: bool, scans_used: int, step_m: float, times: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trusts = []
 
@@ -98,12 +113,12 @@ def test_on_a_young_map_that_is_doubted_leaving_the_odometry_costs_more(
     monkeypatch.setattr(tracking, "search_pose", search)
     found = driven(doubts_young_map=doubts)
     found.health.scans_used = scans_used
-    hypotheses = HYPOTHESES(found, 12.0, Pose2(0.1))
+    hypotheses = HYPOTHESES(found, 12.0, Pose2(step_m))
     assert [one.loss for one in hypotheses] == [0.0, pytest.approx(0.05 * times)]
     found.match(ring(100, 100), POINTS, hypotheses)
     # Where the odometry says nothing, going on is a hypothesis like any other.
     found.match(ring(100, 100), POINTS, HYPOTHESES(found, 12.0, None))
-    assert trusts == [times, 1.0]
+    assert trusts == [pytest.approx(times), 1.0]
 
 
 @pytest.mark.parametrize("stands", [False, True])
