@@ -206,11 +206,11 @@ class Tracker:
 
         The further from where it would have come to as it went the less likely, by ``drift_loss``.
         """
-        expected = IDENTITY if self.expects_standstill else onward
         missing = duration_s / (MOST_ONWARD * self.step_s) if self.step_s > 0.0 else 0.0
         if missing <= 1.0 or self.step == IDENTITY:
+            expected = IDENTITY if self.expects_standstill else onward
             return [self._hypothesis(expected, NO_ODOMETRY_SPREAD, 0.0)]
-        gone = [IDENTITY]
+        gone = [IDENTITY, onward]
         while len(gone) <= min(math.ceil(missing), PLACES_ON_THE_WAY):
             gone.append(gone[-1].compose(onward))
         likely = 0 if self.expects_standstill else len(gone) - 1
@@ -222,7 +222,7 @@ class Tracker:
             )
             for index, step in enumerate(gone)
         ]
-        first = gone.index(expected)
+        first = 0 if self.expects_standstill else 1
         return [found[first], *found[:first], *found[first + 1 :]]
 
     def _trust(self, step: Pose2) -> float:

@@ -161,6 +161,9 @@ def test_where_scans_are_missing_a_robot_without_odometry_may_be_anywhere_on_its
         np.testing.assert_allclose(guess.pose, of_pose(way[index]), atol=1e-9)
         assert guess.loss == pytest.approx(loss)
     assert len(HYPOTHESES(driven(HOME, step), 11.0 + 3600.0, None)) == 9
+    # A turn that wraps, and one that is rounded where it does.
+    for turned in (Pose2(0.1, 0.2, 1.9), Pose2(0.0196, 0.0420, 0.4422470158261755)):
+        assert len(HYPOTHESES(driven(HOME, turned, **{STANDS: stands}), 11.0 + 7.0, None)) == 4
     assert len(HYPOTHESES(driven(HOME, HOME), 11.0 + 3600.0, None)) == 1
 
 
