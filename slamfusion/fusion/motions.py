@@ -14,6 +14,7 @@ import numpy.typing as npt
 from slamfusion.compute.layout import FIXED_ONE
 
 __all__ = [
+    "both_ways",
     "displacement",
     "distinct",
     "distinct_rows",
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 F64 = npt.NDArray[np.float64]
+Columns = tuple[F64, F64, F64, F64]
 
 
 def to_lattice(motions: F64, centre: tuple[float, float]) -> F64:
@@ -52,6 +54,21 @@ def fixed_similarities(
         centre: the moving map's, cells.
         scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
     """
+    there, back = (_fixed(*columns) for columns in both_ways(motions, centre, scales))
+    return there, back
+
+
+def both_ways(
+    motions: F64, centre: tuple[float, float], scales: F64 | None = None
+) -> tuple[Columns, Columns]:
+    """Return cos, sin, x and y from the moving lattice to the reference's, and back.
+
+    Args:
+        motions, centre, scales: see ``fixed_similarities``.
+
+    Returns:
+        Twice four columns (P,), x and y in cells.
+    """
     # By columns: each is one stretch of memory, which is what makes many poses quick.
     x, y, yaw = np.ascontiguousarray(motions.T)
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -59,17 +76,16 @@ def fixed_similarities(
         cos, sin = scales * cos, scales * sin
     x = x - cos * centre[0] + sin * centre[1]
     y = y - sin * centre[0] - cos * centre[1]
-    there = _fixed(cos, sin, 2.0 * x, 2.0 * y)
+    there = cos, sin, x, y
     if scales is not None:
         cos, sin = cos / scales**2, sin / scales**2
-    back = _fixed(cos, -sin, -2.0 * (cos * x + sin * y), 2.0 * (sin * x - cos * y))
-    return there, back
+    return there, (cos, -sin, -(cos * x + sin * y), sin * x - cos * y)
 
 
-def _fixed(*columns: F64) -> npt.NDArray[np.int64]:
-    """Return columns (P,) in fixed point, side by side: (P, 4) of four, each one stretch."""
-    fixed = np.empty((len(columns), len(columns[0])), dtype=np.int64)
-    for row, column in zip(fixed, columns, strict=True):
+def _fixed(cos: F64, sin: F64, x: F64, y: F64) -> npt.NDArray[np.int64]:
+    """Return columns (P,) in fixed point, side by side: (P, 4), each one stretch."""
+    fixed = np.empty((4, len(cos)), dtype=np.int64)
+    for row, column in zip(fixed, (cos, sin, 2.0 * x, 2.0 * y), strict=True):
         row[:] = np.rint(column * float(FIXED_ONE))
     return fixed.T
 

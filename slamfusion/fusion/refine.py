@@ -17,7 +17,7 @@ from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.search import FitSide
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, ScoreTable, spread_sample
-from slamfusion.fusion.motions import invert, to_lattice
+from slamfusion.fusion.motions import both_ways, invert, to_lattice
 
 __all__ = ["polish", "rank", "refine", "settle"]
 
@@ -42,12 +42,8 @@ def _device_poses(
     motions: F64, centre: tuple[float, float]
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return (N, 4) float32 cos, sin, x, y from the moving lattice to the reference's, and back."""
-    cos, sin = np.cos(motions[:, 2]), np.sin(motions[:, 2])
-    x = motions[:, 0] - cos * centre[0] + sin * centre[1]
-    y = motions[:, 1] - sin * centre[0] - cos * centre[1]
     there, back = np.empty((2, len(motions), 4), dtype=np.float32)
-    there.T[:] = cos, sin, x, y
-    back.T[:] = cos, -sin, -cos * x - sin * y, sin * x - cos * y
+    there.T[:], back.T[:] = both_ways(motions, centre)
     return there, back
 
 
