@@ -6,9 +6,8 @@ import math
 
 import pytest
 
-from slamfusion.compute import open_device
 from slamfusion.config import RunConfig
-from slamfusion.slam.registry import BUILT_IN, make_producer, with_settings
+from slamfusion.slam.registry import BUILT_IN, make_producer, open_producer_device, with_settings
 from tests.slam.drives import drive
 
 # Scans of the drive that are missing, of ten a second: the robot goes on for a metre.
@@ -21,7 +20,7 @@ def test_a_robot_without_odometry_is_found_where_it_went_on_to(name: str) -> Non
     config = RunConfig()
     if name == "gmapping":
         config = with_settings(config, name, particles=6)
-    made = make_producer(name, config, open_device("auto", small_kernels=True))
+    made = make_producer(name, config, open_producer_device(name, config))
     for number, (item, pose) in enumerate(zip(scans, truth, strict=True)):
         if number not in MISSING:
             found = made.feed(item.scan, item.odometry if number < 30 else None).pose_map_base

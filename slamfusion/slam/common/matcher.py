@@ -79,12 +79,14 @@ class PoseHypothesis:
         spread: how far to look around it.
         loss: what believing it costs, in units of the score.
         by_odometry: whether it is where odometry says.
+        trust: times what leaving its place costs, see ``search_pose``.
     """
 
     pose: F64
     spread: Spread
     loss: float = 0.0
     by_odometry: bool = False
+    trust: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from slamfusion.slam.common.matcher import (
     Spread,
     search_pose,
 )
-from slamfusion.slam.common.pose_rows import pose_of, row_of
+from slamfusion.slam.common.pose_rows import row_of
 from slamfusion.slam.common.response import keep_degenerate_prior, response_hessian
 
 __all__ = ["Tracker", "TrackerState"]
@@ -127,10 +127,11 @@ class Tracker:
             self.health.skips.add(reason, self.health.scans)
             self.has_jumped = True
             return [self._hypothesis(onward, NO_ODOMETRY_SPREAD, 0.0)]
+        trust = self._trust(step)
         return [
-            replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True),
+            replace(self._hypothesis(step, 1.0, 0.0), by_odometry=True, trust=trust),
             # Odometry that stalls and then catches up, or wheels that slip, are what this is for.
-            self._hypothesis(onward, 1.0, self.config.drift_loss * self._trust(step)),
+            self._hypothesis(onward, 1.0, self.config.drift_loss * trust),
         ]
 
     def match(
@@ -145,9 +146,7 @@ class Tracker:
         """
         config = self.config
         scan = ScanOnTiles(self.device, walls, points, config.beams)
-        by_odometry = hypotheses[0].by_odometry
-        step = (self.pose or IDENTITY).inverse().compose(pose_of(hypotheses[0].pose))
-        trust = self._trust(step) if by_odometry else 1.0
+        by_odometry, trust = hypotheses[0].by_odometry, hypotheses[0].trust
         if not by_odometry:  # as many draws around each place on the way
             config = replace(config, first_poses=len(hypotheses) * config.first_poses)
         match = search_pose(scan, hypotheses, config, self.rng, trust)
