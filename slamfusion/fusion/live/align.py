@@ -45,6 +45,11 @@ class Held:
     transform: Pose2
     features: GridFeatures
 
+    @property
+    def walls(self) -> int:
+        """Wall cells of its map."""
+        return len(self.features.wall_points)
+
 
 class Aligner:
     """Aligns inputs, one at a time, and keeps what the searches gave.

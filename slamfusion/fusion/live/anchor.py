@@ -45,11 +45,11 @@ class Anchor:
     @property
     def walls(self) -> int:
         """Wall cells of the map."""
-        return 0 if self.held is None else len(self.held.features.wall_points)
+        return 0 if self.held is None else self.held.walls
 
     def keep(self, held: Held) -> None:
         """Take the last fused map that inputs came back by, unless a fuller one is held."""
-        if len(held.features.wall_points) > self.walls:
+        if held.walls > self.walls:
             self.held, self._laid = held, ("", 0)
 
     def note(
@@ -70,9 +70,8 @@ class Anchor:
         if has_begun and self._before is None:
             self._before = hold_map(fused(), LAST_FUSED, aligner)
         elif self._before is not None:
-            grown = GROWN * len(self._before.features.wall_points)
             standing = [track.walls for track in tracks if track.stands]
-            if standing and min(standing) >= grown:
+            if standing and min(standing) >= GROWN * self._before.walls:
                 self._before = None
 
     def hand_over(self, reference: Track) -> None:
@@ -82,7 +81,7 @@ class Anchor:
             reference: the input that others are aligned to from now on.
         """
         before = self._before
-        if before is not None and reference.walls < GROWN * len(before.features.wall_points):
+        if before is not None and reference.walls < GROWN * before.walls:
             self.keep(before)
 
     def settle(self, reference: Track, tracks: Iterable[Track], aligner: Aligner) -> None:

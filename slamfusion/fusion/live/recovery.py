@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.anchor import LAST_FUSED, hold_map
-from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.track import Track, refuse_all
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
@@ -64,7 +64,9 @@ def recover(
         return Recovered()
     last = hold_map(fused(), LAST_FUSED, aligner)
     if last is None:
-        return _doubt(tracks, f"{LAST_FUSED} has too few walls to go by")
+        problem = f"{LAST_FUSED} has too few walls to go by"
+        refuse_all(tracks, problem)
+        return Recovered(problem=problem)
     _begin(tracks, names)
     found = _fitting([track for track in tracks if track.transform is not None], last, aligner)
     group = _largest_group([track for track, _, _ in found.values()], aligner)
@@ -93,13 +95,6 @@ def _fitting(tracks: Sequence[Track], held: Held, aligner: Aligner) -> dict[str,
         for track in tracks
         if (fit := aligner.fit(track, held)) is not None
     }
-
-
-def _doubt(tracks: Sequence[Track], problem: str) -> Recovered:
-    """Let none of these vote, for one reason."""
-    for track in tracks:
-        track.refuse(problem)
-    return Recovered(problem=problem)
 
 
 def _is_in_vain(track: Track, names: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
@@ -13,7 +13,7 @@ from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.anchor import Anchor
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
 from slamfusion.fusion.live.recovery import recover
-from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.track import Track, refuse_all
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
 
@@ -111,11 +111,11 @@ class InputSupervisor:
         self._fused, self._agreed = fused, agreed
         self._aligner.now_s, self._aligner.is_wanted = now_s, is_wanted
         self._aligner.has_searched = False
-        if self.lattice is not None:
-            self._anchor.note(self.tracks.values(), fused, self._aligner)
         if self.lattice is None:
             self._begin()
-        elif self._choose_reference():
+            return
+        self._anchor.note(self.tracks.values(), fused, self._aligner)
+        if self._choose_reference():
             self._anchor.settle(self.tracks[self.reference], self.tracks.values(), self._aligner)
             self._realign(is_idle=is_idle)
         else:
@@ -129,7 +129,7 @@ class InputSupervisor:
         least = self._live.minimum_inputs
         if len(usable) < least:
             self.problem = f"waits for {least} inputs that agree, has {len(usable)}"
-            _doubt(usable, self.problem)
+            refuse_all(usable, self.problem)
             return
         versions = tuple((track.name, track.version) for track in usable)
         last_s, tried = self._began
@@ -141,7 +141,7 @@ class InputSupervisor:
             group, lattice = align_first(usable, least, self._aligner)
         except SlamFusionError as error:
             self.problem = str(error)
-            _doubt(usable, self.problem)
+            refuse_all(usable, self.problem)
         else:
             self.reference = group.reference
             believe_first(group, lattice, self.tracks, self._aligner)
@@ -274,12 +274,6 @@ class InputSupervisor:
             self._anchor.keep(found.held)
         if found.reference is not None:
             self._hand_over(found.reference)
-
-
-def _doubt(tracks: Sequence[Track], problem: str) -> None:
-    """Let none of these vote, for one reason."""
-    for track in tracks:
-        track.refuse(problem)
 
 
 def _is_due(track: Track, reference: Track, aligner: Aligner) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import cv2
@@ -21,7 +22,7 @@ from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
 
-__all__ = ["Change", "Track", "compare"]
+__all__ = ["Change", "Track", "compare", "refuse_all"]
 
 I8 = npt.NDArray[np.int8]
 
@@ -417,3 +418,9 @@ class Track:
         """Let it vote no more."""
         self.accepted = False
         self.reason = reason
+
+
+def refuse_all(tracks: Iterable[Track], reason: str) -> None:
+    """Let none of these vote any more, for one reason."""
+    for track in tracks:
+        track.refuse(reason)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.fusion.live.anchor import LAST_FUSED
 from slamfusion.fusion.live.records import LiveUpdate
-from slamfusion.fusion.live.recovery import LAST_AGREED, LAST_FUSED, recover
+from slamfusion.fusion.live.recovery import LAST_AGREED, recover
 from slamfusion.fusion.live.track import Track
 from slamfusion.grid import OccupancyGrid
 from tests.fusion.live.maps import (
