@@ -54,8 +54,7 @@ def threads_limited(threads: int) -> Iterator[None]:
     try:
         yield
     finally:
-        for name in added:
-            del os.environ[name]
+        restore_variables(dict.fromkeys(added))
 
 
 def restore_variables(values: Mapping[str, str | None]) -> None:
