@@ -136,6 +136,8 @@ class GridFeatures:
         for name in ("cells", "known"):
             self.__dict__.pop(name, None)
         self._surface_walls = self._solid_level = None
+        if self._memory is not None:
+            self._memory.forget(self)
 
     @cached_property
     def cells(self) -> DeviceArray[Any]:

@@ -50,6 +50,10 @@ class FieldMemory:
         if is_more:
             self._shrink()
 
+    def forget(self, fields: Fields) -> None:
+        """Note that a map holds nothing any more."""
+        self._used.pop(id(fields), None)
+
     def _shrink(self) -> None:
         before = len(self._used)
         held = sum(_cells(fields) for fields in self._used.values())

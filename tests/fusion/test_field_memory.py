@@ -47,6 +47,17 @@ def test_maps_looked_at_last_keep_their_fields(
     assert not any(map(holds_fields, features))
 
 
+def test_a_map_that_was_let_go_of_takes_no_other_map_s_room(device: ComputeDevice) -> None:
+    grids = maps(6, device)
+    memory = FieldMemory(sum(grid.cells.size for grid in grids) - grids[4].cells.size)
+    features = [GridFeatures(grid, device, memory) for grid in grids]
+    for item in features[:-1]:
+        item.level(1)
+    features[4].release()
+    features[5].level(1)
+    assert [n for n, item in enumerate(features) if holds_fields(item)] == [0, 1, 2, 3, 5]
+
+
 def test_what_is_made_again_is_the_same(device: ComputeDevice) -> None:
     (grid,) = maps(1, device)
     features, whole = GridFeatures(grid, device), GridFeatures(grid, device)
