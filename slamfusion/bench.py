@@ -170,8 +170,8 @@ def _time_alignment(device: ComputeDevice, sizes: Sizes) -> list[Entry]:
 
     entries = []
     for kind, config, must, stretch in (
-        ("without proof", WITHOUT_PROOF, 0.5, 0.1),
-        ("with proof", WITH_PROOF, 2.0, 0.4),
+        ("without proof", WITHOUT_PROOF, 0.15, 0.1),
+        ("with proof", WITH_PROOF, 0.5, 0.14),
     ):
         align = partial(align_grids, reference, moving, config, device)
         seconds, found = _median_seconds(align, sizes.runs)
