@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import MapFileError, shown
@@ -148,7 +148,7 @@ def compare_distances(
     """
     rows = load_distances(distances) if isinstance(distances, (str, Path)) else tuple(distances)
     walls = wall_centres(trinary_cells(grid.cells, normalize), grid)
-    tree = KDTree(walls) if walls.shape[0] else None
+    tree = scipy.spatial.KDTree(walls) if walls.shape[0] else None
     compared = []
     for row in rows:
         ends = []

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
+import scipy
 
 from slamfusion.config import LogConfig
 from slamfusion.errors import TrajectoryError
@@ -183,7 +183,7 @@ def match_odometry(
         TrajectoryError: no scan has a row.
     """
     frame = _fit_frame(scan_odometry, odometry, tolerance_m)
-    tree = KDTree(_features(compose_poses(_array(frame), odometry.poses)))
+    tree = scipy.spatial.KDTree(_features(compose_poses(_array(frame), odometry.poses)))
     near = tree.query_ball_point(_features(scan_odometry.poses), tolerance_m, return_sorted=True)
     candidates = [
         rows[np.abs(odometry.stamps_s[rows] - stamp_s) <= _WINDOW_S]
@@ -401,7 +401,7 @@ def _fit_frame(scan_odometry: Trajectory, odometry: Trajectory, tolerance_m: flo
     the row whose pose is nearest, and the motion fitted to the good pairs.
     """
     scans, rows = scan_odometry.poses, odometry.poses
-    tree = KDTree(_features(rows))
+    tree = scipy.spatial.KDTree(_features(rows))
     judges = scans[np.linspace(0, len(scans) - 1, min(len(scans), _JUDGES)).astype(int)]
     reach = _ROUGHLY * tolerance_m
     best = (math.inf, math.inf)

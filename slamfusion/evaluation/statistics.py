@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from slamfusion.evaluation.records import (
     DifferenceJson,
@@ -166,19 +167,17 @@ def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> Difference |
     Raises:
         ValueError: there is no value, or one is not finite.
     """
-    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
-
     a, b = _checked(first), _checked(second)
     if min(len(a), len(b)) < 2:
         return None
-    u_test = stats.mannwhitneyu(a, b, alternative="two-sided")
+    u_test = scipy.stats.mannwhitneyu(a, b, alternative="two-sided")
     if np.ptp(a) == 0.0 and np.ptp(b) == 0.0:
         # Without any spread the t statistic is 0 / 0 or infinite.
         welch = 1.0 if a[0] == b[0] else 0.0
     else:
         # From the moments: a method that does not vary is no reason for a warning here.
         moments = (a.mean(), a.std(ddof=1), len(a), b.mean(), b.std(ddof=1), len(b))
-        welch = float(stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
+        welch = float(scipy.stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
     return Difference(welch, float(u_test.pvalue))
 
 
@@ -230,14 +229,12 @@ def t_interval(values: npt.ArrayLike, share: float = 0.95) -> Interval | None:
     Raises:
         ValueError: there is no value, or one is not finite.
     """
-    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
-
     known = _checked(values)
     if len(known) < 2:
         return None
     # Scaled here: where the values do not vary, SciPy's own scale of 0 gives NaN.
-    mean, error = float(known.mean()), float(stats.sem(known))
-    low, high = stats.t.interval(share, len(known) - 1)
+    mean, error = float(known.mean()), float(scipy.stats.sem(known))
+    low, high = scipy.stats.t.interval(share, len(known) - 1)
     return Interval(mean + error * float(low), mean + error * float(high))
 
 
@@ -264,13 +261,11 @@ def pooled_p_value(first: Moments, second: Moments) -> float:
 
     Source: Student, The Probable Error of a Mean, Biometrika 6(1), 1908.
     """
-    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
-
     if first.std == 0.0 and second.std == 0.0:
         # Without any spread the t statistic is 0 / 0 or infinite.
         return 1.0 if first.mean == second.mean else 0.0
     moments = (first.mean, first.std, first.count, second.mean, second.std, second.count)
-    return float(stats.ttest_ind_from_stats(*moments, equal_var=True).pvalue)
+    return float(scipy.stats.ttest_ind_from_stats(*moments, equal_var=True).pvalue)
 
 
 @dataclass(frozen=True)
@@ -320,8 +315,6 @@ def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifferen
     Raises:
         ValueError: there is no value, one is not finite, or the lengths differ.
     """
-    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
-
     a, b = _checked(first), _checked(second)
     if len(a) != len(b):
         message = f"pairs need as many values of both methods, found {len(a)} and {len(b)}"
@@ -333,8 +326,8 @@ def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifferen
     if np.ptp(differences) <= ROUNDING * np.abs((a, b)).max():
         t_test = 1.0 if np.ptp((a, b), axis=0).max() <= ROUNDING * np.abs(a).max() else 0.0
     else:
-        t_test = float(stats.ttest_rel(a, b).pvalue)
-    rank_test = float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
+        t_test = float(scipy.stats.ttest_rel(a, b).pvalue)
+    rank_test = float(scipy.stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
     return PairedDifference(
         len(a),
         float(differences.mean()),
@@ -366,11 +359,9 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
 
 def _bootstrap(values: npt.NDArray[np.float64], share: float) -> Interval:
     """Return the percentile interval of the mean; the same values give the same interval."""
-    from scipy import stats  # noqa: PLC0415  (loads slowly; only tables of experiments need it)
-
     if len(values) == 1:  # which SciPy refuses to draw from
         return Interval(float(values[0]), float(values[0]))
-    drawn = stats.bootstrap(
+    drawn = scipy.stats.bootstrap(
         (values,),
         np.mean,
         n_resamples=DRAWS,

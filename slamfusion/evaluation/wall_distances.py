@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
+import scipy
 
 from slamfusion.evaluation.records import WallDistanceJson
 
@@ -52,7 +52,7 @@ def nearest_distances(
         return None
     if others.shape[0] == 0:
         return np.full(walls.shape[0], np.inf)
-    distances, _ = KDTree(others).query(walls)
+    distances, _ = scipy.spatial.KDTree(others).query(walls)
     return np.asarray(distances, dtype=np.float64)
 
 

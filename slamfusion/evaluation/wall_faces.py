@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation.cells import wall_centres
@@ -242,10 +242,10 @@ def outside_area(
     """
     margin = math.floor(margin_m / truth.resolution + 1e-6)
     known = np.pad(true_classes != UNKNOWN, margin)
-    outline = ndimage.binary_fill_holes(known)
+    outline = scipy.ndimage.binary_fill_holes(known)
     if margin:
         # Distance to the nearest cell of the outline; a square of cells would reach further.
-        outline = ndimage.distance_transform_edt(~outline) <= margin + 1e-6
+        outline = scipy.ndimage.distance_transform_edt(~outline) <= margin + 1e-6
     rows, cols = np.nonzero(classes != UNKNOWN)
     points = transform.transform(grid.cell_centres(rows, cols))
     true_rows, true_cols = truth.cell_indices(points)

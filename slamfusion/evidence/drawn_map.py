@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.hit_counts import BeamScan
@@ -243,7 +243,7 @@ def _pages_crossed(
         at = start[going] + share[:, None] * (middle[going] - start[going])
         at_col, at_row = np.floor(at / TILE).astype(np.int64).T
         crossed[at_row, at_col] = True
-    return np.asarray(ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
+    return np.asarray(scipy.ndimage.binary_dilation(crossed, np.ones((3, 3), dtype=np.bool_)))
 
 
 def _is_wall(counts: npt.NDArray[np.uint32], model: SensorModel) -> npt.NDArray[np.bool_]:
@@ -254,7 +254,7 @@ def _is_wall(counts: npt.NDArray[np.uint32], model: SensorModel) -> npt.NDArray[
 
 def _without_specks(cells: npt.NDArray[np.int8], least_cells: float) -> npt.NDArray[np.int8]:
     """Return (H, W) cells without small patches of known ones that touch no others."""
-    of, count = ndimage.label(cells != UNKNOWN, np.ones((3, 3)))
+    of, count = scipy.ndimage.label(cells != UNKNOWN, np.ones((3, 3)))
     sizes = np.bincount(of.ravel(), minlength=count + 1)
     # The largest is the map, however small that is.
     least = min(least_cells, sizes[1:].max(initial=0))

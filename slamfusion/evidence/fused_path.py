@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
+import scipy
 
 from slamfusion.evidence.path_consensus import consensus_poses, find_modes
 from slamfusion.evidence.path_frames import LaidPaths, geman_mcclure, lay_paths, pose_distances
@@ -228,7 +228,7 @@ def _visits(poses: F64) -> tuple[I64, I64]:
     """Return pairs of scans at one place with a long way between them, evenly spread."""
     scans = np.arange(0, len(poses), max(1, -(-len(poses) // VISITING_SCANS)), dtype=np.int64)
     travelled_m = travelled(poses)[scans]
-    near = KDTree(poses[scans, :2]).query_pairs(VISIT_M, output_type="ndarray")
+    near = scipy.spatial.KDTree(poses[scans, :2]).query_pairs(VISIT_M, output_type="ndarray")
     near = near[np.abs(travelled_m[near[:, 1]] - travelled_m[near[:, 0]]) > BETWEEN_VISITS_M]
     near = np.sort(near, axis=1)
     near = near[np.lexsort((near[:, 1], near[:, 0]))]

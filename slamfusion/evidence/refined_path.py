@@ -24,8 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csc_matrix, csr_matrix
-from scipy.sparse.linalg import LinearOperator, cg, splu
+import scipy
 
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.path_frames import fit_frame, geman_mcclure
@@ -206,7 +205,7 @@ def _step(hits: _Hits, poses: F64, before: F64, number: int) -> F64:
     rows = 3 * hits.scans[:, None] + np.arange(3)
     columns = np.repeat(patches.of, 3)
     shape = (3 * count, patches.count)
-    to_patches = csr_matrix((weighted.ravel(), (rows.ravel(), columns)), shape=shape)
+    to_patches = scipy.sparse.csr_matrix((weighted.ravel(), (rows.ravel(), columns)), shape=shape)
     from_patches = to_patches.T.tocsr()
     # A patch of which no hit has a say moves with nobody.
     total = np.bincount(patches.of, patches.weights, patches.count)
@@ -217,12 +216,14 @@ def _step(hits: _Hits, poses: F64, before: F64, number: int) -> F64:
         return np.asarray(banded @ step - to_patches @ (inverse * (from_patches @ step)))
 
     size = (3 * count, 3 * count)
-    step, _ = cg(
-        LinearOperator(size, matvec=times, dtype=np.float64),
+    step, _ = scipy.sparse.linalg.cg(
+        scipy.sparse.linalg.LinearOperator(size, matvec=times, dtype=np.float64),
         -slope.ravel(),
         rtol=TOLERANCE,
         maxiter=MOST_STEPS,
-        M=LinearOperator(size, matvec=splu(banded).solve, dtype=np.float64),
+        M=scipy.sparse.linalg.LinearOperator(
+            size, matvec=scipy.sparse.linalg.splu(banded).solve, dtype=np.float64
+        ),
     )
     return np.asarray(step.reshape(count, 3))
 
@@ -262,7 +263,7 @@ def _of_motions(poses: F64, before: F64) -> tuple[F64, F64, F64]:
     return diagonal, by_first @ second, slope + held * away
 
 
-def _banded(diagonal: F64, beside: F64) -> csc_matrix:
+def _banded(diagonal: F64, beside: F64) -> scipy.sparse.csc_matrix:
     """Return the symmetric matrix of (N, 3, 3) blocks and of (N - 1, 3, 3) right of them."""
     count = len(diagonal)
     first = 3 * np.arange(count)[:, None, None]
@@ -273,4 +274,4 @@ def _banded(diagonal: F64, beside: F64) -> csc_matrix:
     values = np.concatenate([part.ravel() for part in (diagonal, beside, beside)])
     rows = np.concatenate([part.ravel() for part in (row, row[:-1], col[1:])])
     columns = np.concatenate([part.ravel() for part in (col, col[1:], row[:-1])])
-    return csc_matrix((values, (rows, columns)), shape=(3 * count, 3 * count))
+    return scipy.sparse.csc_matrix((values, (rows, columns)), shape=(3 * count, 3 * count))

@@ -16,7 +16,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import OccupancyEstimator, RunConfig
@@ -174,4 +174,4 @@ def _p_value(change: float, pairs: list[list[npt.NDArray[np.float64]]]) -> float
     if total == 0.0:
         return 1.0 if change == 0.0 else 0.0
     degrees = total**2 / float((variances**2 / freedom).sum())
-    return float(2.0 * stats.t.sf(abs(change) / math.sqrt(total), degrees))
+    return float(2.0 * scipy.stats.t.sf(abs(change) / math.sqrt(total), degrees))

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-import scipy.fft
+import scipy
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.features import GridFeatures

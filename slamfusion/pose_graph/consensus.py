@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.pose_graph.covariance import inverted, moved, turned
@@ -72,7 +72,7 @@ def find_consensus(measured: Measurements, may_be_outlier: npt.NDArray[np.bool_]
     closures = _Closures.of(
         edges[may_be_outlier], motions[may_be_outlier], covariances[may_be_outlier]
     )
-    places = cKDTree(np.stack((closures.first, closures.last), axis=1))
+    places = scipy.spatial.cKDTree(np.stack((closures.first, closures.last), axis=1))
     reach = NEAR_POSES
     while True:
         pairs = places.query_pairs(reach, p=np.inf, output_type="ndarray")

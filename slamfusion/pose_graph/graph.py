@@ -7,12 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import (
-    breadth_first_order,
-    connected_components,
-    minimum_spanning_tree,
-)
+import scipy
 
 from slamfusion.errors import GraphError
 from slamfusion.geometry import compose_poses, invert_poses
@@ -89,7 +84,9 @@ class PoseGraph:
 
 def part_labels(edges: npt.NDArray[np.int64], count: int) -> tuple[int, npt.NDArray[np.int32]]:
     """Return in how many parts edges leave ``count`` poses, and of each pose its part, (count,)."""
-    parts, labels = connected_components(_adjacency(edges, count), directed=False)
+    parts, labels = scipy.sparse.csgraph.connected_components(
+        _adjacency(edges, count), directed=False
+    )
     return int(parts), np.asarray(labels, np.int32)
 
 
@@ -134,8 +131,10 @@ def joining(
     _, first = np.unique(pairs[:, 0] * parts + pairs[:, 1], return_index=True)
     # The tree of least weight, where an edge weighs its place in the order.
     shape = (parts, parts)
-    weights = coo_matrix((first + 1.0, (pairs[first, 0], pairs[first, 1])), shape=shape)
-    tree = minimum_spanning_tree(weights)
+    weights = scipy.sparse.coo_matrix(
+        (first + 1.0, (pairs[first, 0], pairs[first, 1])), shape=shape
+    )
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(weights)
     return np.asarray(np.sort(candidates[tree.data.astype(np.int64) - 1]), np.int64)
 
 
@@ -167,7 +166,9 @@ def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> npt.NDArr
     """Follow a breadth-first tree of the used edges from the root, one depth at a time."""
     count = len(graph)
     ends = graph.edges[used]
-    _, parents = breadth_first_order(_adjacency(ends, count), root, directed=False)
+    _, parents = scipy.sparse.csgraph.breadth_first_order(
+        _adjacency(ends, count), root, directed=False
+    )
     parents = np.asarray(parents, np.int64)
     # Of each pose the first edge to its parent, whichever way that points.
     forward = parents[ends[:, 1]] == ends[:, 0]
@@ -191,10 +192,10 @@ def _walk(graph: PoseGraph, used: npt.NDArray[np.int64], root: int) -> npt.NDArr
     return poses
 
 
-def _adjacency(edges: npt.NDArray[np.int64], count: int) -> coo_matrix:
+def _adjacency(edges: npt.NDArray[np.int64], count: int) -> scipy.sparse.coo_matrix:
     """Return the adjacency of poses as a sparse pattern."""
     ones = np.ones(len(edges))
-    return coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return scipy.sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
 def _check_poses(poses: npt.NDArray[np.float64]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csc_matrix
+import scipy
 
 from slamfusion.pose_graph.normal_equations import NormalEquations, factorise
 
@@ -60,7 +60,7 @@ def _yaws(
     rows = np.concatenate((start, end, end, start))
     columns = np.concatenate((start, end, start, end))
     values = np.concatenate((weight, weight, -weight * turn, -weight * turn.conj()))
-    matrix = csc_matrix((values, (rows, columns)), shape=(count, count))
+    matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(count, count))
     fixed = list(equations.fixed)
     pull = -(matrix[:, fixed] @ np.exp(1j * yaws[fixed]))[free]
     return np.asarray(np.angle(factorise(matrix[:, free][free]).solve(pull)), np.float64)

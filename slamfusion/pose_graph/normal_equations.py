@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
+import scipy
 
 from slamfusion.pose_graph.measurements import Measurements
 
@@ -31,7 +30,7 @@ Indices = npt.NDArray[np.int64]
 PANEL_SIZE = 4
 
 
-def factorise(matrix: csc_matrix, order: str = "NATURAL") -> Any:
+def factorise(matrix: scipy.sparse.csc_matrix, order: str = "NATURAL") -> Any:
     """Factorise a symmetric positive definite sparse matrix without pivoting.
 
     Args:
@@ -44,7 +43,8 @@ def factorise(matrix: csc_matrix, order: str = "NATURAL") -> Any:
     Raises:
         RuntimeError: the matrix is singular.
     """
-    solve: Any = splu  # its types know neither complex matrices nor the order as a name
+    # Its types know neither complex matrices nor the order as a name.
+    solve: Any = scipy.sparse.linalg.splu
     return solve(
         matrix,
         permc_spec=order,
@@ -73,7 +73,7 @@ def elimination_order(edges: Indices, count: int) -> Indices:
     diagonal = np.arange(count)
     rows = np.concatenate((diagonal, low, high))
     columns = np.concatenate((diagonal, high, low))
-    laplacian = csc_matrix((values, (rows, columns)), shape=(count, count))
+    laplacian = scipy.sparse.csc_matrix((values, (rows, columns)), shape=(count, count))
     return np.argsort(factorise(laplacian, "MMD_AT_PLUS_A").perm_c)
 
 
@@ -140,7 +140,7 @@ class NormalEquations:
             gradient[:, column] = self._sum_at_poses(back[column], pull[column])
         self.gradient = gradient.ravel()
 
-    def matrix(self, damping: float = 0.0) -> csc_matrix:
+    def matrix(self, damping: float = 0.0) -> scipy.sparse.csc_matrix:
         """Return the matrix of the last linearisation; the diagonal times 1 + ``damping``.
 
         Returns:
@@ -149,7 +149,7 @@ class NormalEquations:
         data = self._values.ravel()[self._source]
         data[self._diagonal] *= 1.0 + damping
         size = 3 * len(self.free)
-        return csc_matrix((data, self._rows, self._columns), shape=(size, size))
+        return scipy.sparse.csc_matrix((data, self._rows, self._columns), shape=(size, size))
 
     def step(self, damping: float = 0.0) -> tuple[Array, float]:
         """Solve for the step that takes the linearised errors to their least squares.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
@@ -319,13 +319,13 @@ def _change_walls(cells: npt.NDArray[np.int8], change: int) -> npt.NDArray[np.in
         walls = cells == OCCUPIED
         if change > 0:
             square = np.ones((2, 2), dtype=bool)
-            lower = ndimage.binary_dilation(walls, square, origin=0)
-            upper = ndimage.binary_dilation(walls, square, origin=-1)
+            lower = scipy.ndimage.binary_dilation(walls, square, origin=0)
+            upper = scipy.ndimage.binary_dilation(walls, square, origin=-1)
             cells = np.where(np.where(block, lower, upper), np.int8(OCCUPIED), cells)
         else:
             left = walls & ~(block & _peel(walls))
             left &= ~(~block & _peel(left[::-1, ::-1])[::-1, ::-1])
-            beside_free = ndimage.binary_dilation(cells == FREE)
+            beside_free = scipy.ndimage.binary_dilation(cells == FREE)
             bared = np.where(beside_free, np.int8(FREE), np.int8(UNKNOWN))
             cells = np.where(walls & ~left, bared, cells)
     return cells

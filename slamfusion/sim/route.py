@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+import scipy
 
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import travelled
@@ -52,7 +51,7 @@ class FreeSpace:
         self.grid = grid
         self.radius_m, self.margin_m = radius_m, margin_m
         free = np.pad(grid.cells == FREE, 1)
-        distance = ndimage.distance_transform_edt(free)[1:-1, 1:-1] * grid.resolution
+        distance = scipy.ndimage.distance_transform_edt(free)[1:-1, 1:-1] * grid.resolution
         # To the wall's nearest edge, from the worst place in the cell.
         self._clearance_m: F64 = np.asarray(distance - 2.0 * DIAGONAL * grid.resolution)
         self._to_grid = grid.origin.inverse()
@@ -105,7 +104,7 @@ class FreeSpace:
             costs.append(length_m * (price[here][both] + price[there][both]) / 2.0)
         count = len(self._places)
         edges = (np.concatenate(starts), np.concatenate(ends))
-        self._graph = sparse.csr_array((np.concatenate(costs), edges), shape=(count, count))
+        self._graph = scipy.sparse.csr_array((np.concatenate(costs), edges), shape=(count, count))
 
     def place(self, point: Point, what: str) -> int:
         """Return the lattice place nearest to a point.
@@ -135,7 +134,7 @@ class FreeSpace:
         Raises:
             SimulationError: there is none.
         """
-        _, parts = csgraph.connected_components(self._graph, directed=False)
+        _, parts = scipy.sparse.csgraph.connected_components(self._graph, directed=False)
         if not parts.size:
             message = (
                 f"{self.grid.name}: no free place for a disc of radius {self.radius_m:g} m; "
@@ -161,7 +160,7 @@ class FreeSpace:
             SimulationError: an end is no place to be, or nothing leads there.
         """
         first, last = self.place(start, "the start"), self.place(end, what)
-        costs, befores = csgraph.dijkstra(
+        costs, befores = scipy.sparse.csgraph.dijkstra(
             self._graph, directed=False, indices=[first], return_predecessors=True
         )
         cost, before = costs[0], befores[0]
@@ -206,7 +205,9 @@ class FreeSpace:
         chosen = [self.place(start, "the start")]
         costs = []
         while True:
-            costs.append(csgraph.dijkstra(self._graph, directed=False, indices=chosen[-1:])[0])
+            costs.append(
+                scipy.sparse.csgraph.dijkstra(self._graph, directed=False, indices=chosen[-1:])[0]
+            )
             nearest = np.min(costs, axis=0)
             nearest[~np.isfinite(nearest)] = -1.0
             if len(chosen) > most or nearest.max() < spacing_m:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from slamfusion.config import NormalizeConfig, WorldConfig
 from slamfusion.errors import SimulationError
@@ -83,9 +83,9 @@ def pick_glass(
     thick_cells = round(PANE_THICK_M / grid.resolution)
     wanted = share * np.count_nonzero(walls)
     # Middles of straight runs: a pane fits along one axis, and across the wall soon ends.
-    pane_x = ndimage.binary_opening(walls, np.ones((1, long_cells), dtype=bool))
-    pane_y = ndimage.binary_opening(walls, np.ones((long_cells, 1), dtype=bool))
-    thick = ndimage.binary_opening(walls, np.ones((thick_cells + 1,) * 2, dtype=bool))
+    pane_x = scipy.ndimage.binary_opening(walls, np.ones((1, long_cells), dtype=bool))
+    pane_y = scipy.ndimage.binary_opening(walls, np.ones((long_cells, 1), dtype=bool))
+    thick = scipy.ndimage.binary_opening(walls, np.ones((thick_cells + 1,) * 2, dtype=bool))
     places = np.argwhere((pane_x | pane_y) & ~(pane_x & pane_y) & ~thick)
     for row, col in rng.permutation(places):
         if np.count_nonzero(glass) >= wanted:

@@ -46,6 +46,14 @@ MOST_BYTES = 1 << 17
 STREAMS = 3
 # Words of the commands that start processes of their own; the others are not made to wait for it.
 SPAWNING = {"run", "experiment"}
+# What the package has loaded where it is used, without what is below it: a fork has it loaded.
+LOADED_LATE = [
+    "scipy.fft",
+    "scipy.ndimage",
+    "scipy.sparse.csgraph",
+    "scipy.sparse.linalg",
+    "scipy.spatial.transform",
+]
 # Files that one request passes on: its streams, pipes and what a spawned process is given.
 MOST_FILES = 64
 # Of prctl, see its manual: orphans below this process become its children.
@@ -362,6 +370,8 @@ if __name__ == "__main__":
     sys.path[0] = str(Path(path).parent)  # as of a script that is started
     gc.disable()
     _load(wanted.split(","), unwanted.split(","))
+    for late in LOADED_LATE:
+        importlib.import_module(late)
     # Whoever logs with rclpy is asked for its module, and the first answer looks at the files of
     # all that are loaded: 0.09 s of processor time for a fork.
     if "rclpy" in sys.modules:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Sequence
 
@@ -59,6 +60,8 @@ class MapGraph:
         Args:
             health: where nodes and solutions are counted.
         """
+        # It loads slowly: here, not while the robot drives.
+        importlib.import_module("scipy.sparse.linalg")
         self.nodes: list[Node] = []
         self.poses: F64 = np.zeros((0, 3))
         self.constraints: list[Constraint] = []
