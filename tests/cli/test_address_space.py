@@ -10,7 +10,10 @@ import pytest
 
 from slamfusion.cli import address_space
 from slamfusion.cli.program import OUT_OF_MEMORY, _is_out_of_memory
+from slamfusion.grid import CellBox
+from slamfusion.io import save_map
 from tests.cli.command import MAPS, assert_one_line_failure, json_of, run, tree
+from tests.fusion.drawings import building
 
 pytestmark = pytest.mark.once
 
@@ -37,17 +40,21 @@ def test_json_has_the_reason() -> None:
 
 def test_without_room_for_opencl_numpy_computes(tmp_path: Path) -> None:
     """Before, PoCL ended the process."""
-    arguments = ("fuse", *MAPS[:2], "-o", tmp_path / "out")
+    # Small ones: the twins take their time.
+    whole = building(1, 7.0, 6.0)
+    save_map(whole, tmp_path / "a")
+    save_map(whole.crop(CellBox(0, 0, whole.height, whole.width - 6)), tmp_path / "b")
+    arguments = ("fuse", tmp_path / "a.yaml", tmp_path / "b.yaml", "-o", tmp_path / "out")
     limits = {resource.RLIMIT_AS: 1024 * MIB}
     done = run(*arguments, env=THREADS, limits=limits)
     assert done.returncode == 0, done.stderr
     (line,) = done.stderr.splitlines()
     assert line.startswith("OpenCL needs 5120 MiB of address space, but only ")
     assert "raise the limit (ulimit -v unlimited), set POCL_MAX_PTHREAD_COUNT=1: NumPy" in line
-    assert len(tree(tmp_path)) == 5
+    assert len(tree(tmp_path)) == 4 + 5
     done = run(*arguments, "--device", "pthread", env=THREADS, limits=limits)
     assert_one_line_failure(done, "OpenCL needs 5120 MiB", "run with `--device numpy`")
-    assert len(tree(tmp_path)) == 5
+    assert len(tree(tmp_path)) == 4 + 5
 
 
 @pytest.mark.parametrize(("told", "threads"), [("1", 1), ("64", 4), ("", 4), ("0", 4), ("x", 4)])

@@ -115,7 +115,7 @@ def test_cell_models_trajectories_on_logs(drive: Path, tmp_path: Path) -> None:
 def test_ground_obstacle_small(tmp_path: Path) -> None:
     arguments = (
         "experiment", "ground-obstacle", "-o", tmp_path,
-        "--repetitions", "2", "--worlds", "1", "--particles", "8", "--json",
+        "--repetitions", "2", "--worlds", "1", "--particles", "2", "--json",
     )  # fmt: skip
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
