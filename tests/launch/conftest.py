@@ -34,8 +34,10 @@ def colcon() -> Path:
     with (COLCON / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not stamp.is_file() or stamp.read_text() != wanted:
-            subprocess.run([sys.executable, "-m", "venv", COLCON], check=True)
-            pip = [str(COLCON / "bin" / "python"), "-m", "pip", "install", "-qq", *PACKAGES]
+            # The pip of the tests installs, and compiles nothing ahead: half the time.
+            subprocess.run([sys.executable, "-m", "venv", "--without-pip", COLCON], check=True)
+            pip = [sys.executable, "-m", "pip", "--python", str(COLCON / "bin" / "python")]
+            pip += ["install", "-qq", "--no-compile", *PACKAGES]
             done = subprocess.run(pip, capture_output=True, text=True, check=False)
             if done.returncode:
                 pytest.skip(f"colcon cannot be installed here: {done.stderr.strip()[-300:]}")
