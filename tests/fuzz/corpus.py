@@ -25,6 +25,11 @@ def text(data: bytes) -> Make:
     return lambda _: data
 
 
+def packed(head: bytes, part: bytes, times: int) -> Make:
+    """Return what gives a packed file of many equal parts, made when it is asked for."""
+    return lambda _: gzip.compress(head + part * times)
+
+
 def nine_levels(_: bytes) -> bytes:
     rows = [b"a0: &a0 [" + b",".join([b"x"] * 9) + b"]"]
     for level in range(1, 10):
@@ -76,15 +81,15 @@ PICTURE: dict[str, Make] = {
     "a side of 10 digits": text(b"P5\n9999999999 9999999999\n255\n"),
     "a maximum of 0": text(b"P5\n1 1\n0\n\0"),
     "a side of 5000 digits": text(b"P5\n" + LONG + b" 1\n255\n"),
-    "a bomb": text(gzip.compress(b"P5\n20 20\n255\n" + bytes(2**25))),
+    "a bomb": packed(b"P5\n20 20\n255\n", b"\0", 2**25),
 }
 ROWS: dict[str, Make] = {
     "empty": text(b""),
     "a number of 5000 digits": text(LONG + b" " + b"x " * 5 + b"\n"),
     "zero bytes": text(bytes(1000)),
     "one line of 17 MiB": text(b"1 " * (17 << 19)),
-    "a bomb of lines": text(gzip.compress((b"1 2 3 " * 200 + b"\n") * (2**23 // 1201))),
-    "a bomb of zeros": text(gzip.compress(bytes(2**25))),
+    "a bomb of lines": packed(b"", b"1 2 3 " * 200 + b"\n", 2**23 // 1201),
+    "a bomb of zeros": packed(b"", b"\0", 2**25),
     "half a packed file": text(gzip.compress(b"1 2 3 4\n" * 1000)[:40]),
 }
 CORPUS: dict[str, tuple[str, str, Make]] = {
