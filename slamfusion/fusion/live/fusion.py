@@ -32,6 +32,8 @@ The rules, for a robot that drives by the fused map:
   because another looks better.
 * **Growth.** Inputs that come back by the last fused map are young; while it knows more than they
   do the reference is laid onto it again as it grows, so that the frame stays (``live.anchor``).
+  What a map that began anew does not know yet is no vote, so that two of them take nothing from
+  the robot's map that the third knows; ``unknown`` of the vote forces another rule.
 * **Doubt.** A map that is not believed does not vote, and neither does the older one before it.
   One healthy input goes on alone and is called so. Where two inputs disagree, both steady, a third
   decides, or else the last fused map; where both still fit it, since both drew it, what the last

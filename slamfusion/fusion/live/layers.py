@@ -7,6 +7,7 @@ changed cells are carried over and voted on again, everything else stays as it w
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -177,13 +178,14 @@ class FusedLayers:
         self._carried.pop(name, None)
         return self._covered.pop(name, None)
 
-    def vote(self, names: Sequence[str], box: CellBox) -> CellBox:
+    def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
         """Let the layers of some inputs vote again on a box of the lattice.
 
         Args:
             names: the voters, one or more, in order; each has a layer.
             box: cells of the lattice, inside of those kept. Weighted votes take all of these,
                 since the weights follow from all of it.
+            has_young: whether a map that began anew votes: unknown abstains by the rule ``auto``.
 
         Returns:
             The cells that were voted on.
@@ -193,6 +195,8 @@ class FusedLayers:
             message = "grow the layers before their cells are voted on"
             raise ValueError(message)
         config = self._config.vote
+        if has_young and config.unknown == "auto":
+            config = replace(config, unknown="abstain")
         if config.mode == "weighted":
             box = whole
         # A wall decides what its neighbours become, and theirs are needed to say what it is.

@@ -28,8 +28,10 @@ I8 = npt.NDArray[np.int8]
 
 # Share of the old walls.
 STANDING_MIN = 0.4
-# A map with less than this share of the walls of the one before was begun anew.
-ANEW_SHARE = 0.5
+# A map with less than the first share of the walls of the one before was begun anew, and is young
+# until it has the second.
+ANEW_SHARE, GROWN_SHARE = 0.5, 0.75
+YOUNG = "its map began anew: what it does not know yet is no vote"
 # Cells in which nothing lies, that a box of changes may hold for each cell of the two maps.
 SPARE_SHARE = 4
 NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
@@ -211,6 +213,7 @@ class Track:
         walls: wall cells of the layer.
         is_live: whether its newest message was a usable map, and recent.
         has_begun_anew: whether a new map took the place of a fuller one, until that is noted.
+        young_below: wall cells below which such a map knows less than the one before did; 0: none.
         is_steady: whether the newest map stands where ``transform`` belongs.
         accepted: whether its last alignment was believed; it votes while it is steady too.
         reason: why (not), one line.
@@ -243,6 +246,7 @@ class Track:
     walls: int = 0
     is_live: bool = False
     has_begun_anew: bool = False
+    young_below: float = 0.0
     is_steady: bool = False
     accepted: bool = False
     reason: str = "no map yet"
@@ -282,9 +286,16 @@ class Track:
         return self.stands and not self.contradiction
 
     @property
+    def is_young(self) -> bool:
+        """Whether its map was begun anew and knows less than the one before did."""
+        return self.walls < self.young_below
+
+    @property
     def why(self) -> str:
         """Why it votes, or why not, one line."""
-        return self.contradiction if self.stands and self.contradiction else self.reason
+        if self.stands and self.contradiction:
+            return self.contradiction
+        return self.reason + (f"; {YOUNG}" if self.votes and self.is_young else "")
 
     def place(self, resolution: float, thresholds: NormalizeConfig, device: ComputeDevice) -> None:
         """Lay the map out at the fused resolution; before the first fusion there is none."""
@@ -339,7 +350,11 @@ class Track:
             return change
         self.version += 1
         self._take(layer, thresholds, change)
-        self.has_begun_anew = self.has_begun_anew or self.walls < ANEW_SHARE * walls
+        if self.walls < ANEW_SHARE * walls:
+            self.has_begun_anew = True
+            self.young_below = max(self.young_below, GROWN_SHARE * walls)
+        elif not self.is_young:
+            self.young_below = 0.0
         self.drift += change.walls
         self._features_drift += change.walls
         self.key_drift += change.walls

@@ -27,6 +27,7 @@ class Voting:
         live: its ``extent`` counts; may be replaced.
         layers: None before the first fusion.
         names: who voted last.
+        has_young: whether a map that began anew was among them.
         agreed: the fused map when a majority last decided, before all but two or fewer lost their
             vote; None while a majority decides, and before one ever did.
     """
@@ -36,6 +37,7 @@ class Voting:
         self.live = live
         self.layers: FusedLayers | None = None
         self.names: tuple[str, ...] = ()
+        self.has_young = False
         self.agreed: OccupancyGrid | None = None
         self._config = config
         self._device = device
@@ -86,6 +88,9 @@ class Voting:
     ) -> CellBox | None:
         """Lay what changed and vote on it.
 
+        While a map that began anew is among the voters unknown abstains by the rule ``auto``: two
+        young maps know little, and would take from the robot's map what the third knows.
+
         Args:
             tracks: all inputs; the layers of those that do not vote are lifted.
             voters: the inputs that vote, in order; one that finds no room is refused.
@@ -111,12 +116,15 @@ class Voting:
         has_shrunk = self._shrink(layers, voters, reference)
         parts = [_lay(layers, track) for track in voters]
         boxes = [part for part in parts if part is not None]
-        if has_shrunk or any(grown) or names != self.names or (boxes and self._is_weighted):
+        before, now = (self.names, self.has_young), (names, any(t.is_young for t in voters))
+        if has_shrunk or any(grown) or now != before or (boxes and self._is_weighted):
             boxes = [layers.box]
-        self.names = names
+        self.names, self.has_young = now
         if not boxes:
             return None
-        box, *others = (layers.vote(names, part) for part in joined(boxes))
+        box, *others = (
+            layers.vote(names, part, has_young=self.has_young) for part in joined(boxes)
+        )
         for other in others:
             box = hull(box, other)
         return moved(box, -layers.box.row0, -layers.box.col0)

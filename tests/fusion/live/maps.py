@@ -69,10 +69,12 @@ def noise(size: int = 300, seed: int = 0) -> OccupancyGrid:
     return OccupancyGrid(cells, 0.1, Pose2(), "noise")
 
 
-def live_fusion(device: ComputeDevice, mode: str = "majority", **live: Any) -> LiveFusion:
+def live_fusion(
+    device: ComputeDevice, mode: str = "majority", unknown: str = "auto", **live: Any
+) -> LiveFusion:
     """Return a live fusion without pauses between searches."""
     config = RunConfig(
-        fusion=FusionConfig(vote=VoteConfig(mode=mode)),
+        fusion=FusionConfig(vote=VoteConfig(mode=mode, unknown=unknown)),
         live=LiveConfig(**{"search_pause_s": 0.0, **live}),
     )
     return LiveFusion(config, device)

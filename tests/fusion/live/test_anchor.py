@@ -11,7 +11,16 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.fusion.drawings import off_by
-from tests.fusion.live.maps import Drive, littered, moved_frame, share_standing, started, three
+from tests.fusion.live.maps import (
+    Drive,
+    littered,
+    live_fusion,
+    moved_frame,
+    on_lattice,
+    share_standing,
+    started,
+    three,
+)
 
 pytestmark = pytest.mark.once
 
@@ -33,6 +42,12 @@ def turn(grid: OccupancyGrid) -> Pose2:
     row, col = np.argwhere(grid.cells >= 0).mean(axis=0)
     about = Pose2(*grid.cell_centres(np.array([row]), np.array([col]))[0], 0.0)
     return about.compose(Pose2(0.0, 0.0, TURN_RAD)).compose(about.inverse())
+
+
+def known_on(fused: OccupancyGrid | None, before: OccupancyGrid) -> np.ndarray:
+    """Return which cells of a fused map of before are known now."""
+    assert fused is not None
+    return np.asarray(on_lattice(fused, before) >= 0)
 
 
 def begun_anew(device: ComputeDevice, names: str) -> Drive:
@@ -93,6 +108,36 @@ def test_maps_that_begin_anew_one_by_one_grow_into_the_frame_of_before(
     assert drive.accepted() == "abc"
     for name, grid in three().items():
         assert_in_frame(drive, name, grid, old[name])
+
+
+def test_two_young_maps_take_nothing_from_what_the_third_knows(device: ComputeDevice) -> None:
+    drive = started(device)
+    assert drive.fused is not None
+    before, said = drive.fused, "what it does not know yet is no vote"
+    for name in "bc":
+        drive.maybe(young(three()[name], 1.5))
+    assert drive.accepted() == "abc"
+    assert [said in drive.input(name).reason for name in "abc"] == [False, True, True]
+    alone = known_on(drive.fused, before)
+    assert np.count_nonzero(alone) > 0.9 * np.count_nonzero(before.cells >= 0)
+    # When they have grown two that do not know a cell outvote the third again.
+    drive.step(three()["b"], three()["c"])
+    assert not any(said in drive.input(name).reason for name in "abc")
+    assert np.array_equal(known_on(drive.fused, before), before.cells >= 0)
+
+
+@pytest.mark.parametrize(("rule", "is_kept"), [("value", False), ("abstain", True)])
+def test_a_rule_for_unknown_that_was_asked_for_holds_for_young_maps_too(
+    device: ComputeDevice, rule: str, is_kept: bool
+) -> None:
+    drive = Drive(live_fusion(device, unknown=rule))
+    drive.step(*three().values())
+    before = drive.fused
+    assert before is not None
+    for name in "bc":
+        drive.maybe(young(three()[name], 1.5))
+    share = np.count_nonzero(known_on(drive.fused, before)) / np.count_nonzero(before.cells >= 0)
+    assert (share > 0.85) == is_kept
 
 
 def test_maps_that_were_believed_in_the_wrong_place_are_found_when_they_have_grown(
