@@ -101,6 +101,9 @@ MATCH_SURE = 0.9
 UNEXPLAINED_RATIO = 0.5
 # No less than this counts as unexplained: of copies turned on themselves neither is better.
 MISSED_MIN = 0.01
+# Pieces of wall that hold an answer, for each metre in the direction in which the fewest do: one of
+# each map, and as many in the other direction. Longer walls there make it no surer.
+HELD_PIECES = 4.0
 # A start chooses between answers that are as good but for so many pieces, if they fit so well.
 TIE, SHARE_TIED = 0.25, 0.75
 # An answer elsewhere whose share is so much higher may be right.
@@ -161,6 +164,8 @@ class Evidence:
             (``SHARP_MATCH``).
         gap: what a proof left undecided, 0..1 (``Alignment.bound_gap``); 0 without one.
         is_cut: whether walls fill the cells that were searched (``CoarseSearch.is_cut``).
+        held_m: metres of wall that hold the answer in the direction in which the fewest do (see
+            ``held``); None: not asked.
         better_inside: ``better`` among the answers in the window; None without one.
         clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """
@@ -180,6 +185,7 @@ class Evidence:
     scale: float | None = None
     scaled_share: float = 0.0
     clean_share: float = 0.0
+    held_m: float | None = None
     better_inside: float | None = None
     is_plain: bool = False
     is_sharp: bool = False
@@ -254,22 +260,18 @@ def _decide(evidence: Evidence) -> Decision:
     mirrored = decide_mirrored(evidence.mirrored)
     if mirrored is not None:
         return mirrored
-    clash = evidence.statistics["wall_clash"]
-    if clash > CLASH_MAX and evidence.share < CLASH_SHARE:
-        return _refused(
-            "different place",
-            f"different place: walls do not match, {clash:.0%} of their cells stand in the other's "
-            "free space",
-        )
-    if evidence.clean_share - evidence.share >= CLEANER:
-        return _refused(
-            "ambiguous",
-            f"ambiguous: {evidence.share:.0%} of what common walls could give, while another "
-            f"transform leaves less unexplained ({evidence.clean_share:.0%})",
-        )
+    contradicted = _contradicted(evidence)
+    if contradicted is not None:
+        return contradicted
     wrong = wrong_in_job(evidence)
     if wrong >= EXPECTED_WRONG_MAX and not (_is_whole(evidence) or _is_expected(evidence)):
         return _not_alone(evidence, wrong)
+    if not _is_held(evidence):
+        return _refused(
+            "too little in common",
+            f"too little in common: the {evidence.common_m:.0f} m of common walls run one way, and "
+            f"only {evidence.held_m:.1f} m hold it along them",
+        )
     is_scaled = evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_MAX
     if evidence.scale is not None and is_scaled and evidence.scaled_share >= SCALED_SHARE_MIN:
         return _refused(
@@ -326,6 +328,31 @@ def decide_mirrored(mirrored: float | None) -> Decision | None:
 
 def _refused(kind: DecisionKind, reason: str) -> Decision:
     return Decision(False, kind, reason)
+
+
+def _contradicted(evidence: Evidence) -> Decision | None:
+    """Refuse what the other map's free space or a cleaner answer speaks against; None: nothing."""
+    clash = evidence.statistics["wall_clash"]
+    if clash > CLASH_MAX and evidence.share < CLASH_SHARE:
+        return _refused(
+            "different place",
+            f"different place: walls do not match, {clash:.0%} of their cells stand in the other's "
+            "free space",
+        )
+    if evidence.clean_share - evidence.share >= CLEANER:
+        return _refused(
+            "ambiguous",
+            f"ambiguous: {evidence.share:.0%} of what common walls could give, while another "
+            f"transform leaves less unexplained ({evidence.clean_share:.0%})",
+        )
+    return None
+
+
+def _is_held(evidence: Evidence) -> bool:
+    """Whether walls that run another way than most are enough for the answer; True: not asked."""
+    if evidence.held_m is None:
+        return True
+    return _wrong(evidence, HELD_PIECES * evidence.held_m) < EXPECTED_WRONG_MAX
 
 
 def _is_whole(evidence: Evidence) -> bool:

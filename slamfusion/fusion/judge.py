@@ -25,6 +25,7 @@ from slamfusion.fusion.accept import (
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures
 from slamfusion.fusion.frames import motion_of, transform_of
+from slamfusion.fusion.held import held_by
 from slamfusion.fusion.measure import measure
 from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain, mirror_image
 from slamfusion.fusion.motions import displacement, turned_about
@@ -119,6 +120,9 @@ def judge(
         found=found, pairs=pairs, prior=prior,
     )  # fmt: skip
     decision = decide(evidence)
+    if found.search in {"full", "window"} and decision.accepted:
+        evidence = replace(evidence, held_m=held_by(reference, moving, best, cancel))
+        decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
             evidence, reference, moving, config, device, stand, narrow, cancel
@@ -140,6 +144,7 @@ def judge(
         scale=evidence.scale,
         scaled_share=None if evidence.scale is None else evidence.scaled_share,
         rival_share=evidence.clean_share,
+        held_m=evidence.held_m,
         good_maps=evidence.is_plain,
         sharp_maps=evidence.is_sharp,
     )

@@ -74,6 +74,8 @@ class MatchEvidenceJson(TypedDict):
     """The share at that scale; null: not estimated."""
     rival_share: float
     """The highest share of another answer that gives at least 0.7 of its evidence."""
+    held_m: float | None
+    """Wall that holds it in the direction in which the least does, metres; null: not asked."""
     good_maps: bool
     """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
     sharp_maps: bool
@@ -164,6 +166,8 @@ class MatchEvidence:
         scale: the moving map's metre in the reference's; None: not estimated.
         scaled_share: ``share`` at that scale; None: not estimated.
         rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
+        held_m: metres of wall that hold it in the direction in which the fewest do; None: not
+            asked, since it is not believed anyway.
         good_maps: whether answers are compared as of two good maps of one place, so that what one
             leaves unexplained speaks against it; otherwise as of maps that may be bent.
         sharp_maps: whether walls meet so well, or not at all, that neither map can be bent.
@@ -179,6 +183,7 @@ class MatchEvidence:
     scale: float | None
     scaled_share: float | None = None
     rival_share: float = 0.0
+    held_m: float | None = None
     good_maps: bool = False
     sharp_maps: bool = False
 
@@ -195,6 +200,7 @@ class MatchEvidence:
             "scale": self.scale,
             "scaled_share": self.scaled_share,
             "rival_share": self.rival_share,
+            "held_m": self.held_m,
             "good_maps": self.good_maps,
             "sharp_maps": self.sharp_maps,
         }

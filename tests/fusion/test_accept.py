@@ -225,6 +225,16 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     (SURE | {"wall_match": 1.0, "ratio": 1.5, "better": -9.0}, "ambiguous", "150% of it"),
     (SURE | CLASHING, "different place", "free space"),
     (SURE | {"walls": 23}, "too little in common", "too few walls"),
+    # -- walls that run one way: pieces of both maps, and as many in the other direction
+    ({"share": WHOLE, "held_m": ENOUGH / 4.0 + 1e-6}, "accepted", "walls match: 100%"),
+    (
+        {"share": WHOLE, "held_m": ENOUGH / 4.0 - 1e-6},
+        "too little in common",
+        "the 40 m of common walls run one way, and only 1.5 m hold it along them",
+    ),
+    (GOOD | {"share": WHOLE, "held_m": ENOUGH_GOOD / 8.0 + 1e-6}, "accepted", "walls match"),
+    (GOOD | {"share": WHOLE, "held_m": ENOUGH_GOOD / 8.0 - 1e-6}, "too little in common", "0.7 m"),
+    (SURE | {"held_m": 0.1}, "too little in common", "run one way"),
     # -- mirrored
     ({"mirrored": 0.9}, "accepted", "walls match"),
     ({"mirrored": 0.901}, "mirrored", "fits its mirror image as well or better, 0.9 times"),
@@ -460,6 +470,16 @@ def test_a_wider_gap_never_helps(found: Evidence, gaps: tuple[float, float]) -> 
     small, large = sorted(gaps)
     wide = decide(replace(found, gap=large))
     assert decide(replace(found, gap=small)).accepted or not wide.accepted
+
+
+@settings(max_examples=examples(80), deadline=None)
+@given(found=any_evidence(), metres=st.tuples(st.floats(0.0, 9.0), st.floats(0.0, 9.0)))
+def test_walls_that_hold_it_along_others_never_hurt(
+    found: Evidence, metres: tuple[float, float]
+) -> None:
+    few, many = (decide(replace(found, held_m=value)).accepted for value in sorted(metres))
+    assert many >= few
+    assert decide(replace(found, held_m=None)).accepted >= many
 
 
 @settings(max_examples=examples(80), deadline=None)

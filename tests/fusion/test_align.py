@@ -21,7 +21,8 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.rivals import Found
 from slamfusion.fusion.search import SearchWindow, score_motions, wall_widths
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.sim import draw_building
 from tests.fusion.drawings import (
     assert_right,
     building,
@@ -169,6 +170,21 @@ def test_unrelated_buildings_are_rejected(device: ComputeDevice, seed: int) -> N
     found = align_grids(first, second, QUICK, device)
     assert not found.accepted, found.reason
     assert found.reason
+
+
+def test_one_straight_wall_is_not_enough(device: ComputeDevice) -> None:
+    """6.6 m of the outer walls of two buildings, whose ends happen to lie as far apart."""
+    halves = []
+    for seed, *sides, width in ((282335, 6.1414, 7.7383, 26), (112951, 8.2474, 8.0503, 34)):
+        whole = draw_building(np.random.default_rng(seed), *sides, 0.1)
+        halves.append(whole.crop(CellBox(0, 0, whole.height, width)).with_name(f"half {seed}"))
+    found = align_grids(*halves, QUICK, device)
+    assert found.decision == "too little in common", found.reason
+    assert "run one way" in found.reason
+    assert found.evidence is not None
+    assert found.evidence.better > 2.9, "enough by the pieces alone"
+    assert found.evidence.held_m is not None
+    assert found.evidence.held_m < 0.7
 
 
 def test_unrelated_buildings_are_rejected_with_the_proof(device: ComputeDevice) -> None:
