@@ -4,8 +4,9 @@ A scan matcher lays each scan on what came before it, and pulls a little: errors
 SLAMs of one drive share them. Here all scans of the drive are laid on each other at once. The hits
 are sorted into patches of wall by place and by the side that they are seen from; where a patch lies
 along its normal is as free as the poses are, and the poses are sought under which the hits of all
-patches spread least about them. What walls leave open, along a corridor, the motions of the given
-path decide. Hits far from their patch have no say.
+patches spread least about them. What walls leave open, along a corridor, the odometry decides,
+calibrated by the walls of the rest of the drive (``known_motions``); without odometry, and where it
+errs, the motions of the given path do. Hits far from their patch have no say.
 
 The places of the patches are eliminated from the normal equations of each round (the Schur
 complement), as those of points are in bundle adjustment; what is left is solved by conjugate
@@ -27,6 +28,7 @@ import numpy.typing as npt
 import scipy
 
 from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
 from slamfusion.evidence.path_frames import fit_frame, geman_mcclure
 from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
@@ -51,11 +53,6 @@ MOST_HITS = 200_000
 LONE_RAD = 1e-9
 # Rounds in which the middle of a patch is found without its outliers.
 MIDDLE_ROUNDS = 3
-# Deviations of the motion from one scan to the next, metres and radians. On 24 simulated drives
-# half as much gave errors greater by a sixth (geometric mean).
-STEP_M, STEP_RAD = 0.01, 0.005
-# And of a pose from where it was, which holds the frame.
-PLACE_M, PLACE_RAD = 1.0, 0.3
 # Lattices that patches are cut by in turn: moved by a third of a patch, and normals told apart by
 # other limits.
 MOVES, TURNS = 3, 2
@@ -82,9 +79,13 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
         return path
     hits = _Hits.of(scans, kept)
     before = given.poses[kept]
-    poses, moved = before, np.zeros_like(before)
+    motions = KnownMotions.of(before, None if scans.odometry is None else scans.odometry[kept])
+    poses, calibration, moved = before, motions.calibration, np.zeros_like(before)
     for number in range(ROUNDS + LATTICES):
-        poses = poses + _step(hits, poses, before, number)
+        say = motions.say(poses, calibration, number)
+        equations = motions.equations(poses, calibration, say)
+        step, calibrated = _step(hits, poses, equations, number)
+        poses, calibration = poses + step, calibration + calibrated
         # Nothing but the places of before holds the frame, and the steps are not solved to the end.
         frame = fit_frame(poses, before)
         poses = compose_poses((frame.x, frame.y, frame.yaw_rad), poses)
@@ -183,17 +184,20 @@ class _Patches:
         return cls(count, of, slopes, away_m, say * is_used / SPREAD_M**2)
 
 
-def _step(hits: _Hits, poses: F64, before: F64, number: int) -> F64:
-    """Return the step of one round towards the least sum of squares, (N, 3).
+def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> tuple[F64, F64]:
+    """Return the step of one round towards the least sum of squares.
 
     Args:
         hits: of the scans.
         poses: (N, 3) of the scans, today.
-        before: (N, 3) as they were given.
+        equations: of their motions.
         number: of the round.
+
+    Returns:
+        (N, 3) of the poses, and (2,) of the calibration.
     """
     patches = _Patches.at(hits, poses, number)
-    diagonal, beside, slope = _of_motions(poses, before)
+    diagonal, slope = equations.diagonal.copy(), equations.slope.copy()
     count = len(poses)
     weighted = patches.weights[:, None] * patches.slopes
     for a in range(3):
@@ -201,7 +205,7 @@ def _step(hits: _Hits, poses: F64, before: F64, number: int) -> F64:
         for b in range(3):
             products = weighted[:, a] * patches.slopes[:, b]
             diagonal[:, a, b] += np.bincount(hits.scans, products, count)
-    banded = _banded(diagonal, beside)
+    banded, border = _banded(diagonal, equations.beside), equations.border
     rows = 3 * hits.scans[:, None] + np.arange(3)
     columns = np.repeat(patches.of, 3)
     shape = (3 * count, patches.count)
@@ -213,54 +217,30 @@ def _step(hits: _Hits, poses: F64, before: F64, number: int) -> F64:
 
     def times(step: F64) -> F64:
         """Multiply by the equations without the patches, which follow the poses."""
-        return np.asarray(banded @ step - to_patches @ (inverse * (from_patches @ step)))
+        own, calibration = step[:-2], step[-2:]
+        of_poses = banded @ own - to_patches @ (inverse * (from_patches @ own))
+        of_calibration = border.T @ own + equations.corner @ calibration
+        return np.concatenate((of_poses + border @ calibration, of_calibration))
 
-    size = (3 * count, 3 * count)
+    factor = scipy.sparse.linalg.splu(banded)
+    across = factor.solve(border)
+    corner = np.linalg.inv(equations.corner - border.T @ across)
+
+    def precondition(right: F64) -> F64:
+        """Solve the equations in which the patches stay where they are."""
+        own = factor.solve(right[:-2])
+        calibration = corner @ (right[-2:] - border.T @ own)
+        return np.concatenate((own - across @ calibration, calibration))
+
+    size = (3 * count + 2, 3 * count + 2)
     step, _ = scipy.sparse.linalg.cg(
         scipy.sparse.linalg.LinearOperator(size, matvec=times, dtype=np.float64),
-        -slope.ravel(),
+        -np.concatenate((slope.ravel(), equations.end)),
         rtol=TOLERANCE,
         maxiter=MOST_STEPS,
-        M=scipy.sparse.linalg.LinearOperator(
-            size, matvec=scipy.sparse.linalg.splu(banded).solve, dtype=np.float64
-        ),
+        M=scipy.sparse.linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
     )
-    return np.asarray(step.reshape(count, 3))
-
-
-def _of_motions(poses: F64, before: F64) -> tuple[F64, F64, F64]:
-    """Return what the given motions and places add to the normal equations.
-
-    Returns:
-        (N, 3, 3) blocks of the diagonal, (N - 1, 3, 3) those right of it, and (N, 3) the slope.
-    """
-    count = len(poses)
-    told = compose_poses(invert_poses(before[:-1]), before[1:])
-    found = compose_poses(invert_poses(poses[:-1]), poses[1:])
-    off = found - told
-    off[:, 2] = wrap_angles(off[:, 2])
-    cos, sin = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
-    first, second = np.zeros((2, count - 1, 3, 3))
-    # Of the motion, by the pose at its start and by the one at its end.
-    second[:, 0, 0], second[:, 0, 1] = cos, sin
-    second[:, 1, 0], second[:, 1, 1] = -sin, cos
-    second[:, 2, 2] = 1.0
-    first[:] = -second
-    first[:, 0, 2], first[:, 1, 2] = found[:, 1], -found[:, 0]
-    sure = np.array((STEP_M, STEP_M, STEP_RAD)) ** -2.0
-    by_first = np.swapaxes(first, 1, 2) * sure
-    by_second = np.swapaxes(second, 1, 2) * sure
-    diagonal = np.zeros((count, 3, 3))
-    diagonal[:-1] += by_first @ first
-    diagonal[1:] += by_second @ second
-    slope = np.zeros((count, 3))
-    slope[:-1] += (by_first @ off[..., None])[..., 0]
-    slope[1:] += (by_second @ off[..., None])[..., 0]
-    held = np.array((PLACE_M, PLACE_M, PLACE_RAD)) ** -2.0
-    away = poses - before
-    away[:, 2] = wrap_angles(away[:, 2])
-    diagonal += np.diag(held)
-    return diagonal, by_first @ second, slope + held * away
+    return np.asarray(step[:-2].reshape(count, 3)), np.asarray(step[-2:])
 
 
 def _banded(diagonal: F64, beside: F64) -> scipy.sparse.csc_matrix:

@@ -1,0 +1,239 @@
+"""Motions between scans: odometry with its calibration, and the path where odometry errs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamfusion.evidence import judged_scans, refine_path
+from slamfusion.evidence.beams import JudgedScans
+from slamfusion.evidence.known_motions import HALF_WAY_M, KnownMotions, turned
+from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.geometry import compose_poses, invert_poses
+from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import box, circuit, recorded
+
+F64 = npt.NDArray[np.float64]
+# A corridor whose ends are out of sight of its middle half, with a door frame near either end.
+CORRIDOR_M = 40.0
+CORRIDOR = np.array(
+    box(0.0, 0.0, CORRIDOR_M, 2.0)
+    + box(4.0, 0.0, 0.3, 0.4)
+    + box(9.0, 1.6, 0.3, 0.4)
+    + box(32.0, 0.0, 0.3, 0.4)
+    + box(37.0, 1.6, 0.3, 0.4)
+)
+LONG_M = CORRIDOR_M - 4.0
+
+
+def along_corridor(count: int = 120) -> Trajectory:
+    """Return a drive from one end of the corridor to the other."""
+    x = np.linspace(2.0, 2.0 + LONG_M, count)
+    poses = np.stack((x, np.ones(count), np.zeros(count)), axis=1)
+    return Trajectory(0.25 * np.arange(count, dtype=np.float64), poses, "truth")
+
+
+def by_steps(steps: F64) -> F64:
+    """Return the poses of motions that follow each other, (N, 3)."""
+    poses = [np.zeros(3)]
+    for step in steps:
+        poses.append(compose_poses(poses[-1], step))
+    return np.array(poses)
+
+
+def wheels_of(path: F64, scale: float = 1.0, turn_rad: float = 0.0) -> F64:
+    """Return odometry of a path that reads ways too long, askew, and drifts in heading."""
+    steps = compose_poses(invert_poses(path[:-1]), path[1:])
+    cos_sin = np.array((math.cos(turn_rad), math.sin(turn_rad)))
+    steps[:, :2] = turned(steps[:, :2], scale * cos_sin)
+    steps[:, 2] += 5e-4
+    return by_steps(steps)
+
+
+def with_odometry(scans: JudgedScans, odometry: F64 | None) -> JudgedScans:
+    """Return scans with another odometry."""
+    return replace(scans, odometry=odometry)
+
+
+@pytest.fixture(scope="module")
+def corridor() -> JudgedScans:
+    return judged_scans(recorded(along_corridor(), walls=CORRIDOR))
+
+
+def pulled(truth: Trajectory, share: float = 0.06) -> Trajectory:
+    """Return a path that is too short where no end of the corridor is seen, as by a matcher."""
+    steps = compose_poses(invert_poses(truth.poses[:-1]), truth.poses[1:])
+    is_bare = np.abs(truth.poses[:-1, 0] - 0.5 * CORRIDOR_M) < 0.15 * CORRIDOR_M
+    steps[is_bare, 0] *= 1.0 - share
+    return Trajectory(truth.stamps_s, by_steps(steps), "pulled")
+
+
+def length_m(path: Trajectory) -> float:
+    return float(np.hypot(*(path.poses[-1] - path.poses[0])[:2]))
+
+
+def off_m(path: Trajectory, truth: Trajectory) -> float:
+    """Largest distance from the truth after laying the path on it."""
+    motion = fit_frame(path.poses, truth.poses)
+    laid = compose_poses((motion.x, motion.y, motion.yaw_rad), path.poses)
+    return float(np.hypot(*(laid - truth.poses)[:, :2].T).max())
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03, 0.85])
+def test_what_the_walls_leave_open_odometry_decides_by_their_calibration(
+    corridor: JudgedScans, scale: float
+) -> None:
+    truth = along_corridor()
+    path = pulled(truth)
+    lost_m = LONG_M - length_m(path)
+    assert lost_m > 0.7
+    scans = with_odometry(corridor, wheels_of(truth.poses, scale, 0.02))
+    # The places of the path hold it, too.
+    assert 0.0 < LONG_M - length_m(refine_path(scans, path)) < 0.55 * lost_m
+    blind = refine_path(with_odometry(corridor, None), path)
+    assert LONG_M - length_m(blind) == pytest.approx(lost_m, abs=0.03)
+
+
+def test_a_jump_that_nothing_but_the_path_tells_is_taken_back(corridor: JudgedScans) -> None:
+    truth = along_corridor()
+    poses = truth.poses.copy()
+    poses[len(poses) // 2 :, 0] += 0.15
+    jumped = Trajectory(truth.stamps_s, poses, "jumped")
+    refined = refine_path(with_odometry(corridor, wheels_of(truth.poses)), jumped)
+    assert length_m(refined) - LONG_M < 0.07
+    blind = refine_path(with_odometry(corridor, None), jumped)
+    assert length_m(blind) - LONG_M > 0.12
+    # Spread over the way there, not left in one step.
+    steps_m = np.hypot(*np.diff(refined.poses[:, :2], axis=0).T)
+    assert steps_m.max() < LONG_M / (len(poses) - 1) + 0.05
+
+
+def stood_still(odometry: F64, first: int, last: int) -> F64:
+    """Return odometry that tells no motion between two scans."""
+    steps = compose_poses(invert_poses(odometry[:-1]), odometry[1:])
+    steps[first:last] = 0.0
+    return by_steps(steps)
+
+
+def test_odometry_that_stands_still_counts_for_nothing_there(corridor: JudgedScans) -> None:
+    truth = along_corridor()
+    odometry = stood_still(wheels_of(truth.poses), 50, 70)
+    motions = KnownMotions.of(truth.poses, odometry)
+    assert not motions.is_sound[50:70].any()
+    assert motions.is_sound[:45].all()
+    assert motions.is_sound[75:].all()
+    refined = refine_path(with_odometry(corridor, odometry), truth)
+    assert length_m(refined) == pytest.approx(LONG_M, abs=0.1)
+
+
+def test_odometry_that_the_walls_contradict_harms_nothing() -> None:
+    """In a room everything is seen: wheels that slip here and there change nothing."""
+    truth = circuit()
+    scans = judged_scans(recorded(truth))
+    steps = compose_poses(invert_poses(truth.poses[:-1]), truth.poses[1:])
+    steps[::12, :2] *= 0.7
+    steps[5::36, 0] += 0.08
+    slipping = with_odometry(scans, by_steps(steps))
+    assert off_m(refine_path(slipping, truth), truth) < 0.02
+
+
+@pytest.mark.parametrize("scale", [0.3, 3.28])
+def test_odometry_of_another_unit_is_none(corridor: JudgedScans, scale: float) -> None:
+    truth = along_corridor()
+    odometry = wheels_of(truth.poses, scale)
+    assert not KnownMotions.of(truth.poses, odometry).is_sound.any()
+    path = pulled(truth)
+    without = refine_path(with_odometry(corridor, None), path)
+    assert (
+        refine_path(with_odometry(corridor, odometry), path).poses.tobytes()
+        == without.poses.tobytes()
+    )
+
+
+def test_odometry_that_never_moves_is_none() -> None:
+    truth = along_corridor()
+    for odometry in (np.zeros_like(truth.poses), None):
+        motions = KnownMotions.of(truth.poses, odometry)
+        assert not motions.is_sound.any()
+        assert motions.calibration.tolist() == [1.0, 0.0]
+        assert not motions.say(truth.poses, motions.calibration, 0).any()
+        assert not motions.say(truth.poses, motions.calibration, 5).any()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    scale=st.floats(0.6, 1.6),
+    turn_rad=st.floats(-0.3, 0.3),
+    seed=st.integers(0, 2**16),
+)
+def test_the_usual_calibration_is_found_whatever_a_part_does(
+    scale: float, turn_rad: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    steps = np.column_stack(
+        (rng.uniform(0.1, 0.3, 120), rng.normal(0.0, 0.01, 120), rng.normal(0.0, 0.1, 120))
+    )
+    path = by_steps(steps)
+    odometry = stood_still(wheels_of(path, scale, turn_rad), 60, 80)
+    motions = KnownMotions.of(path, odometry)
+    wanted = np.array((math.cos(turn_rad), -math.sin(turn_rad))) / scale
+    assert motions.calibration == pytest.approx(wanted, abs=0.03)
+    assert not motions.is_sound[60:80].any()
+    assert motions.is_sound[:50].all()
+
+
+def test_say_falls_with_the_distance_and_from_round_to_round() -> None:
+    path = along_corridor(30).poses
+    motions = KnownMotions.of(path, wheels_of(path))
+    moved = path.copy()
+    moved[15:, 0] += HALF_WAY_M
+    says = [motions.say(moved, motions.calibration, number)[14] for number in range(7)]
+    assert says[0] == 1.0
+    assert (np.diff(says) <= 0.0).all()
+    assert says[-1] == pytest.approx(0.25, abs=0.01)
+    assert motions.say(moved, motions.calibration, 6)[[5, 20]] == pytest.approx(1.0, abs=0.01)
+    moved[15:, 0] += HALF_WAY_M
+    assert motions.say(moved, motions.calibration, 6)[14] < says[-1]
+
+
+def test_the_equations_are_the_derivatives_of_one_sum_of_squares() -> None:
+    rng = np.random.default_rng(3)
+    path = circuit(count=8, rounds=0.2).poses
+    motions = KnownMotions.of(path, wheels_of(path, 1.05, 0.1))
+    assert motions.is_sound.all()
+    say = rng.uniform(0.2, 1.0, 7)
+    poses = path + rng.normal(0.0, 0.02, path.shape)
+    calibration = motions.calibration + np.array((0.01, -0.02))
+
+    def slope(moved: F64) -> F64:
+        found = motions.equations(moved[:-2].reshape(-1, 3), moved[-2:], say)
+        return np.concatenate((found.slope.ravel(), found.end))
+
+    at = np.concatenate((poses.ravel(), calibration))
+    found = motions.equations(poses, calibration, say)
+    size = len(poses) * 3
+    whole = np.zeros((size + 2, size + 2))
+    for k in range(len(poses)):
+        whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = found.diagonal[k]
+    for k in range(len(poses) - 1):
+        whole[3 * k : 3 * k + 3, 3 * k + 3 : 3 * k + 6] = found.beside[k]
+        whole[3 * k + 3 : 3 * k + 6, 3 * k : 3 * k + 3] = found.beside[k].T
+    whole[:size, size:], whole[size:, :size] = found.border, found.border.T
+    whole[size:, size:] = found.corner
+    assert np.linalg.eigvalsh(whole).min() > 0.0
+    # One step of Gauss and Newton leads to where the slope is gone, but for what is not linear.
+    after = at - np.linalg.solve(whole, slope(at))
+    assert np.abs(slope(after)).max() < 0.05 * np.abs(slope(at)).max()
+    # The slope by the calibration alone is linear, so its derivative is the corner.
+    for k in range(2):
+        moved = at.copy()
+        moved[size + k] += 1e-3
+        column = (slope(moved) - slope(at)) / 1e-3
+        assert column[size:] == pytest.approx(found.corner[:, k], rel=1e-6, abs=1e-6)
+        assert column[:size] == pytest.approx(found.border[:, k], rel=1e-6, abs=1e-6)
