@@ -4,24 +4,40 @@
  */
 #include "common.h"
 
-/* What the points of each piece meet under each pose: sums[p, piece] = (the field less `base`, points
- * in seen cells); points off the field meet nothing.
+/* Whether two bytes say that walls were seen from different sides, the own one's turned by so many
+ * parts: one faces somewhere and the other does not, or they face opposite ways. 0 says nothing. */
+inline bool is_another(const int own, const int other, const int turn) {
+  if (!own || !other) return false;
+  if ((own ^ other) & FACES) return true;
+  const int apart = (own + turn - other) & (FACING_PARTS - 1);
+  return (own & FACES) && apart >= OPPOSED_PARTS && apart <= FACING_PARTS - OPPOSED_PARTS;
+}
+
+/* What the points of each piece meet under each pose: sums[p, piece] = (the field less `base`, the
+ * most it could be, points in seen cells); points off the field meet nothing, nor does a wall that the field speaks for and
+ * that was seen from another side.
  * points (count, 2) int lattice positions, a piece's one after the other; starts (pieces + 1) int, the
- * first point of each, and the count; poses (n, 4) long Q30, points to field; field, seen (height,
- * width) uchar, seen 0 or 1; sums (n, pieces, 2) int. Global: (pieces, n). */
+ * first point of each, and the count; sides (count) uchar, what each point faces; poses (n, 4) long
+ * Q30, points to field; turns (n) int, how far they turn, in parts; field, most, seen, facing
+ * (height, width) uchar, seen 0 or 1; sums (n, pieces, 3) int. Global: (pieces, n). */
 __kernel void piece_sums(__global const int *points, __global const int *starts, const int pieces,
-                         __global const long *poses, const int n, __global const uchar *field,
-                         __global const uchar *seen, const int height, const int width,
-                         const int base, __global int *sums) {
+                         __global const uchar *sides, __global const long *poses,
+                         __global const int *turns, const int n, __global const uchar *field,
+                         __global const uchar *most, __global const uchar *seen,
+                         __global const uchar *facing,
+                         const int height, const int width, const int base,
+                         __global int *sums) {
   const int piece = get_global_id(0), p = get_global_id(1);
   if (piece >= pieces || p >= n) return;
   const long4 pose = vload4(p, poses);
-  int2 sum = 0;
+  int3 sum = 0;
   for (int i = starts[piece]; i < starts[piece + 1]; i++) {
     const int2 cell = fixed_cell(pose, points[2 * i], points[2 * i + 1]);
     if (cell.x < 0 || cell.y < 0 || cell.x >= width || cell.y >= height) continue;
     const size_t at = (size_t)cell.y * width + cell.x;
-    sum += (int2)(field[at] - base, seen[at]);
+    const int value = field[at] - base;
+    if (value > 0 && is_another(sides[i], facing[at], turns[p])) continue;
+    sum += (int3)(value, most[at], seen[at]);
   }
-  vstore2(sum, p * pieces + piece, sums);
+  vstore3(sum, p * pieces + piece, sums);
 }

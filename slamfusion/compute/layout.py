@@ -245,6 +245,17 @@ FACINGS_ALIKE: Final = 5
 # Hits are looked for at most this many cells around; farther squares flow over.
 MARK_REACH_MAX: Final = 16
 
+# -- pieces of wall --------------------------------------------------------------------------------
+
+# A byte says where free space lies from a cell beside a wall: whether on one side, and then in
+# which direction, in parts of a turn; or on none, or several. 0 says nothing.
+FACES: Final = 128
+FACES_NOWHERE: Final = 1
+FACING_PARTS: Final = 128
+# Walls whose free sides lie so many parts apart, or more, were seen from opposite sides: 112.5
+# degrees. At a corner, and where a wall is ragged, faces of one wall differ by up to a right angle.
+OPPOSED_PARTS: Final = 40
+
 # -- doubled walls ---------------------------------------------------------------------------------
 
 # A group of fewer connected cells is a speck, not a wall.
@@ -291,6 +302,7 @@ _FOR_KERNELS: Final = (
     *("MOST_REACH", "OFFSET_SHIFT", "OFFSET_ONE", "OFFSET_HALF"),
     *("CELL_SHIFT", "CELL_HALF", "SHARE_ONE"),
     *("FACINGS", "FACINGS_ALIKE"),
+    *("FACES", "FACING_PARTS", "OPPOSED_PARTS"),
     *("LEAST_GROUP", "BLUR_RADIUS", "WINDOW_RADIUS", "WEIGHT_SHIFT", "PRODUCT_SHIFT"),
     *("TENSOR_SHIFT", "NORMAL_SHIFT", "RAY_SHIFT", "NORMAL_BLOCK", "COHERENCE_PART"),
     *("COHERENCE_WHOLE", "WALL_LEVEL", "PARALLEL"),

@@ -21,6 +21,7 @@ from slamfusion.compute.layout import (
     FIELD_ONE,
 )
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
+from slamfusion.fusion.facing import facings
 from slamfusion.fusion.field_memory import FieldMemory
 from slamfusion.fusion.normalize import NormalizedGrid
 from slamfusion.fusion.wall_evidence import (
@@ -123,6 +124,7 @@ class GridFeatures:
         self._seen: dict[int, DeviceArray[Any]] = {}
         self._surface_walls: DeviceArray[Any] | None = None
         self._solid_level: Level | None = None
+        self._facing: DeviceArray[Any] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -135,7 +137,7 @@ class GridFeatures:
             kept.clear()
         for name in ("cells", "known"):
             self.__dict__.pop(name, None)
-        self._surface_walls = self._solid_level = None
+        self._surface_walls = self._solid_level = self._facing = None
         if self._memory is not None:
             self._memory.forget(self)
 
@@ -290,12 +292,14 @@ class GridFeatures:
         if key not in self._pieces:
             points = spread_sample(self.level(1, cancel).points, most)
             col, row = np.floor(points * per_half_cell).astype(np.int64).T
-            squares = col * (row.max(initial=0) + 1) + row
-            order = np.argsort(squares, kind="stable")
-            first = np.unique(squares[order], return_index=True)[1]
-            starts = np.append(first, len(points)).astype(np.int32)
-            self._pieces[key] = PointPieces(points.take(order, axis=0), starts)
+            self._pieces[key] = _by_square(points, col * (row.max(initial=0) + 1) + row)
         return self._pieces[key]
+
+    def facing(self, cancel: CancelToken | None = None) -> DeviceArray[Any]:
+        """Return (H, W) uint8 on the device, where free space lies, see ``facing.facings``."""
+        if self._facing is None:
+            self._facing = self.device.upload(_facings_of(self, cancel))
+        return self._facing
 
     def seen(self, near2: int, cancel: CancelToken | None = None) -> DeviceArray[Any]:
         """Return (H, W) uint8, 1 where known or within this squared distance of a wall.
@@ -304,9 +308,10 @@ class GridFeatures:
             CancelledSearchError: ``cancel`` says so.
         """
         if near2 not in self._seen:
-            distance2 = self.device.download(self.level(1, cancel).distance2)
-            is_seen = (distance2 <= near2) | (self.grid.cells >= 0)
-            self._seen[near2] = self.device.upload(is_seen.astype(np.uint8))
+            is_near = self.device.download(self.level(1, cancel).distance2) <= near2
+            self._seen[near2] = self.device.upload(
+                (is_near | (self.grid.cells >= 0)).view(np.uint8)
+            )
         return self._seen[near2]
 
     def evidence_table(
@@ -344,6 +349,19 @@ class GridFeatures:
                 level.distance2, level.free, table.hit, table.miss, table.base
             )
         return self._fields[key]
+
+
+def _facings_of(features: GridFeatures, cancel: CancelToken | None) -> npt.NDArray[np.uint8]:
+    distance2 = features.device.download(features.level(1, cancel).distance2)
+    return facings(features.grid.cells, distance2, features.grid.grid.resolution)
+
+
+def _by_square(points: npt.NDArray[np.int32], squares: npt.NDArray[np.int64]) -> PointPieces:
+    """Return points (N, 2) square by square; (N,) numbers tell theirs."""
+    order = np.argsort(squares, kind="stable")
+    first = np.unique(squares[order], return_index=True)[1]
+    starts = np.append(first, len(points)).astype(np.int32)
+    return PointPieces(points.take(order, axis=0), starts)
 
 
 def _known_by_distance(

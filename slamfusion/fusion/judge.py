@@ -34,6 +34,7 @@ from slamfusion.fusion.refine import polish, rank, refine
 from slamfusion.fusion.rivals import (
     DISTINCT_CELLS,
     DISTINCT_YAW_RAD,
+    GOOD_DOUBT,
     PLAIN_SHARE,
     Found,
     Standing,
@@ -60,6 +61,8 @@ BENT_SCALES = (24.0,)
 # the best is chosen.
 POLISH_TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
 THIN_CELLS = 1.0
+# A fit that turned so far, rad, may have farther to turn: so many times at most.
+POLISHED_RAD, POLISH_ROUNDS = math.radians(0.1), 4
 YAW_RAD_MIN = math.radians(0.5)
 # A mirror image that gives more times as much is not told from one that gives this.
 GAIN_MAX = 100.0
@@ -208,12 +211,20 @@ def _polished(
 ) -> F64:
     """Return the answer (3,) fitted from several yaws, by the evidence of thin walls.
 
-    On a strip of common ground a fit may settle half a degree off, where it begins.
+    On a strip of common ground a fit may settle some degrees off, where it begins.
     """
-    middle = common_middle(reference, moving, motion, wall_widths(reference)[0], device)
-    fitted = polish(reference, moving, turned_about(motion, middle, POLISH_TURNS), device, cancel)
-    values = score_motions(reference, moving, fitted, 1, device, sigma=THIN_CELLS, cancel=cancel)
-    return np.asarray(fitted[int(np.argmax(values))])
+    for _ in range(POLISH_ROUNDS):
+        middle = common_middle(reference, moving, motion, wall_widths(reference)[0], device)
+        begun = turned_about(motion, middle, POLISH_TURNS)
+        fitted = polish(reference, moving, begun, device, cancel)
+        values = score_motions(
+            reference, moving, fitted, 1, device,
+            sigma=THIN_CELLS, doubt=GOOD_DOUBT, cancel=cancel,
+        )  # fmt: skip
+        before, motion = motion, fitted[int(np.argmax(values))]
+        if displacement(motion, before)[1] < POLISHED_RAD:
+            break
+    return np.asarray(motion)
 
 
 def _met(statistics: dict[str, float]) -> float:

@@ -8,6 +8,7 @@ A piece is the same piece under every motion, so two motions can be compared pie
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.layout import FACING_PARTS
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import fixed_similarities
@@ -41,7 +43,10 @@ class WallPieces:
     Attributes:
         evidence: (P, B) nats times metres of wall.
         most: (P, B) what the pieces could have given at most where the other map has seen
-            something.
+            something: it is known, or near a wall.
+        share_most: (P, B) the same of which the evidence is a share. Of good maps only where the
+            other map knows its ground; elsewhere what the pieces give, since what was not seen
+            contradicts nothing: a strip of common ground ends in cuts through walls.
         seen_m: (P,) metres of wall that lie where the other map has seen something.
         doubt: how much what a piece could have given and does not give speaks against a motion.
             The table of evidence is kind to maps that are bent or old; of two good maps of one
@@ -50,6 +55,7 @@ class WallPieces:
 
     evidence: F64
     most: F64
+    share_most: F64
     seen_m: F64
     doubt: float = 0.0
 
@@ -71,6 +77,7 @@ class WallPieces:
             self,
             evidence=self.evidence[order],
             most=self.most[order],
+            share_most=self.share_most[order],
             seen_m=self.seen_m[order],
         )
 
@@ -80,12 +87,14 @@ class WallPieces:
             self,
             evidence=np.concatenate((self.evidence, other.evidence)),
             most=np.concatenate((self.most, other.most)),
+            share_most=np.concatenate((self.share_most, other.share_most)),
             seen_m=np.concatenate((self.seen_m, other.seen_m)),
         )
 
     def share(self) -> F64:
         """Return (P,) the evidence as a share of what the common ground could give."""
-        return np.asarray(self.evidence.sum(axis=1) / np.maximum(self.most.sum(axis=1), 1e-9))
+        most = np.maximum(self.share_most.sum(axis=1), 1e-9)
+        return np.asarray(self.evidence.sum(axis=1) / most)
 
     def whole(self, k: int = 0) -> float:
         """Return the share of what common ground could give motion k in pieces that fit whole.
@@ -135,6 +144,7 @@ def wall_pieces(
     *,
     scales: F64 | None = None,
     points: int = PIECE_POINTS,
+    sided: bool = False,
 ) -> WallPieces:
     """Return what each piece of wall says of each motion.
 
@@ -146,20 +156,26 @@ def wall_pieces(
         cancel: asked before each operation.
         scales: (P,) how much longer the moving map's metre is taken, about its centre; None: 1.
         points: at most this many wall points of each grid are looked at; each stands for its share.
+        sided: as of good maps: a wall that was seen from another side is another wall, and where
+            a map knows nothing no more could be given than is. Maps that are bent, or old, draw
+            walls too badly for that.
 
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
     there, back = fixed_similarities(motions, moving.centre, scales)
     sides = ((moving, there, reference), (reference, back, moving))
-    parts, most_parts, seen_m = [], [], np.zeros(len(motions))
+    found = []
     for own, pose, other in sides:
         check_cancelled(cancel)
-        part, most, seen = _side(own, pose, other, sigma, points, device, cancel)
-        parts.append(part)
-        most_parts.append(most)
-        seen_m += seen
-    return WallPieces(np.concatenate(parts, axis=1), np.concatenate(most_parts, axis=1), seen_m)
+        found.append(_side(own, pose, other, sigma, points, device, cancel, sided=sided))
+    evidence, most, share_most, seen_m = zip(*found, strict=True)
+    return WallPieces(
+        np.concatenate(evidence, axis=1),
+        np.concatenate(most, axis=1),
+        np.concatenate(share_most, axis=1),
+        np.asarray(seen_m[0] + seen_m[1]),
+    )
 
 
 def _side(
@@ -170,8 +186,10 @@ def _side(
     most_points: int,
     device: ComputeDevice,
     cancel: CancelToken | None,
-) -> tuple[F64, F64, F64]:
-    """Return (P, B) evidence and most possible of one map's pieces, and (P,) metres seen."""
+    *,
+    sided: bool,
+) -> tuple[F64, F64, F64, F64]:
+    """Return (P, B) evidence, ``most`` and ``share_most`` of one map's pieces, (P,) metres seen."""
     size = own.grid.grid.resolution
     level = own.level(1, cancel)
     side = PIECE_M * max(1.0, sigma * size / PIECE_WIDTH_M)
@@ -179,9 +197,32 @@ def _side(
     # Half: both maps' walls are counted.
     metres = 0.5 * size * len(level.points) / max(1, len(points))
     table = other.evidence_table(1, sigma, FIELD_TOP, cancel)
-    field, seen = other.field(1, table, cancel), other.seen(int((2.0 * sigma) ** 2), cancel)
+    seen = other.seen(int((2.0 * sigma) ** 2), cancel)
+    field, most_field, facing = other.field(1, table, cancel), seen, seen
+    sides = np.zeros(len(points), dtype=np.uint8)
+    if sided:
+        check_cancelled(cancel)
+        facing = other.facing(cancel)
+        sides = device.download(own.facing(cancel))[points[:, 1] // 2, points[:, 0] // 2]
+        most_cells = device.download(field) - np.uint8(table.base)
+        most_cells[other.grid.cells >= 0] = table.span
+        most_field = device.upload(most_cells)
     check_cancelled(cancel)
-    sums = device.piece_sums(points, starts, poses, field, seen, table.base)
-    met = sums[:, :, 1].astype(np.float64)
-    evidence = np.asarray(sums[:, :, 0] * (table.unit * metres))
-    return evidence, met * (table.span * table.unit * metres), np.asarray(met.sum(axis=1) * metres)
+    turns = np.rint(np.arctan2(poses[:, 1], poses[:, 0]) * (FACING_PARTS / (2.0 * math.pi)))
+    sums = device.piece_sums(
+        points,
+        starts,
+        sides,
+        poses,
+        turns.astype(np.int32),
+        field,
+        most_field,
+        seen,
+        facing,
+        table.base,
+    )
+    most = sums[:, :, 1].astype(np.float64)
+    given, could, met = (sums[:, :, k].astype(np.float64) for k in range(3))
+    unit = table.unit * metres
+    most = met * (table.span * unit)
+    return given * unit, most, could * unit if sided else most, met.sum(axis=1) * metres

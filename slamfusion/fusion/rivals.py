@@ -1,8 +1,9 @@
 """How an answer of the search stands against its rivals: chosen, weighed, held against each.
 
 An answer is weighed in one of two ways. Of two good maps of one place it leaves little unexplained,
-and so must its rivals: then what is left unexplained counts against each (see ``pieces``). Of maps
-of which one is bent any answer leaves much, and only what is explained counts.
+and so must its rivals: then what is left unexplained counts against each (see ``pieces``), and
+walls that were seen from different sides are not one (see ``facing``). Of maps of which one is bent
+any answer leaves much, and only what is explained counts.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from slamfusion.fusion.slides import slides
 __all__ = [
     "DISTINCT_CELLS",
     "DISTINCT_YAW_RAD",
+    "GOOD_DOUBT",
     "PLAIN_SHARE",
     "Found",
     "Standing",
@@ -57,6 +59,9 @@ GOOD_DOUBT = 2.0
 # Of the answers that give this much of the most evidence the one with the highest share may be
 # right.
 NOTED_RATIO = 0.7
+# Both maps' pieces of a metre of wall: no metre of common wall has more witnesses, though it lie in
+# the corners of several pieces.
+WITNESSES_A_METRE = 2.0
 # A wide width speaks only where the narrow one says the same by so many pieces.
 NARROW_MIN = 2.0
 
@@ -125,7 +130,10 @@ class Standing:
     def _better_than(self, others: list[int]) -> float:
         """Return the pieces for the answer against the best of some others, or against none."""
         pieces = self.pieces
-        return min([pieces.witnesses(0), *(pieces.against(k) for k in others)])
+        found = [pieces.witnesses(0), *(pieces.against(k) for k in others)]
+        if self.is_plain:
+            found.append(WITNESSES_A_METRE * float(pieces.seen_m[0]))
+        return min(found)
 
     @property
     def clean_share(self) -> float:
@@ -150,26 +158,58 @@ def chosen_standing(
 ) -> Standing:
     """Return the answer and its rivals, weighed as two good maps, or as maps that are bent."""
     narrow, broad = wall_widths(reference)
+    if found.coarse is not None:
+        pieces = wall_pieces(reference, moving, found.motions, narrow, device, cancel, sided=True)
+        plain = _plain_standing(reference, moving, device, found, pieces, pairs, cancel, sided=True)
+        if _is_believed(plain, found, pairs):
+            return plain
     pieces = wall_pieces(reference, moving, found.motions, narrow, device, cancel)
     stand = _standing(found, narrow, pieces)
     if found.coarse is None:
         return stand
-    plain = _standing(found, narrow, replace(pieces, doubt=GOOD_DOUBT))
-    if plain.share >= PLAIN_SHARE:
-        if plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX:
-            plain = _with_slides(reference, moving, plain, device, cancel)
-        if plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX:
+    # Maps that draw one wall thick and thin have no sides to tell, and may be good ones yet.
+    plain = _plain_standing(reference, moving, device, found, pieces, pairs, cancel, sided=False)
+    if _is_believed(plain, found, pairs):
+        return plain
+    if plain.share >= PLAIN_SHARE and _gives_as_much(plain, stand):
+        if is_distinct(plain.motions[0], stand.motions[0]):
             return plain
-        if _gives_as_much(plain, stand):
-            if is_distinct(plain.motions[0], stand.motions[0]):
-                return plain
-            return min(plain, stand, key=Standing.wrong)
+        return min(plain, stand, key=Standing.wrong)
     pieces = wall_pieces(reference, moving, found.motions, broad, device, cancel)
     wide = _standing(found, broad, pieces)
     is_same = not is_distinct(stand.motions[0], wide.motions[0], BENT_CELLS)
     if not is_same or stand.better < NARROW_MIN or stand.share < SHARE_MIN:
         return stand
     return min(stand, wide, key=Standing.wrong)
+
+
+def _plain_standing(
+    reference: GridFeatures,
+    moving: GridFeatures,
+    device: ComputeDevice,
+    found: Found,
+    pieces: WallPieces,
+    pairs: int,
+    cancel: CancelToken | None,
+    *,
+    sided: bool,
+) -> Standing:
+    """Return the answer weighed as that of two good maps; its slides too where it is believed.
+
+    Args:
+        pieces: of all motions, by the narrow width.
+        sided: whether these are, see ``wall_pieces``.
+    """
+    narrow = wall_widths(reference)[0]
+    plain = _standing(found, narrow, replace(pieces, doubt=GOOD_DOUBT))
+    if not _is_believed(plain, found, pairs):
+        return plain
+    return _with_slides(reference, moving, plain, device, cancel, sided=sided)
+
+
+def _is_believed(plain: Standing, found: Found, pairs: int) -> bool:
+    """Whether an answer that is weighed as that of two good maps is one."""
+    return plain.share >= PLAIN_SHARE and plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
 
 
 def _standing(found: Found, sigma: float, pieces: WallPieces) -> Standing:
@@ -208,12 +248,14 @@ def _with_slides(
     stand: Standing,
     device: ComputeDevice,
     cancel: CancelToken | None,
+    *,
+    sided: bool,
 ) -> Standing:
     """Return the same with the best shifts of the answer among its rivals."""
     further = slides(
         reference, moving, stand.motions[0], stand.sigma, DISTINCT_CELLS, device, cancel
     )
-    pieces = wall_pieces(reference, moving, further, stand.sigma, device, cancel)
+    pieces = wall_pieces(reference, moving, further, stand.sigma, device, cancel, sided=sided)
     pieces = stand.pieces.joined(pieces)
     total = pieces.total
     new = range(len(stand.motions), len(stand.motions) + len(further))

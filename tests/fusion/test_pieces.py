@@ -11,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.compute.layout import FIXED_ONE
+from slamfusion.compute.layout import (
+    FACES,
+    FACES_NOWHERE,
+    FACING_PARTS,
+    FIXED_ONE,
+    OPPOSED_PARTS,
+)
+from slamfusion.compute.wall_pieces.numpy import is_another
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import fixed_similarities
 from slamfusion.fusion.pieces import PIECE_M, PIECE_POINTS, WallPieces, wall_pieces
@@ -27,13 +34,18 @@ FINITE = st.integers(-400, 400).map(lambda n: n / 8.0)
 
 def pieces_of(*evidence: list[float]) -> WallPieces:
     table = np.array(evidence, dtype=np.float64)
-    return WallPieces(table, np.ones_like(table), np.ones(len(table)))
+    return table_of(table, np.ones_like(table))
+
+
+def table_of(evidence: np.ndarray, most: np.ndarray, doubt: float = 0.0) -> WallPieces:
+    """Motions under which each piece lands where the other map knows its ground."""
+    return WallPieces(evidence, most, most, np.ones(len(evidence)), doubt)
 
 
 def doubted(answer: list[float], rival: list[float], doubt: float = 1.0) -> WallPieces:
     """An answer and a rival that explain all that they see."""
     table = np.array([answer, rival])
-    return WallPieces(table, table, np.ones(2), doubt)
+    return table_of(table, table, doubt)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +72,7 @@ def test_sharp_maps_fit_whole_or_not_at_all() -> None:
     """The same share: of one motion in half of the pieces, of the other in part everywhere."""
     evidence = np.array([[3.0, 3.0, -0.2, -0.2], [1.4, 1.4, 1.4, 1.4], [1.4, 2.2, 0.0, 0.0]])
     most = np.array([[3.0, 3.0, 3.0, 3.0], [3.0, 3.0, 3.0, 3.0], [2.0, 4.0, 0.0, 4.0]])
-    pieces = WallPieces(evidence, most, np.ones(3))
+    pieces = table_of(evidence, most)
     assert pieces.share()[0] == pytest.approx(pieces.share()[1])
     assert [pieces.whole(k) for k in range(3)] == pytest.approx([0.5, 0.0, 0.2])
 
@@ -174,7 +186,7 @@ def test_better_is_antisymmetric(pairs: list[tuple[float, float]]) -> None:
 
 
 def test_what_stays_unexplained_is_doubted() -> None:
-    given = WallPieces(np.array([[3.0, -1.0]]), np.array([[4.0, 2.0]]), np.ones(1))
+    given = table_of(np.array([[3.0, -1.0]]), np.array([[4.0, 2.0]]))
     assert given.total == pytest.approx([2.0])
     doubted = replace(given, doubt=1.0)
     assert np.array_equal(doubted.weighed, [[3.0 - 1.0, -1.0 - 3.0]])
@@ -182,9 +194,7 @@ def test_what_stays_unexplained_is_doubted() -> None:
     assert doubted.share() == given.share() == pytest.approx([2.0 / 6.0])
     assert doubted.witnesses() == pytest.approx(-4.0 / 20.0)
     # The one that gives less is the better one if it leaves nothing unexplained.
-    two = WallPieces(
-        np.array([[4.0, 1.0], [3.0, 0.0]]), np.array([[6.0, 3.0], [3.0, 0.0]]), np.ones(2)
-    )
+    two = table_of(np.array([[4.0, 1.0], [3.0, 0.0]]), np.array([[6.0, 3.0], [3.0, 0.0]]))
     assert two.better(0, 1) > 0.0
     assert replace(two, doubt=1.0).better(0, 1) < 0.0
 
@@ -193,7 +203,7 @@ def test_pieces_of_further_motions_are_joined() -> None:
     a, b = pieces_of([1.0, 2.0]), pieces_of([3.0, 4.0], [5.0, 6.0])
     joined = replace(a, doubt=0.5).joined(b)
     assert np.array_equal(joined.evidence, [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
-    assert joined.most.shape == (3, 2)
+    assert joined.most.shape == joined.share_most.shape == (3, 2)
     assert joined.seen_m.shape == (3,)
     assert joined.doubt == 0.5
     assert replace(a, doubt=0.5).take(np.array([0])).doubt == 0.5
@@ -204,7 +214,7 @@ def test_motions_are_taken_in_any_order() -> None:
     some = pieces.take(np.array([2, 0]))
     assert some.evidence.tolist() == [[5.0, 6.0], [1.0, 2.0]]
     assert some.better(0, 1) == pieces.better(2, 0)
-    assert some.most.shape == (2, 2)
+    assert some.most.shape == some.share_most.shape == (2, 2)
     assert some.seen_m.shape == (2,)
 
 
@@ -247,12 +257,76 @@ def test_a_map_of_twice_the_size_fits_at_half_the_scale(device: ComputeDevice) -
     assert pieces.total[0] > 3.0 * max(pieces.total[1], pieces.total[2], 1.0)
 
 
+@pytest.mark.parametrize("sided", [False, True])
 @pytest.mark.parametrize("seed", range(2))
-def test_the_twins_count_the_same(device: ComputeDevice, twins: ComputeDevice, seed: int) -> None:
+def test_the_twins_count_the_same(
+    device: ComputeDevice, twins: ComputeDevice, seed: int, sided: bool
+) -> None:
     found = []
     for on_device in (device, twins):
         ref, mov = (features_of(random_grid(seed + k), on_device) for k in (0, 60))
         motions = some_motions(ref, seed)
-        found.append(wall_pieces(ref, mov, motions, SIGMA, on_device))
-    for name in ("evidence", "most", "seen_m"):
+        found.append(wall_pieces(ref, mov, motions, SIGMA, on_device, sided=sided))
+    for name in ("evidence", "most", "share_most", "seen_m"):
         assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+def rooms(device: ComputeDevice) -> tuple[GridFeatures, GridFeatures]:
+    """Two rooms that have one wall between them, each seen from inside."""
+    low, high = np.full((2, 60, 100), -1, dtype=np.int8)
+    for cells, left in ((low, 5), (high, 50)):
+        cells[10:50, left : left + 46] = 100
+        cells[11:49, left + 1 : left + 45] = 0
+    return features_of(OccupancyGrid(low, 0.1), device), features_of(
+        OccupancyGrid(high, 0.1), device
+    )
+
+
+def test_a_wall_laid_on_the_back_of_another_is_no_evidence(device: ComputeDevice) -> None:
+    low, high = rooms(device)
+    # The cells that both rooms' grids were cropped to.
+    beside = np.array([[low.shape[1] + high.shape[1] / 2.0 - 1.0, low.shape[0] / 2.0, 0.0]])
+    backs = [wall_pieces(low, high, beside, SIGMA, device, sided=sided) for sided in (False, True)]
+    assert backs[0].total[0] > 1.0
+    assert backs[1].total[0] < 0.2 * backs[0].total[0]
+    same = np.array([[*low.centre, 0.0]])
+    on_itself = [wall_pieces(low, low, same, SIGMA, device, sided=sided) for sided in (False, True)]
+    assert np.array_equal(on_itself[0].evidence, on_itself[1].evidence)
+
+
+def test_what_was_not_seen_contradicts_nothing(device: ComputeDevice) -> None:
+    """A strip of common ground ends in cuts: beyond them good maps leave nothing unexplained."""
+    whole = building(3)
+    cut = whole.cells.copy()
+    cut[:, 1 : whole.width // 2] = -1
+    truth = features_of(whole, device)
+    half = features_of(OccupancyGrid(cut, whole.resolution), device)
+    middle = truth.shape[1] - half.shape[1] / 2.0, half.shape[0] / 2.0, 0.0
+    shares = [
+        wall_pieces(truth, half, np.array([middle]), SIGMA, device, sided=sided).share()[0]
+        for sided in (False, True)
+    ]
+    assert shares[0] < shares[1] <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "turn", "wanted"),
+    [
+        (FACES, FACES + OPPOSED_PARTS, 0, True),
+        (FACES, FACES + OPPOSED_PARTS - 1, 0, False),
+        (FACES, FACES + FACING_PARTS - OPPOSED_PARTS, 0, True),
+        (FACES, FACES + FACING_PARTS - OPPOSED_PARTS + 1, 0, False),
+        (FACES, FACES, FACING_PARTS // 2, True),
+        (FACES, FACES + FACING_PARTS // 2, -FACING_PARTS // 2, False),
+        (FACES, FACES_NOWHERE, 0, True),
+        (FACES_NOWHERE, FACES_NOWHERE, FACING_PARTS // 2, False),
+        (0, FACES, 0, False),
+        (FACES, 0, FACING_PARTS // 2, False),
+    ],
+)
+def test_walls_seen_from_opposite_sides_are_not_one(
+    own: int, other: int, turn: int, wanted: bool
+) -> None:
+    given = np.array([own], dtype=np.uint8), np.array([other], dtype=np.uint8)
+    assert is_another(*given, turn)[0] == wanted
+    assert is_another(*given[::-1], -turn)[0] == wanted

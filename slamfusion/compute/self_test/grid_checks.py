@@ -16,6 +16,7 @@ from slamfusion.compute.layout import (
     DISTANCE_MAX,
     DISTANCE_TABLE,
     DISTANCE_UNSEEN,
+    FACING_PARTS,
     RUN,
 )
 from slamfusion.compute.search import FitSide, ScoredSide
@@ -172,11 +173,17 @@ def _pose_scores(device: ComputeDevice, sample: Sample) -> Arrays:
 
 
 def _piece_sums(device: ComputeDevice, sample: Sample) -> Arrays:
-    field, seen = device.upload(sample.field), device.upload(sample.free)
+    field, most, seen = (
+        device.upload(given) for given in (sample.field, sample.free, sample.solid)
+    )
     poses = fixed_poses(sample.motions)
     # A piece of one point, one of none, a large one.
     starts = np.array([0, 1, 1, 90, 150], dtype=np.int32)
-    return [device.piece_sums(sample.points(150), starts, poses, field, seen, BASE)]
+    sides = sample.rng.integers(0, 256, 150).astype(np.uint8)
+    facing = device.upload(sample.rng.integers(0, 256, sample.shape).astype(np.uint8))
+    turns = sample.rng.integers(-FACING_PARTS, FACING_PARTS, len(poses)).astype(np.int32)
+    points = sample.points(150)
+    return [device.piece_sums(points, starts, sides, poses, turns, field, most, seen, facing, BASE)]
 
 
 def _refine_terms(device: ComputeDevice, sample: Sample) -> Arrays:

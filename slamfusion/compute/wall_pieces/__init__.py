@@ -22,9 +22,13 @@ class WallPieceDevice(ArrayDevice, Protocol):
         self,
         points: npt.NDArray[np.int32],
         starts: npt.NDArray[np.int32],
+        sides: npt.NDArray[np.uint8],
         poses: npt.NDArray[np.int64],
+        turns: npt.NDArray[np.int32],
         field: DeviceArray[np.uint8],
+        most: DeviceArray[np.uint8],
         seen: DeviceArray[np.uint8],
+        facing: DeviceArray[np.uint8],
         base: int,
     ) -> npt.NDArray[np.int64]:
         """See ``wall_pieces.numpy.piece_sums``."""

@@ -18,15 +18,20 @@ class OpenCLWallPieces(OpenCLQueue):
         self,
         points: npt.NDArray[np.int32],
         starts: npt.NDArray[np.int32],
+        sides: npt.NDArray[np.uint8],
         poses: npt.NDArray[np.int64],
+        turns: npt.NDArray[np.int32],
         field: DeviceArray[np.uint8],
+        most: DeviceArray[np.uint8],
         seen: DeviceArray[np.uint8],
+        facing: DeviceArray[np.uint8],
         base: int,
     ) -> npt.NDArray[np.int64]:
         """See ``wall_pieces.numpy.piece_sums``."""
         pieces, n = len(starts) - 1, len(poses)
-        sums = self.empty((n, pieces, 2), np.int32)
-        given = (self.upload(points), self.upload(starts), np.int32(pieces), self.upload(poses))
-        sizes = [np.int32(v) for v in (*field.shape, base)]
-        self._launch("piece_sums", (pieces, n), *given, np.int32(n), field, seen, *sizes, sums)
+        sums = self.empty((n, pieces, 3), np.int32)
+        walls = (self.upload(points), self.upload(starts), np.int32(pieces), self.upload(sides))
+        given = (self.upload(poses), self.upload(turns), np.int32(n), field, most, seen)
+        sizes = [facing, *(np.int32(v) for v in (*field.shape, base))]
+        self._launch("piece_sums", (pieces, n), *walls, *given, *sizes, sums)
         return np.asarray(self.download(sums), dtype=np.int64)
