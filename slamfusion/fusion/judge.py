@@ -29,6 +29,7 @@ from slamfusion.fusion.held import held_by
 from slamfusion.fusion.measure import measure
 from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain, mirror_image
 from slamfusion.fusion.motions import displacement, turned_about
+from slamfusion.fusion.pieces import wall_pieces
 from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
 from slamfusion.fusion.refine import polish, rank, refine
 from slamfusion.fusion.rivals import (
@@ -316,7 +317,13 @@ def _looked_at_image(
     least = EXPECTED_WRONG_MAX * min(1.0, stand.wrong(pairs))
     if other.share < SHARE_MIN or other.wrong(pairs) >= least:
         return evidence
-    own, gained = (float(item.pieces.evidence[0].sum()) for item in (stand, other))
+    # By one width, and by no sides of walls: like is held against like.
+    own, gained = (
+        float(
+            wall_pieces(reference, of, motion[None], other.sigma, device, cancel).evidence[0].sum()
+        )
+        for of, motion in ((moving, stand.motions[0]), (image, other.motions[0]))
+    )
     gain = GAIN_MAX if own * GAIN_MAX <= gained else gained / own
     return replace(evidence, mirrored=gain)
 
