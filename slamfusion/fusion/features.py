@@ -272,7 +272,6 @@ class GridFeatures:
         """Return (N,) the known cells of a level by squared distance to a wall."""
         if step not in self._known_distances:
             level = self.level(step, cancel)
-            check_cancelled(cancel)
             self._known_distances[step] = _known_by_distance(self.device, self.grid.cells, level)
         return self._known_distances[step]
 
@@ -309,9 +308,8 @@ class GridFeatures:
         """
         if near2 not in self._seen:
             is_near = self.device.download(self.level(1, cancel).distance2) <= near2
-            self._seen[near2] = self.device.upload(
-                (is_near | (self.grid.cells >= 0)).view(np.uint8)
-            )
+            is_seen = (is_near | (self.grid.cells >= 0)).view(np.uint8)
+            self._seen[near2] = self.device.upload(is_seen)
         return self._seen[near2]
 
     def evidence_table(
