@@ -101,6 +101,9 @@ MATCH_SURE = 0.9
 UNEXPLAINED_RATIO = 0.5
 # No less than this counts as unexplained: of copies turned on themselves neither is better.
 MISSED_MIN = 0.01
+# Metres of common wall, found without a start, below which any corner of a room fits some other:
+# 2.8 m of a half that was drawn 1.1 times as large were believed.
+COMMON_MIN_M = 3.0
 # Pieces of wall that hold an answer, for each metre in the direction in which the fewest do: one of
 # each map, and as many in the other direction. Longer walls there make it no surer.
 HELD_PIECES = 4.0
@@ -266,12 +269,9 @@ def _decide(evidence: Evidence) -> Decision:
     wrong = wrong_in_job(evidence)
     if wrong >= EXPECTED_WRONG_MAX and not (_is_whole(evidence) or _is_expected(evidence)):
         return _not_alone(evidence, wrong)
-    if not _is_held(evidence):
-        return _refused(
-            "too little in common",
-            f"too little in common: the {evidence.common_m:.0f} m of common walls run one way, and "
-            f"only {evidence.held_m:.1f} m hold it along them",
-        )
+    too_little = _too_little(evidence)
+    if too_little is not None:
+        return too_little
     is_scaled = evidence.scale is not None and abs(evidence.scale - 1.0) >= SCALE_MAX
     if evidence.scale is not None and is_scaled and evidence.scaled_share >= SCALED_SHARE_MIN:
         return _refused(
@@ -348,11 +348,24 @@ def _contradicted(evidence: Evidence) -> Decision | None:
     return None
 
 
-def _is_held(evidence: Evidence) -> bool:
-    """Whether walls that run another way than most are enough for the answer; True: not asked."""
-    if evidence.held_m is None:
-        return True
-    return _wrong(evidence, HELD_PIECES * evidence.held_m) < EXPECTED_WRONG_MAX
+def _too_little(evidence: Evidence) -> Decision | None:
+    """Refuse an answer that rests on walls that are too short, or run one way; None: enough."""
+    if evidence.search == "full" and evidence.common_m < COMMON_MIN_M and not _is_whole(evidence):
+        return _refused(
+            "too little in common",
+            f"too little in common: {evidence.common_m:.1f} m of common walls of the "
+            f"{COMMON_MIN_M:g} m needed",
+        )
+    if (
+        evidence.held_m is not None
+        and _wrong(evidence, HELD_PIECES * evidence.held_m) >= EXPECTED_WRONG_MAX
+    ):
+        return _refused(
+            "too little in common",
+            f"too little in common: the {evidence.common_m:.0f} m of common walls run one way, and "
+            f"only {evidence.held_m:.1f} m hold it along them",
+        )
+    return None
 
 
 def _is_whole(evidence: Evidence) -> bool:

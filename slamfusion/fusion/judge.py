@@ -129,7 +129,7 @@ def judge(
         decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
-            evidence, reference, moving, config, device, stand, narrow, cancel
+            evidence, reference, moving, config, device, stand, best, narrow, cancel
         )
         decision = decide(evidence)
     elif found.search == "full" and decision.kind in found.image_after:
@@ -280,6 +280,7 @@ def _looked_closer(
     config: AlignConfig,
     device: ComputeDevice,
     stand: Standing,
+    best: F64,
     narrow: float,
     cancel: CancelToken | None,
 ) -> Evidence:
@@ -291,7 +292,19 @@ def _looked_closer(
             doubt=stand.pieces.doubt,
         )  # fmt: skip
     # Where little is in common another scale leaves little unexplained: it is always looked for.
-    fit = estimate_scale(reference, moving, motion, (stand.sigma, narrow), device, cancel)
+    if stand.is_plain:
+        fit = estimate_scale(reference, moving, motion, (stand.sigma, narrow), device, cancel)
+    else:
+        # A part of what is bent fits, by one width or the other, where the answer was found or at
+        # its last fit, and that need not be the part about which the scale turns.
+        fit = max(
+            (
+                estimate_scale(reference, moving, at, (width, narrow), device, cancel, is_far=True)
+                for at in (motion, best)
+                for width in wall_widths(reference)
+            ),
+            key=lambda found: found.share,
+        )
     return replace(evidence, mirrored=mirrored, scale=fit.scale, scaled_share=fit.share)
 
 

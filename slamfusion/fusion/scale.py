@@ -27,6 +27,8 @@ COARSE = np.linspace(-0.12, 0.12, 25)
 FINE = np.linspace(-0.0075, 0.0075, 7)
 # Shifts that go with them, in widths of a wall.
 SHIFTS = np.array([(x, y, 0.0) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
+# ... of an answer that is bent: a part of it fits, and is not the part about which the scale turns.
+FAR_SHIFTS = np.array([(float(x), float(y), 0.0) for y in range(-4, 5) for x in range(-4, 5)])
 POINTS = 1024
 # So many pieces of wall must say that the other scale is better, as an answer needs.
 BETTER_MIN = 6.0
@@ -52,6 +54,8 @@ def estimate_scale(
     widths: tuple[float, float],
     device: ComputeDevice,
     cancel: CancelToken | None = None,
+    *,
+    is_far: bool = False,
 ) -> ScaleFit:
     """Return the scale at which two maps fit best, and how well they do.
 
@@ -61,19 +65,21 @@ def estimate_scale(
         widths: of a wall in cells: the one by which the scale is looked for, and the narrow one.
         device: holds the fields.
         cancel: asked before each operation.
+        is_far: look farther from the answer, as of one that leaves much unexplained.
 
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
     wide, narrow = widths
+    shifts = FAR_SHIFTS if is_far else SHIFTS
     middle = common_middle(reference, moving, motion, wide, device)
     scale, at = 1.0, motion
     for offsets, sigma in ((COARSE, wide), (FINE, wide), (FINE, narrow)):
         scales = scale + offsets
         motions = np.concatenate(
-            [_about(at, middle, s / scale) + SHIFTS * (sigma, sigma, 1.0) for s in scales]
+            [_about(at, middle, s / scale) + shifts * (sigma, sigma, 1.0) for s in scales]
         )
-        each = np.repeat(scales, len(SHIFTS))
+        each = np.repeat(scales, len(shifts))
         found = score_motions(
             reference, moving, motions, 1, device,
             sigma=sigma, points=POINTS, scales=each, cancel=cancel,

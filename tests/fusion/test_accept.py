@@ -225,6 +225,11 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     (SURE | {"wall_match": 1.0, "ratio": 1.5, "better": -9.0}, "ambiguous", "150% of it"),
     (SURE | CLASHING, "different place", "free space"),
     (SURE | {"walls": 23}, "too little in common", "too few walls"),
+    # -- metres of common wall, where nothing but the walls says where
+    ({"common_m": 3.0}, "accepted", "of what 3 m of common walls could give"),
+    ({"common_m": 2.99}, "too little in common", "3.0 m of common walls of the 3 m needed"),
+    ({"common_m": 2.99, "search": "window"}, "accepted", "walls match"),
+    (SURE | {"common_m": 2.0}, "accepted", "walls match"),
     # -- walls that run one way: pieces of both maps, and as many in the other direction
     ({"share": WHOLE, "held_m": ENOUGH / 4.0 + 1e-6}, "accepted", "walls match: 100%"),
     (
@@ -493,7 +498,7 @@ def test_a_scale_farther_from_one_never_helps(found: Evidence, offs: tuple[float
 
 @pytest.mark.once
 @settings(max_examples=examples(80), deadline=None)
-@given(found=any_evidence(), metres=values("common_m"), where=st.text(max_size=5))
+@given(found=any_evidence(), metres=st.floats(3.0, 100.0), where=st.text(max_size=5))
 def test_what_is_only_said_decides_nothing(found: Evidence, metres: float, where: str) -> None:
     other = replace(found, common_m=metres, rival=where)
     assert decide(other).accepted == decide(found).accepted

@@ -312,6 +312,30 @@ def test_two_slams_of_halves_of_one_building_come_together(device: ComputeDevice
         assert case.is_right(found.transform), case.name
 
 
+# Maps that were believed to fit themselves drawn 1.1 times as large, or their other halves: a wing
+# of one fits; and 2.8 m of wall.
+ENLARGED = (
+    "giraff/map_05_03_2019_4.yaml to giraff/map_05_03_2019_4.yaml",
+    pytest.param("aaf_y3/aaf_deployment16-cropped.pgm.gz x high to", marks=pytest.mark.full),
+    "nanorobot-real/cartographer.yaml y low to",
+)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("pair", ENLARGED)
+def test_a_map_is_not_itself_drawn_larger(device: ComputeDevice, pair: str) -> None:
+    (draft,) = (
+        draft
+        for draft in scaled(7, 1.1)
+        if pair in f"{draft.moving.name} to {draft.reference.name}"
+    )
+    case = draft.draw()
+    assert case is not None
+    reference, moving = (features_of(grid, device) for grid in (case.reference, case.moving))
+    found = align_features(reference, moving, QUICK.align, device)
+    assert not found.accepted, found.reason
+
+
 @pytest.mark.once
 def test_a_map_is_not_taken_for_its_image_or_at_another_scale(device: ComputeDevice) -> None:
     files = ("giraff/Sarmis2_map_adj.yaml",)
