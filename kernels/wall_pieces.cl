@@ -14,8 +14,8 @@ inline bool is_another(const int own, const int other, const int turn) {
 }
 
 /* What the points of each piece meet under each pose: sums[p, piece] = (the field less `base`, the
- * most it could be, points in seen cells); points off the field meet nothing, nor does a wall that the field speaks for and
- * that was seen from another side.
+ * most it could be, points in seen cells). Points off the field meet nothing, nor does a wall that
+ * the field speaks for and that was seen from another side.
  * points (count, 2) int lattice positions, a piece's one after the other; starts (pieces + 1) int, the
  * first point of each, and the count; sides (count) uchar, what each point faces; poses (n, 4) long
  * Q30, points to field; turns (n) int, how far they turn, in parts; field, most, seen, facing

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures, spread_sample
+from slamfusion.fusion.measure import NEAR_CELLS_MIN, NEAR_M
 from slamfusion.fusion.motions import invert, to_lattice
 
 __all__ = ["held_by", "held_m", "wall_normals"]
@@ -27,8 +28,6 @@ F64 = npt.NDArray[np.float64]
 
 # How far along a wall it is looked at to tell its direction, metres, and the least in cells.
 REACH_M, REACH_CELLS_MIN = 0.35, 3
-# Walls meet within this distance, metres, and the least in cells.
-NEAR_M, NEAR_CELLS_MIN = 0.15, 1.5
 # Walls around a point are a line where they spread across it by less than this share of what they
 # spread along it (variances): two faces of a wall of 0.15 m do. Others hold both ways.
 LINE_SPREAD = 0.25

@@ -297,10 +297,11 @@ def _looked_closer(
     else:
         # A part of what is bent fits, by one width or the other, where the answer was found or at
         # its last fit, and that need not be the part about which the scale turns.
+        places = (motion,) if np.array_equal(motion, best) else (motion, best)
         fit = max(
             (
                 estimate_scale(reference, moving, at, (width, narrow), device, cancel, is_far=True)
-                for at in (motion, best)
+                for at in places
                 for width in wall_widths(reference)
             ),
             key=lambda found: found.share,

@@ -13,7 +13,7 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.motions import invert, to_lattice
 
-__all__ = ["measure"]
+__all__ = ["NEAR_CELLS_MIN", "NEAR_M", "measure"]
 
 F64 = npt.NDArray[np.float64]
 

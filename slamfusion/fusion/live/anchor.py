@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.align import Aligner, Held
 from slamfusion.fusion.live.limits import unusable
-from slamfusion.fusion.live.track import Track
+from slamfusion.fusion.live.track import GROWN_SHARE, Track
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY, OccupancyGrid
@@ -23,8 +23,6 @@ LAST_FUSED = "the last fused map"
 
 # The reference is laid onto the last fused map again when it has this many times the walls.
 GROWTH = 1.2
-# Share of that map's wall cells from which a map that came back says as much as it does.
-GROWN = 0.75
 CHANGED = "the place is not as it was in the last fused map"
 
 
@@ -71,7 +69,7 @@ class Anchor:
             self._before = hold_map(fused(), LAST_FUSED, aligner)
         elif self._before is not None:
             standing = [track.walls for track in tracks if track.stands]
-            if standing and min(standing) >= GROWN * self._before.walls:
+            if standing and min(standing) >= GROWN_SHARE * self._before.walls:
                 self._before = None
 
     def hand_over(self, reference: Track) -> None:
@@ -81,7 +79,7 @@ class Anchor:
             reference: the input that others are aligned to from now on.
         """
         before = self._before
-        if before is not None and reference.walls < GROWN * before.walls:
+        if before is not None and reference.walls < GROWN_SHARE * before.walls:
             self.keep(before)
 
     def settle(self, reference: Track, tracks: Iterable[Track], aligner: Aligner) -> None:
@@ -117,7 +115,7 @@ class Anchor:
                 if track.stands and track.transform is not None:
                     track.transform = correction.compose(track.transform)
                     track.relay = True
-        if reference.walls >= GROWN * self.walls:
+        if reference.walls >= GROWN_SHARE * self.walls:
             self.held = None
 
 

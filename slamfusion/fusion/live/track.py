@@ -22,7 +22,7 @@ from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
 
-__all__ = ["Change", "Track", "compare", "refuse_all"]
+__all__ = ["GROWN_SHARE", "Change", "Track", "compare", "refuse_all"]
 
 I8 = npt.NDArray[np.int8]
 
