@@ -200,6 +200,7 @@ class Observer:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._statuses: dict[str, Any] | None = None
+        self._told_s: dict[str, float] = {}
 
     def __enter__(self) -> Observer:  # noqa: PYI034  (Self is newer than Python 3.10)
         return self
@@ -257,7 +258,11 @@ class Observer:
         try:
             return self.wait(found, timeout_s)
         except AssertionError:
-            said = {key: item.message for key, item in statuses.items()}
+            now_s = time.monotonic()
+            said = {
+                f"{key}, {now_s - self._told_s[key]:.1f} s ago": item.message
+                for key, item in statuses.items()
+            }
             message = f"the diagnostics of {name!r} never said {words}; last {said}"
             raise AssertionError(message) from None
 
@@ -280,6 +285,7 @@ class Observer:
     def _keep_statuses(self, message: Any) -> None:
         assert self._statuses is not None
         self._statuses |= {status.name: status for status in message.status}
+        self._told_s |= dict.fromkeys((s.name for s in message.status), time.monotonic())
 
 
 def values(status: Any) -> dict[str, str]:
