@@ -107,6 +107,8 @@ class RefinementJson(TypedDict):
 
     taken: bool
     """Whether the refined path was taken: it is not where the scans say that it is worse."""
+    start: Literal["paths", "odometry"]
+    """What it was sought from: the path made of those of the SLAMs, or the odometry."""
     verdict: Literal["better", "worse", "cannot tell"]
     """What the scans say of the refined path against the one before."""
     difference: float

@@ -34,7 +34,7 @@ from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["refine_path"]
+__all__ = ["carried_along", "refine_path"]
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -95,8 +95,18 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
             moved += off
     # What the walls hardly hold differs by the lattice: the mean of all of them counts.
     poses = before + moved / LATTICES
-    # Each pose of the path is carried along by the scan nearest to it.
-    stamps_s = scans.stamps_s[kept]
+    return carried_along(path, scans.stamps_s[kept], before, poses)
+
+
+def carried_along(path: Trajectory, stamps_s: F64, before: F64, poses: F64) -> Trajectory:
+    """Return a path each pose of which is carried along by the scan nearest to it.
+
+    Args:
+        path: of before.
+        stamps_s: (N,) of scans, seconds, N at least 1.
+        before: (N, 3) where the path has them.
+        poses: (N, 3) where they are now.
+    """
     near = Trajectory(stamps_s, before, path.name).nearest(path.stamps_s)
     beside = compose_poses(invert_poses(before[near]), path.poses)
     return Trajectory(path.stamps_s, compose_poses(poses[near], beside), path.name)

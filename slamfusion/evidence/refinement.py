@@ -3,23 +3,47 @@
 Laying all scans on each other can pull walls together that are two. Both paths are scored by
 predictive consistency, and the refined one is taken unless what was seen is surely less likely
 by it.
+
+It reaches as far as walls of one place are drawn near each other. Where the scans see little twice
+the SLAMs may be further off than that, each its own way, and the odometry nearer: of a short drive
+of a laser that sees a small sector, over a threshold on which wheels slip. So where the scans bear
+the odometry out nearly as well as the path, the path is sought from there, too, and the scans say
+which is taken.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.comparison import Comparison
+from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.evidence.predictive import PathEvidence, with_path
 from slamfusion.evidence.records import RefinementJson
-from slamfusion.evidence.refined_path import refine_path
+from slamfusion.evidence.refined_path import carried_along, refine_path
+from slamfusion.evidence.stamps import cover_stamps
+from slamfusion.geometry import compose_poses
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["RefinedPath", "refine_borne_out"]
+__all__ = ["RefinedPath", "RefinementStart", "refine_borne_out"]
+
+RefinementStart: TypeAlias = Literal["paths", "odometry"]
 
 # What the refined path is called while it is held against the given one.
 _REFINED = "refined"
+# Odometry by which a hit is less likely than by the given path by more than this, log-likelihood,
+# is no start: of 30 simulated drives of minutes all is, by 0.4 at least; of 15 of ten seconds none.
+NEAR = 0.15
+# What a path from the odometry must gain on that from the given one, log-likelihood of a hit: those
+# of one place, drawn a little differently, differ by 0.004. And what another round must have gained
+# for one more.
+GAIN = 0.01
+MOST_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +54,8 @@ class RefinedPath:
         given: the path of before.
         path: the refined one where it was taken, else the given one.
         is_taken: whether it was.
+        start: what the refined one was sought from: the given path, which is made of those of the
+            SLAMs, or the odometry.
         comparison: what the scans say of the refined path against the given one.
         evidence: what they say of the paths of before, and of ``path`` as the last one.
     """
@@ -37,6 +63,7 @@ class RefinedPath:
     given: Trajectory
     path: Trajectory
     is_taken: bool
+    start: RefinementStart
     comparison: Comparison
     evidence: PathEvidence
 
@@ -45,6 +72,7 @@ class RefinedPath:
         found = self.comparison
         return {
             "taken": self.is_taken,
+            "start": self.start,
             "verdict": found.verdict,
             "difference": found.difference,
             "difference_95": (found.low, found.high),
@@ -66,11 +94,84 @@ def refine_borne_out(
         TrajectoryError: see ``score_paths``.
     """
     with_given = with_path(evidence, path.name, path, device)
-    refined = refine_path(evidence.scans, path)
-    both = with_path(with_given, _REFINED, refined, device)
+    refined, both = _settled(with_given, path, _consistency(with_given, path.name), device)
+    start: RefinementStart = "paths"
+    by_odometry = _from_odometry(with_given, path, device)
+    if by_odometry is not None:
+        other, with_other = by_odometry
+        if _consistency(with_other, _REFINED) >= _consistency(both, _REFINED) + GAIN:
+            start, refined, both = "odometry", other, with_other
     found = both.compare(_REFINED, path.name)
     if found.verdict == "worse":
-        return RefinedPath(path, path, False, found, with_given)
+        return RefinedPath(path, path, False, start, found, with_given)
     scores = dict(both.scores)
     scores[path.name] = replace(scores.pop(_REFINED), name=path.name)
-    return RefinedPath(path, refined, True, found, replace(both, scores=scores))
+    return RefinedPath(path, refined, True, start, found, replace(both, scores=scores))
+
+
+def _from_odometry(
+    evidence: PathEvidence, path: Trajectory, device: ComputeDevice
+) -> tuple[Trajectory, PathEvidence] | None:
+    """Lay the scans on each other along the odometry; None where they speak against it.
+
+    Args:
+        evidence: of ``path``, too.
+        path: at whose stamps the odometry is told, and in whose frame.
+        device: scores.
+    """
+    wheels = _odometry_at(evidence.scans, path)
+    if wheels is None:
+        return None
+    told = _consistency(with_path(evidence, _REFINED, wheels, device), _REFINED)
+    if told < _consistency(evidence, path.name) - NEAR:
+        return None
+    refined, both = _settled(evidence, wheels, told, device)
+    poses = compose_poses(_motion(refined.poses, path.poses), refined.poses)
+    return Trajectory(path.stamps_s, poses, path.name), both
+
+
+def _odometry_at(scans: JudgedScans, path: Trajectory) -> Trajectory | None:
+    """Return the odometry of a drive as a path at the stamps of another one; None without."""
+    given = cover_stamps(path, scans)
+    kept = np.flatnonzero(given.is_own)
+    if scans.odometry is None or len(kept) < 2:
+        return None
+    own, before = scans.odometry[kept], given.poses[kept]
+    poses = compose_poses(_motion(own, before), own)
+    return carried_along(path, scans.stamps_s[kept], before, poses)
+
+
+def _motion(poses: npt.NDArray[np.float64], onto: npt.NDArray[np.float64]) -> tuple[float, ...]:
+    frame = fit_frame(poses, onto)
+    return frame.x, frame.y, frame.yaw_rad
+
+
+def _settled(
+    evidence: PathEvidence, path: Trajectory, told: float, device: ComputeDevice
+) -> tuple[Trajectory, PathEvidence]:
+    """Lay scans on each other along a path, and along what came of it while that gains.
+
+    Args:
+        evidence: of other paths.
+        path: the start, by which a hit has the log-likelihood ``told``.
+        device: scores.
+
+    Returns:
+        The refined path, and the evidence with it.
+    """
+    refined = refine_path(evidence.scans, path)
+    both = with_path(evidence, _REFINED, refined, device)
+    for _ in range(1, MOST_ROUNDS):
+        found = _consistency(both, _REFINED)
+        if found < told + GAIN:
+            break
+        again = refine_path(evidence.scans, refined)
+        with_again = with_path(evidence, _REFINED, again, device)
+        told = found
+        if _consistency(with_again, _REFINED) > found:
+            refined, both = again, with_again
+    return refined, both
+
+
+def _consistency(evidence: PathEvidence, name: str) -> float:
+    return float(evidence.scores[name].consistency)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence import JudgedScans, refine_borne_out, refinement, score_paths, with_path
+from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.trajectory import Trajectory
-from tests.evidence.rooms import circuit, moved
+from tests.evidence.rooms import bent, circuit, moved
 
 
 def wavy(truth: Trajectory) -> Trajectory:
@@ -55,8 +58,81 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     assert tuple(found.evidence.scores) == ("other", "fused")
     assert found.to_json() == {
         "taken": False,
+        "start": "paths",
         "verdict": "worse",
         "difference": found.comparison.difference,
         "difference_95": (found.comparison.low, found.comparison.high),
         "p_value": found.comparison.p_value,
     }
+
+
+def worst_m(path: Trajectory, truth: Trajectory) -> float:
+    """Return how far a pose is from the true one at most, seen from the first pose, metres."""
+    places = [compose_poses(invert_poses(poses[0]), poses) for poses in (path.poses, truth.poses)]
+    return float(np.linalg.norm((places[0] - places[1])[:, :2], axis=1).max())
+
+
+def far_off() -> Trajectory:
+    """Return a path of the circuit whose second half draws each wall anew, half a metre off."""
+    return replace(bent(circuit(), 0.25, 72), name="fused")
+
+
+def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
+    device: ComputeDevice, scans: JudgedScans
+) -> None:
+    truth, given = circuit(), far_off()
+    evidence = score_paths(scans, {"given": given}, device)
+    # Its frame is another one, and its places are those of a wheel that is a little too large.
+    assert scans.odometry is not None
+    elsewhere = replace(scans, odometry=compose_poses((30.0, -4.0, 2.0), scans.odometry))
+    found = refine_borne_out(replace(evidence, scans=elsewhere), given, device)
+    assert (found.is_taken, found.start) == (True, "odometry")
+    assert found.to_json()["start"] == "odometry"
+    assert found.comparison.verdict == "better"
+    assert worst_m(given, truth) > 0.5
+    assert worst_m(found.path, truth) < 0.05
+    # It has the name, the stamps and the frame of the path that was given.
+    assert found.path.name == "fused"
+    assert np.array_equal(found.path.stamps_s, given.stamps_s)
+    off_m = np.linalg.norm(found.path.poses[:, :2] - given.poses[:, :2], axis=1)
+    assert np.median(off_m) < 0.6
+    again = with_path(evidence, "fused", found.path, device).scores["fused"]
+    assert found.evidence.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)
+
+
+def test_odometry_that_is_absent_far_off_or_no_better_is_no_start(
+    device: ComputeDevice, scans: JudgedScans, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = far_off()
+    evidence = score_paths(scans, {"given": given}, device)
+    assert scans.odometry is not None
+    for odometry in (None, scans.odometry * (1.0, 1.0, 0.0)):
+        other = replace(evidence, scans=replace(scans, odometry=odometry))
+        assert refine_borne_out(other, given, device).start == "paths"
+    assert refine_borne_out(evidence, given, device).start == "odometry"
+    assert refine_borne_out(evidence, wavy(circuit()), device).start == "paths"
+    monkeypatch.setattr(refinement, "GAIN", 10.0)
+    assert refine_borne_out(evidence, given, device).start == "paths"
+
+
+def test_scans_are_laid_on_each_other_again_while_that_gains(
+    device: ComputeDevice, scans: JudgedScans, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth, given = circuit(), wavy(circuit())
+    evidence = score_paths(replace(scans, odometry=None), {"given": given}, device)
+    rounds = []
+
+    def halve(_: JudgedScans, path: Trajectory) -> Trajectory:
+        rounds.append(path)
+        return Trajectory(path.stamps_s, 0.5 * (path.poses + truth.poses), path.name)
+
+    monkeypatch.setattr(refinement, "refine_path", halve)
+    found = refine_borne_out(evidence, replace(given, name="fused"), device)
+    assert found.is_taken
+    assert 1 < len(rounds) <= refinement.MOST_ROUNDS
+    assert worst_m(found.path, truth) < 0.5 * worst_m(given, truth)
+    # The last round gained little, and no more than that was tried.
+    monkeypatch.setattr(refinement, "GAIN", 10.0)
+    rounds.clear()
+    refine_borne_out(evidence, replace(given, name="fused"), device)
+    assert len(rounds) == 1
