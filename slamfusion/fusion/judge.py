@@ -121,7 +121,7 @@ def judge(
         prior *= ground_prior(reference, moving, is_plain=stand.is_plain)
     evidence = _evidence(
         reference, moving, stand, runner_up, statistics,
-        found=found, pairs=pairs, prior=prior,
+        found=found, pairs=pairs, prior=prior, overlap=overlap,
     )  # fmt: skip
     decision = decide(evidence)
     if found.search in {"full", "window"} and decision.accepted:
@@ -243,6 +243,7 @@ def _evidence(
     found: Found,
     pairs: int,
     prior: float,
+    overlap: float,
 ) -> Evidence:
     """Return what speaks for the answer, and for the best of the others."""
     pieces, others = stand.pieces, stand.others
@@ -255,6 +256,7 @@ def _evidence(
     return Evidence(
         walls=min(len(reference.wall_points), len(moving.wall_points)),
         common_m=float(pieces.seen_m[0]),
+        common_ground=overlap,
         share=stand.share,
         witnesses=witnesses,
         better=stand.better,

@@ -55,6 +55,7 @@ def evidence(**changes: Any) -> Evidence:
         "scaled_share": 0.6,
         "clean_share": 0.0,
         "better_inside": None,
+        "common_ground": 1.0,
         "is_plain": False,
         "is_sharp": False,
         "gap": 0.0,
@@ -230,6 +231,11 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"common_m": 2.99}, "too little in common", "3.0 m of common walls of the 3 m needed"),
     ({"common_m": 2.99, "search": "window"}, "accepted", "walls match"),
     (SURE | {"common_m": 2.0}, "accepted", "walls match"),
+    # -- ground that both know
+    ({"common_ground": 0.03}, "accepted", "walls match"),
+    ({"common_ground": 0.0299}, "too little in common", "3.0% of what the smaller map knows of"),
+    ({"common_ground": 0.0, "search": "window"}, "accepted", "walls match"),
+    (SURE | {"common_ground": 0.0}, "accepted", "walls match"),
     # -- walls that run one way: pieces of both maps, and as many in the other direction
     ({"share": WHOLE, "held_m": ENOUGH / 4.0 + 1e-6}, "accepted", "walls match: 100%"),
     (
@@ -467,6 +473,13 @@ def test_better_evidence_never_turns_an_acceptance_into_a_rejection(column: str)
 
     assert {*FOR, *AGAINST, *SAID, "scale"} == {*COLUMNS, "pairs", "prior"}
     check()
+
+
+@settings(max_examples=examples(80), deadline=None)
+@given(found=any_evidence(), shares=st.tuples(st.floats(0.0, 0.06), st.floats(0.0, 1.0)))
+def test_more_ground_in_common_never_harms(found: Evidence, shares: tuple[float, float]) -> None:
+    less, more = (decide(replace(found, common_ground=share)) for share in sorted(shares))
+    assert more.accepted or not less.accepted
 
 
 @settings(max_examples=examples(80), deadline=None)

@@ -337,6 +337,16 @@ def test_a_map_is_not_itself_drawn_larger(device: ComputeDevice, pair: str) -> N
 
 
 @pytest.mark.once
+def test_walls_at_the_edge_of_both_maps_are_no_common_place(device: ComputeDevice) -> None:
+    """5 m of the wall of a room met 5 m of a floor, and a hundredth of what the room knows."""
+    files = ("multi-slam/nanobot-new/crsm.yaml", "halmstad/maps/F5/pseudo_occupancy/F5_07.png")
+    entries = {entry.file: entry for entry in map_entries()}
+    reference, moving = (features_of(load_entry(entries[file]), device) for file in files)
+    found = align_features(reference, moving, QUICK.align, device)
+    assert not found.accepted, found.reason
+
+
+@pytest.mark.once
 def test_a_map_is_not_taken_for_its_image_or_at_another_scale(device: ComputeDevice) -> None:
     files = ("giraff/Sarmis2_map_adj.yaml",)
     drafts = (*mirrored(1, files)[:2], *scaled(1, 1.1, files)[:2])
