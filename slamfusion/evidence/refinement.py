@@ -125,7 +125,7 @@ def _from_odometry(
     told = _consistency(with_path(evidence, _REFINED, wheels, device), _REFINED)
     if told < _consistency(evidence, path.name) - NEAR:
         return None
-    refined, both = _settled(evidence, wheels, told, device)
+    refined, both = _settled(evidence, wheels, told, device, is_rough=True)
     poses = compose_poses(_motion(refined.poses, path.poses), refined.poses)
     return Trajectory(path.stamps_s, poses, path.name), both
 
@@ -147,7 +147,12 @@ def _motion(poses: npt.NDArray[np.float64], onto: npt.NDArray[np.float64]) -> tu
 
 
 def _settled(
-    evidence: PathEvidence, path: Trajectory, told: float, device: ComputeDevice
+    evidence: PathEvidence,
+    path: Trajectory,
+    told: float,
+    device: ComputeDevice,
+    *,
+    is_rough: bool = False,
 ) -> tuple[Trajectory, PathEvidence]:
     """Lay scans on each other along a path, and along what came of it while that gains.
 
@@ -155,17 +160,18 @@ def _settled(
         evidence: of other paths.
         path: the start, by which a hit has the log-likelihood ``told``.
         device: scores.
+        is_rough: see ``refine_path``.
 
     Returns:
         The refined path, and the evidence with it.
     """
-    refined = refine_path(evidence.scans, path)
+    refined = refine_path(evidence.scans, path, is_rough=is_rough)
     both = with_path(evidence, _REFINED, refined, device)
     for _ in range(1, MOST_ROUNDS):
         found = _consistency(both, _REFINED)
         if found < told + GAIN:
             break
-        again = refine_path(evidence.scans, refined)
+        again = refine_path(evidence.scans, refined, is_rough=is_rough)
         with_again = with_path(evidence, _REFINED, again, device)
         told = found
         if _consistency(with_again, _REFINED) > found:

@@ -47,7 +47,9 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     evidence = score_paths(scans, {"other": wavy(truth)}, device)
     # What a refinement that pulls two walls together would do.
     monkeypatch.setattr(
-        refinement, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
+        refinement,
+        "refine_path",
+        lambda _, path, **__: moved(path, (0.4, 0.0, 0.0), len(path) // 2),
     )
     found = refine_borne_out(evidence, given, device)
     assert not found.is_taken
@@ -122,7 +124,7 @@ def test_scans_are_laid_on_each_other_again_while_that_gains(
     evidence = score_paths(replace(scans, odometry=None), {"given": given}, device)
     rounds = []
 
-    def halve(_: JudgedScans, path: Trajectory) -> Trajectory:
+    def halve(_: JudgedScans, path: Trajectory, **__: bool) -> Trajectory:
         rounds.append(path)
         return Trajectory(path.stamps_s, 0.5 * (path.poses + truth.poses), path.name)
 
