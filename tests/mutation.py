@@ -79,6 +79,25 @@ ACCEPT = {
             " => excess = (match - chance) / (1.0 - chance) if chance < 1.0 else 0.1"
         ),
     ): "any excess below EXCESS_MIN says the same",
+    (
+        "Evidence.undecided",
+        "return 1.0 if self.is_cut else self.gap => return 1.1 if self.is_cut else self.gap",
+    ): "what is undecided counts as 1 at most",
+    (
+        "_decide",
+        "abs(evidence.scale - 1.0) >= SCALE_MAX => abs(evidence.scale - 1.0) > SCALE_MAX",
+    ): "no scale that float64 knows is just 0.03 from 1",
+    (
+        "_decide",
+        "abs(evidence.scale - 1.0) >= SCALE_SAID => abs(evidence.scale - 1.0) > SCALE_SAID",
+    ): "nor 0.01",
+    **{
+        (
+            "piece_weight",
+            f"max(1.0 - share, 1e-09) => max(1.0 - share, {least})",
+        ): "all of it explained is worth the most either way, and no share is as near to that"
+        for least in (1.1000000000000001e-09, 9.000000000000001e-10)
+    },
 }
 CONSISTENCY = {
     (

@@ -11,10 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slamfusion.compute import ComputeDevice
 from slamfusion.fusion.accept import (
     DECISIONS,
     DecisionKind,
@@ -22,7 +24,11 @@ from slamfusion.fusion.accept import (
     decide,
     decide_mirrored,
     expected_wrong,
+    piece_weight,
 )
+from slamfusion.fusion.judge import ground_prior
+from slamfusion.grid import OccupancyGrid
+from tests.fusion.drawings import features_of
 from tests.support.examples import examples
 from tests.support.recorded_pairs import COLUMNS, OPTIONAL, RecordedPair, changed, load_pairs
 from tests.support.recorded_pairs import value_of as number_of
@@ -183,6 +189,9 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
         "; walls fill",
     ),
     ({"gap": 0.25}, "accepted", "; the proof was not finished in time (gap 0.25)"),
+    ({"gap": 0.05}, "accepted", "; the proof was not finished in time (gap 0.05)"),
+    (UNPROVEN | {"gap": 0.05, "better": ENOUGH + 1e-6}, "ambiguous", "not finished in time"),
+    (UNPROVEN | {"gap": 0.05, "better": ENOUGH - 1e-6}, "ambiguous", "the same place twice?"),
     # -- why not
     (TIED | {"share": 0.5}, "ambiguous", "another transform, at 1.00, 2.00 m, 90 deg, explains"),
     (TIED | {"share": 0.499}, "different place", "as any other place might (4 wrong ones"),
@@ -262,6 +271,7 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"scale": 1.1, "scaled_share": 0.599}, "accepted", "differ in scale by 10.0%"),
     # -- an answer elsewhere that leaves less unexplained
     ({"share": 0.6, "clean_share": 0.849}, "accepted", "walls match: 60%"),
+    ({"share": 0.5, "clean_share": 0.75}, "ambiguous", "leaves less unexplained (75%)"),
     ({"share": 0.6, "clean_share": 0.851}, "ambiguous", "leaves less unexplained (85%)"),
     # -- a start chooses between answers that are as good
     (STARTED, "accepted", "walls match"),
@@ -376,6 +386,53 @@ def test_of_good_maps_pieces_count_by_the_odds_of_what_is_explained(
 ) -> None:
     found = expected_wrong(7.0, share, is_plain=True)
     assert found == pytest.approx(2.0 * math.exp(-7.0 * weight))
+
+
+def test_maps_are_neither_good_nor_sharp_unless_it_is_said() -> None:
+    assert piece_weight(0.8) == pytest.approx(0.8)
+    assert Evidence(0, 0.0, 0.0, 0.0, 0.0, 0.0, None, 1, 1.0, {}, "full") == Evidence(
+        walls=0,
+        common_m=0.0,
+        share=0.0,
+        witnesses=0.0,
+        better=0.0,
+        ratio=0.0,
+        rival=None,
+        pairs=1,
+        prior=1.0,
+        statistics={},
+        search="full",
+        mirrored=None,
+        scale=None,
+        scaled_share=0.0,
+        clean_share=0.0,
+        held_m=None,
+        better_inside=None,
+        common_ground=1.0,
+        is_plain=False,
+        is_sharp=False,
+        gap=0.0,
+        is_cut=False,
+    )
+
+
+@pytest.mark.parametrize("changes", [{}, TIED, TIED | {"gap": 0.3}, {"walls": 3, "gap": 0.3}])
+def test_a_proof_is_spoken_of_where_it_was_not_finished_and_something_hangs_on_it(
+    changes: dict[str, float],
+) -> None:
+    assert "proof" not in decide(evidence(**changes)).reason
+
+
+@pytest.mark.parametrize(("is_plain", "one_m2"), [(False, 5000.0), (True, 10000.0)])
+def test_on_more_ground_there_are_more_places(
+    device: ComputeDevice, is_plain: bool, one_m2: float
+) -> None:
+    cells = np.full((300, 400), 0, dtype=np.int8)
+    cells[[0, -1]] = 100
+    for metres, wanted in ((0.02, 1.0), (0.2, 800.0 * 900.0 * 0.04 / one_m2)):
+        features = features_of(OccupancyGrid(cells, metres), device)
+        found = ground_prior(features, features, is_plain=is_plain)
+        assert found == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(("gap", "times"), [(-1.0, 1.0), (0.0, 1.0), (0.25, 2.0), (1.0, 5.0)])
