@@ -22,7 +22,6 @@ IEEE RA-L 6(2), 2021 (features of lidar scans that are eliminated); Geman and Mc
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,11 +39,14 @@ __all__ = ["carried_along", "refine_path"]
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-# Directions that the normal of a patch is told apart by.
-FACINGS = 8
+# A patch of wall: its side, metres, and the directions that its normal is told apart by.
+PATCH_M, FACINGS = 0.2, 8
 # A patch has at least this many hits, whose normals agree at least so far (the length of their
 # mean).
 LEAST_HITS, LEAST_UNITY = 4, 0.9
+# Deviation of a hit about its patch, metres; twice as far away a hit has lost three quarters of
+# its say, and at the second distance all of it.
+SPREAD_M, REACH_M = 0.04, 0.15
 # Hits that are used at most: more say nearly the same again.
 MOST_HITS = 200_000
 # A hit that faces the laser as exactly as this has no neighbours that say what it faces, radians.
@@ -55,39 +57,17 @@ MIDDLE_ROUNDS = 3
 # other limits.
 MOVES, TURNS = 3, 2
 LATTICES = MOVES * TURNS
-
-
-class Width(NamedTuple):
-    """How wide a patch of wall is.
-
-    Attributes:
-        side_m: of the square that it lies in, metres.
-        spread_m: deviation of a hit about it, metres; twice as far away a hit has lost three
-            quarters of its say.
-        reach_m: where it has lost all of it.
-    """
-
-    side_m: float
-    spread_m: float
-    reach_m: float
-
-
-NARROW = Width(0.2, 0.04, 0.15)
-# Of the first rounds from a path that may be off by so much; on 15 drives of [F16]'s course from
-# the odometry the worst tenth was off half as much with them.
-WIDE = (*3 * [Width(1.0, 0.2, 0.8)], *3 * [Width(0.6, 0.12, 0.45)], *3 * [Width(0.4, 0.08, 0.3)])
 # Rounds before those whose mean counts; the equations of each are solved by this many steps at
 # most, to this share of the first residual.
 ROUNDS, MOST_STEPS, TOLERANCE = 3, 400, 1e-4
 
 
-def refine_path(scans: JudgedScans, path: Trajectory, *, is_rough: bool = False) -> Trajectory:
+def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
     """Return a path that lays the scans of a drive on each other.
 
     Args:
         scans: of the drive.
-        path: near the right one: walls that it draws further apart than a patch reaches stay so.
-        is_rough: whether it may be off by a metre; walls nearer than that may then be mixed up.
+        path: near the right one: walls that it draws further apart than ``REACH_M`` stay so.
 
     Returns:
         Poses at the stamps of ``path``, in its frame. Those at times of no scan are moved along
@@ -101,16 +81,15 @@ def refine_path(scans: JudgedScans, path: Trajectory, *, is_rough: bool = False)
     before = given.poses[kept]
     motions = KnownMotions.of(before, None if scans.odometry is None else scans.odometry[kept])
     poses, calibration, moved = before, motions.calibration, np.zeros_like(before)
-    widths = [*(WIDE if is_rough else ()), *[NARROW] * (ROUNDS + LATTICES)]
-    for number, width in enumerate(widths):
+    for number in range(ROUNDS + LATTICES):
         say = motions.say(poses, calibration, number)
         equations = motions.equations(poses, calibration, say)
-        step, calibrated = _step(_Patches.at(hits, poses, width, number), hits, equations)
+        step, calibrated = _step(hits, poses, equations, number)
         poses, calibration = poses + step, calibration + calibrated
         # Nothing but the places of before holds the frame, and the steps are not solved to the end.
         frame = fit_frame(poses, before)
         poses = compose_poses((frame.x, frame.y, frame.yaw_rad), poses)
-        if number >= len(widths) - LATTICES:
+        if number >= ROUNDS:
             off = poses - before
             off[:, 2] = wrap_angles(off[:, 2])
             moved += off
@@ -182,15 +161,15 @@ class _Patches:
     weights: F64
 
     @classmethod
-    def at(cls, hits: _Hits, poses: F64, width: Width, number: int) -> _Patches:
-        """Sort hits into patches of a width, on the lattice of a round."""
+    def at(cls, hits: _Hits, poses: F64, number: int) -> _Patches:
+        """Sort hits into patches, on the lattice of a round."""
         own = poses[hits.scans]
         cos, sin = np.cos(own[:, 2]), np.sin(own[:, 2])
         x = cos * hits.points[:, 0] - sin * hits.points[:, 1]
         y = sin * hits.points[:, 0] + cos * hits.points[:, 1]
         places = np.stack((own[:, 0] + x, own[:, 1] + y), axis=1)
         facings = hits.facings_rad + own[:, 2]
-        cells = np.floor(places / width.side_m + number % MOVES / MOVES).astype(np.int64)
+        cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
         cells -= cells.min(axis=0)
         side = np.rint(facings * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
         key = (cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]) * FACINGS + side % FACINGS
@@ -208,26 +187,28 @@ class _Patches:
         for _ in range(MIDDLE_ROUNDS):
             middles = np.bincount(of, say * along, count) / np.bincount(of, say, count)
             away_m = along - middles[of]
-            say = geman_mcclure(away_m / (2.0 * width.spread_m))
+            say = geman_mcclure(away_m / (2.0 * SPREAD_M))
         is_wall = (sizes >= LEAST_HITS) & (lengths > LEAST_UNITY * sizes)
-        is_used = is_wall[of] & (np.abs(away_m) < width.reach_m)
+        is_used = is_wall[of] & (np.abs(away_m) < REACH_M)
         slopes = np.column_stack((normal, x * normal[:, 1] - y * normal[:, 0]))
-        return cls(count, of, slopes, away_m, say * is_used / width.spread_m**2)
+        return cls(count, of, slopes, away_m, say * is_used / SPREAD_M**2)
 
 
-def _step(patches: _Patches, hits: _Hits, equations: MotionEquations) -> tuple[F64, F64]:
+def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> tuple[F64, F64]:
     """Return the step of one round towards the least sum of squares.
 
     Args:
-        patches: at the poses of today.
-        hits: of the N scans.
+        hits: of the scans.
+        poses: (N, 3) of the scans, today.
         equations: of their motions.
+        number: of the round.
 
     Returns:
         (N, 3) of the poses, and (2,) of the calibration.
     """
+    patches = _Patches.at(hits, poses, number)
     diagonal, slope = equations.diagonal.copy(), equations.slope.copy()
-    count = len(slope)
+    count = len(poses)
     weighted = patches.weights[:, None] * patches.slopes
     for a in range(3):
         slope[:, a] += np.bincount(hits.scans, weighted[:, a] * patches.away_m, count)

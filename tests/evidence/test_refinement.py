@@ -44,12 +44,10 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
 ) -> None:
     truth = circuit()
     given = Trajectory(truth.stamps_s, truth.poses, "fused")
-    evidence = score_paths(scans, {"other": wavy(truth)}, device)
+    evidence = score_paths(replace(scans, odometry=None), {"other": wavy(truth)}, device)
     # What a refinement that pulls two walls together would do.
     monkeypatch.setattr(
-        refinement,
-        "refine_path",
-        lambda _, path, **__: moved(path, (0.4, 0.0, 0.0), len(path) // 2),
+        refinement, "refine_path", lambda _, path: moved(path, (0.4, 0.0, 0.0), len(path) // 2)
     )
     found = refine_borne_out(evidence, given, device)
     assert not found.is_taken
@@ -102,7 +100,7 @@ def test_where_the_odometry_is_nearer_the_path_is_sought_from_it(
     assert found.evidence.scores["fused"].consistency == pytest.approx(again.consistency, abs=2e-3)
 
 
-def test_odometry_that_is_absent_far_off_or_no_better_is_no_start(
+def test_odometry_that_is_absent_or_far_off_is_no_start(
     device: ComputeDevice, scans: JudgedScans, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = far_off()
@@ -112,9 +110,27 @@ def test_odometry_that_is_absent_far_off_or_no_better_is_no_start(
         other = replace(evidence, scans=replace(scans, odometry=odometry))
         assert refine_borne_out(other, given, device).start == "paths"
     assert refine_borne_out(evidence, given, device).start == "odometry"
-    assert refine_borne_out(evidence, wavy(circuit()), device).start == "paths"
-    monkeypatch.setattr(refinement, "GAIN", 10.0)
+    monkeypatch.setattr(refinement, "NEAR", -10.0)
     assert refine_borne_out(evidence, given, device).start == "paths"
+
+
+def test_where_the_scans_cannot_tell_the_odometry_counts_unless_it_lies_far_off(
+    device: ComputeDevice, scans: JudgedScans, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = replace(wavy(circuit()), name="fused"), far_off()
+    evidence = score_paths(scans, {"near": near, "far": far}, device)
+    assert refine_borne_out(evidence, near, device).start == "odometry"
+    # Two fits of one place say the same; one that is likelier by as much as this wins.
+    monkeypatch.setattr(refinement, "GAIN", -0.05)
+    assert refine_borne_out(evidence, near, device).start == "paths"
+    monkeypatch.undo()
+    # What lies elsewhere must be likelier by far.
+    monkeypatch.setattr(refinement, "FAR_M", 0.0)
+    assert refine_borne_out(evidence, near, device).start == "paths"
+    assert refine_borne_out(evidence, far, device).start == "paths"
+    monkeypatch.setattr(refinement, "FAR_GAIN", 0.02)
+    assert refine_borne_out(evidence, near, device).start == "paths"
+    assert refine_borne_out(evidence, far, device).start == "odometry"
 
 
 def test_scans_are_laid_on_each_other_again_while_that_gains(
@@ -124,7 +140,7 @@ def test_scans_are_laid_on_each_other_again_while_that_gains(
     evidence = score_paths(replace(scans, odometry=None), {"given": given}, device)
     rounds = []
 
-    def halve(_: JudgedScans, path: Trajectory, **__: bool) -> Trajectory:
+    def halve(_: JudgedScans, path: Trajectory) -> Trajectory:
         rounds.append(path)
         return Trajectory(path.stamps_s, 0.5 * (path.poses + truth.poses), path.name)
 
