@@ -145,12 +145,13 @@ def test_scans_are_laid_on_each_other_again_while_that_gains(
         return Trajectory(path.stamps_s, 0.5 * (path.poses + truth.poses), path.name)
 
     monkeypatch.setattr(refinement, "refine_path", halve)
+    monkeypatch.setattr(refinement, "ROUND_GAIN", 0.002)
     found = refine_borne_out(evidence, replace(given, name="fused"), device)
     assert found.is_taken
     assert 1 < len(rounds) <= refinement.MOST_ROUNDS
     assert worst_m(found.path, truth) < 0.5 * worst_m(given, truth)
     # The last round gained little, and no more than that was tried.
-    monkeypatch.setattr(refinement, "GAIN", 10.0)
+    monkeypatch.setattr(refinement, "ROUND_GAIN", 10.0)
     rounds.clear()
     refine_borne_out(evidence, replace(given, name="fused"), device)
     assert len(rounds) == 1
