@@ -29,10 +29,6 @@ __all__ = ["Heartbeat", "Liveliness"]
 DOUBT_S = 0.5
 # Kept of the time after which a writer is dead, seconds, to see it and to say so.
 NOTICE_S = 0.2
-# While every writer is silent the reader is made anew after each of these, seconds: it has been
-# seen, once in some hundred times on a loaded machine, that DDS had no word for it of a process
-# that was frozen and went on.
-RENEW_S = 3.0
 
 
 class Liveliness:
@@ -48,37 +44,33 @@ class Liveliness:
         """Start without writers."""
         self.is_back = False
         self._silent_since_s: float | None = None
-        self._alive = 0
+        self._lives = False
 
-    def take(
-        self,
-        alive: int,
-        not_alive: int,
-        not_alive_change: int,
-        now_s: float,
-        *,
-        is_known: bool = False,
-    ) -> bool:
+    def take(self, alive: int, alive_change: int, not_alive_change: int, now_s: float) -> bool:
         """Take an event; return whether there are writers that live now, or none any more.
 
+        Of a writer that is given up before its first sign of life Fast DDS takes one from the
+        living that it was never added to, so a count may be too small from then on, and a change
+        tells more.
+
         Args:
-            alive, not_alive: writers that renew their lease, and that do not.
-            not_alive_change: how many more do not since the last event.
+            alive: writers that renew their lease, or fewer.
+            alive_change: how many more do since the last event.
+            not_alive_change: how many more do not.
             now_s: when.
-            is_known: no writer is there that was not there when all were silent.
         """
-        had, self._alive = self._alive, alive
-        if alive > 0:
+        had, self._lives = self._lives, alive > 0 or alive_change > 0
+        if self._lives:
             self._silent_since_s = None
-            if had == 0:
-                self.is_back = not_alive_change < 0 or is_known
+            if not had:
+                self.is_back = not_alive_change < 0
         else:
             self.is_back = False
-            if not_alive > 0 and self._silent_since_s is None:
+            if not_alive_change > 0 and self._silent_since_s is None:
                 self._silent_since_s = now_s
         # Without any writer: one that said good-bye is missed by who reads the maps, one that had
         # fallen silent has now been given up by DDS, and stays dead.
-        return (had > 0) != (alive > 0)
+        return had != self._lives
 
     def is_dead(self, now_s: float) -> bool:
         """Whether every writer has fallen silent, and none has taken its place."""
@@ -113,10 +105,6 @@ class Heartbeat:
         self._writers = Liveliness()
         self._lost_after_s = lost_after_s
         self._subscription: Any = None
-        # When the reader was made, whether anew, and who wrote when all fell silent.
-        self._made_s = 0.0
-        self._is_renewed = False
-        self._known: frozenset[bytes] = frozenset()
 
     @property
     def is_dead(self) -> bool:
@@ -129,21 +117,12 @@ class Heartbeat:
         return self._writers.is_back
 
     def look(self) -> None:
-        """Begin to watch when a writer offers a lease, and anew while all are silent."""
+        """Begin to watch when a writer offers a lease."""
         if self._subscription is None:
             infos = self._base.node.get_publishers_info_by_topic(self._topic)
             leases_s = [1e-9 * i.qos_profile.liveliness_lease_duration.nanoseconds for i in infos]
             if any(0.0 < lease_s <= self._lease_s for lease_s in leases_s):
                 self._subscription = self._listen()
-        elif self.is_dead and time.monotonic() - self._made_s > RENEW_S and self._writers_there():
-            self.close()
-            self._subscription = self._listen()
-            self._is_renewed = True
-
-    def _writers_there(self) -> frozenset[bytes]:
-        """Return the identities of the writers that DDS has not given up."""
-        infos = self._base.node.get_publishers_info_by_topic(self._topic)
-        return frozenset(bytes(info.endpoint_gid) for info in infos)
 
     @property
     def _lease_s(self) -> float:
@@ -170,7 +149,6 @@ class Heartbeat:
             self._subscription = None
 
     def _listen(self) -> Any:
-        self._made_s = time.monotonic()
         profile = qos.heartbeat(self._lease_s)
         try:
             return self._base.node.create_subscription(
@@ -191,14 +169,8 @@ class Heartbeat:
             )
 
     def _on_liveliness(self, event: Any) -> None:
-        counts = event.alive_count, event.not_alive_count, event.not_alive_count_change
-        writers = self._writers_there()
-        # The counts of a reader that was made anew say nothing of before.
-        is_known = self._is_renewed and writers <= self._known
-        is_news = self._writers.take(*counts, time.monotonic(), is_known=is_known)
-        if is_news and event.alive_count == 0:
-            self._known, self._is_renewed = writers, False
-        if is_news:
+        counts = event.alive_count, event.alive_count_change, event.not_alive_count_change
+        if self._writers.take(*counts, time.monotonic()):
             self._on_change()
 
 
