@@ -14,6 +14,7 @@ __all__ = [
     "compose_poses",
     "fit_motion",
     "invert_poses",
+    "moved_poses",
     "transform_points",
     "travelled",
     "with_levers",
@@ -67,6 +68,11 @@ def invert_poses(poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
     cos, sin = np.cos(given[..., 2]), np.sin(given[..., 2])
     x, y = given[..., 0], given[..., 1]
     return np.stack((-cos * x - sin * y, sin * x - cos * y, wrap_angles(-given[..., 2])), axis=-1)
+
+
+def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return many poses in the frame that a motion carries theirs into; (..., 3) float64."""
+    return compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
 
 
 def transform_points(

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.geometry import (
     Pose2,
     fit_motion,
+    moved_poses,
     transform_points,
     travelled,
     with_levers,
@@ -79,6 +80,13 @@ def test_points_are_mapped_by_many_poses_as_by_one() -> None:
     of = np.array([2, 0, 2, 3, 3, 1])
     more = rng.normal(size=(6, 2))
     assert np.array_equal(transform_points(poses, more, of), transform_points(poses[of], more))
+
+
+def test_many_poses_are_moved_as_one() -> None:
+    motion = Pose2(1.0, -2.0, 3.0)
+    poses = np.random.default_rng(6).normal(size=(4, 3))
+    for found, pose in zip(moved_poses(motion, poses), poses, strict=True):
+        assert_same(Pose2(*found), motion.compose(Pose2(*pose)))
 
 
 def test_way_is_as_long_as_its_steps() -> None:

@@ -20,6 +20,7 @@ from slamfusion.geometry import (
     compose_poses,
     fit_motion,
     invert_poses,
+    moved_poses,
     travelled,
     wrap_angles,
 )
@@ -139,7 +140,7 @@ def trajectory_errors(
         raise TrajectoryError(_no_match(estimate, truth, len(own), config.tolerance_s))
     poses, true_poses = estimate.poses[own], truth.poses[true]
     motion = fit_motion(poses, true_poses) if config.alignment == "se2" else IDENTITY
-    aligned = compose_poses((motion.x, motion.y, motion.yaw_rad), poses)
+    aligned = moved_poses(motion, poses)
     travelled_m = travelled(true_poses)
     stamps_s = estimate.stamps_s[own]
 

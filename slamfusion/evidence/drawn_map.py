@@ -22,7 +22,7 @@ from slamfusion.compute.hit_counts import BeamScan
 from slamfusion.compute.layout import MOST_BEAMS, OPEN, TILE, WALL
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.stamps import no_common_time
-from slamfusion.geometry import Pose2, compose_poses, transform_points
+from slamfusion.geometry import Pose2, moved_poses, transform_points
 from slamfusion.grid import FREE, IDENTITY, OCCUPIED, UNKNOWN, OccupancyGrid, known_box
 from slamfusion.io import LogScan
 from slamfusion.slam.common.hit_cells import halve_counts
@@ -185,8 +185,7 @@ def _with_poses(
     near, meets = path.matches(stamps_s)
     if not meets.any():
         raise no_common_time(path.name, path, stamps_s)
-    back = origin.inverse()
-    poses = compose_poses((back.x, back.y, back.yaw_rad), path.poses[near[meets]])
+    poses = moved_poses(origin.inverse(), path.poses[near[meets]])
     return [scans[index] for index in np.flatnonzero(meets).tolist()], poses
 
 

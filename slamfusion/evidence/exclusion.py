@@ -31,7 +31,7 @@ from slamfusion.evidence.comparison import BLOCKS, compare_sums
 from slamfusion.evidence.parting import PART_M, long_runs
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence, without_scans
-from slamfusion.geometry import compose_poses, fit_motion, with_levers
+from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs, nearest_stamps
 
 __all__ = [
@@ -165,7 +165,7 @@ def lay_on(moving: F64, still: F64) -> tuple[F64, int]:
         laid = moving
         for _ in range(FITS):
             motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
-            laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
+            laid = moved_poses(motion, moving)
             is_near = pose_distances(laid, still) <= NEAR_SHARE * PART_M
             if not is_near.any() or np.array_equal(is_near, kept):
                 break

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from slamfusion.evidence.comparison import compare_sums
 from slamfusion.evidence.predictive import PathEvidence
-from slamfusion.geometry import compose_poses, fit_motion, with_levers
+from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs
 
 __all__ = ["Span", "long_runs", "path_gap_m", "path_spans"]
@@ -107,7 +107,7 @@ def _fit_half(moving: F64, still: F64, begin: slice) -> F64:
     kept[begin] = True
     for _ in range(FITS):
         motion = fit_motion(with_levers(moving[kept]), with_levers(still[kept]))
-        laid = compose_poses((motion.x, motion.y, motion.yaw_rad), moving)
+        laid = moved_poses(motion, moving)
         left = np.hypot(*(laid[:, :2] - still[:, :2]).T)
         half = left <= np.median(left)
         if np.array_equal(half, kept):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
-from slamfusion.geometry import Pose2, compose_poses, fit_motion, with_levers, wrap_angles
+from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "fit_frame",
     "fit_onto",
     "geman_mcclure",
+    "laid_onto",
     "lay_paths",
     "pose_distances",
 ]
@@ -158,6 +159,11 @@ def fit_frame(moving: F64, still: F64, weights: F64 | None = None) -> Pose2:
     return motion
 
 
+def laid_onto(moving: F64, still: F64) -> F64:
+    """Return one path laid on another, (N, 3); see ``fit_frame``."""
+    return moved_poses(fit_frame(moving, still), moving)
+
+
 def _in_one_frame(poses: F64, weights: F64) -> F64:
     """Lay (K, N, 3) poses onto the path that all are nearest to, by the weights of each."""
     shares = weights.sum(axis=1) / max(float(weights.sum()), 1e-12)
@@ -171,8 +177,7 @@ def _in_one_frame(poses: F64, weights: F64) -> F64:
                 laid.append(moving)
                 continue
             motion = fit_frame(moving[both], still[both], trusted[both])
-            pose = (motion.x, motion.y, motion.yaw_rad)
-            laid.append(compose_poses(pose, moving))
+            laid.append(moved_poses(motion, moving))
             left = pose_distances(laid[-1][both], still[both])
             apart_m += float(share) * float(np.median(left))
         if apart_m < least:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, TypedDict
+from typing import Literal, TypeAlias, TypedDict
 
 __all__ = [
     "PathEvidenceJson",
@@ -11,8 +11,12 @@ __all__ = [
     "PathTimeJson",
     "PathVerdictJson",
     "RefinementJson",
+    "RefinementStart",
     "UntoldSpanJson",
 ]
+
+# What the scans of a drive were laid on each other along, at first.
+RefinementStart: TypeAlias = Literal["paths", "odometry"]
 
 
 class PathSpanJson(TypedDict):
@@ -107,7 +111,7 @@ class RefinementJson(TypedDict):
 
     taken: bool
     """Whether the refined path was taken: it is not where the scans say that it is worse."""
-    start: Literal["paths", "odometry"]
+    start: RefinementStart
     """What it was sought from: the path made of those of the SLAMs, or the odometry."""
     verdict: Literal["better", "worse", "cannot tell"]
     """What the scans say of the refined path against the one before."""

@@ -29,7 +29,7 @@ import scipy
 
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
-from slamfusion.evidence.path_frames import fit_frame, geman_mcclure
+from slamfusion.evidence.path_frames import geman_mcclure, laid_onto
 from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
@@ -87,8 +87,7 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
         step, calibrated = _step(hits, poses, equations, number)
         poses, calibration = poses + step, calibration + calibrated
         # Nothing but the places of before holds the frame, and the steps are not solved to the end.
-        frame = fit_frame(poses, before)
-        poses = compose_poses((frame.x, frame.y, frame.yaw_rad), poses)
+        poses = laid_onto(poses, before)
         if number >= ROUNDS:
             off = poses - before
             off[:, 2] = wrap_angles(off[:, 2])

@@ -15,25 +15,20 @@ the odometry too, and pull at it, so that from the odometry counts.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.comparison import Comparison
-from slamfusion.evidence.path_frames import fit_frame
+from slamfusion.evidence.path_frames import laid_onto
 from slamfusion.evidence.predictive import PathEvidence, with_path
-from slamfusion.evidence.records import RefinementJson
+from slamfusion.evidence.records import RefinementJson, RefinementStart
 from slamfusion.evidence.refined_path import carried_along, refine_path
 from slamfusion.evidence.stamps import cover_stamps
-from slamfusion.geometry import compose_poses
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["RefinedPath", "RefinementStart", "refine_borne_out"]
-
-RefinementStart: TypeAlias = Literal["paths", "odometry"]
+__all__ = ["RefinedPath", "refine_borne_out"]
 
 # What the refined path is called while it is held against the given one.
 _REFINED = "refined"
@@ -135,7 +130,7 @@ def _from_odometry(
     if told < _consistency(evidence, path.name) - NEAR:
         return None
     refined, both = _settled(evidence, wheels, told, device)
-    poses = compose_poses(_motion(refined.poses, path.poses), refined.poses)
+    poses = laid_onto(refined.poses, path.poses)
     return Trajectory(path.stamps_s, poses, path.name), both
 
 
@@ -145,14 +140,9 @@ def _odometry_at(scans: JudgedScans, path: Trajectory) -> Trajectory | None:
     kept = np.flatnonzero(given.is_own)
     if scans.odometry is None or len(kept) < 2:
         return None
-    own, before = scans.odometry[kept], given.poses[kept]
-    poses = compose_poses(_motion(own, before), own)
+    before = given.poses[kept]
+    poses = laid_onto(scans.odometry[kept], before)
     return carried_along(path, scans.stamps_s[kept], before, poses)
-
-
-def _motion(poses: npt.NDArray[np.float64], onto: npt.NDArray[np.float64]) -> tuple[float, ...]:
-    frame = fit_frame(poses, onto)
-    return frame.x, frame.y, frame.yaw_rad
 
 
 def _settled(
@@ -183,4 +173,4 @@ def _settled(
 
 
 def _consistency(evidence: PathEvidence, name: str) -> float:
-    return float(evidence.scores[name].consistency)
+    return evidence.scores[name].consistency

@@ -38,7 +38,7 @@ from slamfusion.fusion.records import (
     RunnerUp,
 )
 from slamfusion.fusion.start import Starts
-from slamfusion.geometry import Pose2, compose_poses, fit_motion, with_levers, wrap_angles
+from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers, wrap_angles
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
@@ -132,8 +132,7 @@ def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:
         path: in its map's frame.
         transform: maps a point of that frame into the other, metres.
     """
-    pose = (transform.x, transform.y, transform.yaw_rad)
-    return Trajectory(path.stamps_s, compose_poses(pose, path.poses), path.name)
+    return Trajectory(path.stamps_s, moved_poses(transform, path.poses), path.name)
 
 
 def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
