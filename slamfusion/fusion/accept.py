@@ -104,9 +104,9 @@ MISSED_MIN = 0.01
 # Metres of common wall, found without a start, below which any corner of a room fits some other:
 # 2.8 m of a half that was drawn 1.1 times as large were believed.
 COMMON_MIN_M = 3.0
-# Share of what either map knows that the other must know, too, without a start. Right halves that
-# share a tenth share 0.06 of what they know; where less meets, only walls at the very edge of both
-# do: 5 m of a floor of 2700 m2 on a room, 0.01 of which met, were believed.
+# Share of what the smaller map knows that the other must know, too, without a start. Right halves
+# that share a tenth share 0.06 of what they know; where less meets, only walls at the very edge of
+# both do: 5 m of a floor of 2700 m2 on a room, 0.01 of which met, were believed.
 GROUND_MIN = 0.03
 # Pieces of wall that hold an answer, for each metre in the direction in which the fewest do: one of
 # each map, and as many in the other direction. Longer walls there make it no surer.
