@@ -97,7 +97,7 @@ def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> Judged
         pose = item.odometry
         odometry.append(None if pose is None else (pose.x, pose.y, pose.yaw_rad))
         rows = np.column_stack((ends, surface_facings(ends, lasers[-1])))
-        kept.append(rows[_spaced(ends)][len(kept) % step :: step])
+        kept.append(rows[spaced(ends)][len(kept) % step :: step])
         count += len(kept[-1])
         if count > most_hits:
             # Each scan begins elsewhere: what stays is what the wider step would have kept.
@@ -123,14 +123,36 @@ def judged_scans(scans: Iterable[LogScan], most_hits: int = MOST_HITS) -> Judged
     )
 
 
-def _spaced(points: F64) -> I64:
-    """Return the first point of each square that has some, in the order of the points."""
-    squares = np.floor(points / SPACING_M)
-    squares -= squares.min(axis=0)
-    _, first = np.unique(
-        squares[:, 0] * (squares[:, 1].max() + 1.0) + squares[:, 1], return_index=True
-    )
-    return np.asarray(np.sort(first), dtype=np.int64)
+def spaced(points: F64) -> I64:
+    """Return hits of one scan about ``SPACING_M`` apart, in the order of the beams.
+
+    Each stretch of that length of a surface has the middle one of its hits. How long a surface is,
+    is told by means over neighbours: were it told by the hits themselves, those that noise moves
+    on would be the ones that are taken, and a wall on the left would be turned against one on the
+    right.
+
+    Args:
+        points: (M, 2) float64, hits in the order of the beams, metres.
+    """
+    count = len(points)
+    number = np.arange(count)
+    apart_m = np.hypot(*np.diff(points, axis=0).T)
+    first = np.concatenate(([True], apart_m > BESIDE_M))
+    surface = np.cumsum(first) - 1
+    starts = np.flatnonzero(first)
+    ends = np.append(starts[1:], count)
+    reach = np.minimum(number - starts[surface], ends[surface] - 1 - number)
+    reach = np.minimum(reach, MOST_BESIDE)
+    sums = np.concatenate((np.zeros((1, 2)), np.cumsum(points, axis=0)))
+    smooth = (sums[number + reach + 1] - sums[number - reach]) / (2 * reach + 1)[:, None]
+    steps_m = np.where(first, 0.0, np.hypot(*np.diff(smooth, axis=0, prepend=smooth[:1]).T))
+    along_m = np.cumsum(steps_m)
+    along_m -= along_m[starts][surface]
+    stretch = np.floor(along_m / SPACING_M).astype(np.int64)
+    begins = np.flatnonzero(first | (np.diff(stretch, prepend=-1) != 0))
+    # Of two in the middle the first and the second in turn.
+    both = begins + np.append(begins[1:], count) - 1
+    return np.asarray((both + np.arange(len(both)) % 2) // 2, dtype=np.int64)
 
 
 def surface_facings(points: F64, laser: tuple[float, float]) -> F64:
