@@ -3,12 +3,14 @@
 A scan matcher lays each scan on what came before it, and pulls a little: errors add up, and several
 SLAMs of one drive share them. Here all scans of the drive are laid on each other at once. The hits
 are sorted into patches of wall by place and by the side that they are seen from; where a patch lies
-along its normal is as free as the poses are, and the poses are sought under which the hits of all
-patches spread least about them. What walls leave open, along a corridor, the odometry decides,
-calibrated by the walls of the rest of the drive (``known_motions``); without odometry, and where it
-errs, the motions of the given path do. Hits far from their patch have no say.
+along its normal, and how it tilts, is as free as the poses are, and the poses are sought under
+which the hits of all patches spread least about them. Those that spread little, near the laser or
+along a wall, count the more; how much each kind spreads the drive itself tells. What walls leave
+open, along a corridor, the odometry decides, calibrated by the walls of the rest of the drive
+(``known_motions``); without odometry, and where it errs, the motions of the given path do. Hits far
+from their patch have no say.
 
-The places of the patches are eliminated from the normal equations of each round (the Schur
+The lines of the patches are eliminated from the normal equations of each round (the Schur
 complement), as those of points are in bundle adjustment; what is left is solved by conjugate
 gradients, with the part that is banded for preconditioner. After each round hits are sorted anew,
 on a lattice that lies elsewhere, so that no wall stays cut in two.
@@ -44,21 +46,33 @@ PATCH_M, FACINGS = 0.2, 8
 # A patch has at least this many hits, whose normals agree at least so far (the length of their
 # mean).
 LEAST_HITS, LEAST_UNITY = 4, 0.9
-# Deviation of a hit about its patch, metres; twice as far away a hit has lost three quarters of
-# its say, and at the second distance all of it.
+# Deviation of a hit about its patch, metres, while walls are drawn apart; twice as far away a hit
+# has lost three quarters of its say, and at the second distance all of it.
 SPREAD_M, REACH_M = 0.04, 0.15
 # Hits that are used at most: more say nearly the same again.
 MOST_HITS = 200_000
 # A hit that faces the laser as exactly as this has no neighbours that say what it faces, radians.
 LONE_RAD = 1e-9
-# Rounds in which the middle of a patch is found without its outliers.
-MIDDLE_ROUNDS = 3
+# Rounds in which the line of a patch is found without its outliers, and those in which its normal
+# is turned to the line.
+LINE_ROUNDS, TURN_ROUNDS = 3, 2
+# Deviation of the normal of a patch from the mean of what its hits are said to face, radians: noise
+# along the beam turns that towards the laser.
+TILT_RAD = 0.5
+# Hits that are as far away and as slant as each other spread alike: shares of them by distance, and
+# limits of the cosine of the slant. Those of a kind that has this many tell how much.
+FAR_SHARES, SLANTS, LEAST_OF_KIND = 6, (0.25, 0.5, 0.8), 30
+KINDS = FAR_SHARES * (len(SLANTS) + 1)
+# No hit is surer than this, metres: walls are not as flat.
+LEAST_SPREAD_M = 0.015
+# Standard deviation of normal errors over their median distance.
+FROM_MEDIAN = 1.4826
 # Lattices that patches are cut by in turn: moved by a third of a patch, and normals told apart by
 # other limits.
 MOVES, TURNS = 3, 2
 LATTICES = MOVES * TURNS
-# Rounds before those whose mean counts; the equations of each are solved by this many steps at
-# most, to this share of the first residual.
+# Rounds before those whose mean counts, in which all hits are equally sure; the equations of each
+# are solved by this many steps at most, to this share of the first residual.
 ROUNDS, MOST_STEPS, TOLERANCE = 3, 400, 1e-4
 
 
@@ -119,11 +133,13 @@ class _Hits:
         points: (B, 2) float64, in the robot's base frame, metres.
         facings_rad: (B,) float64, the direction that the surface at each faces, there.
         scans: (B,) int64, the scan of each, counted among those with a pose.
+        kinds: (B,) int64, 0 to ``KINDS`` - 1, alike for hits as far away and as slant.
     """
 
     points: F64
     facings_rad: F64
     scans: I64
+    kinds: I64
 
     @classmethod
     def of(cls, scans: JudgedScans, kept: I64) -> _Hits:
@@ -137,7 +153,14 @@ class _Hits:
         turned = wrap_angles(scans.facings_rad - np.arctan2(to_laser[:, 1], to_laser[:, 0]))
         own = np.flatnonzero((of >= 0) & (np.abs(turned) > LONE_RAD))
         own = own[:: max(1, -(-len(own) // MOST_HITS))]
-        return cls(scans.hits[own], scans.facings_rad[own], of[own])
+        away_m = np.hypot(*to_laser[own].T)
+        limits_m = np.quantile(away_m, np.arange(1, FAR_SHARES) / FAR_SHARES)
+        far, slant = (
+            limits_m.searchsorted(away_m),
+            np.array(SLANTS).searchsorted(np.cos(turned[own])),
+        )
+        kinds = np.asarray(far * (len(SLANTS) + 1) + slant, dtype=np.int64)
+        return cls(scans.hits[own], scans.facings_rad[own], of[own], kinds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +172,7 @@ class _Patches:
         of: (B,) int64, the patch of each hit.
         slopes: (B, 3) float64, how each hit's place along the normal of its patch changes with its
             scan's pose: x, y, yaw.
+        sides_m: (B,) float64, how far each hit lies beside the middle of its patch.
         away_m: (B,) float64, how far each hit lies from its patch along the normal.
         weights: (B,) float64, say of each hit over its variance, 1 / m2; 0: none.
     """
@@ -156,6 +180,7 @@ class _Patches:
     count: int
     of: I64
     slopes: F64
+    sides_m: F64
     away_m: F64
     weights: F64
 
@@ -167,30 +192,93 @@ class _Patches:
         x = cos * hits.points[:, 0] - sin * hits.points[:, 1]
         y = sin * hits.points[:, 0] + cos * hits.points[:, 1]
         places = np.stack((own[:, 0] + x, own[:, 1] + y), axis=1)
-        facings = hits.facings_rad + own[:, 2]
-        cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
-        cells -= cells.min(axis=0)
-        side = np.rint(facings * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
-        key = (cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]) * FACINGS + side % FACINGS
-        _, of, sizes = np.unique(key, return_inverse=True, return_counts=True)
+        facings_rad = hits.facings_rad + own[:, 2]
+        of, sizes = _sorted(places, facings_rad, number)
         count = len(sizes)
-        normals = np.stack(
-            [np.bincount(of, turned, count) for turned in (np.cos(facings), np.sin(facings))],
-            axis=1,
-        )
-        lengths = np.hypot(normals[:, 0], normals[:, 1])
-        normal = (normals / np.maximum(lengths, 1e-9)[:, None])[of]
-        along = np.asarray((places * normal).sum(axis=1), dtype=np.float64)
-        say = np.ones(len(of))
-        away_m = along
-        for _ in range(MIDDLE_ROUNDS):
-            middles = np.bincount(of, say * along, count) / np.bincount(of, say, count)
-            away_m = along - middles[of]
-            say = geman_mcclure(away_m / (2.0 * SPREAD_M))
-        is_wall = (sizes >= LEAST_HITS) & (lengths > LEAST_UNITY * sizes)
-        is_used = is_wall[of] & (np.abs(away_m) < REACH_M)
+        normals = _means(of, sizes, np.stack((np.cos(facings_rad), np.sin(facings_rad)), axis=1))
+        unity = np.hypot(*normals.T)
+        normals /= np.maximum(unity, 1e-9)[:, None]
+        beside = places - _means(of, sizes, places)[of]
+        is_wall = ((sizes >= LEAST_HITS) & (unity > LEAST_UNITY))[of]
+        sure = np.full(len(of), SPREAD_M**-2.0)
+        for _ in range(TURN_ROUNDS):
+            normal = normals[of]
+            across_m = np.asarray((beside * normal).sum(axis=1), dtype=np.float64)
+            sides_m = beside[:, 1] * normal[:, 0] - beside[:, 0] * normal[:, 1]
+            say = np.ones(len(of))
+            for _ in range(LINE_ROUNDS):
+                lines = _lines(of, count, sides_m, across_m, say * sure)
+                away_m = across_m - lines[of, 0] - lines[of, 1] * sides_m
+                say = geman_mcclure(away_m / (2.0 * SPREAD_M))
+            normals = _turned_to(normals, lines[:, 1])
+            is_used = is_wall & (np.abs(away_m) < REACH_M)
+            if number >= ROUNDS and is_used.any():
+                sure = _spreads_m(away_m[is_used], hits.kinds[is_used])[hits.kinds] ** -2.0
         slopes = np.column_stack((normal, x * normal[:, 1] - y * normal[:, 0]))
-        return cls(count, of, slopes, away_m, say * is_used / SPREAD_M**2)
+        return cls(count, of, slopes, sides_m, away_m, say * is_used * sure)
+
+
+def _sorted(places: F64, facings_rad: F64, number: int) -> tuple[I64, I64]:
+    """Return the patch of each hit, (B,), and how many each has, (P,), on the lattice of a round.
+
+    Args:
+        places: (B, 2), metres.
+        facings_rad: (B,) what each hit faces, in the same frame.
+        number: of the round.
+    """
+    cells = np.floor(places / PATCH_M + number % MOVES / MOVES).astype(np.int64)
+    cells -= cells.min(axis=0)
+    side = np.rint(facings_rad * FACINGS / (2.0 * np.pi) + number % TURNS / TURNS).astype(np.int64)
+    key = (cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]) * FACINGS + side % FACINGS
+    _, of, sizes = np.unique(key, return_inverse=True, return_counts=True)
+    return np.asarray(of, dtype=np.int64), np.asarray(sizes, dtype=np.int64)
+
+
+def _means(of: I64, sizes: I64, values: F64) -> F64:
+    """Return the mean of two values, (B, 2), over each patch, (P, 2)."""
+    sums = [np.bincount(of, part, len(sizes)) for part in values.T]
+    return np.asarray(np.stack(sums, axis=1) / sizes[:, None])
+
+
+def _spreads_m(away_m: F64, kinds: I64) -> F64:
+    """Return how far hits of each kind spread about their patches, (KINDS,) metres.
+
+    Args:
+        away_m: (M,) how far hits lie from them, M at least 1.
+        kinds: (M,) of the hits.
+    """
+    far_m = np.abs(away_m)
+    usual_m = np.full(KINDS, np.median(far_m))
+    for kind in np.flatnonzero(np.bincount(kinds, minlength=KINDS) >= LEAST_OF_KIND):
+        usual_m[kind] = np.median(far_m[kinds == kind])
+    return np.asarray(np.hypot(FROM_MEDIAN * usual_m, LEAST_SPREAD_M))
+
+
+def _turned_to(normals: F64, tilts: F64) -> F64:
+    """Return normals, (P, 2), of lines that rise by ``tilts``, (P,), to their left."""
+    by = np.arctan(tilts)
+    cos, sin = np.cos(by), np.sin(by)
+    x, y = normals.T
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
+
+
+def _lines(of: I64, count: int, sides_m: F64, across_m: F64, weights: F64) -> F64:
+    """Return height and tilt of the line through the hits of each patch, (P, 2)."""
+    inverse = _line_inverses(of, count, sides_m, weights)
+    right = np.stack(
+        [np.bincount(of, weights * part, count) for part in (across_m, across_m * sides_m)], axis=1
+    )
+    return np.asarray(np.einsum("pab,pb->pa", inverse, right))
+
+
+def _line_inverses(of: I64, count: int, sides_m: F64, weights: F64) -> F64:
+    """Return the inverse of each patch's equations of height and tilt, (P, 2, 2)."""
+    # A patch of which no hit has a say moves with nobody.
+    mass = np.bincount(of, weights, count) + 1e-9
+    first = np.bincount(of, weights * sides_m, count)
+    second = np.bincount(of, weights * sides_m**2, count) + TILT_RAD**-2.0
+    parts = np.stack((second, -first, -first, mass), axis=1).reshape(count, 2, 2)
+    return np.asarray(parts / (mass * second - first**2)[:, None, None])
 
 
 def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> tuple[F64, F64]:
@@ -215,19 +303,25 @@ def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> t
             products = weighted[:, a] * patches.slopes[:, b]
             diagonal[:, a, b] += np.bincount(hits.scans, products, count)
     banded, border = _banded(diagonal, equations.beside), equations.border
-    rows = 3 * hits.scans[:, None] + np.arange(3)
-    columns = np.repeat(patches.of, 3)
-    shape = (3 * count, patches.count)
-    to_patches = scipy.sparse.csr_matrix((weighted.ravel(), (rows.ravel(), columns)), shape=shape)
-    from_patches = to_patches.T.tocsr()
-    # A patch of which no hit has a say moves with nobody.
-    total = np.bincount(patches.of, patches.weights, patches.count)
-    inverse = np.where(total > 0.0, 1.0 / np.maximum(total, 1e-9), 0.0)
+    rows = np.repeat(3 * hits.scans[:, None] + np.arange(3), 2, axis=1)
+    columns = np.tile(2 * patches.of[:, None] + np.arange(2), 3)
+    by_line = np.stack((np.ones(len(patches.of)), patches.sides_m), axis=1)
+    values = np.repeat(weighted, 2, axis=1) * np.tile(by_line, 3)
+    to_lines = scipy.sparse.csr_matrix(
+        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * count, 2 * patches.count)
+    )
+    from_lines = to_lines.T.tocsr()
+    inverses = _line_inverses(patches.of, patches.count, patches.sides_m, patches.weights)
+
+    def through_lines(of_lines: F64) -> F64:
+        """Return what the poses get of the lines' equations, solved for one right-hand side."""
+        solved = np.einsum("pab,pb->pa", inverses, of_lines.reshape(-1, 2))
+        return np.asarray(to_lines.dot(solved.ravel()))
 
     def times(step: F64) -> F64:
-        """Multiply by the equations without the patches, which follow the poses."""
+        """Multiply by the equations without the lines, which follow the poses."""
         own, calibration = step[:-2], step[-2:]
-        of_poses = banded @ own - to_patches @ (inverse * (from_patches @ own))
+        of_poses = banded @ own - through_lines(np.asarray(from_lines.dot(own)))
         of_calibration = border.T @ own + equations.corner @ calibration
         return np.concatenate((of_poses + border @ calibration, of_calibration))
 
@@ -242,9 +336,17 @@ def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> t
         return np.concatenate((own - across @ calibration, calibration))
 
     size = (3 * count + 2, 3 * count + 2)
+    of_lines = np.stack(
+        [
+            np.bincount(patches.of, patches.weights * patches.away_m * part, patches.count)
+            for part in by_line.T
+        ],
+        axis=1,
+    )
+    slopes = slope.ravel() - through_lines(of_lines.astype(np.float64))
     step, _ = scipy.sparse.linalg.cg(
         scipy.sparse.linalg.LinearOperator(size, matvec=times, dtype=np.float64),
-        -np.concatenate((slope.ravel(), equations.end)),
+        -np.concatenate((slopes, equations.end)),
         rtol=TOLERANCE,
         maxiter=MOST_STEPS,
         M=scipy.sparse.linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),

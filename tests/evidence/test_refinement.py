@@ -128,7 +128,7 @@ def test_where_the_scans_cannot_tell_the_odometry_counts_unless_it_lies_far_off(
     monkeypatch.setattr(refinement, "FAR_M", 0.0)
     assert refine_borne_out(evidence, near, device).start == "paths"
     assert refine_borne_out(evidence, far, device).start == "paths"
-    monkeypatch.setattr(refinement, "FAR_GAIN", 0.02)
+    monkeypatch.setattr(refinement, "FAR_GAIN", 0.01)
     assert refine_borne_out(evidence, near, device).start == "paths"
     assert refine_borne_out(evidence, far, device).start == "odometry"
 
