@@ -26,7 +26,7 @@ CHUNKS = 24
 # Hits that are judged, and drawn, at most: they say as much as ten times as many.
 MOST_HITS = 300_000
 # Of the hits of a scan this near to each other one is judged, metres.
-SPACING_M = 0.2
+SPACING_M = 0.1
 # Hits this near to each other, metres, and this many beams apart are on one surface.
 BESIDE_M = 0.3
 MOST_BESIDE = 4
