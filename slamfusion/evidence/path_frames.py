@@ -18,6 +18,7 @@ from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers, wra
 from slamfusion.trajectory import SAME_STAMP_S, Trajectory
 
 __all__ = [
+    "FROM_MEDIAN",
     "TURN_M",
     "LaidPaths",
     "fit_frame",
@@ -32,6 +33,8 @@ F64 = npt.NDArray[np.float64]
 
 # Metres that a turn of one radian counts for: what it moves at the range of most walls.
 TURN_M = 2.0
+# Standard deviation of normal errors over the median of their absolute values.
+FROM_MEDIAN = 1.4826
 # Scale of a robust fit at least, metres: what good paths differ by.
 LEAST_SCALE_M = 0.03
 # Rounds of reweighting, and the motion below which a fit has settled, metres and radians.

@@ -31,7 +31,7 @@ import scipy
 
 from slamfusion.evidence.beams import JudgedScans
 from slamfusion.evidence.known_motions import KnownMotions, MotionEquations
-from slamfusion.evidence.path_frames import geman_mcclure, laid_onto
+from slamfusion.evidence.path_frames import FROM_MEDIAN, geman_mcclure, laid_onto
 from slamfusion.evidence.stamps import cover_stamps
 from slamfusion.geometry import compose_poses, invert_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
@@ -65,8 +65,6 @@ FAR_SHARES, SLANTS, LEAST_OF_KIND = 6, (0.25, 0.5, 0.8), 30
 KINDS = FAR_SHARES * (len(SLANTS) + 1)
 # No hit is surer than this, metres: walls are not as flat.
 LEAST_SPREAD_M = 0.015
-# Standard deviation of normal errors over their median distance.
-FROM_MEDIAN = 1.4826
 # Lattices that patches are cut by in turn: moved by a third of a patch, and normals told apart by
 # other limits.
 MOVES, TURNS = 3, 2
@@ -85,13 +83,16 @@ def refine_path(scans: JudgedScans, path: Trajectory) -> Trajectory:
 
     Returns:
         Poses at the stamps of ``path``, in its frame. Those at times of no scan are moved along
-        with the scan next to them; a path that meets fewer than two scans is returned as it is.
+        with the scan next to them. A path that meets fewer than two scans is returned as it is, and
+        so is one whose scans see no surface.
     """
     given = cover_stamps(path, scans)
     kept = np.flatnonzero(given.is_own)
     if len(kept) < 2:
         return path
     hits = _Hits.of(scans, kept)
+    if not len(hits.scans):
+        return path
     before = given.poses[kept]
     motions = KnownMotions.of(before, None if scans.odometry is None else scans.odometry[kept])
     poses, calibration, moved = before, motions.calibration, np.zeros_like(before)
@@ -153,14 +154,13 @@ class _Hits:
         turned = wrap_angles(scans.facings_rad - np.arctan2(to_laser[:, 1], to_laser[:, 0]))
         own = np.flatnonzero((of >= 0) & (np.abs(turned) > LONE_RAD))
         own = own[:: max(1, -(-len(own) // MOST_HITS))]
+        if not len(own):
+            return cls(np.zeros((0, 2)), np.zeros(0), own, own)
         away_m = np.hypot(*to_laser[own].T)
         limits_m = np.quantile(away_m, np.arange(1, FAR_SHARES) / FAR_SHARES)
-        far, slant = (
-            limits_m.searchsorted(away_m),
-            np.array(SLANTS).searchsorted(np.cos(turned[own])),
-        )
-        kinds = np.asarray(far * (len(SLANTS) + 1) + slant, dtype=np.int64)
-        return cls(scans.hits[own], scans.facings_rad[own], of[own], kinds)
+        slants = np.array(SLANTS).searchsorted(np.cos(turned[own]))
+        kinds = limits_m.searchsorted(away_m) * (len(SLANTS) + 1) + slants
+        return cls(scans.hits[own], scans.facings_rad[own], of[own], np.asarray(kinds, np.int64))
 
 
 @dataclass(frozen=True, eq=False)

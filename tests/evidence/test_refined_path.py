@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from slamfusion.evidence import judged_scans, refine_path
+from slamfusion.evidence import judged_scans, refine_path, refined_path
 from slamfusion.evidence.path_frames import fit_frame
 from slamfusion.geometry import compose_poses, wrap_angles
 from slamfusion.trajectory import Trajectory
@@ -98,3 +100,36 @@ def test_a_wall_that_is_drawn_far_apart_stays_two() -> None:
     refined = refine_path(judged_scans(recorded(truth)), torn)
     gap = refined.poses[72:, 0].mean() - refined.poses[:72, 0].mean()
     assert 0.3 < gap < 0.65
+
+
+def test_where_a_wall_faces_its_hits_tell_and_not_their_scan() -> None:
+    """Noise along the beams turns what a scan takes for the facing of a slant wall."""
+    truth = circuit()
+    scans = judged_scans(recorded(truth))
+    turned = replace(scans, facings_rad=scans.facings_rad + 0.15)
+    given = wavering(truth, 0.08, 0.02)
+    assert off_m(refine_path(turned, given), truth) < 0.02
+
+
+def test_scans_that_see_no_surface_leave_the_path_alone() -> None:
+    truth = circuit()
+    items = recorded(truth)
+    for item in items:
+        ranges = np.full_like(item.scan.ranges, np.inf)
+        ranges[::30] = item.scan.ranges[::30]
+        object.__setattr__(item.scan, "ranges", ranges)
+    assert refine_path(judged_scans(items), truth) is truth
+
+
+def test_a_kind_of_hit_is_as_sure_as_it_spreads() -> None:
+    rng = np.random.default_rng(0)
+    kinds = np.repeat((0, 5, 9), (400, 400, refined_path.LEAST_OF_KIND - 1))
+    away_m = rng.normal(0.0, 1.0, len(kinds)) * np.repeat(
+        (0.002, 0.08, 5.0), np.bincount(kinds)[[0, 5, 9]]
+    )
+    spreads_m = refined_path._spreads_m(away_m, kinds)
+    assert spreads_m[0] == pytest.approx(refined_path.LEAST_SPREAD_M, rel=0.05)
+    assert spreads_m[5] == pytest.approx(0.08, rel=0.2)
+    # Too few of a kind, and none: as all of them.
+    usual_m = 1.4826 * np.median(np.abs(away_m))
+    assert spreads_m[9] == spreads_m[1] == pytest.approx(np.hypot(usual_m, 0.015), rel=1e-6)
