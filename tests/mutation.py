@@ -109,6 +109,13 @@ CONSISTENCY = {
         "turn > CLOSURE_YAW_RAD => turn >= CLOSURE_YAW_RAD",
     ): "no turn that wrap_angle rounds to equals the limit",
     (
+        "_stands",
+        (
+            "{pair.reference, pair.moving} <= set(members)"
+            " => {pair.reference, pair.moving} < set(members)"
+        ),
+    ): "no other pair puts two that are alone anywhere",
+    (
         "_grown_group",
         "key <= set(trial) => key < set(trial)",
     ): "a trial has three members at least, a key two",
@@ -119,6 +126,23 @@ CONSISTENCY = {
             " => rank_of(group, names) >= rank_of(best, names)"
         ),
     ): "groups of one rank are one group",
+}
+RIVALS = {
+    (
+        "_is_believed",
+        (
+            "plain.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX"
+            " => plain.wrong(pairs, found.prior) <= EXPECTED_WRONG_MAX"
+        ),
+    ): "no pieces that a table has make the exponential just a hundredth",
+    (
+        "_others",
+        "range(1, len(motions)) => range(0, len(motions))",
+    ): "the first is no other answer than itself",
+    (
+        "is_distinct",
+        "turn > DISTINCT_YAW_RAD => turn >= DISTINCT_YAW_RAD",
+    ): "no turn that displacement rounds to equals the limit",
 }
 TRACKING = {
     (
@@ -226,6 +250,7 @@ def _live_tests(*names: str) -> tuple[str, ...]:
 TARGETS = (
     Target("slamfusion.fusion.accept", ("tests/fusion/test_accept.py",), ACCEPT),
     Target("slamfusion.fusion.consistency", ("tests/fusion/test_consistency.py",), CONSISTENCY),
+    Target("slamfusion.fusion.rivals", ("tests/fusion/test_rivals.py",), RIVALS),
     Target("slamfusion.fusion.resolutions", ("tests/fusion/test_resolutions.py",), RESOLUTIONS),
     Target("slamfusion.slam.common.tracking", ("tests/slam/common/test_tracking.py",), TRACKING),
     Target("slamfusion.slam.common.state", ("tests/slam/common/test_state.py",), {}),

@@ -111,6 +111,10 @@ GROUND_MIN = 0.03
 # Pieces of wall that hold an answer, for each metre in the direction in which the fewest do: one of
 # each map, and as many in the other direction. Longer walls there make it no surer.
 HELD_PIECES = 4.0
+# A rival that gives at least this share of the answer's evidence may be the place as well: of good
+# maps it takes off of what speaks for the answer (``WallPieces.against``), and it is named as the
+# second place. One that gives less is no such place, though few pieces tell it from the answer.
+RIVAL_RATIO = 0.5
 # A start chooses between answers that are as good but for so many pieces, if they fit so well.
 TIE, SHARE_TIED = 0.25, 0.75
 # An answer elsewhere whose share is so much higher may be right.
@@ -414,7 +418,15 @@ def _not_alone(evidence: Evidence, wrong: float) -> Decision:
             f"ambiguous: the proof was not finished in time (gap {evidence.gap:.2f}), and without "
             f"it {wrong:.2g} wrong answers are to be expected",
         )
-    if evidence.share >= SHARE_FIT and evidence.rival is not None:
+    is_fit = evidence.share >= SHARE_FIT
+    if is_fit and evidence.ratio < RIVAL_RATIO:
+        return _refused(
+            "too little in common",
+            f"too little in common to judge: {evidence.common_m:.1f} m of walls, of "
+            f"{evidence.witnesses:.1f} independent pieces of wall {evidence.better:.1f} tell it "
+            f"from other places, the best of which explains {evidence.ratio:.0%} of it",
+        )
+    if is_fit and evidence.rival is not None:
         return _refused(
             "ambiguous",
             f"ambiguous: the same place twice? another transform, {evidence.rival}, explains "

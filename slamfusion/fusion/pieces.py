@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.layout import FACING_PARTS
+from slamfusion.fusion.accept import RIVAL_RATIO
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.motions import fixed_similarities
@@ -28,9 +29,6 @@ F64 = npt.NDArray[np.float64]
 # Side of a piece, metres, where a wall is as wide as this; wider walls have larger pieces.
 PIECE_M, PIECE_WIDTH_M = 1.0, 0.15
 PIECE_POINTS = 8192
-# Of two good maps, a rival that gives more than this share of the answer's evidence makes what
-# speaks for the answer count less; nothing where both give the same.
-RIVAL_RATIO = 0.5
 # A piece fits whole where it gives this share of what it could.
 WHOLE = 0.7
 FIELD_TOP = 255
@@ -117,8 +115,8 @@ class WallPieces:
     def against(self, rival: int) -> float:
         """Return how many pieces the first motion has for it against a rival, as a judge counts.
 
-        Where the maps are taken for good ones (``doubt``) and the rival gives nearly as much, fewer
-        than ``better``.
+        Where the maps are taken for good ones (``doubt``) and the rival gives more than
+        ``RIVAL_RATIO`` of the evidence, fewer than ``better``; none where both give the same.
         """
         better, total = self.better(0, rival), self.total
         if self.doubt == 0.0 or better <= 0.0 or total[0] <= 0.0:

@@ -3,10 +3,12 @@
     python -m tests.benchmarks.bench_overlap --processes 2 --jsonl out/overlap.jsonl
     python -m tests.benchmarks.bench_overlap --limit 3 --only one-map --only cross-slam
     python -m tests.benchmarks.bench_overlap --cross-validate out/overlap.jsonl
+    python -m tests.benchmarks.bench_overlap --from out/overlap.jsonl
 
 Of pairs with a right answer each cell of the table counts: accepted and right / accepted and wrong
-/ rejected, though the best candidate is right / rejected and not found, of how many. Of the others
-none may be accepted (at 1.02 times the scale it may be, where the scale is named).
+/ rejected, though the best candidate is right / rejected and not found, of how many. A second table
+counts those alone that share wall enough to be believed (``WALL_ENOUGH_M``). Of the others none may
+be accepted (at 1.02 times the scale it may be, where the scale is named).
 """
 
 from __future__ import annotations
@@ -30,10 +32,18 @@ from rich.table import Table
 
 from slamfusion.compute import open_device
 from slamfusion.config import FusionConfig
+from slamfusion.fusion.accept import (
+    EXPECTED_WRONG_MAX,
+    RATE,
+    RIVAL_RATIO,
+    SHARE_FLOOR,
+    TRIALS_BENT,
+)
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.records import AlignmentJson
+from slamfusion.fusion.rivals import WITNESSES_A_METRE
 from slamfusion.grid import OccupancyGrid
 from tests.benchmarks.overlap_folds import load_counted, print_folds
 from tests.benchmarks.record import add_record_option, console_for
@@ -67,6 +77,12 @@ SETS: dict[str, Callable[[int], tuple[Draft, ...]]] = {
 KEPT_FEATURES = 24
 BLOCK_MAPS = 10
 OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
+# Pieces of wall that have to speak for a pair whose maps may be bent, whatever they leave
+# unexplained; two good maps that fit need fewer.
+PIECES_ENOUGH = math.log(TRIALS_BENT / EXPECTED_WRONG_MAX) / (RATE * SHARE_FLOOR)
+# Metres of wall, 10, that have as many though a rival takes off half: one that explains more than
+# half as much may be the place as well.
+WALL_ENOUGH_M = math.ceil(PIECES_ENOUGH / (WITNESSES_A_METRE * (1.0 - RIVAL_RATIO)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +94,8 @@ class Result:
         reference_map, moving_map: what they were cut from.
         axis, reference_side, moving_side: how; None for whole maps.
         overlap: of each half; None where there is no right answer.
-        common_walls: wall cells on the ground in common.
+        common_walls: wall cells on the ground in common, of the map that has fewer there.
+        common_wall_m: their length in metres, a cell's each; thick walls count more than once.
         is_right: whether the answer, accepted or not, is right.
         error_m, error_deg: how far it is from the truth; None without one.
         alignment: as ``align --json`` writes it.
@@ -95,6 +112,7 @@ class Result:
     moving_side: str | None
     overlap: float | None
     common_walls: int
+    common_wall_m: float
     is_right: bool
     error_m: float | None
     error_deg: float | None
@@ -151,6 +169,7 @@ class Aligner:
             draft.moving.side if is_cut else None,
             case.overlap,
             case.common_walls,
+            case.common_walls * case.reference.resolution,
             case.is_right(record.transform),
             None if error is None else error[0],
             None if error is None else error[1],
@@ -214,8 +233,17 @@ def _in_blocks(drafts: list[Draft]) -> list[Draft]:
 
 
 def print_found(results: list[Result], console: Console) -> None:
-    """Print the table of pairs that have a right answer."""
-    table = Table("set", *(f"{overlap:.0%}" for overlap in OVERLAPS), title="overlap of each half")
+    """Print the tables of pairs that have a right answer: all, and those with walls enough."""
+    _print_counts(results, "overlap of each half", console)
+    walled = [result for result in results if result.common_wall_m >= WALL_ENOUGH_M]
+    _print_counts(walled, f"the same, at least {WALL_ENOUGH_M} m of wall in common", console)
+    if any(result.what in POSITIVES for result in results):
+        console.print(" / ".join(OUTCOMES))
+
+
+def _print_counts(results: list[Result], title: str, console: Console) -> None:
+    """Print how often each outcome came of the pairs that have a right answer."""
+    table = Table("set", *(f"{overlap:.0%}" for overlap in OVERLAPS), title=title)
     for what in POSITIVES:
         row = []
         for overlap in OVERLAPS:
@@ -226,7 +254,6 @@ def print_found(results: list[Result], console: Console) -> None:
             table.add_row(what, *row)
     if table.row_count:
         console.print(table)
-        console.print(" / ".join(OUTCOMES))
 
 
 def print_believed(results: list[Result], console: Console) -> None:
@@ -261,9 +288,22 @@ def print_times(results: list[Result], console: Console) -> None:
     console.print(table)
 
 
+def print_all(results: list[Result], console: Console) -> None:
+    """Print every table."""
+    results = sorted(results, key=lambda result: result.name)
+    print_found(results, console)
+    print_believed(results, console)
+    print_times(results, console)
+
+
 def line_of(result: Result) -> str:
     """Return a result as a line of JSON; what is not finite becomes null."""
     return json.dumps(_finite(asdict(result)), allow_nan=False)
+
+
+def load_results(path: Path) -> list[Result]:
+    """Return the results that ``--jsonl`` wrote."""
+    return [Result(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 def _finite(value: Any) -> Any:
@@ -294,10 +334,22 @@ def main() -> None:
         metavar="JSONL",
         help="align nothing: decide records of half of the places with odds fitted on the other",
     )
+    parser.add_argument(
+        "--from",
+        dest="kept",
+        type=Path,
+        metavar="JSONL",
+        help="align nothing: print the tables of what --jsonl wrote",
+    )
     add_record_option(parser)
     arguments = parser.parse_args()
     if arguments.cross_validate:
         print_folds(load_counted(arguments.cross_validate), Console(width=160))
+        return
+    if arguments.kept:
+        if arguments.record:
+            parser.error("kept results do not say at which commit they were made: no --record")
+        print_all(load_results(arguments.kept), Console(width=160))
         return
     names = arguments.only or tuple(SETS)
     if not MAPS.is_dir() and set(names) != {"simulated"}:
@@ -319,10 +371,7 @@ def main() -> None:
             results.append(result)
             if file is not None:
                 print(line_of(result), file=file, flush=True)
-    results.sort(key=lambda result: result.name)
-    print_found(results, console)
-    print_believed(results, console)
-    print_times(results, console)
+    print_all(results, console)
     for what, count in left_out.items():
         console.print(f"{what}: {count} pairs with too few walls in common were left out")
 
