@@ -100,26 +100,34 @@ __kernel void shrink(__global const uchar *walls, __global const char *cells, co
   }
 }
 
+/* Columns on either side of the map that no wall is in, so that looking along a row needs no edge. */
+#define DISTANCE_MARGIN DISTANCE_MAX
+
 /* First pass of the exact Euclidean distance (Meijster, Roerdink and Hesselink 2000): distance along
  * the column to the nearest wall, capped at DISTANCE_MAX.
- * walls (height, width) uchar, width a multiple of DISTANCE_LANES; out (height, width) ushort.
- * Global: (width / DISTANCE_LANES). */
+ * walls (height, width) uchar, width a multiple of DISTANCE_LANES; out (height, width + 2
+ * DISTANCE_MARGIN) ushort. Global: ((width + 2 DISTANCE_MARGIN) / DISTANCE_LANES). */
 __kernel void distance_columns(__global const uchar *walls, const int height, const int width,
                                __global ushort *out) {
-  const int col = get_global_id(0) * DISTANCE_LANES;
-  if (col >= width) return;
+  const int at = get_global_id(0) * DISTANCE_LANES, col = at - DISTANCE_MARGIN;
+  const int stride = width + 2 * DISTANCE_MARGIN;
+  if (at >= stride) return;
   ushort16 last = DISTANCE_MAX;
+  if (col < 0 || col >= width) {
+    for (int row = 0; row < height; row++) STORE32(as_ulong4(last), out + row * stride + at);
+    return;
+  }
   for (int row = 0; row < height; row++) {
     const ushort16 wall = convert_ushort16(vload16(0, walls + row * width + col));
     last = LOWER(last + (ushort16)1, (ushort16)DISTANCE_MAX);
     last *= (ushort16)1 - wall;
-    STORE32(as_ulong4(last), out + row * width + col);
+    STORE32(as_ulong4(last), out + row * stride + at);
   }
   last = DISTANCE_MAX;
   for (int row = height - 1; row >= 0; row--) {
-    const ushort16 above = as_ushort16(LOAD32(out + row * width + col));
+    const ushort16 above = as_ushort16(LOAD32(out + row * stride + at));
     last = LOWER(last + (ushort16)1, above);
-    STORE32(as_ulong4(last), out + row * width + col);
+    STORE32(as_ulong4(last), out + row * stride + at);
   }
 }
 
@@ -132,36 +140,23 @@ INLINE bool any_above(const ushort16 lanes, const ushort value) {
 
 /* Second pass: squared distance, the minimum over the row of column distance squared plus offset
  * squared, capped at reach squared; reach at most DISTANCE_MAX.
- * columns, out (height, width) ushort, width a multiple of DISTANCE_LANES.
- * Global: (width / DISTANCE_LANES, height). */
+ * columns (height, width + 2 DISTANCE_MARGIN) ushort; out (height, width) ushort, width a multiple of
+ * DISTANCE_LANES. Global: (width / DISTANCE_LANES, height). */
 __kernel void distance_rows(__global const ushort *columns, const int height, const int width,
                             const int reach, __global ushort *out) {
   const int col = get_global_id(0) * DISTANCE_LANES, row = get_global_id(1);
   if (col >= width || row >= height) return;
-  __global const ushort *line = columns + row * width;
-  ushort16 best = as_ushort16(LOAD32(line + col));
-  best *= best;
+  __global const ushort *own = columns + row * (width + 2 * DISTANCE_MARGIN) + DISTANCE_MARGIN + col;
+  ushort16 best = as_ushort16(LOAD32(own));
+  best = LOWER(best * best, (ushort16)(reach * reach));
   for (int k = 1; k < reach; k++) {
     /* Nothing farther along the row can be nearer than the worst lane: look every eight steps. */
     if ((k & 7) == 1 && !any_above(best, (ushort)(k * k))) break;
-    ushort16 left, right;
-    if (col - k >= 0 && col + k + DISTANCE_LANES <= width) {
-      left = as_ushort16(LOAD32(line + col - k));
-      right = as_ushort16(LOAD32(line + col + k));
-    } else {
-      ushort l[DISTANCE_LANES], r[DISTANCE_LANES];
-      for (int i = 0; i < DISTANCE_LANES; i++) {
-        l[i] = col + i - k >= 0 ? line[col + i - k] : (ushort)DISTANCE_MAX;
-        r[i] = col + i + k < width ? line[col + i + k] : (ushort)DISTANCE_MAX;
-      }
-      left = vload16(0, l);
-      right = vload16(0, r);
-    }
+    const ushort16 left = as_ushort16(LOAD32(own - k)), right = as_ushort16(LOAD32(own + k));
     const ushort16 near = LOWER(left, right);
     const ushort16 through = near * near + (ushort16)(k * k);
     best = LOWER(best, through);
   }
-  best = LOWER(best, (ushort16)(reach * reach));
   STORE32(as_ulong4(best), out + row * width + col);
 }
 

@@ -116,14 +116,16 @@ __kernel void tile_peaks(__global const int *forward, __global const int *backwa
  * field (height, width) uchar; partial (chunks, n) int.
  * 32 bits, so that eight points move at once: three times as fast on PoCL as one by one in 64.
  * A point off the field reads its first cell, which is put right at the end.
- * Global: (chunks, n). */
+ * Work item c * n + p does chunk c under pose p: of two dimensions the groups are so wide that with
+ * one chunk, as of most motions, fifteen of sixteen items would have nothing to do.
+ * Global: (chunks * n). */
 __kernel void pose_scores(__global const int *points, const int count, const int stride,
                           __global const int *poses, const int n, const int shift,
                           __global const uchar *field, const int height, const int width,
                           const int base, const int chunk, const int chunks,
                           __global int *partial) {
-  const int c = get_global_id(0), p = get_global_id(1);
-  if (c >= chunks || p >= n) return;
+  const int c = get_global_id(0) / n, p = get_global_id(0) % n;
+  if (c >= chunks) return;
   const int cosine = poses[4 * p], sine = poses[4 * p + 1];
   const int tx = poses[4 * p + 2], ty = poses[4 * p + 3];
   const int first = c * chunk, stop = LOWER(first + chunk, count);

@@ -47,26 +47,28 @@ def narrow_motions(points: I32, poses: I64) -> tuple[I32, I32, int]:
         poses: (P, 4) int64 fixed poses.
 
     Returns:
-        (N, 2) int32 points, (P, 4) int32 poses that move them where the given ones move the given
-        points, and the bits of a place below a whole cell. A map of 2000 cells is read within 0.01
-        cells of where the 64 bits read it.
+        (N, 2) int32 points, each column one stretch; (P, 4) int32 poses that move them where the
+        given ones move the given points; and the bits of a place below a whole cell. A map of 2000
+        cells is read within 0.01 cells of where the 64 bits read it.
     """
-    wide = points.astype(np.int64)
-    middle = (wide.min(axis=0) + wide.max(axis=0)) // 2 if len(wide) else np.zeros(2, np.int64)
-    near = wide - middle
-    # By columns, each one stretch of memory; in float64, which adds and multiplies in lanes and is
-    # exact, as no place is beyond 2^53.
+    # All by columns, each one stretch of memory, which is what makes minima and sums quick.
+    near = np.array(points.T, dtype=np.int64, order="C")
+    middle = np.zeros(2, np.int64)
+    if len(points):
+        middle[:] = (near.min(axis=1) + near.max(axis=1)) // 2
+    near -= middle[:, None]
+    # In float64, which adds and multiplies in lanes and is exact, as no place is beyond 2^53.
     moved = np.array(poses.T, dtype=np.float64, order="C")
     moved[2] += moved[0] * middle[0] - moved[1] * middle[1]
     moved[3] += moved[1] * middle[0] + moved[0] * middle[1]
-    reach = int(np.abs(near).max(axis=0, initial=0).sum())
+    reach = int(np.abs(near).max(axis=1, initial=0).sum())
     farthest = _largest(moved[:2]) * reach + _largest(moved[2:])
     drop = max(1, (farthest // NARROW_LIMIT).bit_length())
     moved *= 0.5**drop
     moved += 0.5
     narrow = np.empty((len(poses), 4), dtype=np.int32)
     narrow.T[:] = np.floor(moved, out=moved)
-    return near.astype(np.int32), narrow, FIXED_TO_CELL_SHIFT - drop
+    return near.astype(np.int32).T, narrow, FIXED_TO_CELL_SHIFT - drop
 
 
 def _largest(values: F64) -> int:

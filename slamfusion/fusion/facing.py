@@ -55,9 +55,11 @@ def facings(
     out = cv2.resize(
         faces, None, fx=side, fy=side, interpolation=cv2.INTER_NEAREST
     )[:height, :width]  # fmt: skip
-    near = (NEAR * REACH_SQUARES * side) ** 2
-    out[(out == FACES_NOWHERE) & ((distance2 > near) | (cells < 0))] = 0
-    return np.ascontiguousarray(out)
+    # A whole number: against another kind all distances would be turned into that.
+    near2 = int((NEAR * REACH_SQUARES * side) ** 2)
+    says_nothing = (distance2 > near2) | (cells < 0)
+    says_nothing &= out == FACES_NOWHERE
+    return np.multiply(out, ~says_nothing, order="C")
 
 
 def _free_shares(cells: npt.NDArray[np.int8], side: int) -> npt.NDArray[np.float32]:
@@ -92,4 +94,4 @@ def _clearer(
 def facing_parts(angles: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
     """Return angles, rad, from 0 on, in parts of a turn, of which there are ``FACING_PARTS``."""
     parts = angles * np.float32(FACING_PARTS / (2.0 * np.pi)) + np.float32(0.5)
-    return parts.astype(np.uint8) % np.uint8(FACING_PARTS)
+    return parts.astype(np.uint8) & np.uint8(FACING_PARTS - 1)

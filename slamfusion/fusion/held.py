@@ -20,7 +20,7 @@ from slamfusion.fusion.features import GridFeatures, spread_sample
 from slamfusion.fusion.measure import NEAR_CELLS_MIN, NEAR_M
 from slamfusion.fusion.motions import invert, to_lattice
 
-__all__ = ["held_by", "held_m", "wall_normals"]
+__all__ = ["disc_around", "held_by", "held_m", "wall_normals", "walls_around"]
 
 U8 = npt.NDArray[np.uint8]
 I32 = npt.NDArray[np.int32]
@@ -64,7 +64,7 @@ def _met(own: GridFeatures, other: GridFeatures, lattice: F64, cancel: CancelTok
     (pose,) = fixed_poses(lattice)
     rows, cols = fixed_cells(pose, points[:, 0].astype(np.int64), points[:, 1].astype(np.int64))
     reach = max(NEAR_M / size, NEAR_CELLS_MIN)
-    around = _around(rows, cols, other.grid.solid, _disc(reach))
+    around = walls_around(rows, cols, other.grid.solid, disc_around(reach))
     met = points[around.any(axis=1)]
     if not len(met):
         return np.zeros((2, 2))
@@ -86,8 +86,8 @@ def wall_normals(points: I32, walls: U8, reach: float) -> F64:
         (N, 2, 2) the product of a unit normal with itself at a point of a line; half the identity
         where the walls around a point run more than one way.
     """
-    dx, dy = disc = _disc(reach)
-    weight = _around(points[:, 1] // 2, points[:, 0] // 2, walls, disc).astype(np.float64)
+    dx, dy = disc = disc_around(reach)
+    weight = walls_around(points[:, 1] // 2, points[:, 0] // 2, walls, disc).astype(np.float64)
     moments = weight @ np.stack((np.ones(len(dx)), dx, dy, dx * dx, dx * dy, dy * dy), axis=1)
     count = np.maximum(moments[:, 0], 1.0)
     x, y, xx, xy, yy = (moments[:, k] / count for k in range(1, 6))
@@ -101,7 +101,7 @@ def wall_normals(points: I32, walls: U8, reach: float) -> F64:
     return np.where(is_line[:, None, None], tensor, 0.5 * np.eye(2))
 
 
-def _disc(reach: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def disc_around(reach: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return x and y (K,) of the cells within a distance of one, cells."""
     side = np.arange(-int(reach), int(reach) + 1)
     x, y = (axis.ravel() for axis in np.meshgrid(side, side))
@@ -109,19 +109,26 @@ def _disc(reach: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     return x[is_near], y[is_near]
 
 
-def _around(
+def walls_around(
     rows: npt.NDArray[np.integer],
     cols: npt.NDArray[np.integer],
     walls: U8,
     disc: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
 ) -> npt.NDArray[np.bool_]:
     """Return (N, K) whether a wall stands in each cell around some cells; none does off the map."""
-    x, y = cols[:, None] + disc[0], rows[:, None] + disc[1]
     height, width = walls.shape
+    reach = int(disc[0].max())
+    found = np.empty((len(rows), len(disc[0])), dtype=np.bool_)
+    # Most see nothing beyond the edge, and one number is the place of each cell that they see.
+    inner = (rows >= reach) & (rows < height - reach) & (cols >= reach) & (cols < width - reach)
+    places = rows[inner].astype(np.int64) * width + cols[inner]
+    found[inner] = walls.ravel().take(places[:, None] + (disc[1] * width + disc[0])) != 0
+    outer = ~inner
+    x, y = cols[outer, None] + disc[0], rows[outer, None] + disc[1]
     is_inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-    return np.asarray(
-        (walls[np.where(is_inside, y, 0), np.where(is_inside, x, 0)] != 0) & is_inside
-    )
+    on_map = walls[np.where(is_inside, y, 0), np.where(is_inside, x, 0)] != 0
+    found[outer] = on_map & is_inside
+    return found
 
 
 def held_m(normals: F64) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -121,7 +122,7 @@ class Standing:
         """The same of the others in the window alone."""
         return self._better_than(self.inside)
 
-    @property
+    @cached_property
     def better(self) -> float:
         """Pieces that say that the answer is better than any other, and than none."""
         return self._better_than(self.others)

@@ -42,6 +42,7 @@ __all__ = [
     "coarse_search",
     "coarse_step",
     "finer_step",
+    "greatest_rows",
     "inside",
     "score_motions",
     "search",
@@ -76,6 +77,8 @@ WIDTHS_M, WALL_CELLS_MIN = (0.15, 0.45), 1.5
 SETTLED = (8, 4, 10)
 # Shifts at each yaw at which walls are parallel.
 PARALLEL = 24
+# One of so many values is looked at first where the greatest of many are sought.
+SAMPLED = 16
 FINE_TOP = 255
 FINE_POINTS = 4096
 WINDOW_SLACK_CELLS = 2.0
@@ -180,7 +183,7 @@ def coarse_search(
     is_cut = _is_filled(reference, moving, step, COARSE_CHANCE_MAX, cancel)
     scores = score_shifts(reference, moving, step, window, device, cancel)
     flat = scores.evidence.ravel()
-    order = _most(flat, DOUBTED_OF * DESCENT[0][0])
+    order = greatest_rows(flat, DOUBTED_OF * DESCENT[0][0])
     start = _Leads(scores.motions(order), flat[order], step, scores.yaw_step)
     leads, doubted = _descend(reference, moving, start, device, cancel)
     if is_cut:
@@ -291,14 +294,23 @@ def _joined(
     return joined, _doubted(reference, moving, motions, step, points, device, cancel)
 
 
-def _most(values: F64, most: int) -> npt.NDArray[np.intp]:
+def greatest_rows(values: F64, most: int) -> npt.NDArray[np.intp]:
     """Return the indices of the greatest values, greatest first, the earlier of equals first."""
     if len(values) > most:
-        least = np.partition(values, len(values) - most)[len(values) - most]
+        # Above what a sample has twice as many above, few are left to be parted.
+        some = values[::SAMPLED]
+        likely = values[values >= _greatest(some, min(len(some), 2 * most // SAMPLED + 1))]
+        least = _greatest(likely if len(likely) >= most else values, most)
         chosen = np.nonzero(values >= least)[0]
     else:
         chosen = np.arange(len(values))
     return chosen[np.argsort(-values[chosen], kind="stable")][:most]
+
+
+def _greatest(values: F64, rank: int) -> float:
+    """Return the greatest value, the second greatest or another; the greatest has rank 1."""
+    place = len(values) - rank
+    return float(np.partition(values, place)[place])
 
 
 def _doubted(

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamfusion.fusion.held import held_m, wall_normals
+from slamfusion.fusion.held import disc_around, held_m, wall_normals, walls_around
 
 SIZE, REACH = 0.05, 7
 
@@ -81,3 +81,13 @@ def test_walls_at_the_edge_of_the_map_are_looked_at_inside_of_it() -> None:
     walls = blank()
     walls[0, :] = 1
     assert held(walls) < 0.02
+
+
+def test_a_map_is_seen_from_off_it_as_if_nothing_stood_around_it() -> None:
+    rng = np.random.default_rng(3)
+    walls, edge = (rng.random((30, 41)) < 0.2).astype(np.uint8), 60
+    rows, cols = rng.integers(-edge, 30 + edge, 3000), rng.integers(-edge, 41 + edge, 3000)
+    disc = disc_around(4.5)
+    wide = np.pad(walls, edge + 5)
+    expected = wide[rows[:, None] + disc[1] + edge + 5, cols[:, None] + disc[0] + edge + 5] != 0
+    np.testing.assert_array_equal(walls_around(rows, cols, walls, disc), expected)

@@ -19,10 +19,12 @@ from slamfusion.fusion.search import (
     DOUBT,
     FINE_TOP,
     FINER_CHANCE_MAX,
+    SAMPLED,
     SETTLED,
     SearchWindow,
     coarse_search,
     coarse_step,
+    greatest_rows,
     inside,
     score_motions,
     search,
@@ -382,3 +384,18 @@ def test_a_level_that_takes_too_long_is_not_searched(
     assert (coarse.step, coarse.is_cut) == (step, True)
     plain = features_of(building(1), device)
     assert not coarse_search(plain, plain, CONFIG, OPEN, device).is_cut
+
+
+@pytest.mark.parametrize("most", [1, 40, 700])
+@pytest.mark.parametrize("kind", ["few values", "sorted", "the sample lies low", "high"])
+def test_the_greatest_are_the_first_of_a_stable_sort(kind: str, most: int):
+    values = np.random.default_rng(most).integers(0, 300, 2000).astype(np.float64)
+    if kind == "sorted":
+        values.sort()
+    elif kind != "few values":
+        values[::SAMPLED] = 1e6 if kind == "high" else -1.0
+    expected = np.argsort(-values, kind="stable")[:most]
+    np.testing.assert_array_equal(greatest_rows(values, most), expected)
+    np.testing.assert_array_equal(
+        greatest_rows(values[:30], most), np.argsort(-values[:30], kind="stable")[:most]
+    )

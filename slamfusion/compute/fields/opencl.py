@@ -64,10 +64,12 @@ class OpenCLFields(OpenCLQueue):
         height, width = walls.shape
         padded = -(-width // DISTANCE_LANES) * DISTANCE_LANES
         source = walls if padded == width else self._repitch(walls, padded)
-        columns = self.empty((height, padded), np.uint16)
+        # Beyond both edges no wall is within reach.
+        reached = padded + 2 * DISTANCE_MAX
+        columns = self.empty((height, reached), np.uint16)
         squared = self.empty((height, padded), np.uint16)
         sizes = (np.int32(height), np.int32(padded))
-        self._launch("distance_columns", (padded // DISTANCE_LANES,), source, *sizes, columns)
+        self._launch("distance_columns", (reached // DISTANCE_LANES,), source, *sizes, columns)
         size = (padded // DISTANCE_LANES, height)
         self._launch("distance_rows", size, columns, *sizes, np.int32(reach), squared)
         return squared if padded == width else self._repitch(squared, width)

@@ -212,7 +212,7 @@ class OpenCLSearch(OpenCLQueue):
         sizes = [np.int32(v) for v in (*side.field.shape, side.base, CHUNK_SCORED, chunks)]
         self._launch(
             "pose_scores",
-            (chunks, n),
+            (chunks * n,),
             self.upload(planes),
             *before,
             self.upload(narrow),
