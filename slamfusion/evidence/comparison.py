@@ -23,8 +23,8 @@ F64 = npt.NDArray[np.float64]
 # for a tenth of the drive is wrong in many of them.
 BLOCKS = 96
 DRAWS = 2000
-# Below this a difference counts as one.
-SIGNIFICANT = 0.05
+# Below this a difference counts as one; below the second one it also decides something.
+SIGNIFICANT, SURE = 0.05, 0.01
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.evidence.beams import CHUNKS
-from slamfusion.evidence.comparison import BLOCKS, compare_sums
+from slamfusion.evidence.comparison import BLOCKS, SURE, compare_sums
 from slamfusion.evidence.parting import PART_M, long_runs
 from slamfusion.evidence.path_frames import pose_distances
 from slamfusion.evidence.predictive import PathEvidence, without_scans
@@ -55,8 +55,6 @@ BEGINNINGS, FITS = 8, 20
 # Of two fits the one from the earlier part, unless the other takes in more poses by this factor: of
 # a path that broke in two equal halves, the second one is wrong.
 MORE_POSES = 1.05
-# The scans take a vote where their difference is less likely than this by chance: many are asked.
-SURE = 0.01
 # With fewer blocks of scans than this, the scans are not asked about a time.
 LEAST_BLOCKS = 4
 # And where their difference is greater than this, log-likelihood of a hit: what scan matchers fit

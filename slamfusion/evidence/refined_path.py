@@ -265,10 +265,14 @@ def _turned_to(normals: F64, tilts: F64) -> F64:
 def _lines(of: I64, count: int, sides_m: F64, across_m: F64, weights: F64) -> F64:
     """Return height and tilt of the line through the hits of each patch, (P, 2)."""
     inverse = _line_inverses(of, count, sides_m, weights)
-    right = np.stack(
-        [np.bincount(of, weights * part, count) for part in (across_m, across_m * sides_m)], axis=1
-    )
+    right = _line_sums(of, count, sides_m, weights * across_m)
     return np.asarray(np.einsum("pab,pb->pa", inverse, right))
+
+
+def _line_sums(of: I64, count: int, sides_m: F64, values: F64) -> F64:
+    """Return the right side of each patch's equations of height and tilt, (P, 2), for values."""
+    parts = (values, values * sides_m)
+    return np.stack([np.bincount(of, part, count) for part in parts], axis=1).astype(np.float64)
 
 
 def _line_inverses(of: I64, count: int, sides_m: F64, weights: F64) -> F64:
@@ -336,14 +340,9 @@ def _step(hits: _Hits, poses: F64, equations: MotionEquations, number: int) -> t
         return np.concatenate((own - across @ calibration, calibration))
 
     size = (3 * count + 2, 3 * count + 2)
-    of_lines = np.stack(
-        [
-            np.bincount(patches.of, patches.weights * patches.away_m * part, patches.count)
-            for part in by_line.T
-        ],
-        axis=1,
-    )
-    slopes = slope.ravel() - through_lines(of_lines.astype(np.float64))
+    pulls = patches.weights * patches.away_m
+    of_lines = _line_sums(patches.of, patches.count, patches.sides_m, pulls)
+    slopes = slope.ravel() - through_lines(of_lines)
     step, _ = scipy.sparse.linalg.cg(
         scipy.sparse.linalg.LinearOperator(size, matvec=times, dtype=np.float64),
         -np.concatenate((slopes, equations.end)),

@@ -57,7 +57,7 @@ def test_a_path_that_the_scans_speak_against_is_not_taken(
     assert found.evidence.scores["fused"].consistency == plain.consistency
     assert tuple(found.evidence.scores) == ("other", "fused")
     # What comes by chance more often than once in a hundred times speaks against neither.
-    monkeypatch.setattr(refinement, "SURELY", found.comparison.p_value)
+    monkeypatch.setattr(refinement, "SURE", found.comparison.p_value)
     assert refine_borne_out(evidence, given, device).is_taken
     assert found.to_json() == {
         "taken": False,
