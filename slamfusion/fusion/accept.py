@@ -419,7 +419,10 @@ def _not_alone(evidence: Evidence, wrong: float) -> Decision:
             f"it {wrong:.2g} wrong answers are to be expected",
         )
     is_fit = evidence.share >= SHARE_FIT
-    if is_fit and evidence.ratio < RIVAL_RATIO:
+    # Where each piece counted whole, too: of maps that leave much unexplained, none counts much.
+    whole = replace(evidence, share=1.0, is_plain=False, is_sharp=False)
+    is_little = _wrong(whole, evidence.better) >= EXPECTED_WRONG_MAX
+    if is_fit and is_little and evidence.ratio < RIVAL_RATIO:
         return _refused(
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, of "

@@ -210,6 +210,12 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
         "too little in common",
         "of 7.1 independent pieces of wall 2.4 tell it",
     ),
+    # Many pieces, of which each counts little where old maps leave much unexplained (recorded).
+    (
+        SHARP | {"share": 0.63, "witnesses": 78.8, "better": 32.1, "ratio": 0.441, "pairs": 6},
+        "ambiguous",
+        "explains 44% of it",
+    ),
     # Two pieces a metre of wall are the most, and no rival took any.
     (
         GOOD | {"share": 0.95, "common_m": 1.3, "better": 2.6, "ratio": 0.0, "rival": None},
