@@ -25,7 +25,12 @@ def test_it_is_a_node_with_its_own_parameters(
     python = with_own_producer(tmp_path / "venv")
     heard = observer.collect(OccupancyGrid, f"{NAME}/map", qos.MAP)
     log = write_log(tmp_path, 20)
-    words = ["-p", f"{NAME}.resolution:=0.1", "-p", "map_update_interval_s:=0.2"]
+    parameters = {
+        f"{NAME}.resolution": 0.1,
+        "map_update_interval_s": 0.2,
+        "scans_stale_s": 600.0,  # the log may have ended long before the status is looked at
+    }
+    words = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
     command = [str(python), "-m", "slamfusion", "node", NAME, "--ros-args", *words]
     producer = processes.start(NAME, command)
     player = processes.node("player", file=str(log), lockstep=True, wait_for=[NAME])
@@ -34,7 +39,7 @@ def test_it_is_a_node_with_its_own_parameters(
     assert message.header.frame_id == f"{NAME}_map"
     assert message.info.resolution == pytest.approx(0.1)
     assert {-1, 0, 100} == set(message.data)
-    status = observer.wait_status(f"{NAME}: slam")
+    status = observer.wait_status(f"{NAME}: slam", "mapping")
     assert status.hardware_id == NAME
     assert status.level == DiagnosticStatus.OK, status.message
     assert producer.interrupt() == 0
