@@ -422,12 +422,21 @@ def _not_alone(evidence: Evidence, wrong: float) -> Decision:
     # Where each piece counted whole, too: of maps that leave much unexplained, none counts much.
     whole = replace(evidence, share=1.0, is_plain=False, is_sharp=False)
     is_little = _wrong(whole, evidence.better) >= EXPECTED_WRONG_MAX
-    if is_fit and is_little and evidence.ratio < RIVAL_RATIO:
+    is_alone = evidence.ratio < RIVAL_RATIO
+    if is_fit and is_alone and is_little:
         return _refused(
             "too little in common",
             f"too little in common to judge: {evidence.common_m:.1f} m of walls, of "
             f"{evidence.witnesses:.1f} independent pieces of wall {evidence.better:.1f} tell it "
             f"from other places, the best of which explains {evidence.ratio:.0%} of it",
+        )
+    if is_fit and is_alone:
+        job = f" in a job of {evidence.pairs} pairs" if evidence.pairs > 1 else ""
+        return _refused(
+            "ambiguous",
+            f"ambiguous: {evidence.share:.0%} of what {evidence.common_m:.0f} m of common walls "
+            f"could give, too bad a fit to be sure: {wrong:.2g} wrong answers are to be expected "
+            f"to look as good{job}; the next place explains {evidence.ratio:.0%} of it",
         )
     if is_fit and evidence.rival is not None:
         return _refused(
