@@ -182,7 +182,13 @@ def _reported(run: LogRun) -> RunReport:
         doubled=None
         if run.doubled is None
         else (run.doubled.inputs | {"fused map": run.doubled.fused}),
-        fused_path=None if run.fused_path is None else run.fused_path.trajectory,
+        fused_path=None
+        if run.fused_path is None
+        else ReportedPath(
+            run.fused_path.trajectory,
+            run.fused_path.measures.relations,
+            run.fused_path.measures.truth,
+        ),
         saved_paths=[
             ReportedPath(saved.path, saved.measures.relations, saved.measures.truth)
             for saved in run.saved_paths.values()

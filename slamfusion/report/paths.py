@@ -20,7 +20,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import INPUT_COLOURS, Rgb
+from slamfusion.palette import DISAGREEMENT_RGB, INPUT_COLOURS, Rgb
 from slamfusion.report.canvas import (
     DPI,
     INK,
@@ -43,6 +43,7 @@ from slamfusion.trajectory import Trajectory
 
 __all__ = [
     "ESTIMATE_COLOUR",
+    "FUSED_COLOUR",
     "ODOMETRY_COLOUR",
     "OTHERS_COLOUR",
     "REVISIT_COLOUR",
@@ -67,6 +68,8 @@ TRUTH_COLOUR: Rgb = (28, 126, 214)
 ODOMETRY_COLOUR: Rgb = (104, 112, 122)
 OTHERS_COLOUR: Rgb = (103, 65, 217)
 REVISIT_COLOUR: Rgb = (232, 89, 12)
+# Told apart from the colours of all inputs; no picture of paths shows where votes were divided.
+FUSED_COLOUR: Rgb = DISAGREEMENT_RGB
 INK_RGB: Rgb = (20, 22, 26)
 
 # Ends of both colour scales that would vanish on white are cut off.
@@ -189,6 +192,7 @@ def paths_picture(
 def run_paths_picture(
     paths: Sequence[Trajectory],
     *,
+    fused: Trajectory | None = None,
     truth: Trajectory | None = None,
     odometry: Trajectory | None = None,
     grid: OccupancyGrid | None = None,
@@ -198,6 +202,7 @@ def run_paths_picture(
 
     Args:
         paths: at least one, all in the frame of ``grid``; the first lies on top.
+        fused: the path made of them, over them all.
         truth: the true path, dashed.
         odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
         grid: a map to draw under them.
@@ -206,8 +211,9 @@ def run_paths_picture(
     extent = path_extent(paths[0].poses)
     if grid is not None:
         extent = extent.grown(grid_extent(grid, normalize))
-    for path in (*paths[1:], *([] if truth is None else [truth])):
-        extent = extent.grown(path_extent(path.poses))
+    for path in (*paths[1:], fused, truth):
+        if path is not None:
+            extent = extent.grown(path_extent(path.poses))
     if odometry is not None:
         extent = extent.grown(path_extent(odometry.poses), _DRIFT_SHARE)
     figure, axes = map_axes(extent)
@@ -218,6 +224,8 @@ def run_paths_picture(
     for index, path in reversed(list(enumerate(paths))):
         # The lower ones are wider, so that each is seen where all lie on each other.
         layers.append((path, run_colour(index), 1.0 + 1.2 * index / max(1, last), "-"))
+    if fused is not None:
+        layers.append((fused, FUSED_COLOUR, 0.8, "-"))
     for path, colour, width, style in layers:
         x, y = path.poses[:, 0], path.poses[:, 1]
         axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
@@ -300,10 +308,12 @@ def paths_legend(*, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
 
 
 def run_paths_legend(
-    names: Sequence[str], *, truth: bool, odometry: bool
+    names: Sequence[str], *, fused: bool, truth: bool, odometry: bool
 ) -> tuple[LegendEntry, ...]:
     """Return what the colours of ``run_paths_picture`` mean."""
     entries = [LegendEntry(name, run_colour(index)) for index, name in enumerate(names)]
+    if fused:
+        entries.append(LegendEntry("fused path", FUSED_COLOUR))
     if truth:
         entries.append(LegendEntry("truth, dashed", INK_RGB))
     if odometry:

@@ -37,7 +37,7 @@ class ReportedRun:
 
 @dataclass(frozen=True, eq=False)
 class ReportedPath:
-    """A path that another SLAM found with its saved map.
+    """A path that another SLAM found with its saved map, or the one made of all.
 
     Attributes:
         path: in the frame of the map, named as it is.
@@ -86,7 +86,7 @@ class RunReport:
     pairs: Sequence[Alignment] = ()
     gaps: Sequence[PathGap] = ()
     doubled: Mapping[str, float] | None = None
-    fused_path: Trajectory | None = None
+    fused_path: ReportedPath | None = None
     saved_paths: Sequence[ReportedPath] = ()
     verdict: Verdict | None = None
     evaluations: Sequence[MapError] = ()
@@ -95,3 +95,14 @@ class RunReport:
     warnings: Sequence[tuple[str, str]] = ()
     stages: Mapping[str, float] = field(default_factory=dict)
     device: str = ""
+
+    @property
+    def measured_paths(self) -> list[tuple[str, ReportedRun | ReportedPath]]:
+        """The paths of the producers and of saved maps by name, and the one made of them."""
+        named: list[tuple[str, ReportedRun | ReportedPath]] = [
+            *((item.run.name, item) for item in self.runs),
+            *((item.path.name, item) for item in self.saved_paths),
+        ]
+        if self.fused_path is not None:
+            named.append(("fused path", self.fused_path))
+        return named

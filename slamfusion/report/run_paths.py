@@ -13,7 +13,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.report import paths
 from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.page import Cell, Picture, Section, Table, number
-from slamfusion.report.run_contents import ReportedPath, ReportedRun, RunReport
+from slamfusion.report.run_contents import ReportedRun, RunReport
 from slamfusion.report.series import series_picture
 from slamfusion.report.trajectory_report import FIGURES, figure_cells
 from slamfusion.slam.common.mapper import Series
@@ -117,10 +117,12 @@ def _together(
             "Raw odometry is laid on its start; drift far beyond the picture is cut off."
         )
     result = report.result
+    fused = None if report.fused_path is None else report.fused_path.path
     return Picture(
         "paths",
         paths.run_paths_picture(
             shown,
+            fused=fused,
             truth=truth,
             odometry=odometry,
             grid=None if result is None else result.fused,
@@ -129,7 +131,10 @@ def _together(
         "The paths over the fused map",
         " ".join(sentences),
         legend=paths.run_paths_legend(
-            names, truth=truth is not None, odometry=odometry is not None
+            names,
+            fused=fused is not None,
+            truth=truth is not None,
+            odometry=odometry is not None,
         ),
     )
 
@@ -137,11 +142,7 @@ def _together(
 def path_errors_section(report: RunReport) -> list[Section]:
     """Return the errors of all paths in one table, and of each relation over time."""
     rows, pictures = [], []
-    named: list[tuple[str, ReportedRun | ReportedPath]] = [
-        *((item.run.name, item) for item in report.runs),
-        *((item.path.name, item) for item in report.saved_paths),
-    ]
-    for name, item in named:
+    for name, item in report.measured_paths:
         if item.relations is not None:
             errors = item.relations
             used = f"{errors.relations_used} of {errors.relations_total}"

@@ -164,8 +164,8 @@ def _facts(report: RunReport) -> list[Fact]:
             Fact(f"{widest:.2f} m", "between the paths in the fused map, at most (median)")
         )
     facts += [
-        Fact(f"{item.relations.translation.mean:.4f} m", f"{item.run.name}: error of relations")
-        for item in report.runs
+        Fact(f"{item.relations.translation.mean:.4f} m", f"{name}: error of relations")
+        for name, item in report.measured_paths
         if item.relations is not None
     ]
     facts += [
@@ -190,7 +190,7 @@ def _maps_section(report: RunReport, config: RunConfig) -> Section:
     found |= {item.path.name: item.path for item in report.saved_paths}
     paths = {name: path for name, path in found.items() if name in voted}
     if report.fused_path is not None:
-        paths[FUSED_PATH] = report.fused_path
+        paths[FUSED_PATH] = report.fused_path.path
     section = fused_section(result, shown_box(result), paths)
     fused, *others = section.pictures
     inputs = inputs_section(result, config).pictures

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from slamfusion.config import NormalizeConfig, RunConfig
-from slamfusion.evaluation import compare_to_truth, trajectory_errors
+from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, trajectory_errors
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
+from slamfusion.report.run_contents import ReportedPath
 from slamfusion.report.run_report import ReportedRun, RunReport, write_run_report
 from slamfusion.slam.common.runner import ProducerRun, run_producer
+from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, REASON, fusion, room
 from tests.report.test_reports import check_scripts, read
 from tests.support.producers import DeadReckoning, room_drive
@@ -30,6 +32,11 @@ def produced(name: str, *, lost: bool = False) -> ProducerRun:
     scores = dict.fromkeys(range(20, 40), 0.1) if lost else {}
     run = run_producer(DeadReckoning(scores), room_drive(60))
     return replace(run, name=name, grid=run.grid.with_name(name))
+
+
+def standing(path: Trajectory) -> Relations:
+    """A relation that says the robot stood still from the first pose of a path to the second."""
+    return Relations(path.stamps_s[:2].reshape(1, 2), np.zeros((1, 3)))
 
 
 def everything() -> RunReport:
@@ -61,6 +68,11 @@ def everything() -> RunReport:
             }
         ),
         doubled=dict.fromkeys([*NAMES, NASTY, "fused map"], 0.125),
+        fused_path=ReportedPath(
+            runs[0].trajectory,
+            relation_errors(runs[0].trajectory, standing(runs[0].trajectory), 0.01),
+            trajectory_errors(runs[0].trajectory, truth, CONFIG.trajectory),
+        ),
         evaluations=evaluations,
         evaluation_alignments=[None, None],
         truth=truth,
@@ -107,6 +119,16 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
     ):
         assert part in text, part
     assert text.index("Fused map") < text.index("The paths over the fused map")
+
+
+def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: Path) -> None:
+    text = read(page).text
+    moved_m = float(np.hypot(*np.diff(produced(NAMES[0]).trajectory.poses[:2, :2], axis=0)[0]))
+    html = page.read_text(encoding="utf-8")
+    assert f"<b>{moved_m:.4f} m</b><span>fused path: error of relations</span>" in html
+    assert "relations (1 of 1), translation m" in text
+    assert "fused path: error along the path" in text
+    assert "fused path: error of each relation" in text
 
 
 def test_a_gap_beyond_the_limit_stands_out(page: Path) -> None:
