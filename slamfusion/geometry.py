@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 __all__ = [
     "Pose2",
+    "blend_poses",
     "compose_poses",
     "fit_motion",
     "invert_poses",
@@ -68,6 +69,22 @@ def invert_poses(poses: npt.ArrayLike) -> npt.NDArray[np.float64]:
     cos, sin = np.cos(given[..., 2]), np.sin(given[..., 2])
     x, y = given[..., 0], given[..., 1]
     return np.stack((-cos * x - sin * y, sin * x - cos * y, wrap_angles(-given[..., 2])), axis=-1)
+
+
+def blend_poses(
+    first: npt.NDArray[np.float64],
+    second: npt.NDArray[np.float64],
+    share: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float64]:
+    """Return poses between two, (M, 3): on the straight way, turning at one rate the short way.
+
+    Args:
+        first, second: (M, 3) float64, x and y in metres, yaw in radians.
+        share: (M,) float64, 0 is the first, 1 the second.
+    """
+    away = second - first
+    away[:, 2] = wrap_angles(away[:, 2])
+    return np.asarray(first + share[:, None] * away)
 
 
 def moved_poses(motion: Pose2, poses: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import JudgedScans
-from slamfusion.geometry import compose_poses, invert_poses, travelled, wrap_angles
+from slamfusion.geometry import blend_poses, compose_poses, invert_poses, travelled, wrap_angles
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["CoveredPath", "cover_stamps", "no_common_time"]
@@ -76,7 +76,7 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
     if scans.odometry is None:
         wide_s = path.stamps_s[after[gap]] - path.stamps_s[before[gap]]
         gap = gap[is_between[gap] & (wide_s <= BETWEEN_S)]
-        poses[gap] = _blend(
+        poses[gap] = blend_poses(
             path.poses[before[gap]],
             path.poses[after[gap]],
             _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap]),
@@ -86,7 +86,7 @@ def cover_stamps(path: Trajectory, scans: JudgedScans) -> CoveredPath:
         onward = _carried(path.poses[before[gap]], there[before[gap]], scans.odometry[gap])
         backward = _carried(path.poses[after[gap]], there[after[gap]], scans.odometry[gap])
         share = _shares(path.stamps_s, before[gap], after[gap], stamps_s[gap])
-        poses[gap] = _blend(onward, backward, share)
+        poses[gap] = blend_poses(onward, backward, share)
         beyond = gap[~is_between[gap] & _is_far(scans, path, gap)]
         poses[beyond] = np.nan
     return CoveredPath(poses, is_own, np.isfinite(poses[:, 0]))
@@ -115,13 +115,6 @@ def _shares(
     return np.clip(np.where(wide_s > 0.0, passed, 0.0), 0.0, 1.0)
 
 
-def _blend(first: F64, second: F64, share: F64) -> F64:
-    """Return poses between two, (M, 3): all of the first at share 0, of the second at 1."""
-    away = second - first
-    away[:, 2] = wrap_angles(away[:, 2])
-    return np.asarray(first + share[:, None] * away)
-
-
 def _carried(poses: F64, odometry_there: F64, odometry_here: F64) -> F64:
     """Return poses carried on by the motion that the wheels tell from there to here."""
     return compose_poses(poses, compose_poses(invert_poses(odometry_there), odometry_here))
@@ -133,7 +126,7 @@ def _odometry_at(scans: JudgedScans, stamps_s: F64) -> F64:
     assert known is not None  # noqa: S101 - asked for with odometry only
     after = np.clip(np.searchsorted(scans.stamps_s, stamps_s), 1, len(scans) - 1)
     share = _shares(scans.stamps_s, after - 1, after, stamps_s)
-    return _blend(known[after - 1], known[after], share)
+    return blend_poses(known[after - 1], known[after], share)
 
 
 def _is_far(scans: JudgedScans, path: Trajectory, at: npt.NDArray[np.int64]) -> B8:

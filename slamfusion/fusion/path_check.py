@@ -38,7 +38,14 @@ from slamfusion.fusion.records import (
     RunnerUp,
 )
 from slamfusion.fusion.start import Starts
-from slamfusion.geometry import Pose2, fit_motion, moved_poses, with_levers, wrap_angles
+from slamfusion.geometry import (
+    Pose2,
+    blend_poses,
+    fit_motion,
+    moved_poses,
+    with_levers,
+    wrap_angles,
+)
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
 
@@ -54,8 +61,11 @@ __all__ = [
     "place_by_path",
 ]
 
-# Poses farther apart in time are of two places, seconds: a path need not be told for the whole
-# drive.
+# Of two paths each pose of one is held against where the other was at its time, which is known
+# between two of its poses that are no farther apart, or beside one, seconds: a path need not be
+# told for the whole drive, and at 1 m/s the pose of a second ago is a metre away.
+BETWEEN_S, BESIDE_S = 2.0, 0.1
+# Where two paths have no such moment, poses up to this far apart in time are held together.
 TOGETHER_S = 1.0
 # The wall score of a map that is placed by its path. Bent maps of one drive have 0.42 or more;
 # where the paths of a lost one pass all the same, the walls score 0.36 at most.
@@ -87,8 +97,8 @@ class PathGap:
 
     Attributes:
         a, b: the producers.
-        stamps_s: (N,) float64, of the poses of ``a`` at whose time ``b`` has one.
-        gaps_m: (N,) float64, distance to the pose of ``b`` nearest in time.
+        stamps_s: (N,) float64, of the poses of ``a`` at whose time it is known where ``b`` is.
+        gaps_m: (N,) float64, distance to where ``b`` is then.
         yaw_rad: median of the differences of the headings, 0 to pi.
     """
 
@@ -143,23 +153,38 @@ def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
     """
     gaps = []
     for (a, path), (b, other) in itertools.combinations(paths.items(), 2):
-        at, near = _together(path, other)
-        apart = np.hypot(*(path.poses[at, :2] - other.poses[near, :2]).T)
-        turned = np.abs(wrap_angles(path.poses[at, 2] - other.poses[near, 2]))
+        at, there = _together(path, other)
+        apart = np.hypot(*(path.poses[at, :2] - there[:, :2]).T)
+        turned = np.abs(wrap_angles(path.poses[at, 2] - there[:, 2]))
         gaps.append(PathGap(a, b, path.stamps_s[at], apart, float(np.median(turned))))
     return tuple(gaps)
 
 
 def _together(
     path: Trajectory, other: Trajectory
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the poses of a path, and of each the one of another nearest in time, as indices.
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Return poses of a path, as indices, and where another path was at their times, (M, 3).
 
-    Those within ``TOGETHER_S`` of each other; all where there are none.
+    That is known as ``BETWEEN_S`` and ``BESIDE_S`` say; where it never is, the pose nearest in time
+    counts within ``TOGETHER_S``, and of all where there are none.
     """
-    near, is_together = other.matches(path.stamps_s, TOGETHER_S)
-    at = np.flatnonzero(is_together) if is_together.any() else np.arange(len(path))
-    return at, near[at]
+    stamps_s, known_s = path.stamps_s, other.stamps_s
+    near, is_beside = other.matches(stamps_s, BESIDE_S)
+    there = other.poses[near]
+    after = np.searchsorted(known_s, stamps_s)
+    is_between = (after > 0) & (after < len(other))
+    after = np.clip(after, 1, max(1, len(other) - 1))
+    wide_s = known_s[np.minimum(after, len(other) - 1)] - known_s[after - 1]
+    between = np.flatnonzero(is_between & (wide_s > 0.0) & (wide_s <= BETWEEN_S))
+    after = after[between]
+    share = (stamps_s[between] - known_s[after - 1]) / wide_s[between]
+    there[between] = blend_poses(other.poses[after - 1], other.poses[after], share)
+    is_known = is_beside
+    is_known[between] = True
+    if not is_known.any():
+        _, is_known = other.matches(stamps_s, TOGETHER_S)
+    at = np.flatnonzero(is_known) if is_known.any() else np.arange(len(path))
+    return at, there[at]
 
 
 def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
@@ -167,14 +192,14 @@ def fit_paths(moving: Trajectory, still: Trajectory) -> Pose2:
 
     Args:
         moving, still: paths of one drive, at least one pose each; each pose of ``moving`` goes with
-            the pose of ``still`` nearest in time, where that is within ``TOGETHER_S``.
+            where ``still`` was at its time, as far as that is known.
 
     Returns:
         Maps a point of the frame of ``moving`` into that of ``still``: least squares of places and
         headings.
     """
-    at, near = _together(moving, still)
-    return fit_motion(with_levers(moving.poses[at]), with_levers(still.poses[near]))
+    at, there = _together(moving, still)
+    return fit_motion(with_levers(moving.poses[at]), with_levers(there))
 
 
 def place_by_path(

@@ -14,7 +14,7 @@ from slamfusion.report import paths
 from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.page import Cell, Picture, Section, Table, number
 from slamfusion.report.run_contents import ReportedRun, RunReport
-from slamfusion.report.series import series_picture
+from slamfusion.report.series import broken, series_picture
 from slamfusion.report.trajectory_report import FIGURES, figure_cells
 from slamfusion.slam.common.mapper import Series
 
@@ -56,8 +56,7 @@ def paths_section(report: RunReport, config: RunConfig) -> Section:
             Series(
                 f"{gap.a} to {gap.b}",
                 "m",
-                gap.stamps_s,
-                gap.gaps_m,
+                *broken(gap.stamps_s, gap.gaps_m),
                 limit_m if gap.max_m > limit_m else None,
             )
             for gap in report.gaps
@@ -69,7 +68,8 @@ def paths_section(report: RunReport, config: RunConfig) -> Section:
                 series_picture(over_time, start_s=start_s),
                 "Distance between the paths in the fused map",
                 "All producers rode on one robot: where two paths part, one of the two, or the "
-                "alignment of their maps, is wrong there.",
+                "alignment of their maps, is wrong there. A line is broken where one of the two "
+                "has no vote, or no pose.",
             )
         )
         rows = [

@@ -21,7 +21,7 @@ from slamfusion.report.canvas import (
 )
 from slamfusion.slam.common.mapper import Series
 
-__all__ = ["LINE_COLOUR", "drawable", "series_picture"]
+__all__ = ["LINE_COLOUR", "broken", "drawable", "series_picture"]
 
 LINE_COLOUR: Rgb = (28, 126, 214)
 
@@ -30,11 +30,25 @@ _AXES_IN, _HEAD_IN, _FOOT_IN = 1.05, 0.25, 0.4
 # Half the columns of a picture: each shows the least and the greatest of what falls on it.
 _COLUMNS = 400
 _FEW = 50
+# No line is drawn over a time so much longer than that between most values, and than this, seconds.
+_PAUSE, _PAUSE_S = 5.0, 2.0
 
 
 def drawable(series: Sequence[Series]) -> list[Series]:
     """Return the series that have a value to be drawn."""
     return [item for item in series if np.isfinite(item.values).any()]
+
+
+def broken(
+    stamps_s: npt.NDArray[np.float64], values: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return values over time, (N,), with NaN in each pause, where nothing is known."""
+    steps_s = np.diff(stamps_s)
+    if not len(steps_s):
+        return stamps_s, values
+    pauses = np.flatnonzero(steps_s > max(_PAUSE_S, _PAUSE * float(np.median(steps_s))))
+    middle_s = stamps_s[pauses] + 0.5 * steps_s[pauses]
+    return np.insert(stamps_s, pauses + 1, middle_s), np.insert(values, pauses + 1, np.nan)
 
 
 def series_picture(series: Sequence[Series], *, start_s: float | None = None) -> bytes:
@@ -98,7 +112,10 @@ def _span(item: Series) -> tuple[float, float]:
 def _thinned(
     x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return few enough points for the picture; of each run of them the least and the greatest."""
+    """Return few enough points for the picture; of each run of them the least and the greatest.
+
+    Where a value of a run is not finite, the first such one is kept, too.
+    """
     step = -(-len(x) // _COLUMNS)
     if step <= 2:
         return x, y
@@ -107,7 +124,7 @@ def _thinned(
     known = np.isfinite(rows)
     low = np.argmin(np.where(known, rows, np.inf), axis=1)
     high = np.argmax(np.where(known, rows, -np.inf), axis=1)
-    pair = np.sort(np.stack((low, high), axis=1), axis=1)
-    kept = (pair + step * np.arange(len(rows))[:, None]).ravel()
-    kept = np.append(kept, np.arange(count, len(x)))
+    gap = np.where(known.all(axis=1), low, np.argmin(known, axis=1))
+    kept = np.stack((low, high, gap), axis=1) + step * np.arange(len(rows))[:, None]
+    kept = np.append(np.unique(kept), np.arange(count, len(x)))
     return x[kept], y[kept]

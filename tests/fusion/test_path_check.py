@@ -13,6 +13,8 @@ from slamfusion.errors import AlignmentError
 from slamfusion.fusion import fuse_grids
 from slamfusion.fusion.consistency import PATH_GAP
 from slamfusion.fusion.path_check import (
+    BESIDE_S,
+    BETWEEN_S,
     TOGETHER_S,
     PathsApartError,
     agreeing,
@@ -59,7 +61,7 @@ def test_gaps_are_measured_between_the_poses_of_one_moment() -> None:
     }  # fmt: skip
 
 
-def test_a_path_with_fewer_poses_is_met_by_the_nearest_in_time() -> None:
+def test_a_path_with_fewer_poses_is_met_at_their_times() -> None:
     few = Trajectory(TRUE_PATH.stamps_s[::10], TRUE_PATH.poses[::10], "few")
     (gap,) = path_gaps({"a": few, "b": TRUE_PATH})
     assert len(gap.gaps_m) == 5
@@ -74,6 +76,39 @@ def test_of_a_path_that_is_told_in_part_that_part_counts() -> None:
         assert gap.max_m < 0.11
     fitted = fit_paths(moved_path(TRUE_PATH, Pose2(3.0, -1.0, 0.4)), half)
     assert fitted.compose(Pose2(3.0, -1.0, 0.4)).x == pytest.approx(0.0, abs=0.01)
+
+
+# A robot that drives 1 m/s along x, and turns on its way.
+MOVING_S = 0.08 * np.arange(400)
+MOVING = Trajectory(
+    MOVING_S, np.stack((MOVING_S, np.zeros(400), np.linspace(-4.0, 4.0, 400)), axis=1), "moving"
+)
+
+
+def test_where_a_path_was_between_its_poses_is_known() -> None:
+    few = Trajectory(MOVING.stamps_s[3::19], MOVING.poses[3::19], "few")
+    for paths in ({"a": MOVING, "b": few}, {"a": few, "b": MOVING}):
+        (gap,) = path_gaps(paths)
+        assert gap.max_m < 0.11
+        assert gap.yaw_rad < 1e-6
+    assert len(path_gaps({"a": MOVING, "b": few})[0].gaps_m) == 383
+
+
+def test_no_pose_of_a_second_ago_counts_beside_a_time_without_any() -> None:
+    kept = np.r_[0:100, 250:400]
+    told = Trajectory(MOVING.stamps_s[kept], MOVING.poses[kept], "told")
+    (gap,) = path_gaps({"a": MOVING, "b": told})
+    assert gap.max_m <= BESIDE_S + 1e-9
+    assert len(gap.stamps_s) == 252
+
+
+@pytest.mark.parametrize(("apart", "compared"), [(24, 386), (26, 47)])
+def test_between_poses_farther_apart_nothing_is_known(apart: int, compared: int) -> None:
+    assert BETWEEN_S == 2.0
+    few = Trajectory(MOVING.stamps_s[::apart], MOVING.poses[::apart], "few")
+    (gap,) = path_gaps({"a": MOVING, "b": few})
+    assert gap.max_m < 0.11
+    assert len(gap.gaps_m) == compared
 
 
 @pytest.mark.parametrize(("later_s", "compared"), [(0.99, 1), (1.01, 50)])

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.report.series import LINE_COLOUR, drawable, series_picture
+from slamfusion.report.series import LINE_COLOUR, broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 
 pytestmark = pytest.mark.once
@@ -101,6 +101,25 @@ def test_what_is_not_known_leaves_a_gap() -> None:
     _, cols = np.nonzero(line(series_picture([series(values)])))
     gap = np.diff(np.unique(cols)).max()
     assert gap / np.ptp(cols) == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_line_is_broken_over_a_pause_also_where_it_is_thinned() -> None:
+    stamps_s = np.r_[0.0:400.0:0.2, 500.0:900.0:0.2]
+    values = np.full(len(stamps_s), 3.0)
+    times_s, shown = broken(stamps_s, values)
+    assert np.isnan(shown).sum() == 1
+    assert times_s[np.isnan(shown)] == pytest.approx(449.9, abs=0.2)
+    _, cols = np.nonzero(line(series_picture([Series("gap", "m", times_s, shown)])))
+    pause = np.diff(np.unique(cols)).max()
+    assert pause / np.ptp(cols) == pytest.approx(100.0 / 900.0, abs=0.01)
+
+
+@pytest.mark.parametrize("step_s", [0.1, 30.0])
+def test_a_line_of_even_steps_is_not_broken(step_s: float) -> None:
+    stamps_s = step_s * np.arange(10.0)
+    for count in (0, 1, 2, 10):
+        times_s, shown = broken(stamps_s[:count], stamps_s[:count])
+        assert times_s.tolist() == stamps_s[:count].tolist() == shown.tolist()
 
 
 @pytest.mark.parametrize(
