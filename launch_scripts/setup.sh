@@ -51,18 +51,20 @@ make_venv() {
 }
 
 # install_into FOLDER EXTRAS [CONSTRAINTS [LOCK]]: install the project unless nothing has changed.
-# What it needs is first taken from the lock, versions and hashes, where that fits this machine.
+# What it needs is first taken from the lock, versions and hashes, where that fits this machine; the
+# lock names everything, and pip's own look at what packages need fails on their extras.
 install_into() {
-    local venv="$1" extras="$2" constraints="${3:-}" lock="${4:-}" stamp wanted
+    local venv="$1" extras="$2" constraints="${3:-}" lock="${4:-}" stamp wanted reason
     stamp="$venv/.installed-$extras"
     wanted="$(cat "$root/pyproject.toml" ${constraints:+"$constraints"} ${lock:+"$lock"} | sha256sum)"
     if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then
         return
     fi
     say "installing slamfusion[$extras] into $venv"
-    if [ -n "$lock" ] && ! "$venv/bin/python" -m pip install -qq --require-hashes -r "$lock" \
-        >/dev/null 2>&1; then
+    if [ -n "$lock" ] && ! reason="$("$venv/bin/python" -m pip install -qq --no-deps \
+        --require-hashes -r "$lock" 2>&1)"; then
         say "$(basename "$lock") does not fit $("$venv/bin/python" --version) here: versions are chosen anew"
+        printf '%s\n' "$reason" | tail -n 3 >&2
     fi
     "$venv/bin/python" -m pip install -qq -e "$root[$extras]" \
         ${constraints:+-c "$constraints"} || return
