@@ -9,8 +9,9 @@ its devices, by one that returns the best name which both sides know. Nothing is
 and where PoCL knows the processor, or comes from elsewhere, nothing is touched.
 
 It is done only to a library that was looked at: its SHA-256 stands in ``CHECKED``, and the function
-begins as it did then. It is said once, and ``SLAMFUSION_PATCH_POCL=0`` switches it off. Where it is
-needed and not done, the wheel's devices cannot be used, and ``PoclState`` says what to install.
+begins as it did then. It is said once, and ``SLAMFUSION_PATCH_POCL=0`` switches it off; who sets it
+to 1 knows of it, and is not told. Where it is needed and not done, the wheel's devices cannot be
+used, and ``PoclState`` says what to install.
 
 PoCL has two devices for one processor. ``pthread``, the one it shows, hands each kernel to threads
 of its own; ``basic`` runs it in the thread that asks, which takes a tenth of a millisecond less.
@@ -46,8 +47,8 @@ __all__ = [
 ]
 
 LOG = logging.getLogger(__name__)
-# The environment variable that switches the replacement off, when it is 0.
-SWITCH = "SLAMFUSION_PATCH_POCL"
+# The environment variable that switches the replacement off, or agrees to it.
+SWITCH, OFF, AGREED = "SLAMFUSION_PATCH_POCL", "0", "1"
 # LLVM's names with the feature flags (as /proc/cpuinfo spells them) that each needs, best first.
 PROCESSORS = (
     ("skylake-avx512", "avx512f avx512dq avx512cd avx512bw avx512vl avx2 fma bmi2 adx clflushopt"),
@@ -172,11 +173,13 @@ def name_processor() -> PoclState:
     else:
         detail = (
             f"{path.name} of the wheel does not know this processor; the function that names it "
-            f"was replaced in memory, so that it builds for {name}; {SWITCH}=0 leaves it as it is"
+            f"was replaced in memory, so that it builds for {name}; {SWITCH}={OFF} leaves it as "
+            f"it is, {SWITCH}={AGREED} agrees to it and ends this line"
         )
         state = PoclState("patched", detail, path)
     # Processes that a command starts for its work do not repeat it.
-    if multiprocessing.parent_process() is None:
+    is_known = state.state == "patched" and os.environ.get(SWITCH) == AGREED
+    if not is_known and multiprocessing.parent_process() is None:
         LOG.warning("%s", state.detail)
     return state
 
@@ -197,8 +200,8 @@ def _replace(path: Path, function: Any) -> str:
     Raises:
         _RefusedError: why it was not done; the library is then as it was.
     """
-    if os.environ.get(SWITCH) == "0":
-        message = f"{SWITCH}=0 says so"
+    if os.environ.get(SWITCH) == OFF:
+        message = f"{SWITCH}={OFF} says so"
         raise _RefusedError(message)
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:

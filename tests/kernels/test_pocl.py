@@ -13,7 +13,7 @@ import pytest
 
 from slamfusion.compute import device as device_module
 from slamfusion.compute.device import choose_device
-from slamfusion.compute.pocl import CHECKED, PROCESSORS, _processor_flags, processor_name
+from slamfusion.compute.pocl import CHECKED, PROCESSORS, SWITCH, _processor_flags, processor_name
 from slamfusion.errors import DeviceError
 from tests.kernels.conftest import WHEELS_EXIST
 
@@ -74,7 +74,7 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code in a fresh interpreter, in which PoCL was not loaded yet."""
     return subprocess.run(
         [sys.executable, "-c", code],
-        env=os.environ | environment,
+        env={**os.environ, SWITCH: "", **environment},
         capture_output=True,
         text=True,
         timeout=300,
@@ -84,19 +84,23 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.once
 @needs_wheels
-@pytest.mark.parametrize("force", [False, True])
-def test_kernels_build_and_the_process_ends_well(force: bool):
-    done = run((UNKNOWN_PROCESSOR.format(before="", deny="") if force else "") + BUILD)
+@pytest.mark.parametrize(
+    ("force", "switch"), [(False, "1"), (True, ""), (True, "1")], ids=["as it is", "", "agreed"]
+)
+def test_kernels_build_and_the_process_ends_well(force: bool, switch: str):
+    before = UNKNOWN_PROCESSOR.format(before="", deny="") if force else ""
+    done = run(before + BUILD, **{SWITCH: switch})
     assert done.returncode == 0, done.stderr
     assert "built on OpenCL" in done.stdout
-    if not force:
+    assert done.stdout.startswith("patched ") == force
+    if switch:
         assert not done.stderr
         return
-    assert done.stdout.startswith("patched ")
-    # Said once, with the way to switch it off.
+    # Said once, with the ways to switch it off and to end the line.
     assert done.stderr.count("\n") == 1
     assert "does not know this processor" in done.stderr
     assert "SLAMFUSION_PATCH_POCL=0" in done.stderr
+    assert "SLAMFUSION_PATCH_POCL=1" in done.stderr
 
 
 # A byte more at the end of the file: the same code, another digest. What the library needs lies
