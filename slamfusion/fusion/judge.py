@@ -58,6 +58,9 @@ F64 = npt.NDArray[np.float64]
 # Less than this of either map's walls meets: a bent map's, whose fit is spread over the whole map.
 BENT_MATCH = 0.45
 BENT_SCALES = (24.0,)
+# What the walls give there, by a wide width, as a share of what they gave before: with less the
+# wide fit has lost the place.
+SPREAD_LEAST = 0.5
 # Turns from which the last fit begins, the answer's own first; the width of a wall, cells, by which
 # the best is chosen.
 POLISH_TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
@@ -98,7 +101,8 @@ def judge(
     narrow = wall_widths(reference)[0]
     stand = chosen_standing(reference, moving, device, found, pairs, cancel)
     others = stand.others
-    best, statistics = _placed(reference, moving, device, found, stand, cancel)
+    is_likely = stand.wrong(pairs, found.prior) < EXPECTED_WRONG_MAX
+    best, statistics = _placed(reference, moving, device, found, stand, cancel, is_likely=is_likely)
     overlap, error = statistics.pop("overlap"), statistics.pop("error")
     shown = [best] if not others else [best, stand.motions[others[0]]]
     scores = rank(reference, moving, np.array(shown), 1, FINE_TABLE, device, cancel=cancel)
@@ -178,17 +182,30 @@ def _placed(
     found: Found,
     stand: Standing,
     cancel: CancelToken | None,
+    *,
+    is_likely: bool,
 ) -> tuple[F64, dict[str, float]]:
-    """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``)."""
-    best = stand.motions[0]
-    is_bent = stand.share < PLAIN_SHARE or stand.sigma > wall_widths(reference)[0]
-    if not is_bent and found.coarse is not None:
-        best = _polished(reference, moving, best, device, cancel)
+    """Return the answer as finely as the maps allow (3,), and its numbers (see ``measure``).
+
+    An answer that may be believed as that of bent maps is tried as one of good maps, too, which may
+    lie some degrees beside it.
+    """
+    narrow, broad = wall_widths(reference)
+    found_at = best = stand.motions[0]
+    is_bent = stand.share < PLAIN_SHARE or stand.sigma > narrow
+    if found.coarse is not None and (is_likely or not is_bent):
+        best = _polished(reference, moving, found_at, device, cancel)
+        if is_bent:
+            both = wall_pieces(
+                reference, moving, np.array([found_at, best]), narrow, device, cancel
+            )
+            is_bent = not (both.total[1] > both.total[0] and both.share()[1] >= PLAIN_SHARE)
+            best = found_at if is_bent else best
     statistics = measure(reference, moving, best, device, cancel)
     if is_bent and _met(statistics) < BENT_MATCH:
         # Both maps mostly miss each other's walls. A narrow fit locks one part of a bent map and
         # leaves the rest; the wide one spreads the misfit over the whole map.
-        best = refine(
+        spread = refine(
             reference,
             moving,
             best[None],
@@ -199,7 +216,10 @@ def _placed(
             everywhere=True,
             cancel=cancel,
         )[0]
-        statistics = measure(reference, moving, best, device, cancel)
+        both = wall_pieces(reference, moving, np.array([best, spread]), broad, device, cancel)
+        if both.total[1] >= SPREAD_LEAST * both.total[0]:
+            best = spread
+            statistics = measure(reference, moving, best, device, cancel)
     return best, statistics
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,6 +96,31 @@ def test_a_map_that_is_bent_much_is_not_believed(
         assert_right(found, moving, pose)
     else:
         assert found.decision in {"bent", "different place", "ambiguous"}, found.reason
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_wide_fit_that_loses_the_place_is_not_taken(
+    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Half of a recorded map was found, and then moved by 4 m to where nothing meets."""
+    truth = building(seed, 14.0, 11.0, 0.05)
+    moving, _ = degraded(truth, seed, yaw_rad=0.4, bend_cells=30.0)
+    moves = []
+
+    def spread(off_cells: float) -> Alignment:
+        def fit(
+            _reference: object, _moving: object, motions: np.ndarray, *_: object, **__: object
+        ) -> Any:
+            moves.append(off_cells)
+            return motions + np.array([off_cells, 0.0, 0.0])
+
+        monkeypatch.setattr("slamfusion.fusion.judge.refine", fit)
+        return align_grids(truth, moving, QUICK, device)
+
+    stays, near, lost = spread(0.0), spread(2.0), spread(60.0)
+    assert moves == [0.0, 2.0, 60.0]
+    assert near.transform != stays.transform
+    assert lost.transform == stays.transform
 
 
 def test_thick_walls_are_not_taken_for_a_bent_map(device: ComputeDevice) -> None:
