@@ -5,10 +5,11 @@ Computed once a grid and device, then shared by every pair the grid takes part i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -37,6 +38,11 @@ __all__ = ["GridFeatures", "Level", "PointPieces", "ScoreTable", "score_table", 
 
 # Farther than this from its walls the unknown says nothing, metres, and the least in cells.
 SEEN_M, SEEN_CELLS_MIN = 0.4, 3.0
+# Some maps fade from walls to free space: Cartographer's, plans with smoothed lines, sensor maps.
+# If so many times as many walls are beside free space where a cell of unknown between the two is
+# taken for free, it is: 1.4 to 3.6 times as many in 26 such maps of 70 recorded ones, at most 1.13
+# times in all others.
+SOFT_GAIN = 1.25
 # The last fit is narrow: it needs no distances beyond this, in cells.
 SOLID_REACH = 24
 # Cells that are counted at once.
@@ -109,13 +115,13 @@ class GridFeatures:
         """Take a map; everything is computed when it is asked for.
 
         Args:
-            grid: the map.
+            grid: the map; of one that fades to free space the rims of its walls are taken for free.
             device: computes and holds the fields.
             memory: releases them where many maps hold too many; None: they are kept.
         """
-        self.grid = grid
-        self.device = device
-        self._memory = memory
+        self.given, self.grid = grid, _without_rims(grid)
+        self.fades = self.grid is not grid
+        self.device, self._memory = device, memory
         self._levels: dict[int, Level] = {}
         self._fields: dict[tuple[int, str], DeviceArray[Any]] = {}
         self._near_wall_share: dict[int, float] = {}
@@ -123,8 +129,8 @@ class GridFeatures:
         self._pieces: dict[tuple[float, int], PointPieces] = {}
         self._seen: dict[int, DeviceArray[Any]] = {}
         self._surface_walls: DeviceArray[Any] | None = None
-        self._solid_level: Level | None = None
         self._facing: DeviceArray[Any] | None = None
+        self._solid_level: Level | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -401,3 +407,18 @@ def _lattice_points(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     points = np.empty((len(cells), 2), dtype=np.int32)
     points[:, 1], points[:, 0] = np.divmod(cells, mask.shape[1])
     return 2 * points + 1
+
+
+def _without_rims(grid: NormalizedGrid) -> NormalizedGrid:
+    """Return a map with free cells in place of unknown ones between wall and free space.
+
+    Only of a map that fades from its walls to free space; other maps are returned as they are.
+    """
+    around = np.ones((3, 3), dtype=np.uint8)
+    free, solid = (grid.cells == 0).view(np.uint8), grid.solid != 0
+    beside_free = cv2.dilate(free, around) != 0
+    rims = (grid.cells < 0) & beside_free & (cv2.dilate(solid.view(np.uint8), around) != 0)
+    cleared = cv2.dilate(free | rims.view(np.uint8), around) != 0
+    if np.count_nonzero(solid & cleared) <= SOFT_GAIN * np.count_nonzero(solid & beside_free):
+        return grid
+    return replace(grid, cells=np.where(rims, np.int8(0), grid.cells))

@@ -80,7 +80,7 @@ class AlignmentTasks:
         moving: GridFeatures,
         start: StartPose | None,
     ) -> None:
-        packed = [self._pack(item.grid) for item in (reference, moving)]
+        packed = [self._pack(item.given) for item in (reference, moving)]
         self._tasks[key] = self._scheduler.submit(
             align_packed, *packed, self._settings, start, self._scheduler.device
         )

@@ -436,3 +436,26 @@ def test_a_wide_width_alone_is_not_believed(device: ComputeDevice) -> None:
     assert not answer.accepted, answer.reason
     assert answer.evidence is not None
     assert answer.evidence.share < 0.25
+
+
+@pytest.mark.once
+def test_a_plan_with_smoothed_lines_is_no_warehouse(device: ComputeDevice) -> None:
+    """Of its walls one in seven is beside free space, and those fit on an outer wall."""
+    named = {entry.file: entry for entry in map_entries()}
+    plan = named["halmstad/maps/HIH/layout/HIH_layout.png"]
+    warehouse = named["worlds/nav2/warehouse.yaml"]
+    prepared = Prepared(device)
+    for pair in ((plan, warehouse), (warehouse, plan)):
+        found = prepared.align(*pair)
+        assert not found.accepted, found.reason
+
+
+@pytest.mark.once
+def test_halves_that_fit_nearly_are_laid_where_they_fit(device: ComputeDevice) -> None:
+    """Found 1 degree beside the right place, as two bent maps, and believed 3.5 degrees off."""
+    drafts = half_pairs(0, (0.1,), ("worlds/willow-full-0.1.pgm.gz",))
+    chosen = [draft for draft in drafts if draft.reference.axis == "x"]
+    for case in drawn(chosen):
+        found = align_grids(case.reference, case.moving, QUICK, device)
+        assert found.accepted, f"{case.name}: {found.reason}"
+        assert case.is_right(found.transform), case.name
