@@ -15,6 +15,7 @@ from slamfusion.cli.options import (
     check_report,
     common_options,
     drive_files,
+    file_option,
     report_option,
     with_config,
 )
@@ -44,6 +45,7 @@ class _Request:
     relations: tuple[CaseFile, ...]
     odometry: tuple[CaseFile, ...]
     scan_odometry: tuple[CaseFile, ...]
+    fused: Path | None
     report_dir: Path | None
     results_path: Path | None
     as_json: bool
@@ -52,6 +54,9 @@ class _Request:
         """Refuse what cannot be done before any work."""
         if self.odometry and not self.relations:
             message = "--odometry carries poses to the times of relations; give --relations FILE"
+            raise click.UsageError(message)
+        if self.fused is not None and self.more_logs:
+            message = "--fused is of one log; with several (--log) call judge for each"
             raise click.UsageError(message)
         check_report(self.report_dir)
 
@@ -82,6 +87,12 @@ class _Request:
     "The true trajectory: errors of the paths, ranked beside the scans.",
 )
 @drive_files("paths", of_cases=True)
+@file_option(
+    "--fused",
+    "fused",
+    "FILE.tum",
+    "Make one path of PATHs as `run` does of its producers', judge it beside them, write it here.",
+)
 @report_option("report_dir")
 @with_config("log", "trajectory", "report", "device", "")
 @common_options
@@ -92,6 +103,8 @@ def command(config: RunConfig, **asked: Any) -> int:
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag; each PATH a file of poses that any SLAM made of
     it: TUM, 't x y theta' or CSV. No truth is needed. A path may be sparse: odometry fills it.
+    With --fused all scans are laid on each other along one path made of them, and the verdict also
+    says which PATH is nearest to that.
 
     With several logs (--log) a PATH belongs to the one whose name its own name or folder says as a
     word (graph/intel.tum and intel_graph.tum to intel.log), or that it is given: CASE=PATH; so do
@@ -105,7 +118,8 @@ def command(config: RunConfig, **asked: Any) -> int:
 
 def _judge_one(request: _Request, config: RunConfig) -> int:
     """Rank the paths of one log."""
-    from slamfusion.jobs.judge import judge_paths, write_judgement  # noqa: PLC0415
+    from slamfusion.io.atomic import AtomicFiles  # noqa: PLC0415
+    from slamfusion.jobs.judge import judge_paths, write_fused_path, write_judgement  # noqa: PLC0415
 
     placed, held = request.placed()
     (case,) = held.logs
@@ -117,10 +131,13 @@ def _judge_one(request: _Request, config: RunConfig) -> int:
         odometry=held.odometry.get(case),
         truth=held.truths.get(case),
         scan_odometry=held.scan_odometry.get(case),
+        fused=request.fused,
         warn=notice,
     )
-    if request.report_dir is not None:
-        write_judgement(found, request.report_dir)
+    with AtomicFiles() as files:
+        write_fused_path(found, files)
+        if request.report_dir is not None:
+            write_judgement(found, request.report_dir, files)
     document = found.to_json()
     save_results(
         request.results_path, document, lambda: found.items(case), lambda: held.inputs(placed)
@@ -161,7 +178,7 @@ def _print(found: JudgedPaths) -> None:
     """Print the ranking, where paths part, the rankings by what is known, and the verdict."""
     rows = []
     by_truth, by_relations = found.ranking_by_truth(), found.ranking_by_relations()
-    columns = [*_COLUMNS]
+    columns = _columns(found.verdict)
     columns += ["ATE m", "rank"] if by_truth else []
     columns += ["relations m", "rank"] if by_relations else []
     for path in found.verdict.paths:
@@ -179,12 +196,14 @@ def _print(found: JudgedPaths) -> None:
         rows.append(row)
     print_table(columns, rows, title=f"Paths of {found.files.log}, best first")
     print(f"verdict: {found.verdict.sentence}")
+    if found.files.fused is not None:
+        print(f"fused path: {found.files.fused}")
 
 
 def print_verdict(verdict: Verdict) -> None:
     """Print a row for each path, the best first, and the verdict in words."""
     rows = [_path_row(verdict, path) for path in verdict.paths]
-    print_table(_COLUMNS, rows, title="What the scans say of the paths, best first")
+    print_table(_columns(verdict), rows, title="What the scans say of the paths, best first")
     print(f"verdict: {verdict.sentence}")
 
 
@@ -194,11 +213,21 @@ _COLUMNS = (
 )
 
 
+def _columns(verdict: Verdict) -> list[str]:
+    """Return the names of the figures of a path."""
+    return [*_COLUMNS, "from fused m"] if _has_fused(verdict) else [*_COLUMNS]
+
+
+def _has_fused(verdict: Verdict) -> bool:
+    """Return whether there is a fused path that tells which of the others is right."""
+    return verdict.producer is not None and bool(verdict.producer.from_fused_m)
+
+
 def _path_row(verdict: Verdict, path: PathVerdict) -> list[str]:
     """Return the figures of a path."""
     score, against = verdict.evidence.scores[path.name], path.against_best
     apart = [span for span in path.spans if not span.agrees]
-    return [
+    row = [
         path.name,
         number(path.consistency, 4),
         number(None if against is None else against.difference, 4),
@@ -211,6 +240,7 @@ def _path_row(verdict: Verdict, path: PathVerdict) -> list[str]:
         number(sum(span.to_s - span.from_s for span in apart), 0),
         number(max((span.gap_m for span in apart), default=None), 2),
     ]
+    return [*row, number(verdict.from_fused_m(path.name), 3)] if _has_fused(verdict) else row
 
 
 def _rank(path: PathVerdict, ranking: tuple[str, ...]) -> str:

@@ -3,15 +3,17 @@
 ``score_paths`` scores each path by how well what was seen at other times predicts what was seen
 now, with beams, chunks and stamps that no path has a say in; ``with_path`` scores one more path
 beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart, and
-``reach_verdict`` puts it into words. ``fuse_paths`` makes one path of several, each believed as far
-as the scans bear it out, ``refine_path`` lays all scans of the drive on each other along it, and
-``refine_borne_out`` does so where the scans do not speak against what comes of it.
+``reach_verdict`` puts it into words; ``choose_producer`` names the SLAM whose own path to take.
+``fuse_paths`` makes one path of several, each believed as far as the scans bear it out,
+``refine_path`` lays all scans of the drive on each other along it, and ``refine_borne_out`` does so
+where the scans do not speak against what comes of it.
 ``find_exclusions`` says when a path has left the others and must not vote.
 """
 
 from __future__ import annotations
 
 from slamfusion.evidence.beams import JudgedScans, judged_scans
+from slamfusion.evidence.choice import ProducerChoice, choose_producer
 from slamfusion.evidence.exclusion import (
     ExcludedSpan,
     Exclusions,
@@ -40,9 +42,11 @@ __all__ = [
     "JudgedScans",
     "PathEvidence",
     "PathScore",
+    "ProducerChoice",
     "RefinedPath",
     "UndecidedSpan",
     "Verdict",
+    "choose_producer",
     "cover_stamps",
     "find_exclusions",
     "fuse_paths",

@@ -62,6 +62,9 @@ class PathEvidenceJson(TypedDict):
     """Interval of that, 95 %; null for the best."""
     p_value: float | None
     """Two-sided, of no difference to the best; null for the best."""
+    from_fused_m: float | None
+    """How far a SLAM's own path is from the fused one, root mean square, metres, laid on each
+    other; null for others, and where there is no fused path or the scans speak against it."""
     beams_judged: int
     """Hits that the score rests on, the same for all paths."""
     scans_judged: int
@@ -95,7 +98,8 @@ class PathVerdictJson(TypedDict):
     best: str
     """The path that the scans bear out best."""
     best_producer: str | None
-    """The same among paths that a SLAM made itself; null where there is none."""
+    """Which SLAM's own path to take: the one nearest to the fused path; where there is none, or the
+    scans speak against it, the one that they bear out best. Null where no path is a SLAM's own."""
     sentence: str
     """The verdict in words."""
     sure: bool

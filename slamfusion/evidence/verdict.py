@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slamfusion.evidence.choice import ProducerChoice, choose_producer
 from slamfusion.evidence.parting import Span, path_spans
 from slamfusion.evidence.predictive import Comparison, PathEvidence
 from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
@@ -52,7 +53,8 @@ class Verdict:
     Attributes:
         evidence: what it rests on.
         best: the path that the scans bear out best.
-        best_producer: the same among those that are a SLAM's own; None where there is none.
+        fused: the path that was made of the others; None where there is none.
+        producer: which SLAM's own path to take; None where there is none.
         sure: whether no other path is tied with the best.
         contradicted: whether the scans contradict even the best path.
         sentence: all of it in words.
@@ -63,12 +65,22 @@ class Verdict:
 
     evidence: PathEvidence
     best: str
-    best_producer: str | None
+    fused: str | None
+    producer: ProducerChoice | None
     sure: bool
     contradicted: bool
     sentence: str
     paths: tuple[PathVerdict, ...]
     untold: tuple[tuple[float, float], ...]
+
+    @property
+    def best_producer(self) -> str | None:
+        """The SLAM whose own path to take; None where there is none."""
+        return None if self.producer is None else self.producer.name
+
+    def from_fused_m(self, name: str) -> float | None:
+        """Return how far a SLAM's path is from the fused one; None where that tells nothing."""
+        return None if self.producer is None else self.producer.from_fused_m.get(name)
 
     def to_json(self) -> PathVerdictJson:
         """Return the verdict for a JSON document."""
@@ -83,15 +95,20 @@ class Verdict:
 
     def paths_to_json(self) -> list[PathEvidenceJson]:
         """Return what is said of each path for a JSON document, the best first."""
-        return [_path_to_json(self.evidence, path) for path in self.paths]
+        return [
+            _path_to_json(self.evidence, path, self.from_fused_m(path.name)) for path in self.paths
+        ]
 
 
-def reach_verdict(evidence: PathEvidence, producers: Collection[str] = ()) -> Verdict:
-    """Say which path the scans bear out best.
+def reach_verdict(
+    evidence: PathEvidence, producers: Collection[str] = (), fused: str | None = None
+) -> Verdict:
+    """Say which path the scans bear out best, and which SLAM's own.
 
     Args:
         evidence: of one path or more.
         producers: names of paths that are a SLAM's own, and not made of others.
+        fused: name of the path that was made of them, see ``choose_producer``.
     """
     ranking, tied = evidence.ranking(), evidence.tied()
     best = ranking[0]
@@ -106,14 +123,18 @@ def reach_verdict(evidence: PathEvidence, producers: Collection[str] = ()) -> Ve
         for name in ranking
     )
     untold = _untold(evidence, best)
+    producer = choose_producer(evidence, producers, fused)
     contradicted = _is_contradicted(evidence, best)
     return Verdict(
         evidence=evidence,
         best=best,
-        best_producer=next((name for name in ranking if name in producers), None),
+        fused=fused if fused in ranking else None,
+        producer=producer,
         sure=len(ranking) > 1 and len(tied) == 1,
         contradicted=contradicted,
-        sentence=" ".join(_sentences(evidence, paths, untold, is_contradicted=contradicted)),
+        sentence=" ".join(
+            _sentences(evidence, paths, untold, producer, is_contradicted=contradicted)
+        ),
         paths=paths,
         untold=untold,
     )
@@ -147,11 +168,14 @@ def _sentences(
     evidence: PathEvidence,
     paths: tuple[PathVerdict, ...],
     untold: tuple[tuple[float, float], ...],
+    producer: ProducerChoice | None,
     *,
     is_contradicted: bool,
 ) -> list[str]:
     """Return the sentences of the verdict, the ranking first."""
     sentences = [_ranking_words(paths)]
+    if producer is not None and len(producer.from_fused_m) > 1:
+        sentences.append(_nearest_words(producer))
     sentences += [words for path in paths[1:] if (words := _parting_words(path, paths[0].name))]
     if is_contradicted:
         sentences.append(_contradicted_words(evidence, paths[0].name))
@@ -189,6 +213,13 @@ def _worse_words(path: PathVerdict) -> str:
         return path.name
     less, low, high = (1.0 - math.exp(-gap) for gap in (found.difference, found.low, found.high))
     return f"by {path.name} a hit is {less:.1%} less likely ({low:.1%} to {high:.1%})"
+
+
+def _nearest_words(producer: ProducerChoice) -> str:
+    """Say which SLAM's own path is nearest to the fused one."""
+    (nearest, near_m), *others = producer.from_fused_m.items()
+    away = _and([f"{name} {away_m:.3f} m" for name, away_m in others])
+    return f"Of the SLAM paths {nearest} is nearest to the fused one, {near_m:.3f} m ({away})."
 
 
 def _parting_words(path: PathVerdict, best: str) -> str:
@@ -240,7 +271,9 @@ def _and(words: list[str]) -> str:
 # --- for JSON ---------------------------------------------------------------------------------
 
 
-def _path_to_json(evidence: PathEvidence, path: PathVerdict) -> PathEvidenceJson:
+def _path_to_json(
+    evidence: PathEvidence, path: PathVerdict, from_fused_m: float | None
+) -> PathEvidenceJson:
     score, found = evidence.scores[path.name], path.against_best
     times_s, mean, beams = evidence.over_time(path.name)
     seen = evidence.seen_over_time(path.name)
@@ -252,6 +285,7 @@ def _path_to_json(evidence: PathEvidence, path: PathVerdict) -> PathEvidenceJson
         "behind_best": 0.0 if found is None else found.difference,
         "behind_best_95": None if found is None else (found.low, found.high),
         "p_value": None if found is None else found.p_value,
+        "from_fused_m": from_fused_m,
         "beams_judged": score.beams_judged,
         "scans_judged": int(evidence.is_judged.sum()),
         "seen_share": score.seen_share,

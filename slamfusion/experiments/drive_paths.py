@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -14,6 +14,7 @@ from slamfusion.evidence import (
     Exclusions,
     JudgedScans,
     PathEvidence,
+    choose_producer,
     find_exclusions,
     judged_scans,
     score_paths,
@@ -44,7 +45,7 @@ __all__ = [
     "weigh_paths",
 ]
 
-# The producer whose path the scans bear out best, in tables.
+# The producer whose path is taken (``choose_producer``), in tables.
 CHOICE = "evidence choice"
 # The path that is made of all of them; the map that all scans draw at it is called as in ``run``.
 FUSED_PATH = "fused path"
@@ -66,7 +67,8 @@ class WeighedPaths:
 
     Attributes:
         paths: of the producers, and the fused one where there is one, by name.
-        choice: the producer whose path they bear out best; empty where they cannot tell.
+        choice: the producer whose path to take, see ``choose_producer``; empty where the scans
+            cannot tell.
         evidence: what they say of the producers' paths; None where they cannot tell.
         exclusions: when producers have no vote; None where they cannot tell.
     """
@@ -140,7 +142,7 @@ def _weigh(
 ) -> WeighedPaths:
     """Make one path of those of the producers; see ``weigh_paths``."""
     exclusions = None if evidence is None else find_exclusions(evidence, device)
-    choice = "" if evidence is None else evidence.ranking()[0]
+    choice = _choice(evidence, paths)
     weighed = WeighedPaths(paths, choice, evidence, exclusions)
     if len(paths) < LEAST_FUSED:
         return weighed
@@ -149,7 +151,15 @@ def _weigh(
     except SlamFusionError as error:
         notes[FUSED_PATH] = str(error)
         return weighed
-    return replace(weighed, paths={**paths, FUSED_PATH: fused.trajectory})
+    if fused.refined is not None:
+        choice = _choice(fused.refined.evidence, paths, fused.trajectory.name)
+    return replace(weighed, paths={**paths, FUSED_PATH: fused.trajectory}, choice=choice)
+
+
+def _choice(evidence: PathEvidence | None, paths: Collection[str], fused: str | None = None) -> str:
+    """Return the name of the producer whose path to take; empty where the scans cannot tell."""
+    found = None if evidence is None else choose_producer(evidence, paths, fused)
+    return "" if found is None else found.name
 
 
 def drive_layers(

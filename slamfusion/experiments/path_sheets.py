@@ -65,7 +65,7 @@ PATHS = _Kind(
     "ate_m",
     "Paths",
     "Absolute error of the path (ATE), mean, m; less is better. The evidence choice is the "
-    "producer whose path the scans bear out best.",
+    "producer whose path is nearest to the fused one, where the scans do not contradict that.",
     "{:.3f}",
     min,
 )

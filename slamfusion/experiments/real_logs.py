@@ -162,7 +162,8 @@ class RealLogTable:
         rows: of each drive the producers, the ways to vote, and the reference map.
         notes: what went wrong, by drive and method.
         references: what the reference map of each drive was drawn from.
-        choices: the SLAM of each drive whose path the scans bear out best, where they can tell.
+        choices: the SLAM of each drive whose path is taken, see ``choose_producer``, where the
+            scans can tell.
         others: SLAMs whose saved maps took part beside the producers, by drive.
     """
 

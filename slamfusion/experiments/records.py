@@ -230,7 +230,7 @@ class TrialJson(TypedDict):
     ate_m: Mapping[str, float]
     """Absolute error of each producer's path and of the fused path, by name; metres."""
     choice: str
-    """The producer whose path the scans bear out best; empty where they cannot tell."""
+    """The producer whose path is taken (``best_producer``); empty where the scans cannot tell."""
 
 
 class MeasurePairJson(TypedDict):
@@ -243,7 +243,7 @@ class MeasurePairJson(TypedDict):
     method: str
     """The fused path, or the fused map."""
     against: str
-    """A producer, its map drawn from its own path, or the producer that the scans bear out best."""
+    """A producer, its map drawn from its own path, or the producer that is taken (``choice``)."""
     drives: int
     """Drives that have both."""
     mean: float
@@ -346,7 +346,7 @@ class RealLogTableJson(TypedDict):
     references: Mapping[str, str]
     """What the reference map of each drive was drawn from."""
     choices: Mapping[str, str]
-    """The SLAM of each drive whose path the scans bear out best, where they can tell."""
+    """The SLAM of each drive whose path is taken (``best_producer``), where the scans can tell."""
     others: Mapping[str, Sequence[str]]
     """SLAMs whose saved maps took part beside the producers, by drive."""
 

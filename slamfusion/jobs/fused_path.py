@@ -1,6 +1,7 @@
-"""The fused path of a drive: made of its producers' paths, as far as the scans bear each out.
+"""The fused path of a drive: made of several SLAMs' paths, as far as the scans bear each out.
 
-And the map that is drawn from all scans at it. Shared by ``run_log`` and what measures it.
+And the map that is drawn from all scans at it. Shared by ``run_log``, ``judge_paths`` and what
+measures it.
 """
 
 from __future__ import annotations
@@ -30,10 +31,8 @@ from slamfusion.fusion.path_check import moved_path
 from slamfusion.fusion.records import FusionResult
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.outputs import DRAWN, FUSED
-from slamfusion.jobs.run_records import (
-    DrawnMapJson,
-    FusedPathJson,
-)
+from slamfusion.jobs.records import FusedPathJson
+from slamfusion.jobs.run_records import DrawnMapJson
 from slamfusion.jobs.trajectory import Measures
 from slamfusion.slam.registry import loop_closers
 from slamfusion.trajectory import Trajectory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
@@ -14,19 +14,36 @@ from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.evidence import (
     PathEvidence,
     Verdict,
+    find_exclusions,
     judged_scans,
     reach_verdict,
     score_paths,
 )
-from slamfusion.io import open_log, read_trajectory
+from slamfusion.fusion.groups import LEAST_FUSED
+from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.jobs.documents import circumstances, path_text
+from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
-from slamfusion.jobs.records import JudgeDocument, JudgedPathJson, JudgeRecordJson
+from slamfusion.jobs.outputs import FUSED
+from slamfusion.jobs.records import (
+    FusedPathJson,
+    JudgeDocument,
+    JudgedPathJson,
+    JudgeRecordJson,
+)
+from slamfusion.jobs.saved_maps import path_at_scans
 from slamfusion.jobs.trajectory import Measures, Yardsticks
 from slamfusion.trajectory import Trajectory
 
-__all__ = ["JudgeFiles", "JudgedPaths", "judge_paths", "score_log_paths", "write_judgement"]
+__all__ = [
+    "JudgeFiles",
+    "JudgedPaths",
+    "judge_paths",
+    "score_log_paths",
+    "write_fused_path",
+    "write_judgement",
+]
 
 _LOG = logging.getLogger(__name__)
 
@@ -42,6 +59,7 @@ class JudgeFiles:
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
         truth: the true trajectory.
         scan_odometry: what gives the scans their odometry instead of the log.
+        fused: where the path that is fused of them goes.
     """
 
     log: Path
@@ -50,6 +68,7 @@ class JudgeFiles:
     odometry: Path | None = None
     truth: Path | None = None
     scan_odometry: Path | None = None
+    fused: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +78,9 @@ class JudgedPaths:
     Attributes:
         files: where everything was read.
         config: the settings in effect.
-        paths: the poses, by name.
-        verdict: what the scans say.
+        paths: the poses, by name, as they were given.
+        fused: the path that was made of them; None where none was asked for.
+        verdict: what the scans say, of the fused path, too.
         measures: errors of each path by name, where there was something to measure by.
         not_measured: what could not be measured, a sentence each.
         device: what computed, in words.
@@ -69,6 +89,7 @@ class JudgedPaths:
     files: JudgeFiles
     config: RunConfig
     paths: Mapping[str, Trajectory]
+    fused: DrivePath | None
     verdict: Verdict
     measures: Mapping[str, Measures]
     not_measured: tuple[str, ...]
@@ -111,6 +132,7 @@ class JudgedPaths:
             "path_evidence": self.verdict.paths_to_json(),
             "verdict": self.verdict.to_json(),
             "paths": [self._path_to_json(name) for name in self.paths],
+            "fused_path": self._fused_to_json(),
             "ranking_by_truth": self.ranking_by_truth(),
             "ranking_by_relations": self.ranking_by_relations(),
             "not_measured": self.not_measured,
@@ -144,6 +166,11 @@ class JudgedPaths:
             )
         return found
 
+    def _fused_to_json(self) -> FusedPathJson | None:
+        if self.fused is None or self.files.fused is None:
+            return None
+        return self.fused.to_json(self.files.fused)
+
     def _path_to_json(self, name: str) -> JudgedPathJson:
         path, found = self.paths[name], self.measures.get(name, Measures())
         return {
@@ -165,9 +192,12 @@ def judge_paths(
     odometry: str | Path | None = None,
     truth: str | Path | None = None,
     scan_odometry: str | Path | None = None,
+    fused: str | Path | None = None,
     warn: Warn = _LOG.warning,
 ) -> JudgedPaths:
     """Rank paths of a log by what its scans say of them, and measure them where there is a truth.
+
+    Asked to, it makes one path of them as ``run`` does of its producers', and judges it beside.
 
     Args:
         log: a CARMEN or tinySLAM log, or a ROS bag.
@@ -179,12 +209,14 @@ def judge_paths(
         odometry: raw odometry of the whole run, to carry poses on to the relations' times.
         truth: the true trajectory: errors of the paths.
         scan_odometry: what gives the scans their odometry instead of the log.
+        fused: fuse the paths; where ``write_fused_path`` will write what comes of it. Default: no.
         warn: told in a sentence what is doubtful about the log.
 
     Raises:
         LogError: the log cannot be read, or has too few scans.
         TrajectoryError: a path, the relations, the odometry or the truth cannot be read, or a path
-            meets no scan in time.
+            meets no scan in time; or paths cannot be fused.
+        GraphError: the equations of the fused path cannot be solved.
         DeviceError: the device cannot be opened.
         OSError: a file cannot be opened.
     """
@@ -198,23 +230,50 @@ def judge_paths(
     files = JudgeFiles(
         Path(log),
         {name: Path(path) for name, path in paths.items()},
-        *map(as_path, (relations, odometry, truth, scan_odometry)),
+        *map(as_path, (relations, odometry, truth, scan_odometry, fused)),
     )
+    if files.fused is not None:
+        _check_fused(files)
     read = {name: read_trajectory(path, config.log) for name, path in files.paths.items()}
     held = Yardsticks.read(
         config, relations=files.relations, odometry=files.odometry, truth=files.truth
     )
     device = device_for(config) if device is None else device
     evidence = score_log_paths(files.log, read, config, device, files.scan_odometry, warn=warn)
-    verdict = reach_verdict(evidence)
+    made = None
+    if files.fused is None:
+        verdict = reach_verdict(evidence)
+    else:
+        made = _fuse(read, evidence, device)
+        if made.refined is not None:
+            evidence = made.refined.evidence
+        verdict = reach_verdict(evidence, tuple(read), FUSED)
     scans = evidence.scans.odometry_path()
     measures, not_measured = {}, []
-    for name, path in read.items():
+    for name, path in (read if made is None else {**read, FUSED: made.trajectory}).items():
         try:
             measures[name] = held.measure(path, config, scans)
         except SlamFusionError as error:
             not_measured.append(f"{name}: {error}")
-    return JudgedPaths(files, config, read, verdict, measures, tuple(not_measured), device.name)
+    if made is not None:
+        made = replace(made, measures=measures.get(FUSED, Measures()))
+    return JudgedPaths(
+        files, config, read, made, verdict, measures, tuple(not_measured), device.name
+    )
+
+
+def write_fused_path(found: JudgedPaths, files: AtomicFiles | None = None) -> None:
+    """Write the path that was fused of the others as TUM, where there is one.
+
+    Args:
+        found: what became of the paths.
+        files: the set of files to join; default: one of its own.
+
+    Raises:
+        MapFileError: the file cannot be written.
+    """
+    if found.fused is not None and found.files.fused is not None:
+        write_tum(found.files.fused, found.fused.trajectory, files=files)
 
 
 def write_judgement(
@@ -245,6 +304,41 @@ def write_judgement(
         device=found.device,
         files=files,
     )
+
+
+def _check_fused(files: JudgeFiles) -> None:
+    """Refuse paths of which none can be fused, before any work."""
+    if len(files.paths) < LEAST_FUSED:
+        message = f"{len(files.paths)} path cannot be fused; give at least {LEAST_FUSED}"
+        raise TrajectoryError(message)
+    if FUSED in files.paths:
+        message = (
+            f"{files.paths[FUSED]}: the path that is made of the others is called {FUSED}, too; "
+            "give this one another name, or leave it out"
+        )
+        raise TrajectoryError(message)
+    beside = (files.relations, files.odometry, files.truth, files.scan_odometry)
+    given = {
+        path.resolve() for path in (files.log, *files.paths.values(), *beside) if path is not None
+    }
+    if files.fused is not None and files.fused.resolve() in given:
+        message = f"{files.fused}: the fused path would be written over what was given"
+        raise TrajectoryError(message)
+
+
+def _fuse(
+    paths: Mapping[str, Trajectory], evidence: PathEvidence, device: ComputeDevice
+) -> DrivePath:
+    """Make one path of several, each at the scans that it has a pose for or odometry gives one."""
+    at_scans = {}
+    for name, path in paths.items():
+        try:
+            at_scans[name] = path_at_scans(path, evidence.scans)
+        except TrajectoryError as error:
+            message = f"{name}: {error}"
+            raise TrajectoryError(message) from error
+    exclusions = find_exclusions(evidence, device)
+    return fuse_weighed_paths(at_scans, evidence, exclusions, device)
 
 
 def score_log_paths(

@@ -25,7 +25,7 @@ from slamfusion.evaluation.records import (
     RelationErrorsAtScansJson,
     TrajectoryAlignmentJson,
 )
-from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson
+from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson, RefinementJson
 from slamfusion.fusion.records import AlignmentJson
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "FailureDocument",
     "FuseDocument",
     "FusedGroupJson",
+    "FusedPathJson",
     "FusionJson",
     "GivenMapsJson",
     "JudgeDocument",
@@ -381,6 +382,20 @@ class JudgedPathJson(_MeasuresJson):
     """Its length, metres."""
 
 
+class FusedPathJson(MeasuresJson):
+    """The fused path: one path made of those of several SLAMs, and its errors."""
+
+    file: str
+    """Its file, a TUM trajectory, of ``run`` in the frame of the fused map, of ``judge`` in that of
+    one of the paths."""
+    trust: Mapping[str, float]
+    """How much each path was believed by what the scans say of it, 0 to 1."""
+    excluded_share: Mapping[str, float]
+    """Share of each path's poses that had no weight, as it had left the others, 0 to 1."""
+    refinement: RefinementJson | None
+    """What laying all scans on each other made of it; null where the scans could not be asked."""
+
+
 class JudgeRecordJson(TypedDict):
     """What the scans of one log say of its paths."""
 
@@ -390,6 +405,8 @@ class JudgeRecordJson(TypedDict):
     """What the scans say of all paths."""
     paths: Sequence[JudgedPathJson]
     """The paths as they were given."""
+    fused_path: FusedPathJson | None
+    """The path fused of them, with ``--fused``."""
     ranking_by_truth: Sequence[str]
     """The paths by their ATE, the least first; empty without a truth."""
     ranking_by_relations: Sequence[str]

@@ -12,7 +12,6 @@ from slamfusion.evaluation.records import (
 from slamfusion.evidence.records import (
     PathEvidenceJson,
     PathVerdictJson,
-    RefinementJson,
 )
 from slamfusion.fusion.records import (
     PathGapJson,
@@ -20,6 +19,7 @@ from slamfusion.fusion.records import (
 from slamfusion.jobs.records import (
     CircumstancesJson,
     EvaluationJson,
+    FusedPathJson,
     FusionJson,
     JudgedPathJson,
     MeasuresJson,
@@ -33,7 +33,6 @@ __all__ = [
     "DrawnMapJson",
     "ExcludedSpanJson",
     "FailedProducerJson",
-    "FusedPathJson",
     "LogFilesJson",
     "PartialVoteJson",
     "ProducerJson",
@@ -128,19 +127,6 @@ class FailedProducerJson(TypedDict):
     """Wall time of its process, seconds."""
     process_cpu_s: float | None
     """Processor time of its process, seconds; null where unknown."""
-
-
-class FusedPathJson(MeasuresJson):
-    """The fused path: one path made of those of all producers, and its errors."""
-
-    file: str
-    """Its file, a TUM trajectory in the frame of the fused map."""
-    trust: Mapping[str, float]
-    """How much each producer's path was believed by what the scans say of it, 0 to 1."""
-    excluded_share: Mapping[str, float]
-    """Share of each producer's poses that had no weight, as it had left the others, 0 to 1."""
-    refinement: RefinementJson | None
-    """What laying all scans on each other made of it; null where the scans could not be asked."""
 
 
 class DrawnMapJson(TypedDict):

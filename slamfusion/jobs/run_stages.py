@@ -274,7 +274,7 @@ def judge_drive_paths(
     """Say which path the scans bear out: of the SLAMs' paths and the fused one, if any."""
     if fused_path is not None and fused_path.refined is not None:
         evidence = fused_path.refined.evidence
-    return reach_verdict(evidence, tuple(drive.paths))
+    return reach_verdict(evidence, tuple(drive.paths), FUSED)
 
 
 def evaluate_drive_maps(

@@ -7,9 +7,10 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.evidence.parting import PART_M, path_gap_m
 from slamfusion.evidence.verdict import PathVerdict, Verdict
+from slamfusion.palette import Rgb
 from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png, unit_rgb, write_note
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
-from slamfusion.report.paths import run_colour
+from slamfusion.report.paths import FUSED_COLOUR, run_colour
 
 __all__ = ["evidence_picture", "evidence_section"]
 
@@ -23,7 +24,6 @@ _LEAST_GAP_M = 0.01
 
 def evidence_section(verdict: Verdict) -> Section:
     """Return the verdict, the score of each path over the drive, and its figures."""
-    names = list(verdict.evidence.scores)
     picture = Picture(
         "evidence",
         evidence_picture(verdict),
@@ -31,11 +31,12 @@ def evidence_section(verdict: Verdict) -> Section:
         "Above: mean log-likelihood of a hit under what other parts of the drive drew by the same "
         "path; higher is better. Below: distance from the best path, on which the others are laid "
         "where they agree most. Tinted: a path has left the best one.",
-        legend=tuple(LegendEntry(name, run_colour(index)) for index, name in enumerate(names)),
+        legend=tuple(LegendEntry(name, colour) for name, colour in _colours(verdict).items()),
     )
     columns = (
         *("path", "log-likelihood of a hit", "behind the best", "95 %", "p", "tied with the best"),
-        *("hits judged", "seen again %", "own poses %", "where it left the best path"),
+        *("hits judged", "seen again %", "own poses %", "from the fused path m"),
+        "where it left the best path",
     )
     rows = [_row(verdict, path) for path in verdict.paths]
     note = (
@@ -66,7 +67,7 @@ def evidence_picture(verdict: Verdict) -> bytes:
     figure = Figure(figsize=(WIDTH_IN, tall_in), dpi=DPI)
     scores = figure.add_axes((0.155, (_FOOT_IN + gap_in) / tall_in, 0.825, _SCORE_IN / tall_in))
     start_s = float(evidence.scans.stamps_s[0])
-    colours = {name: unit_rgb(run_colour(row)) for row, name in enumerate(evidence.scores)}
+    colours = {name: unit_rgb(colour) for name, colour in _colours(verdict).items()}
     for name, colour in colours.items():
         times_s, mean, _ = evidence.over_time(name)
         scores.plot(times_s - start_s, mean, color=colour, lw=1.1, marker="o", ms=2.0)
@@ -97,6 +98,12 @@ def evidence_picture(verdict: Verdict) -> bytes:
     return to_png(figure)
 
 
+def _colours(verdict: Verdict) -> dict[str, Rgb]:
+    """Return the colour of each path, as elsewhere on the page."""
+    colours = {name: run_colour(index) for index, name in enumerate(verdict.evidence.scores)}
+    return colours if verdict.fused is None else {**colours, verdict.fused: FUSED_COLOUR}
+
+
 def _row(verdict: Verdict, path: PathVerdict) -> list[Cell]:
     """Return the figures of a path."""
     score, against = verdict.evidence.scores[path.name], path.against_best
@@ -116,5 +123,6 @@ def _row(verdict: Verdict, path: PathVerdict) -> list[Cell]:
         Cell(str(score.beams_judged), is_number=True),
         number(100.0 * score.seen_share, 0),
         number(100.0 * score.path.own_share, 0),
+        number(verdict.from_fused_m(path.name), 3),
         Cell(where or "nowhere"),
     ]

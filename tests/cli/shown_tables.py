@@ -32,6 +32,7 @@ from slamfusion.cli import trajectory as trajectories
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import ErrorSeries, MeasuredItem, compare_to_truth
 from slamfusion.evaluation.statistics import ErrorStatistics
+from slamfusion.evidence import ProducerChoice
 from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
 from slamfusion.evidence.verdict import PathVerdict
@@ -125,10 +126,13 @@ def _judge() -> None:
     score = SimpleNamespace(
         beams_judged=128_411, seen_share=0.87, path=SimpleNamespace(own_share=1.0)
     )
+    away_m = {"graph": 0.0131, "gmapping": 1.27}
     verdict: Any = SimpleNamespace(
         evidence=SimpleNamespace(scores=dict.fromkeys(names, score)),
         paths=paths,
         sentence="The scans bear out graph best.",
+        producer=ProducerChoice("graph", away_m),
+        from_fused_m=away_m.get,
     )
     judge.print_verdict(verdict)
 

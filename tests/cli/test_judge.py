@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.io import write_tum
+from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen
 from slamfusion.trajectory import Trajectory
 from tests.cli.command import assert_one_line_failure, json_of, run
@@ -49,6 +49,22 @@ def test_json_has_the_promised_keys(drive: Path) -> None:
     assert [item["name"] for item in document["path_evidence"]] == ["good", "bent"]
     keys = {"name", "consistency", "tied", "beams_judged", "spans"}
     assert all(keys <= set(item) for item in document["path_evidence"])
+
+
+def test_a_fused_path_is_written_and_told(drive: Path, tmp_path: Path) -> None:
+    files = (drive / "drive.log", drive / "bent.tum", drive / "good.tum")
+    out = tmp_path / "new" / "fused.tum"
+    done = run("judge", *files, "--fused", out, "--report", tmp_path / "report")
+    assert done.returncode == 0, done.stderr
+    assert "from fused m" in done.stdout
+    assert "Of the SLAM paths good is nearest to the fused one, 0.0" in done.stdout
+    assert done.stdout.endswith(f"\nfused path: {out}\n")
+    assert len(read_trajectory(out)) == len(TRUTH)
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "nearest to the fused one" in page
+    done = run("judge", *files, "--fused", out, "--log", drive / "drive.log")
+    assert done.returncode == 2
+    assert "with several (--log) call judge for each" in done.stderr
 
 
 def test_bad_input_is_one_line(drive: Path, tmp_path: Path) -> None:

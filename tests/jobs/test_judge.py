@@ -9,10 +9,10 @@ import pytest
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import LogError, TrajectoryError
-from slamfusion.io import write_tum
+from slamfusion.io import read_trajectory, write_tum
 from slamfusion.io.carmen import write_carmen
 from slamfusion.jobs.documents import plain
-from slamfusion.jobs.judge import judge_paths, write_judgement
+from slamfusion.jobs.judge import judge_paths, write_fused_path, write_judgement
 from slamfusion.trajectory import Trajectory
 from tests.evidence.rooms import bent, circuit, moved, recorded
 from tests.support.documents import check_document
@@ -62,6 +62,45 @@ def test_with_a_truth_there_are_both_rankings(drive: Path) -> None:
     bent_path, elsewhere = document["paths"]
     assert elsewhere["ate"]["rmse"] == pytest.approx(0.0, abs=1e-6)
     assert bent_path["ate"]["rmse"] > 0.1
+
+
+def test_one_path_is_made_of_all_and_judged_beside_them(drive: Path, tmp_path: Path) -> None:
+    files = [drive / "bent.tum", drive / "elsewhere.tum", drive / "sparse.tum"]
+    out = tmp_path / "one.tum"
+    found = judge_paths(drive / "drive.log", files, truth=drive / "truth.tum", fused=out)
+    assert found.fused is not None
+    assert list(found.paths) == ["bent", "elsewhere", "sparse"]
+    assert {path.name for path in found.verdict.paths} == {"bent", "elsewhere", "sparse", "fused"}
+    assert found.verdict.best_producer in {"elsewhere", "sparse"}
+    assert "is nearest to the fused one" in found.verdict.sentence
+    assert found.errors_by_truth_m()["fused"] < 0.02
+    document = found.to_json()
+    check_document(plain(document), "judge")
+    fused = document["fused_path"]
+    assert fused is not None
+    assert (fused["file"], fused["poses"]) == (str(out), len(TRUTH))
+    assert fused["trust"]["bent"] < 0.9 < fused["trust"]["sparse"]
+    # Nothing is written before it is asked for.
+    assert not out.exists()
+    write_fused_path(found)
+    assert len(read_trajectory(out)) == len(TRUTH)
+    assert judge_paths(drive / "drive.log", files).to_json()["fused_path"] is None
+
+
+def test_paths_that_cannot_be_fused_are_one_line(drive: Path, tmp_path: Path) -> None:
+    log, good, out = drive / "drive.log", drive / "truth.tum", tmp_path / "out.tum"
+    with pytest.raises(TrajectoryError, match=r"^1 path cannot be fused; give at least 2$"):
+        judge_paths(log, [good], fused=out)
+    with pytest.raises(TrajectoryError, match=r"called fused, too; give this one another name"):
+        judge_paths(log, {"truth": good, "fused": drive / "bent.tum"}, fused=out)
+    with pytest.raises(TrajectoryError, match=r"truth\.tum: .* be written over what was given$"):
+        judge_paths(log, [good, drive / "bent.tum"], fused=good)
+    write_tum(tmp_path / "short.tum", Trajectory(TRUTH.stamps_s[:40], TRUTH.poses[:40]))
+    with pytest.raises(TrajectoryError, match=r"^short: it has poses for .* give a longer path$"):
+        judge_paths(log, [good, tmp_path / "short.tum"], fused=out)
+    # A fused path of another day is a path like any other where none is made.
+    found = judge_paths(log, {"truth": good, "fused": drive / "bent.tum"})
+    assert (found.fused, found.verdict.best_producer) == (None, None)
 
 
 def test_what_cannot_be_measured_does_not_take_the_verdict_along(

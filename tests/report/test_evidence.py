@@ -1,0 +1,36 @@
+"""What the scans say of the paths, on a page: the paths have the colours of the other pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamfusion.compute import open_device
+from slamfusion.evidence import judged_scans, reach_verdict, score_paths
+from slamfusion.report.evidence import evidence_section
+from slamfusion.report.paths import FUSED_COLOUR, run_colour
+from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import circuit, recorded
+
+TRUTH = circuit()
+NEAR = Trajectory(TRUTH.stamps_s, TRUTH.poses + np.array([0.0, 0.0, 0.001]))
+
+
+def test_the_fused_path_has_its_colour_and_the_slams_theirs():
+    evidence = score_paths(
+        judged_scans(recorded(TRUTH)),
+        {"graph": NEAR, "fused": TRUTH, "gmapping": NEAR},
+        open_device(),
+    )
+    section = evidence_section(reach_verdict(evidence, ("graph", "gmapping"), "fused"))
+    (picture,) = section.pictures
+    colours = {entry.text: entry.rgb for entry in picture.legend}
+    assert colours == {"graph": run_colour(0), "fused": FUSED_COLOUR, "gmapping": run_colour(2)}
+    (table,) = section.tables
+    column = table.columns.index("from the fused path m")
+    found = {row[0].text: row[column].text for row in table.rows}
+    assert found["fused"] == "-"
+    assert found["graph"] == found["gmapping"] == "0.000"
+    # A path that only has this name is one like the others.
+    section = evidence_section(reach_verdict(evidence))
+    assert section.pictures[0].legend[1].rgb == run_colour(1)
+    assert [row[column].text for row in section.tables[0].rows] == ["-"] * 3
