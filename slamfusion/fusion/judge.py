@@ -28,27 +28,21 @@ from slamfusion.fusion.frames import motion_of, transform_of
 from slamfusion.fusion.held import held_by
 from slamfusion.fusion.measure import measure
 from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain, mirror_image
-from slamfusion.fusion.motions import displacement, turned_about
+from slamfusion.fusion.motions import displacement
+from slamfusion.fusion.narrow_fit import climbed, narrow_fits
 from slamfusion.fusion.pieces import wall_pieces
 from slamfusion.fusion.records import Alignment, MatchEvidence, RunnerUp
-from slamfusion.fusion.refine import polish, rank, refine
+from slamfusion.fusion.refine import rank, refine
 from slamfusion.fusion.rivals import (
     DISTINCT_CELLS,
     DISTINCT_YAW_RAD,
-    GOOD_DOUBT,
     PLAIN_SHARE,
     Found,
     Standing,
     chosen_standing,
 )
-from slamfusion.fusion.scale import common_middle, estimate_scale
-from slamfusion.fusion.search import (
-    CoarseSearch,
-    SearchWindow,
-    score_motions,
-    search,
-    wall_widths,
-)
+from slamfusion.fusion.scale import estimate_scale
+from slamfusion.fusion.search import CoarseSearch, SearchWindow, search, wall_widths
 from slamfusion.geometry import Pose2, wrap_angle
 
 __all__ = ["ground_prior", "judge", "prior_within", "rejected_alignment"]
@@ -64,12 +58,6 @@ FADED_TRIALS = 2.0
 # What the walls give there, by a wide width, as a share of what they gave before: with less the
 # wide fit has lost the place.
 SPREAD_LEAST = 0.5
-# Turns from which the last fit begins, the answer's own first; the width of a wall, cells, by which
-# the best is chosen.
-POLISH_TURNS = np.radians([0.0, -0.6, 0.6, -1.2, 1.2])
-THIN_CELLS = 1.0
-# A fit that turned so far, rad, may have farther to turn: so many times at most.
-POLISHED_RAD, POLISH_ROUNDS = math.radians(0.1), 4
 YAW_RAD_MIN = math.radians(0.5)
 # A mirror image that gives more times as much is not told from one that gives this.
 GAIN_MAX = 100.0
@@ -199,7 +187,8 @@ def _placed(
     found_at = best = stand.motions[0]
     is_bent = stand.share < PLAIN_SHARE or stand.sigma > narrow
     if found.coarse is not None and (is_likely or not is_bent):
-        best = _polished(reference, moving, found_at, device, cancel)
+        best = narrow_fits(reference, moving, found_at[None], device, cancel)[0]
+        best = climbed(reference, moving, best, device, cancel)
         if is_bent:
             both = wall_pieces(
                 reference, moving, np.array([found_at, best]), narrow, device, cancel
@@ -226,31 +215,6 @@ def _placed(
             best = spread
             statistics = measure(reference, moving, best, device, cancel)
     return best, statistics
-
-
-def _polished(
-    reference: GridFeatures,
-    moving: GridFeatures,
-    motion: F64,
-    device: ComputeDevice,
-    cancel: CancelToken | None,
-) -> F64:
-    """Return the answer (3,) fitted from several yaws, by the evidence of thin walls.
-
-    On a strip of common ground a fit may settle some degrees off, where it begins.
-    """
-    for _ in range(POLISH_ROUNDS):
-        middle = common_middle(reference, moving, motion, wall_widths(reference)[0], device)
-        begun = turned_about(motion, middle, POLISH_TURNS)
-        fitted = polish(reference, moving, begun, device, cancel)
-        values = score_motions(
-            reference, moving, fitted, 1, device,
-            sigma=THIN_CELLS, doubt=GOOD_DOUBT, cancel=cancel,
-        )  # fmt: skip
-        before, motion = motion, fitted[int(np.argmax(values))]
-        if displacement(motion, before)[1] < POLISHED_RAD:
-            break
-    return np.asarray(motion)
 
 
 def _met(statistics: dict[str, float]) -> float:

@@ -19,7 +19,7 @@ from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.features import GridFeatures, ScoreTable, spread_sample
 from slamfusion.fusion.motions import both_ways, invert, to_lattice
 
-__all__ = ["polish", "rank", "refine", "settle"]
+__all__ = ["are_as_thick", "polish", "rank", "refine", "settle"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -192,10 +192,6 @@ def polish(
     Raises:
         CancelledSearchError: ``cancel`` says so.
     """
-    thick = [
-        len(grid.wall_points) / max(1, len(grid.level(1, cancel).points))
-        for grid in (reference, moving)
-    ]
     return refine(
         reference,
         moving,
@@ -204,9 +200,24 @@ def polish(
         POLISH_SCALES,
         device,
         points=FINAL_POINTS,
-        solid=max(thick) > THICKER * min(thick),
+        solid=not are_as_thick(reference, moving, cancel),
         cancel=cancel,
     )
+
+
+def are_as_thick(
+    reference: GridFeatures, moving: GridFeatures, cancel: CancelToken | None = None
+) -> bool:
+    """Whether both maps draw walls about equally thick, so that their surfaces can meet.
+
+    Raises:
+        CancelledSearchError: ``cancel`` says so.
+    """
+    thick = [
+        len(grid.wall_points) / max(1, len(grid.level(1, cancel).points))
+        for grid in (reference, moving)
+    ]
+    return max(thick) <= THICKER * min(thick)
 
 
 def _surface_distance(

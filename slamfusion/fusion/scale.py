@@ -18,7 +18,7 @@ from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pieces import WallPieces, wall_pieces
 from slamfusion.fusion.search import score_motions
 
-__all__ = ["ScaleFit", "common_middle", "estimate_scale"]
+__all__ = ["ScaleFit", "common_middle", "common_walls", "estimate_scale"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -103,7 +103,15 @@ def _is_better(both: WallPieces) -> bool:
 def common_middle(
     reference: GridFeatures, moving: GridFeatures, motion: F64, sigma: float, device: ComputeDevice
 ) -> F64:
-    """Return (2,) the mean place of moving walls that lie on walls of the reference, its cells."""
+    """Return (2,) the mean place of ``common_walls``; where the moving centre lands without any."""
+    walls = common_walls(reference, moving, motion, sigma, device)
+    return walls.mean(axis=0) if len(walls) else motion[:2]
+
+
+def common_walls(
+    reference: GridFeatures, moving: GridFeatures, motion: F64, sigma: float, device: ComputeDevice
+) -> F64:
+    """Return (N, 2) moving walls that lie on walls of the reference, x and y in its cells."""
     points = moving.level(1).points / 2.0 - np.array(moving.centre)
     cos, sin = np.cos(motion[2]), np.sin(motion[2])
     x = cos * points[:, 0] - sin * points[:, 1] + motion[0]
@@ -113,9 +121,7 @@ def common_middle(
     x, y = x[inside], y[inside]
     distance2 = device.download(reference.level(1).distance2)
     near = distance2[y.astype(np.int64), x.astype(np.int64)] <= sigma * sigma
-    if not near.any():
-        return motion[:2]
-    return np.array([x[near].mean(), y[near].mean()])
+    return np.column_stack((x[near], y[near]))
 
 
 def _about(motion: F64, middle: F64, scale: float) -> F64:

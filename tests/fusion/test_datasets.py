@@ -459,3 +459,19 @@ def test_halves_that_fit_nearly_are_laid_where_they_fit(device: ComputeDevice) -
         found = align_grids(case.reference, case.moving, QUICK, device)
         assert found.accepted, f"{case.name}: {found.reason}"
         assert case.is_right(found.transform), case.name
+
+
+@pytest.mark.once
+def test_a_corridor_in_common_is_fitted_narrowly_before_it_is_judged(device: ComputeDevice) -> None:
+    """The wide fit leaves a fifth of 100 m of walls, and the mirror image fits better."""
+    maps = ("rendered/freiburg_building79.png",)
+    for seed in (1, 2):
+        chosen = [
+            draft
+            for draft in half_pairs(seed, (0.3,), maps)
+            if (draft.reference.axis, draft.reference.side) == ("y", "high")
+        ]
+        for case in drawn(chosen):
+            found = align_grids(case.reference, case.moving, QUICK, device)
+            assert found.accepted, f"{case.name}: {found.reason}"
+            assert case.is_right(found.transform), case.name

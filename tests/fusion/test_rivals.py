@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.fusion import judge, rivals
+from slamfusion.fusion import rivals
 from slamfusion.fusion.accept import expected_wrong
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.pieces import WallPieces
@@ -60,31 +60,6 @@ def test_an_answer_by_sides_of_walls_needs_more_pieces(
     found = Found(motion, coarse, None, "full")
     chosen = chosen_standing(features, features, device, found, 1, None)
     assert chosen.better == pytest.approx(better if is_sided else 12.0)
-
-
-@pytest.mark.parametrize(("off_deg", "rounds"), [(0.0, 1), (1.2, 2), (3.0, 4), (9.0, 4)])
-def test_the_last_fit_goes_on_while_it_turns(
-    device: ComputeDevice, monkeypatch: pytest.MonkeyPatch, off_deg: float, rounds: int
-) -> None:
-    features = features_of(building(1), device)
-    right = math.radians(off_deg)
-    asked: list[int] = []
-
-    def polish(_: object, __: object, begun: np.ndarray, *___: object) -> np.ndarray:
-        asked.append(len(begun))
-        return begun
-
-    def scores(
-        _: object, __: object, motions: np.ndarray, *___: object, **____: object
-    ) -> np.ndarray:
-        return -abs(motions[:, 2] - right)
-
-    monkeypatch.setattr(judge, "polish", polish)
-    monkeypatch.setattr(judge, "score_motions", scores)
-    start = np.array([*features.centre, 0.0])
-    fitted = judge._polished(features, features, start, device, None)
-    assert len(asked) == rounds
-    assert abs(fitted[2] - min(right, math.radians(4 * 1.2))) < math.radians(0.31)
 
 
 # -- an answer among its rivals --------------------------------------------------------------------
@@ -209,11 +184,15 @@ class World:
         said: rows at places; elsewhere nothing is said.
         slid: where slides of the answer lead.
         asked: from where they were asked for.
+        fits: how far a narrow fit moves what it is asked to fit.
+        fitted: what that was.
     """
 
     said: dict[tuple[float, bool], dict[float, tuple[np.ndarray, np.ndarray]]]
     slid: tuple[float, ...] = ()
     asked: list[tuple[float, float, float]] = field(default_factory=list)
+    fits: float = 0.0
+    fitted: list[float] = field(default_factory=list)
 
     def wall_pieces(
         self, _: object, __: object, motions: np.ndarray, sigma: float, *___: object, **said: bool
@@ -229,11 +208,17 @@ class World:
         self.asked.append((float(motion[0]), sigma, cells))
         return at(*self.slid).reshape(-1, 3)
 
+    def narrow_fits(self, _: object, __: object, motions: np.ndarray, *___: object) -> np.ndarray:
+        """Stand in for ``narrow_fit.narrow_fits``."""
+        self.fitted += motions[:, 0].tolist()
+        return motions + np.array([self.fits, 0.0, 0.0])
+
     def chosen(self, patch: pytest.MonkeyPatch, **options: Any) -> Standing:
         """Return the answer among 0, 30, 100 and 300 cells."""
         patch.setattr(rivals, "wall_widths", lambda _: (NARROW, BROAD))
         patch.setattr(rivals, "wall_pieces", self.wall_pieces)
         patch.setattr(rivals, "slides", self.slides)
+        patch.setattr(rivals, "narrow_fits", self.narrow_fits)
         nothing = cast("GridFeatures", None)
         found = Found(at(0.0, 30.0, 100.0, 300.0), **({"coarse": COARSE} | FOUND | options))
         return chosen_standing(nothing, nothing, cast("ComputeDevice", None), found, 1, None)
@@ -262,7 +247,8 @@ def test_good_maps_are_weighed_by_the_sides_of_walls(monkeypatch: pytest.MonkeyP
 def test_a_slide_that_fits_as_well_takes_the_answer_back(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World({SIDED: {0.0: row(10), 50.0: row(9)}, EVEN: {100.0: row(40)}}, slid=(50.0,))
     assert told(world.chosen(monkeypatch)) == (100.0, NARROW, True)
-    assert [place for place, *_ in world.asked] == [0.0, 100.0]
+    # Fitted narrowly, it has the same slide.
+    assert [place for place, *_ in world.asked] == [0.0, 0.0, 100.0]
 
 
 @pytest.mark.parametrize(("share", "is_plain"), [(0.75, True), (0.74, False)])
@@ -273,6 +259,54 @@ def test_good_maps_leave_a_quarter_unexplained_at_most(
     world = World({SIDED: {0.0: row(100, share)}})
     assert world.chosen(monkeypatch).is_plain is is_plain
     assert bool(world.asked) is is_plain
+
+
+@pytest.mark.parametrize(("share", "is_fitted"), [(0.61, True), (0.59, False)])
+def test_what_explains_three_fifths_is_fitted_narrowly(
+    monkeypatch: pytest.MonkeyPatch, share: float, *, is_fitted: bool
+) -> None:
+    """The wide fit leaves two fifths; the narrow one, five cells off, explains all."""
+    world = World({SIDED: {0.0: row(10, share), 5.0: row(10), 100.0: row(9, 0.5)}}, fits=5.0)
+    stand = world.chosen(monkeypatch)
+    assert world.fitted == ([0.0] if is_fitted else [])
+    assert (told(stand) == (5.0, NARROW, True)) is is_fitted
+
+
+def test_rivals_are_fitted_as_the_answer_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = {0.0: row(10, 0.7), 5.0: row(10), 100.0: row(9, 0.7), 105.0: row(9, 1.0)}
+    world = World({SIDED: said}, fits=5.0)
+    stand = world.chosen(monkeypatch)
+    assert world.fitted == [0.0, 100.0]
+    assert stand.better < 2.0
+
+
+def test_what_is_believed_is_not_fitted_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World({SIDED: {0.0: row(10)}}, fits=5.0)
+    assert told(world.chosen(monkeypatch)) == (0.0, NARROW, True)
+    assert world.fitted == []
+
+
+def test_eight_are_fitted_at_most_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = np.arange(0.0, 1000.0, 100.0)
+    rows = {place: row(30 - k, 0.7) for k, place in enumerate(places)}
+    world = World({SIDED: rows})
+    monkeypatch.setattr(rivals, "narrow_fits", world.narrow_fits)
+    pieces = table(*rows.values(), doubt=2.0)
+    stand = rivals._standing(Found(at(*places), COARSE, None, "full"), NARROW, pieces)
+    nothing = cast("GridFeatures", None)
+    rivals._narrow_rows(nothing, nothing, cast("ComputeDevice", None), stand, range(10), None)
+    assert world.fitted == places[:8].tolist()
+
+
+def test_fits_of_what_lies_in_a_window_may_be_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = {0.0: row(10, 0.7), 5.0: row(10), 300.0: row(9, 0.7), 305.0: row(9)}
+    world = World({SIDED: said}, fits=5.0)
+    stand = world.chosen(monkeypatch, candidates=3, search="window")
+    # What lies outside is a rival as it was found.
+    assert world.fitted == [0.0]
+    assert told(stand) == (5.0, NARROW, True)
+    assert 305.0 not in stand.motions[:, 0]
+    assert sorted(stand.motions[stand.inside, 0]) == [30.0, 100.0]
 
 
 @pytest.mark.parametrize(("prior", "is_sided"), [(1.0, True), (100.0, False)])

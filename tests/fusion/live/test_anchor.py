@@ -123,7 +123,9 @@ def test_two_young_maps_take_nothing_from_what_the_third_knows(device: ComputeDe
     # When they have grown two that do not know a cell outvote the third again.
     drive.step(three()["b"], three()["c"])
     assert not any(said in drive.input(name).reason for name in "abc")
-    assert np.array_equal(known_on(drive.fused, before), before.cells >= 0)
+    # But for cells at the rim, where a map may lie a hundredth of a cell elsewhere than before.
+    assert np.count_nonzero(known_on(drive.fused, before) != (before.cells >= 0)) < 10
+    assert np.count_nonzero(alone != (before.cells >= 0)) > 10
 
 
 @pytest.mark.parametrize(("rule", "is_kept"), [("value", False), ("abstain", True)])
