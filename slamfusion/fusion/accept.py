@@ -15,8 +15,7 @@ the common ground could give, since a chance fit leaves much of it unexplained:
     expected_wrong = pairs * prior * TRIALS * (1 + UNPROVEN * gap) * exp(-RATE * n)
 
 is the number of wrong answers to be expected among the pairs of a job, and must stay below
-``EXPECTED_WRONG_MAX``: TRIALS and RATE accept good maps from n = 5.3, others (TRIALS_BENT for
-TRIALS) from 6.0. A proof that was asked for and not
+``EXPECTED_WRONG_MAX``: TRIALS and RATE accept from n = 6.0. A proof that was asked for and not
 finished (gap) leaves poses in which a better rival may be, and so does a search that was cut. A
 start that was given makes the poses near it as much more probable as they are fewer than all poses;
 of maps that may be bent there are more where there is more ground.
@@ -63,11 +62,12 @@ EXPECTED_WRONG_MAX = 0.01
 # Where fewer than this are, maps that do not fit are refused as bent, and not as different places:
 # 5 of 3403 pairs that show no common place are.
 MAYBE_HERE = 0.1
-# Wrong answers that no piece of wall speaks against, one for each of two widths of a wall, and how
-# fast chance runs out, per piece. Maps that may be bent are let off a part of what they leave
-# unexplained, so that what is left is the best of more chances: a plan of offices on a warehouse,
-# the best of some 5000 such pairs, counts 5.6.
-TRIALS, TRIALS_BENT = 2.0, 4.0
+# Wrong answers that no piece of wall speaks against, and how fast chance runs out, per piece. One
+# for each of two widths of a wall, and twice that, since an answer is the best of more chances: of
+# good maps it is fitted narrowly, too (the corner of a depot on the map of a lost SLAM, the best of
+# some 2000 such pairs, counts 6.4), and maps that may be bent are let off a part of what they leave
+# unexplained (a plan of offices on a warehouse counts 5.6).
+TRIALS = 4.0
 RATE = 1.0
 # Maps that are bent explain less of their common ground; pieces count at least this much.
 SHARE_FLOOR = 0.6
@@ -78,7 +78,7 @@ SHARE_FLOOR = 0.6
 SHARP_MATCH, SHARP_WHOLE, ODDS_SHARP = 0.45, 0.4, 8.0
 # Ground on which the middle of the moving map may lie, in square metres, at which TRIALS is what it
 # is: two maps of 30 m. On more there are as many more places that may look right by chance: halves
-# of a place 150 m long, one drawn 1.1 times as large, count 7.2 of the 5.3 that are needed, and a
+# of a place 150 m long, one drawn 1.1 times as large, count 7.2 of the 6.0 that are needed, and a
 # room of 9 m in one of the many rooms there 5.8. The latter are good maps, of which more has to fit
 # at a place: there are half as many.
 GROUND_ONE_M2, GROUND_ONE_GOOD_M2 = 5000.0, 10000.0
@@ -111,6 +111,10 @@ COMMON_MIN_M = 3.0
 # that share a tenth share 0.06 of what they know; where less meets, only walls at the very edge of
 # both do: 5 m of a floor of 2700 m2 on a room, 0.01 of which met, were believed.
 GROUND_MIN = 0.03
+# Metres of common wall, and share of it, beside its two longest straight lines, below which it is
+# one corner. Where 10 to 21 m of two places were nearly believed 0 to 0.05 m were, and once 1 m; of
+# 555 right halves that share 10 to 30 % four are as poor, and five more below 0.5 m.
+BESIDE_MIN_M, BESIDE_SHARE = 0.3, 0.02
 # Pieces of wall that hold an answer, for each metre in the direction in which the fewest do: one of
 # each map, and as many in the other direction. Longer walls there make it no surer.
 HELD_PIECES = 4.0
@@ -181,6 +185,8 @@ class Evidence:
         is_cut: whether walls fill the cells that were searched (``CoarseSearch.is_cut``).
         held_m: metres of wall that hold the answer in the direction in which the fewest do (see
             ``held``); None: not asked.
+        beside_lines_m: metres of common wall beside the two straight lines on which most of it
+            lies (see ``corner``); None: not asked.
         better_inside: ``better`` among the answers in the window; None without one.
         clean_share: the highest share of another answer that gives at least 0.7 of its evidence.
     """
@@ -201,6 +207,7 @@ class Evidence:
     scaled_share: float = 0.0
     clean_share: float = 0.0
     held_m: float | None = None
+    beside_lines_m: float | None = None
     better_inside: float | None = None
     common_ground: float = 1.0
     is_plain: bool = False
@@ -231,7 +238,7 @@ def expected_wrong(
     """
     weight = piece_weight(share, is_plain=is_plain, is_sharp=is_sharp)
     counted = min(better * weight, COUNTED_MAX)
-    trials = (TRIALS if is_plain else TRIALS_BENT) * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
+    trials = TRIALS * (1.0 + UNPROVEN * min(max(gap, 0.0), 1.0))
     return pairs * prior * trials * math.exp(-RATE * max(counted, -COUNTED_MAX))
 
 
@@ -362,8 +369,9 @@ def _contradicted(evidence: Evidence) -> Decision | None:
 
 
 def _too_little(evidence: Evidence) -> Decision | None:
-    """Refuse an answer that rests on walls that are too short, or run one way; None: enough."""
-    if evidence.search == "full" and not _is_whole(evidence):
+    """Refuse what rests on short walls, on those that run one way, or on a corner; None: not so."""
+    is_searched = evidence.search == "full" and not _is_whole(evidence)
+    if is_searched:
         if evidence.common_m < COMMON_MIN_M:
             return _refused(
                 "too little in common",
@@ -384,6 +392,14 @@ def _too_little(evidence: Evidence) -> Decision | None:
             "too little in common",
             f"too little in common: the {evidence.common_m:.0f} m of common walls run one way, and "
             f"only {evidence.held_m:.1f} m hold it along them",
+        )
+    beside = max(BESIDE_MIN_M, BESIDE_SHARE * evidence.common_m)
+    if is_searched and evidence.beside_lines_m is not None and evidence.beside_lines_m < beside:
+        return _refused(
+            "too little in common",
+            f"too little in common: the {evidence.common_m:.0f} m of common walls are one corner, "
+            f"of the {beside:.1f} m needed beside its two lines there are "
+            f"{evidence.beside_lines_m:.1f} m",
         )
     return None
 

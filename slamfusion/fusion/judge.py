@@ -23,6 +23,7 @@ from slamfusion.fusion.accept import (
     wrong_in_job,
 )
 from slamfusion.fusion.cancel import CancelToken
+from slamfusion.fusion.corner import beside_lines_m
 from slamfusion.fusion.features import FINE_TABLE, GridFeatures
 from slamfusion.fusion.frames import motion_of, transform_of
 from slamfusion.fusion.held import held_by
@@ -122,7 +123,11 @@ def judge(
     )  # fmt: skip
     decision = decide(evidence)
     if found.search in {"full", "window"} and decision.accepted:
-        evidence = replace(evidence, held_m=held_by(reference, moving, best, cancel))
+        evidence = replace(
+            evidence,
+            held_m=held_by(reference, moving, best, cancel),
+            beside_lines_m=beside_lines_m(reference, moving, best, device),
+        )
         decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
         evidence = _looked_closer(
@@ -146,6 +151,7 @@ def judge(
         scaled_share=None if evidence.scale is None else evidence.scaled_share,
         rival_share=evidence.clean_share,
         held_m=evidence.held_m,
+        beside_lines_m=evidence.beside_lines_m,
         good_maps=evidence.is_plain,
         sharp_maps=evidence.is_sharp,
     )

@@ -76,6 +76,8 @@ class MatchEvidenceJson(TypedDict):
     """The highest share of another answer that gives at least 0.7 of its evidence."""
     held_m: float | None
     """Wall that holds it in the direction in which the least does, metres; null: not asked."""
+    beside_lines_m: float | None
+    """Common wall beside the two straight lines with most of it, metres; null: not asked."""
     good_maps: bool
     """Whether answers are compared as of two good maps: what is unexplained speaks against them."""
     sharp_maps: bool
@@ -168,6 +170,8 @@ class MatchEvidence:
         rival_share: the highest share of another answer that gives at least 0.7 of its evidence.
         held_m: metres of wall that hold it in the direction in which the fewest do; None: not
             asked, since it is not believed anyway.
+        beside_lines_m: metres of common wall beside the two straight lines on which most of it
+            lies; None: not asked.
         good_maps: whether answers are compared as of two good maps of one place, so that what one
             leaves unexplained speaks against it; otherwise as of maps that may be bent.
         sharp_maps: whether walls meet so well, or not at all, that neither map can be bent.
@@ -184,6 +188,7 @@ class MatchEvidence:
     scaled_share: float | None = None
     rival_share: float = 0.0
     held_m: float | None = None
+    beside_lines_m: float | None = None
     good_maps: bool = False
     sharp_maps: bool = False
 
@@ -201,6 +206,7 @@ class MatchEvidence:
             "scaled_share": self.scaled_share,
             "rival_share": self.rival_share,
             "held_m": self.held_m,
+            "beside_lines_m": self.beside_lines_m,
             "good_maps": self.good_maps,
             "sharp_maps": self.sharp_maps,
         }

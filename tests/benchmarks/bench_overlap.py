@@ -37,7 +37,7 @@ from slamfusion.fusion.accept import (
     RATE,
     RIVAL_RATIO,
     SHARE_FLOOR,
-    TRIALS_BENT,
+    TRIALS,
 )
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
@@ -79,7 +79,7 @@ BLOCK_MAPS = 10
 OUTCOMES = ("accepted right", "accepted wrong", "found, rejected", "not found")
 # Pieces of wall that have to speak for a pair whose maps may be bent, whatever they leave
 # unexplained; two good maps that fit need fewer.
-PIECES_ENOUGH = math.log(TRIALS_BENT / EXPECTED_WRONG_MAX) / (RATE * SHARE_FLOOR)
+PIECES_ENOUGH = math.log(TRIALS / EXPECTED_WRONG_MAX) / (RATE * SHARE_FLOOR)
 # Metres of wall, 10, that have as many though a rival takes off half: one that explains more than
 # half as much may be the place as well.
 WALL_ENOUGH_M = math.ceil(PIECES_ENOUGH / (WITNESSES_A_METRE * (1.0 - RIVAL_RATIO)))

@@ -38,7 +38,6 @@ PAIRS = load_pairs(Path(__file__).with_name("recorded_pairs.csv"))
 # good maps, 2 exp(-better) < 0.01.
 WHOLE = 1.0
 ENOUGH = math.log(400.0)
-ENOUGH_GOOD = math.log(200.0)
 # Of good maps: pieces that count as one where four fifths are explained, at odds of 4 to 1.
 EIGHTY = (11.0 / 4.0) ** 2
 
@@ -121,21 +120,21 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     ({"share": 0.418, "better": 11.96, "prior": 13.0}, "bent", "0.04 wrong answers are"),
     ({"share": 0.418, "better": 11.96}, "accepted", "walls match: 42%"),
     # Good maps: by the square of the odds of what is explained, one at 11 to 1 and two at most.
-    (GOOD | {"share": WHOLE, "better": ENOUGH_GOOD / 2.0 + 1e-6}, "accepted", "walls match: 100%"),
+    (GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 + 1e-6}, "accepted", "walls match: 100%"),
     (
-        GOOD | {"share": WHOLE, "better": ENOUGH_GOOD / 2.0 - 1e-6},
+        GOOD | {"share": WHOLE, "better": ENOUGH / 2.0 - 1e-6},
         "ambiguous",
         "explains 60% of it",
     ),
-    (GOOD | {"share": 11 / 12, "better": ENOUGH_GOOD + 1e-6}, "accepted", "walls match: 92%"),
-    (GOOD | {"share": 11 / 12, "better": ENOUGH_GOOD - 1e-6}, "ambiguous", "explains 60% of it"),
+    (GOOD | {"share": 11 / 12, "better": ENOUGH + 1e-6}, "accepted", "walls match: 92%"),
+    (GOOD | {"share": 11 / 12, "better": ENOUGH - 1e-6}, "ambiguous", "explains 60% of it"),
     (
-        GOOD | {"share": 0.8, "better": ENOUGH_GOOD * EIGHTY + 1e-6, "witnesses": 99.0},
+        GOOD | {"share": 0.8, "better": ENOUGH * EIGHTY + 1e-6, "witnesses": 99.0},
         "accepted",
         "80%",
     ),
     (
-        GOOD | {"share": 0.8, "better": ENOUGH_GOOD * EIGHTY - 1e-6, "witnesses": 99.0},
+        GOOD | {"share": 0.8, "better": ENOUGH * EIGHTY - 1e-6, "witnesses": 99.0},
         "ambiguous",
         "",
     ),
@@ -154,7 +153,7 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     (SHARP | {"share": 0.95, "better": ENOUGH / 0.95 + 1e-6}, "accepted", "walls match: 95%"),
     (SHARP | {"share": 0.95, "better": ENOUGH / 0.95 - 1e-6}, "ambiguous", "explains 60% of it"),
     (
-        SHARP | GOOD | {"share": 11 / 12, "better": ENOUGH_GOOD + 1e-6},
+        SHARP | GOOD | {"share": 11 / 12, "better": ENOUGH + 1e-6},
         "accepted",
         "walls match: 92%",
     ),
@@ -174,8 +173,8 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
     (TIED | {"share": WHOLE, "prior": 0.0025}, "ambiguous", ""),
     (TIED | {"share": WHOLE, "prior": 0.0025, "witnesses": 0.0}, "too little in common", ""),
     (TIED | {"share": WHOLE, "prior": 0.00249}, "accepted", ""),
-    (GOOD | TIED | {"share": WHOLE, "prior": 0.00501}, "ambiguous", ""),
-    (GOOD | TIED | {"share": WHOLE, "prior": 0.00499}, "accepted", ""),
+    (GOOD | TIED | {"share": WHOLE, "prior": 0.00251}, "ambiguous", ""),
+    (GOOD | TIED | {"share": WHOLE, "prior": 0.00249}, "accepted", ""),
     ({"better": -3.0, "ratio": 1.2}, "ambiguous", "explains 120% of it"),
     ({"better": 1e9, "witnesses": 1e9}, "accepted", "walls match"),
     ({"better": -1e9, "ratio": 99.0}, "ambiguous", "ambiguous"),
@@ -302,9 +301,24 @@ GATES: Sequence[tuple[dict[str, Any], DecisionKind, str]] = (
         "too little in common",
         "the 40 m of common walls run one way, and only 1.5 m hold it along them",
     ),
-    (GOOD | {"share": WHOLE, "held_m": ENOUGH_GOOD / 8.0 + 1e-6}, "accepted", "walls match"),
-    (GOOD | {"share": WHOLE, "held_m": ENOUGH_GOOD / 8.0 - 1e-6}, "too little in common", "0.7 m"),
+    (GOOD | {"share": WHOLE, "held_m": ENOUGH / 8.0 + 1e-6}, "accepted", "walls match"),
+    (GOOD | {"share": WHOLE, "held_m": ENOUGH / 8.0 - 1e-6}, "too little in common", "0.7 m"),
     (SURE | {"held_m": 0.1}, "too little in common", "run one way"),
+    # One corner: a fiftieth of the common wall beside its two lines, and 0.3 m at least.
+    ({"beside_lines_m": 0.801}, "accepted", "walls match"),
+    (
+        {"beside_lines_m": 0.799},
+        "too little in common",
+        "one corner, of the 0.8 m",
+    ),
+    ({"common_m": 10.0, "beside_lines_m": 0.301}, "accepted", "walls match"),
+    (
+        {"common_m": 10.0, "beside_lines_m": 0.299},
+        "too little in common",
+        "of the 0.3 m needed beside",
+    ),
+    ({"beside_lines_m": 0.0, "search": "window"}, "accepted", "walls match"),
+    (SURE | {"beside_lines_m": 0.0}, "accepted", "walls match"),
     # -- mirrored
     ({"mirrored": 0.9}, "accepted", "walls match"),
     ({"mirrored": 0.901}, "mirrored", "fits its mirror image as well or better, 0.9 times"),
@@ -435,7 +449,7 @@ def test_of_good_maps_pieces_count_by_the_odds_of_what_is_explained(
     share: float, weight: float
 ) -> None:
     found = expected_wrong(7.0, share, is_plain=True)
-    assert found == pytest.approx(2.0 * math.exp(-7.0 * weight))
+    assert found == pytest.approx(4.0 * math.exp(-7.0 * weight))
 
 
 def test_maps_are_neither_good_nor_sharp_unless_it_is_said() -> None:
@@ -457,6 +471,7 @@ def test_maps_are_neither_good_nor_sharp_unless_it_is_said() -> None:
         scaled_share=0.0,
         clean_share=0.0,
         held_m=None,
+        beside_lines_m=None,
         better_inside=None,
         common_ground=1.0,
         is_plain=False,
@@ -502,7 +517,8 @@ def test_an_image_is_refused_only_where_it_fits_better() -> None:
 # -- monotony --------------------------------------------------------------------------------------
 
 # Numbers of which more speaks for an alignment, and those of which more speaks against it.
-FOR = ("walls", "share", "witnesses", "better", "wall_match")
+HOLDS = ("common_ground", "held_m", "beside_lines_m")
+FOR = ("walls", "share", "witnesses", "better", "wall_match", *HOLDS)
 AGAINST = (
     "ratio",
     "clean_share",
@@ -523,6 +539,8 @@ RANGES = {
     "ratio": (0.0, 1.5),
     "mirrored": (0.0, 3.0),
     "scale": (0.85, 1.15),
+    "held_m": (0.0, 9.0),
+    "beside_lines_m": (0.0, 3.0),
     "pairs": (1.0, 200.0),
 }
 
@@ -620,7 +638,7 @@ def test_a_scale_farther_from_one_never_helps(found: Evidence, offs: tuple[float
 @settings(max_examples=examples(80), deadline=None)
 @given(found=any_evidence(), metres=st.floats(3.0, 100.0), where=st.text(max_size=5))
 def test_what_is_only_said_decides_nothing(found: Evidence, metres: float, where: str) -> None:
-    found = replace(found, common_m=max(found.common_m, 3.0))
+    found = replace(found, common_m=max(found.common_m, 3.0), beside_lines_m=None)
     other = replace(found, common_m=metres, rival=where)
     assert decide(other).accepted == decide(found).accepted
 

@@ -23,11 +23,14 @@ FIELDS = (
     "scale",
     "scaled_share",
     "clean_share",
+    "common_ground",
+    "held_m",
+    "beside_lines_m",
 )
 STATISTICS = ("wall_match", "wall_clash", "chance")
 COLUMNS = FIELDS + STATISTICS
 # Numbers that are looked for only where the rest speaks for the answer.
-OPTIONAL = ("mirrored", "scale")
+OPTIONAL = ("mirrored", "scale", "held_m", "beside_lines_m")
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,9 @@ def _pair(row: dict[str, str]) -> RecordedPair:
         scale=float(row["scale"]) if row["scale"] else None,
         scaled_share=float(row["scaled_share"] or 0.0),
         clean_share=float(row["clean_share"]),
+        common_ground=float(row["common_ground"]),
+        held_m=float(row["held_m"]) if row["held_m"] else None,
+        beside_lines_m=float(row["beside_lines_m"]) if row["beside_lines_m"] else None,
         is_plain=row["good_maps"] == "yes",
         is_sharp=row["sharp_maps"] == "yes",
     )
