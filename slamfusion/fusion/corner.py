@@ -23,8 +23,9 @@ F64 = npt.NDArray[np.float64]
 BAND_M, BAND_CELLS_MIN = 0.3, 3.0
 # Directions that are tried, degrees: all in coarse steps, fine ones around the best of them.
 COARSE, FINE = np.arange(0.0, 180.0, 1.0), np.arange(-0.9, 0.91, 0.1)
-# Points that are looked at; each stands for its share.
-POINTS = 1024
+# Points that are looked at, each stands for its share; fewer find the direction.
+POINTS, COARSE_POINTS = 1024, 256
+# Rounding, cells: a point that a band begins with lies on it.
 NIL = 1e-6
 
 
@@ -42,13 +43,15 @@ def beside_lines_m(
     walls = common_walls(reference, moving, motion, wall_widths(reference)[0], device)
     if not len(walls):
         return 0.0
-    points = walls[:: -(-len(walls) // POINTS)]
+    points = _sample(walls, POINTS)
     beside = beside_lines(points, max(BAND_M / size, BAND_CELLS_MIN))
     return size * len(walls) * beside / len(points)
 
 
 def beside_lines(points: F64, band: float) -> int:
     """Return how many points, (N, 2), lie beside the two straight bands that take most of them.
+
+    The direction of a band is that of a sample; of many long walls it may take the second longest.
 
     Args:
         points: x and y.
@@ -58,24 +61,25 @@ def beside_lines(points: F64, band: float) -> int:
     for _ in range(2):
         if not len(left):
             break
-        degrees, _, _ = _widest(left, COARSE, band)
-        degrees, first, _ = _widest(left, degrees + FINE, band)
+        degrees, _ = _widest(_sample(left, COARSE_POINTS), COARSE, band)
+        degrees, first = _widest(left, degrees + FINE, band)
         across = left @ _normal(degrees)
         left = left[(across < first - NIL) | (across > first + band + NIL)]
     return len(left)
 
 
-def _widest(points: F64, degrees: F64, band: float) -> tuple[float, float, int]:
-    """Return direction and beginning of the band that takes most points, and how many."""
-    across = np.sort(points @ _normal(degrees), axis=0)
-    own = np.arange(len(points))
-    most = (float(degrees[0]), float(across[0, 0]), 0)
-    for angle, places in zip(degrees.tolist(), across.T, strict=True):
-        taken = np.searchsorted(places, places + band, side="right") - own
-        best = int(taken.argmax())
-        if taken[best] > most[2]:
-            most = angle, float(places[best]), int(taken[best])
-    return most
+def _sample(points: F64, most: int) -> F64:
+    """Return at most so many of the points, evenly strided."""
+    return points[:: -(-len(points) // most)]
+
+
+def _widest(points: F64, degrees: F64, band: float) -> tuple[float, float]:
+    """Return direction and beginning of the band that takes most points."""
+    across = np.sort(_normal(degrees).T @ points.T, axis=1)
+    taken = np.stack([np.searchsorted(row, row + band, side="right") for row in across])
+    taken -= np.arange(len(points))
+    best = np.unravel_index(taken.argmax(), taken.shape)
+    return float(degrees[best[0]]), float(across[best])
 
 
 def _normal(degrees: float | F64) -> F64:

@@ -115,8 +115,6 @@ def judge(
         prior = prior_within(reference, moving, DISTINCT_CELLS, DISTINCT_YAW_RAD)
     if found.coarse is not None:
         prior *= ground_prior(reference, moving, is_plain=stand.is_plain)
-        if stand.is_plain and (reference.fades or moving.fades):
-            prior *= FADED_TRIALS
     evidence = _evidence(
         reference, moving, stand, runner_up, statistics,
         found=found, pairs=pairs, prior=prior, overlap=overlap,
@@ -126,7 +124,10 @@ def judge(
         evidence = replace(
             evidence,
             held_m=held_by(reference, moving, best, cancel),
-            beside_lines_m=beside_lines_m(reference, moving, best, device),
+            # Near a start it does not matter which other corners look alike.
+            beside_lines_m=beside_lines_m(reference, moving, best, device)
+            if found.search == "full"
+            else None,
         )
         decision = decide(evidence)
     if found.search in {"full", "window"} and (decision.accepted or decision.kind == "bent"):
@@ -355,9 +356,13 @@ def _ground(reference: GridFeatures, moving: GridFeatures) -> float:
 
 
 def ground_prior(reference: GridFeatures, moving: GridFeatures, *, is_plain: bool) -> float:
-    """Return how many times more places two maps have than on the ground of ``accept``, or 1."""
+    """Return how many times more wrong answers there are than on the ground of ``accept``, or 1.
+
+    So many times as many places there are, and of good maps that fade each fits more often.
+    """
     ground_m2 = _ground(reference, moving) * reference.grid.grid.resolution**2
-    return max(1.0, ground_m2 / (GROUND_ONE_GOOD_M2 if is_plain else GROUND_ONE_M2))
+    places = max(1.0, ground_m2 / (GROUND_ONE_GOOD_M2 if is_plain else GROUND_ONE_M2))
+    return FADED_TRIALS * places if is_plain and (reference.fades or moving.fades) else places
 
 
 def _near_start(

@@ -34,7 +34,7 @@ from slamfusion.config import AlignConfig, NormalizeConfig
 from slamfusion.fusion.accept import Evidence, decide
 from slamfusion.fusion.align import align_features
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.judge import FADED_TRIALS, ground_prior
+from slamfusion.fusion.judge import ground_prior
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.grid import OccupancyGrid
@@ -104,7 +104,7 @@ class Recorder:
             ratio=match.rival_ratio,
             rival=None if alignment.runner_up is None else "elsewhere",
             pairs=1,
-            prior=self.prior(reference, moving, is_plain=match.good_maps),
+            prior=ground_prior(reference, moving, is_plain=match.good_maps),
             statistics=alignment.statistics,
             search="full",
             mirrored=match.mirrored,
@@ -122,13 +122,6 @@ class Recorder:
         assert decision == said, f"the record leaves out what was looked at: {decision}, {said}"
         names = alignment.reference, alignment.moving
         return RecordedPair(source, *names, is_right, decision, evidence)
-
-    @staticmethod
-    def prior(reference: GridFeatures, moving: GridFeatures, *, is_plain: bool) -> float:
-        """Return how many more wrong answers there are than on little ground."""
-        prior = ground_prior(reference, moving, is_plain=is_plain)
-        fades = is_plain and (reference.fades or moving.fades)
-        return prior * FADED_TRIALS if fades else prior
 
     def align(
         self, reference: OccupancyGrid, moving: OccupancyGrid
