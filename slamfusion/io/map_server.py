@@ -13,6 +13,7 @@ does not divide 65535 by a whole number, so that its white falls short of white.
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import stat
@@ -27,7 +28,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, implausible
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.io.images import encode_image, looks_like_image, read_image
-from slamfusion.io.journal import is_switching, put_right
+from slamfusion.io.journal import hold_folders, is_switching, put_right
 from slamfusion.io.map_cells import cells_from_image, classes_of_greys, pixels_from_cells
 from slamfusion.io.map_yaml import (
     FREE_THRESH,
@@ -51,6 +52,9 @@ VOTE = NormalizeConfig()
 SWITCH_S, LOOK_S = 5.0, 0.005
 
 _LOG = logging.getLogger(__name__)
+
+# Inode, time of change and size of each form of a file; None where it is not there.
+_Mark = tuple[tuple[int, int, int] | None, ...]
 
 
 def load_map(
@@ -93,7 +97,7 @@ def load_map(
         try:
             grid, remark = _load(path, resolution, name, legacy_unknown=legacy_unknown)
         except MapFileError:
-            if _mark(path) == before and not is_switching(folder):
+            if _is_as_it_was(path, folder, before):
                 raise
         else:
             # The YAML goes before the picture is replaced: it is there still, so both are of one.
@@ -157,7 +161,22 @@ def _put_right(path: Path, folder: Path) -> None:
         raise MapFileError(message) from None
 
 
-def _mark(path: Path) -> tuple[tuple[int, int, int] | None, ...]:
+def _is_as_it_was(path: Path, folder: Path, before: _Mark) -> bool:
+    """Whether the files that could not be read are those that lie there while nobody switches any.
+
+    Asked while other writers are kept off: one that ends between two looks, or is killed between
+    them, would pass for a file that was never there.
+    """
+    _put_right(path, folder)
+    try:
+        with hold_folders([folder]):
+            return not is_switching(folder) and _mark(path) == before
+    except OSError as error:
+        # A folder that is not there, or not to be looked into, has no writer.
+        return error.errno != errno.EBUSY
+
+
+def _mark(path: Path) -> _Mark:
     """Return what changes whenever a file is replaced, of the path and of its packed form."""
     marks: list[tuple[int, int, int] | None] = []
     for candidate in (str(path), f"{path}.gz"):

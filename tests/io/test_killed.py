@@ -16,7 +16,7 @@ import pytest
 
 from slamfusion.errors import MapFileError
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io import AtomicFiles, journal, load_map, save_map
+from slamfusion.io import AtomicFiles, journal, load_map, map_server, save_map
 from tests.io.killed import NEW, OLD, WRITERS, content, grid_of, leftovers
 
 pytestmark = pytest.mark.once
@@ -149,6 +149,51 @@ def test_while_a_set_is_switched_a_reader_waits_and_says_so_in_the_end(
         with pytest.raises(MapFileError, match=r"map\.yaml: another process is writing it"):
             load_map(tmp_path / "map.yaml")
     assert load_map(tmp_path / "map.yaml").resolution == grid_of(OLD).resolution
+
+
+def test_a_switch_that_ends_while_a_reader_asks_about_it_is_no_missing_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    half_switched(tmp_path)
+    (path,) = tmp_path.glob("*.journal")
+    held = os.open(path, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    entries = json.loads(path.read_text())["entries"]
+    asked: list[Path] = []
+
+    def ends_just_before(folder: Path) -> bool:
+        if not asked:
+            for entry in entries:
+                stem = path.name.removesuffix(".journal")
+                (folder / f"{stem}-{entry['number']}.old").replace(folder / entry["target"])
+            os.truncate(path, 0)
+            os.close(held)
+        asked.append(folder)
+        return journal.is_switching(folder)
+
+    monkeypatch.setattr("slamfusion.io.map_server.is_switching", ends_just_before)
+    assert load_map(tmp_path / "map.yaml").resolution == grid_of(OLD).resolution
+    assert asked
+
+
+def test_a_writer_that_is_killed_while_a_reader_looks_leaves_no_missing_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    half_switched(tmp_path)
+    (path,) = tmp_path.glob("*.journal")
+    alive = path.open("rb")
+    fcntl.flock(alive, fcntl.LOCK_EX)
+    existing = map_server.existing
+
+    def looked_for(path: Path) -> Path:
+        try:
+            return existing(path)
+        finally:
+            alive.close()
+
+    monkeypatch.setattr(map_server, "existing", looked_for)
+    assert load_map(tmp_path / "map.yaml").resolution == grid_of(OLD).resolution
+    assert leftovers(tmp_path) == []
 
 
 def test_old_files_that_cannot_be_brought_back_are_kept_and_named(
