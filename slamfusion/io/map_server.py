@@ -174,6 +174,9 @@ def _is_as_it_was(path: Path, folder: Path, before: _Mark) -> bool:
     except OSError as error:
         # A folder that is not there, or not to be looked into, has no writer.
         return error.errno != errno.EBUSY
+    except ValueError:
+        # Nor has one that cannot be.
+        return True
 
 
 def _mark(path: Path) -> _Mark:

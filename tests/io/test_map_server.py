@@ -524,7 +524,8 @@ def test_a_file_without_read_permission_is_refused() -> None:
 
 
 def test_names_the_system_cannot_hold_are_refused(tmp_path: Path) -> None:
-    for name in ("a\x00b.yaml", "x" * 300 + ".yaml", "x" * 300 + ".pgm"):
+    names = ("a\x00b.yaml", "x" * 300 + ".yaml", "x" * 300 + ".pgm")
+    for name in (*names, "a\x00b/map.yaml", "\ud800/map.yaml", "x" * 300 + "/map.yaml"):
         with pytest.raises(MapFileError, match="; "):
             load_map(tmp_path / name)
 
