@@ -11,7 +11,7 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fleet import asked_scheduler, processes_option, scheduler_option
-from slamfusion.cli.fused import print_alignments, print_pairs, tell_left_out
+from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
     FILE,
@@ -28,6 +28,7 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
+from slamfusion.jobs.defaults import LIKE_PAPER
 from slamfusion.jobs.inputs import GivenMaps, check_writable, device_for, load_maps
 from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, STORE_END, group_stems
 
@@ -103,6 +104,7 @@ class _Outputs:
     "report",
     "device",
     "",
+    preset=LIKE_PAPER,
 )
 @common_options
 @table_option
@@ -121,7 +123,8 @@ def command(
     """Align saved MAPS of one place and fuse them by vote.
 
     MAPS are map_server YAML files, or bare images together with --resolution. At least two have
-    to fit each other; those that do not are named and left out.
+    to fit each other; those that do not are named and left out. The fused map is in the frame of
+    the first that fits, and holds all that the maps hold.
     """
     from slamfusion.jobs.fuse import (  # noqa: PLC0415
         check_count,
@@ -207,6 +210,7 @@ def _fuse_into_store(
     print_alignments(stored.result)
     for sentence in fusion_sentences(stored.result, None):
         print(sentence)
+    print_frames(stored.result, config.fusion.reference)
     for path, stem in zip(stored.stores, stored.stems, strict=True):
         print(f"fused map: {path}" + ("" if stem is None else f", {stem}.yaml"))
     return 0
@@ -219,6 +223,7 @@ def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) 
     print_alignments(fused.result)
     for sentence in fusion_sentences(fused.result, fused.doubled):
         print(sentence)
+    print_frames(fused.result, fused.config.fusion.reference)
     if fused.evaluations:
         print()
         print_evaluations(fused.evaluations)

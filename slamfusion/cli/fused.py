@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from slamfusion.cli.output import notice, number, print_table
 
 if TYPE_CHECKING:
-    from slamfusion.fusion.records import Alignment, Fusion, InputRecord
+    from slamfusion.fusion.records import (
+        Alignment,
+        Fusion,
+        FusionResult,
+        InputRecord,
+        StoredFusion,
+    )
 
-__all__ = ["print_alignments", "print_pairs", "tell_left_out"]
+__all__ = ["print_alignments", "print_frames", "print_pairs", "tell_left_out"]
 
 PAIR_COLUMNS = (
     "reference ",
@@ -37,8 +44,59 @@ def print_alignments(result: Fusion) -> None:
     )
 
 
-def tell_left_out(result: Fusion) -> None:
-    """Name on stderr the inputs that have no vote."""
+def print_frames(result: FusionResult | StoredFusion, wanted: str | None) -> None:
+    """Print in whose frame each fused map is, and where its inputs are in it, ready to paste.
+
+    Args:
+        result: of the fusion.
+        wanted: the setting ``fusion.reference``.
+    """
+    from slamfusion.jobs.fuse_documents import frame_words  # noqa: PLC0415  (loads slowly)
+
+    groups = (result, *result.others)
+    print(f"frame:     {frame_words(result, wanted)}")
+    for number, group in enumerate(groups[1:], start=2):
+        print(f"group {number}:   {group.reference}")
+    print("the inputs in it, as starts:")
+    for group in groups:
+        print("   " + "".join(f" {_start_words(pair)}" for pair in _alignments(group)))
+    print("and as transforms:")
+    for group in groups:
+        for pair in _alignments(group):
+            if pair.moving != pair.reference:
+                print(f"    {_transform_words(pair)}")
+
+
+def _alignments(result: Fusion) -> list[Alignment]:
+    """Return how each input that was fused lies to the reference."""
+    found = [record.alignment for record in result.accepted]
+    return [pair for pair in found if pair is not None]
+
+
+def _start_words(pair: Alignment) -> str:
+    """Return the option ``--start`` that expects a map where it was found."""
+    motion = pair.transform
+    yaw_deg = math.degrees(motion.yaw_rad)
+    return shlex.join(
+        ["--start", f"{pair.moving}={motion.x:.3f},{motion.y:.3f},{yaw_deg:.2f}deg"]
+    )
+
+
+def _transform_words(pair: Alignment) -> str:
+    """Return the command that publishes a map's frame in that of the reference."""
+    motion = pair.transform
+    return shlex.join(
+        [
+            *("ros2", "run", "tf2_ros", "static_transform_publisher"),
+            *("--x", f"{motion.x:.4f}", "--y", f"{motion.y:.4f}"),
+            *("--yaw", f"{motion.yaw_rad:.6f}"),
+            *("--frame-id", pair.reference, "--child-frame-id", pair.moving),
+        ]
+    )
+
+
+def tell_left_out(result: FusionResult | StoredFusion) -> None:
+    """Name on stderr the inputs that have no vote, and what the fused map was cut off from."""
     from slamfusion.jobs.fuse_documents import left_out_sentences  # noqa: PLC0415  (loads slowly)
 
     for sentence in left_out_sentences(result):

@@ -150,7 +150,9 @@ def config_fields(config: Any = RunConfig, section: str = "") -> Iterator[Config
                 yield from config_fields(below, f"{section}.{name}".lstrip("."))
 
 
-def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], F]:
+def with_config(
+    *sections: str, base: RunConfig | None = None, preset: RunConfig | None = None
+) -> Callable[[F], F]:
     """Give a command ``--config`` and the public fields of some sections as options.
 
     The command receives one ``config: RunConfig``: defaults, then the file, then the options.
@@ -158,6 +160,7 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
     Args:
         sections: dotted places in the tree; ``""`` is the root's own fields.
         base: defaults of this command, where they are not those of all.
+        preset: defaults of it with ``--like-paper``; None: there is no such option.
     """
     defaults = base or RunConfig()
     chosen = [
@@ -168,14 +171,20 @@ def with_config(*sections: str, base: RunConfig | None = None) -> Callable[[F], 
 
     def decorate(function: F) -> F:
         @functools.wraps(function)
-        def wrapper(*args: Any, config_file: Path | None, **values: Any) -> Any:
+        def wrapper(
+            *args: Any, config_file: Path | None, like_paper: bool = False, **values: Any
+        ) -> Any:
             explicit = {option.key: values.pop(option.parameter) for option in chosen}
-            config = defaults if config_file is None else _read(config_file, defaults)
+            config = preset if like_paper and preset is not None else defaults
+            if config_file is not None:
+                config = _read(config_file, config)
             return function(*args, config=_override(config, chosen, explicit), **values)
 
         command: Any = wrapper
         for option in reversed(chosen):
             command = _click_option(option)(command)
+        if preset is not None:
+            command = _LIKE_PAPER(command)
         return typing.cast("F", _CONFIG_FILE(command))
 
     return decorate
@@ -250,6 +259,14 @@ _CONFIG_FILE = file_option(
     "config_file",
     "FILE",
     "YAML file with settings, also the expert ones; options given here override it.",
+)
+
+
+_LIKE_PAPER = click.option(
+    "--like-paper",
+    is_flag=True,
+    help="Fuse as [F16] does: a majority in which unknown is a value, in the frame and box of the "
+    "smallest map; options given here override it.",
 )
 
 

@@ -39,8 +39,8 @@ def start_option(text: str, *, bare_name: bool = False) -> Callable[[F], F]:
         type=_Start(bare_name=bare_name),
         callback=_refuse_twice,
         metavar=f"[NAME=]{form.removeprefix('NAME=')}" if bare_name else form,
-        help=f"{text}, in m and rad; searched only within M metres and RAD radians of it. "
-        f"[default: {START_M:g} m, {START_RAD:g} rad]",
+        help=f"{text}, in m and rad, or degrees as in 46.4deg; searched only within M metres and "
+        f"RAD radians of it. [default: {START_M:g} m, {START_RAD:g} rad]",
     )
 
 
@@ -110,7 +110,7 @@ class JoinedStart(click.Command):
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        float(text.removesuffix("deg"))
     except ValueError:
         return False
     return True

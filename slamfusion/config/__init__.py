@@ -28,6 +28,7 @@ from slamfusion.config.experiments import (
     OccupancyEstimatorConfig,
 )
 from slamfusion.config.fusion import (
+    SMALLEST,
     AlignConfig,
     EvaluateConfig,
     FusionConfig,
@@ -87,6 +88,7 @@ __all__ = [
     "INTEGER_MAX",
     "PICTURE_FORMS",
     "PUBLISHED",
+    "SMALLEST",
     "START_FORM",
     "START_M",
     "START_RAD",

@@ -10,6 +10,7 @@ from slamfusion.config.core import Checked, option
 from slamfusion.errors import ConfigError
 
 __all__ = [
+    "SMALLEST",
     "AlignConfig",
     "EvaluateConfig",
     "FusionConfig",
@@ -24,6 +25,9 @@ __all__ = [
 # How maps vote; and how a fused map comes to be, by such a vote or drawn from scans.
 VoteMode: TypeAlias = Literal["majority", "consensus", "weighted", "log-odds"]
 FusionMode: TypeAlias = Literal[VoteMode, "drawn"]
+
+# What a setting calls the map with the smallest known box.
+SMALLEST = "smallest"
 
 
 @dataclass(frozen=True)
@@ -112,8 +116,9 @@ class VoteConfig(Checked):
         "unknown as a value, as an abstention, or auto: a value with exactly three voters",
     )
     extent: Literal["reference", "union"] = option(
-        "reference",
-        "fused cells: those of the reference grid, or, as in drawn, the union of all that fit",
+        "union",
+        "fused cells: the union of all maps that fit, or those of the reference alone; drawn is "
+        "always a union",
     )
     double_reach_m: float = option(
         0.4,
@@ -138,7 +143,9 @@ class FusionConfig(Checked):
     align: AlignConfig = AlignConfig()
     vote: VoteConfig = VoteConfig()
     reference: str | None = option(
-        None, "name or index (from 0) of the reference; default: the smallest known box"
+        None,
+        "name or index (from 0) of the map in whose frame the result is, or smallest, the one with "
+        "the smallest known box; default: the first that fits, live the smallest",
     )
     require_all: bool = option(False, "fail when any input is rejected")
     keep_duplicates: bool = option(

@@ -16,13 +16,16 @@ START_M = 2.0
 START_RAD = 0.35
 START_FORM = "x,y,yaw or x,y,yaw,metres,radians"
 POSE, POSE_AND_TOLERANCES = 3, 5
+YAW = 2
+DEGREES = "deg"
 
 
 def checked_start(given: Any, where: str) -> tuple[float, ...]:
     """Return a start as 3 numbers (x, y in m, yaw in rad) or 5 (and tolerances in m and rad).
 
     Args:
-        given: numbers, or a text of them with commas between, as in a file or a parameter.
+        given: numbers, or a text of them with commas between, as in a file or a parameter. The yaw
+            may be in degrees: ``46.4deg``.
         where: what the messages call it.
 
     Raises:
@@ -34,7 +37,9 @@ def checked_start(given: Any, where: str) -> tuple[float, ...]:
         message = f"{where}: wanted {START_FORM}, found {shown(given)}"
         raise StartError(message)
     try:
-        values = tuple(float(part) for part in parts)
+        values = tuple(
+            _yaw_rad(part) if place == YAW else float(part) for place, part in enumerate(parts)
+        )
     except (TypeError, ValueError, OverflowError):
         message = f"{where}: wanted {START_FORM}, all numbers, found {_shown(parts)}"
         raise StartError(message) from None
@@ -61,6 +66,13 @@ def checked_starts(given: Any, where: str = "start") -> dict[str, tuple[float, .
         raise StartError(message)
     named = {name if isinstance(name, str) else shown(name): own for name, own in given.items()}
     return {name: checked_start(own, f"{where}: {name}") for name, own in named.items()}
+
+
+def _yaw_rad(given: Any) -> float:
+    """Return a yaw in radians; text that ends in ``deg`` is in degrees."""
+    if isinstance(given, str) and given.strip().endswith(DEGREES):
+        return math.radians(float(given.strip().removesuffix(DEGREES)))
+    return float(given)
 
 
 def _shown(parts: Sequence[Any]) -> str:

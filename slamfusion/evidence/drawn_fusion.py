@@ -109,6 +109,7 @@ def fuse_with_drawn(
         agreement=OccupancyGrid(agreement, frame.resolution, frame.origin, result.agreement.name),
         phantom_cells=voted.phantom_cells,
         weights=dict.fromkeys((drawn.name, *voters), 1.0),
+        left_out_m2={},
     )
 
 

@@ -1,4 +1,4 @@
-"""Inputs that fit together: align pairs, find the largest group, choose its reference."""
+"""Inputs that fit together: align pairs, find the largest group, choose its frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig
+from slamfusion.config import SMALLEST, FusionConfig
 from slamfusion.errors import AlignmentError, ConfigError
 from slamfusion.fleet import Scheduler
 from slamfusion.fusion.align import align_features, rejected_alignment, track_features
@@ -62,7 +62,7 @@ class Members:
     """Inputs that fit together, and how.
 
     Attributes:
-        reference: name of the reference.
+        reference: name of the member in whose frame and lattice the fused map is.
         alignments: each member's alignment to the reference; the reference's own is the identity.
     """
 
@@ -97,7 +97,7 @@ def align_group(
     in_part: Collection[str] = (),
     scheduler: Scheduler | None = None,
 ) -> AlignedGroup:
-    """Align pairs, find the groups that fit together, and choose their references.
+    """Align pairs, find the groups that fit together, and choose their frames.
 
     Every pair of few inputs is aligned. Of many, or where nothing else is known of pairs, those
     that are promising: see ``many``.
@@ -132,10 +132,9 @@ def align_group(
     elif not found or len(found[0][0].members) < LEAST_FUSED:
         raise _nothing_fused(names, pairs, reasons)
     group, poses = found[0]
-    whole = [name for name in group.members if name not in in_part]
-    candidates = whole if whole and config.reference is None else group.members
-    reference = choose_reference(candidates, features, config.reference, names)
-    alignments = _to_reference(reference, group, poses, features, pairs, device)
+    reference = choose_reference(group.members, features, config.reference, names, in_part)
+    anchor = _smallest(group.members, features, in_part)
+    alignments = _in_frame(reference, anchor, group, poses, features, pairs, device)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
         for name in features
@@ -144,8 +143,10 @@ def align_group(
     others = []
     for other, its_poses in found[1:]:
         if len(other.members) >= LEAST_FUSED:
-            own = choose_reference(other.members, features, None, names)
-            placed_ones = _to_reference(own, other, its_poses, features, pairs, device)
+            wanted = None if named_input(config.reference, names) in names else config.reference
+            own = choose_reference(other.members, features, wanted, names)
+            anchor = _smallest(other.members, features)
+            placed_ones = _in_frame(own, anchor, other, its_poses, features, pairs, device)
             others.append(Members(own, placed_ones))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
 
@@ -302,19 +303,27 @@ def _nothing_fused(
 
 def choose_reference(
     members: Sequence[str],
-    features: dict[str, GridFeatures],
+    features: Mapping[str, GridFeatures],
     wanted: str | None,
     names: Sequence[str],
+    in_part: Collection[str] = (),
 ) -> str:
-    """Return the name of the reference among the group.
+    """Return the name of the member in whose frame and lattice the fused map is.
 
-    The smallest known box among members with at least half the group's median known area; a name
-    or an index of the inputs overrides it.
+    Args:
+        members: of the group, in the order of the inputs.
+        features: of the members.
+        wanted: the setting: a name or an index of the inputs, or ``SMALLEST``; None: the first
+            member, one that shows a part only if all do.
+        names: all inputs, in order.
+        in_part: see ``fuse_grids``.
 
     Raises:
         ConfigError: the wanted one is no input, or was rejected.
     """
     name = named_input(wanted, names)
+    if name == SMALLEST and name not in names:
+        return _smallest(members, features, in_part)
     if name is not None:
         if name not in members:
             state = "was rejected" if name in names else "is none of them"
@@ -324,11 +333,49 @@ def choose_reference(
             )
             raise ConfigError(message)
         return name
+    return _whole(members, in_part)[0]
+
+
+def _whole(members: Sequence[str], in_part: Collection[str]) -> Sequence[str]:
+    """Return the members that show all of their place; all members where none does."""
+    return [name for name in members if name not in in_part] or members
+
+
+def _smallest(
+    members: Sequence[str], features: Mapping[str, GridFeatures], in_part: Collection[str] = ()
+) -> str:
+    """Return the member of the smallest known box; one that shows a part only if all do.
+
+    Members that know less than half the group's median known area do not count.
+    """
+    members = _whole(members, in_part)
     typical = median(features[name].known_cells for name in members)
     grown = [
         name for name in members if features[name].known_cells >= REFERENCE_AREA_SHARE * typical
     ]
     return min(grown, key=lambda name: math.prod(features[name].shape))
+
+
+def _in_frame(
+    reference: str,
+    anchor: str,
+    group: Group,
+    poses: Mapping[str, Pose2] | None,
+    features: Mapping[str, GridFeatures],
+    pairs: Sequence[Alignment],
+    device: ComputeDevice,
+) -> dict[str, Alignment]:
+    """Return each member's alignment to the reference.
+
+    Args:
+        reference: the member in whose frame the fused map is.
+        anchor: the member that the others are aligned to, where ``poses`` are not known.
+        group, poses, features, pairs, device: see ``_to_reference``.
+    """
+    if poses is None and anchor != reference:
+        anchored = _to_reference(anchor, group, None, features, pairs, device)
+        poses = {name: pair.transform for name, pair in anchored.items()}
+    return _to_reference(reference, group, poses, features, pairs, device)
 
 
 def _to_reference(

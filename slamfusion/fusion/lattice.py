@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
-from slamfusion.grid import CellBox, OccupancyGrid, box_origin
+from slamfusion.grid import CellBox, OccupancyGrid, box_origin, row_parts, trinary_cells
 
 __all__ = ["SAME_RESOLUTION", "Extent", "Lattice"]
 
@@ -82,3 +83,24 @@ class Extent:
     def on(self, lattice: Lattice, transform: Pose2) -> CellBox:
         """Return the cells of another lattice that hold all of the grid; see ``Lattice.box_of``."""
         return lattice.box_of(self.box, self.lattice, transform)
+
+    def area_outside(
+        self, grid: OccupancyGrid, transform: Pose2, thresholds: NormalizeConfig
+    ) -> float:
+        """Return the area that a grid knows outside of these cells, square metres.
+
+        Args:
+            grid: a cell counts if its centre is outside, and it is free or occupied.
+            transform: maps the grid's map frame into the lattice's, metres.
+            thresholds: say which cells are free or occupied.
+        """
+        height, width = self.shape
+        into = self.lattice.origin.inverse().compose(transform)
+        count = 0
+        for part in row_parts(grid.cells.shape):
+            rows, cols = np.nonzero(trinary_cells(grid.cells[part], thresholds) >= 0)
+            centres = into.transform(grid.cell_centres(rows + part.start, cols))
+            x, y = centres.T / self.lattice.resolution
+            is_inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
+            count += len(rows) - int(np.count_nonzero(is_inside))
+        return count * grid.resolution**2

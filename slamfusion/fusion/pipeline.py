@@ -19,6 +19,7 @@ from slamfusion.fusion.groups import (
     SecondLook,
     align_group,
 )
+from slamfusion.fusion.lattice import Extent, Lattice
 from slamfusion.fusion.lattice_vote import Lattices, vote_on_lattice
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.prepared import PreparedInputs
@@ -28,7 +29,7 @@ from slamfusion.fusion.start import Starts, named_input
 from slamfusion.fusion.vote import check_votes
 from slamfusion.grid import OccupancyGrid
 
-__all__ = ["AlignedInputs", "align_inputs", "fuse_grids", "vote_again"]
+__all__ = ["AlignedInputs", "align_inputs", "fuse_grids", "left_out_areas", "vote_again"]
 
 
 def fuse_grids(
@@ -68,7 +69,7 @@ def fuse_grids(
 
     def vote(members: Members, rest: Mapping[str, InputRecord]) -> FusionResult:
         of = grids if members is aligned.group else aligned.grids_of(members)
-        return vote_on_lattice(of, members, aligned.lattices, rest, config, device)
+        return _vote(of, members, aligned.lattices, rest, config, device)
 
     result = vote(aligned.group, aligned.others)
     further = tuple(vote(members, {}) for members in aligned.group.others)
@@ -171,8 +172,46 @@ def vote_again(result: FusionResult, config: FusionConfig, device: ComputeDevice
     }
     rejected = {record.name: record for record in result.inputs if not record.accepted}
     members = Members(result.reference, alignments)
-    voted = vote_on_lattice(grids, members, normalized.__getitem__, rejected, config, device)
+    voted = _vote(grids, members, normalized.__getitem__, rejected, config, device)
     return replace(voted, pairs=result.pairs, time_s=time.perf_counter() - began)
+
+
+def left_out_areas(
+    inputs: Sequence[InputRecord], extent: Extent, config: FusionConfig
+) -> dict[str, float]:
+    """Return the area that each accepted input knows outside of the fused map, square metres.
+
+    Args:
+        inputs: of the fusion.
+        extent: of the fused map.
+        config: says whether the fused map was cut, and what is known.
+
+    Returns:
+        By name, without inputs that lie inside; empty for a union.
+    """
+    if config.vote.extent == "union":
+        return {}
+    found = {
+        record.name: extent.area_outside(record.grid, record.alignment.transform, config.normalize)
+        for record in inputs
+        if record.accepted and record.alignment is not None
+    }
+    return {name: area for name, area in found.items() if area > 0.0}
+
+
+def _vote(
+    grids: Sequence[OccupancyGrid],
+    members: Members,
+    lattices: Lattices,
+    others: Mapping[str, InputRecord],
+    config: FusionConfig,
+    device: ComputeDevice,
+) -> FusionResult:
+    """Vote, and measure what the fused map leaves out; see ``vote_on_lattice``."""
+    result = vote_on_lattice(grids, members, lattices, others, config, device)
+    fused = result.fused
+    extent = Extent(Lattice(fused.resolution, fused.origin), (fused.height, fused.width))
+    return replace(result, left_out_m2=left_out_areas(result.inputs, extent, config))
 
 
 def _check_names(grids: Sequence[OccupancyGrid]) -> None:

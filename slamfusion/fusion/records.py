@@ -409,6 +409,8 @@ class Fusion:
         weights: vote weight of each accepted input, by name.
         device: the device that computed it, in words.
         time_s: wall time of the whole fusion.
+        left_out_m2: area that inputs know outside of the box that the fused map was cut to, square
+            metres, by name; empty where nothing was cut.
     """
 
     reference: str
@@ -418,6 +420,7 @@ class Fusion:
     weights: dict[str, float]
     device: str
     time_s: float
+    left_out_m2: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def accepted(self) -> tuple[InputRecord, ...]:

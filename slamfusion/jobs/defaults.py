@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from slamfusion.config import FusionConfig, RunConfig, VoteConfig, VoteMode
+from slamfusion.config import SMALLEST, FusionConfig, RunConfig, VoteConfig, VoteMode
 
-__all__ = ["RUN_DEFAULTS", "RUN_VOTE"]
+__all__ = ["LIKE_PAPER", "RUN_DEFAULTS", "RUN_VOTE"]
 
 # How the maps of a drive vote where no map can be drawn of it; see docs/concepts/voting.md.
 RUN_VOTE: VoteMode = "consensus"
@@ -14,4 +14,10 @@ RUN_VOTE: VoteMode = "consensus"
 # on maps, and than the best producer's own drawn alike; see docs/concepts/paths.md.
 RUN_DEFAULTS = replace(
     RunConfig(), fusion=replace(FusionConfig(), vote=replace(VoteConfig(), mode="drawn"))
+)
+# How [F16] fuses: a majority in which unknown is a value, in the frame and box of the smallest map.
+LIKE_PAPER = RunConfig(
+    fusion=FusionConfig(
+        vote=VoteConfig(mode="majority", unknown="value", extent="reference"), reference=SMALLEST
+    )
 )

@@ -37,6 +37,7 @@ __all__ = [
     "agreement_stem",
     "failed_fuse_document",
     "failure_document",
+    "frame_words",
     "fusion_document",
     "fusion_sentences",
     "group_document",
@@ -152,6 +153,7 @@ def fusion_document(
         "fused_count": len(result.accepted),
         "phantom_cells": result.phantom_cells,
         "wall_backs": result.wall_backs,
+        "left_out_m2": result.left_out_m2,
         "doubled_wall_share": None if doubled is None else doubled.to_json(),
         "weights": result.weights,
         "pairs": [pair.to_json() for pair in result.pairs],
@@ -186,6 +188,7 @@ def failure_document(
         "fused_count": 0,
         "phantom_cells": None,
         "wall_backs": None,
+        "left_out_m2": {},
         "doubled_wall_share": None,
         "weights": {},
         "pairs": [pair.to_json() for pair in pairs],
@@ -213,12 +216,35 @@ def fusion_sentences(
     return text, added
 
 
-def left_out_sentences(result: Fusion) -> list[str]:
-    """Say of each input that has no vote why not."""
+def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
+    """Name the inputs that have no vote, and what the fused map was cut off from."""
     rejected = [f"rejected: {record.name}: {record.reason}" for record in result.rejected]
-    return rejected + [
+    copies = [
         f"{record.name}: {record.reason}; --keep-duplicates counts each" for record in result.copies
     ]
+    cuts = [
+        f"left out, outside the box of {group.reference}: {area:.1f} m2 of {name}; "
+        "--extent union keeps it"
+        for group in (result, *result.others)
+        for name, area in group.left_out_m2.items()
+    ]
+    return rejected + copies + cuts
+
+
+def frame_words(result: Fusion, wanted: str | None) -> str:
+    """Say in whose frame the fused map is, and why.
+
+    Args:
+        result: of the fusion.
+        wanted: the setting ``fusion.reference``.
+    """
+    if wanted is not None:
+        return f"{result.reference} (--reference {wanted})"
+    names = [record.name for record in result.inputs]
+    before = names[: names.index(result.reference)]
+    if not before:
+        return f"{result.reference}, the first map given"
+    return f"{result.reference}, the first map that was fused; before it: {', '.join(before)}"
 
 
 def further_groups(result: FusionResult | StoredFusion) -> str:
@@ -243,6 +269,7 @@ def group_document(result: Fusion, stem: Path | None, store: Path | None = None)
         "inputs": [
             record.alignment.to_json() for record in result.accepted if record.alignment is not None
         ],
+        "left_out_m2": result.left_out_m2,
         "weights": result.weights,
     }
 

@@ -16,7 +16,8 @@ from slamfusion.config import RunConfig
 from slamfusion.fleet import InProcess, Scheduler
 from slamfusion.fusion.groups import Members
 from slamfusion.fusion.lattice_vote import TILE
-from slamfusion.fusion.pipeline import AlignedInputs, align_inputs
+from slamfusion.fusion.lattice import Extent, Lattice
+from slamfusion.fusion.pipeline import AlignedInputs, align_inputs, left_out_areas
 from slamfusion.fusion.records import Fusion, InputRecord, StoredFusion
 from slamfusion.fusion.start import place_starts
 from slamfusion.fusion.stored_vote import prepare_stored_vote
@@ -219,10 +220,11 @@ def _vote_into(
         opened.write(AGREEMENT_ARRAY, box, decided.agreement)
         phantom_cells += decided.phantom_cells
         wall_backs += int(np.count_nonzero((fused == OCCUPIED) & (decided.agreement < 0)))
-    is_largest = members is aligned.group
+    inputs = _records(aligned, members, aligned.others if members is aligned.group else {})
+    extent = Extent(Lattice(vote.ballot.resolution, vote.origin), vote.shape)
     return StoredFusion(
         reference=members.reference,
-        inputs=_records(aligned, members, aligned.others if is_largest else {}),
+        inputs=inputs,
         pairs=(),
         phantom_cells=phantom_cells,
         weights=dict(vote.ballot.weights),
@@ -232,6 +234,7 @@ def _vote_into(
         resolution=vote.ballot.resolution,
         origin=vote.origin,
         wall_backs=wall_backs,
+        left_out_m2=left_out_areas(inputs, extent, config.fusion),
     )
 
 

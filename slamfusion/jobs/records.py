@@ -161,6 +161,8 @@ class FusionJson(TypedDict):
     """Cells occupied in the fused map by vote, and in no input."""
     wall_backs: int | None
     """Cells occupied in the fused map by wall thickening alone: nobody voted for them."""
+    left_out_m2: Mapping[str, float]
+    """Area that inputs know outside of the box of --extent reference, square metres, by input."""
     doubled_wall_share: DoubledWallsJson | None
     """Shares of the wall cells that have a parallel wall close by."""
     weights: Mapping[str, float]
@@ -184,6 +186,8 @@ class FusedGroupJson(TypedDict):
     """The input whose frame and lattice the fused map has."""
     inputs: Sequence[AlignmentJson]
     """How each of them lies to the reference."""
+    left_out_m2: Mapping[str, float]
+    """Area that inputs know outside of the box of --extent reference, square metres, by input."""
     weights: Mapping[str, float]
     """Weight of each vote, by input."""
 

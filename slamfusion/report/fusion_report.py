@@ -173,10 +173,15 @@ def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
 
 
 def left_out_lines(result: FusionResult) -> list[tuple[str, str]]:
-    """Return which inputs have no vote, and why."""
+    """Return which inputs have no vote, and why, and what the fused map was cut off from."""
     return [
         *((f"{record.name} was rejected:", record.reason) for record in result.rejected),
         *((f"{record.name} is a copy:", record.reason) for record in result.copies),
+        *(
+            (f"Left out, outside the box of {group.reference}:", f"{area:.1f} m² of {name}.")
+            for group in (result, *result.others)
+            for name, area in group.left_out_m2.items()
+        ),
     ]
 
 

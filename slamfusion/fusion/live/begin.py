@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
-from slamfusion.config import NormalizeConfig
+from slamfusion.config import SMALLEST, NormalizeConfig
 from slamfusion.errors import AlignmentError, MemoryBudgetError
 from slamfusion.fusion.groups import AlignedGroup, align_group
 from slamfusion.fusion.lattice import Lattice
@@ -46,6 +47,8 @@ def align_first(
         SlamFusionError: too few agree, or memory cannot hold them; in one line.
     """
     config, device = aligner.config, aligner.device
+    # The walls of the reference are what the others are compared with until it is lost.
+    config = replace(config, reference=config.reference or SMALLEST)
     thresholds = config.normalize
     resolution = common_resolution([t.grid for t in tracks if t.grid is not None], thresholds)
     try:
