@@ -25,7 +25,7 @@ fi
 say "three SLAMs on it side by side, and the vote of their maps"
 "$root/.venv/bin/slamfusion" run "$out/drive/f16.log.gz" \
     --truth "$out/drive/truth.yaml" --truth-trajectory "$out/drive/truth.tum" \
-    --extent union -o "$out" "$@"
+    -o "$out" "$@"
 
 say "the column 'error' of the table of maps: the smaller, the nearer to the true map"
 say "the report, to be opened in a browser: $out/report/report.html"

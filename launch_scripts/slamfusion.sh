@@ -243,7 +243,7 @@ report() {
 if [ ${#saved[@]} -ge 2 ]; then
     # What the last maps give when they are fused once more, with the table and the pictures. Live
     # they were followed from their beginnings; without that they may be too different.
-    if ! report fuse "${saved[@]}" --extent union -o "$out/fused_again"; then
+    if ! report fuse "${saved[@]}" -o "$out/fused_again"; then
         say "the last maps alone do not show how they lie; they are compared with the fused map"
         report evaluate "${saved[@]}" --truth "$out/fused.yaml" ||
             die "no report of the saved maps"

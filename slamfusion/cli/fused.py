@@ -76,10 +76,8 @@ def _alignments(result: Fusion) -> list[Alignment]:
 def _start_words(pair: Alignment) -> str:
     """Return the option ``--start`` that expects a map where it was found."""
     motion = pair.transform
-    yaw_deg = math.degrees(motion.yaw_rad)
-    return shlex.join(
-        ["--start", f"{pair.moving}={motion.x:.3f},{motion.y:.3f},{yaw_deg:.2f}deg"]
-    )
+    x, y, yaw = number(motion.x), number(motion.y), number(math.degrees(motion.yaw_rad), 2)
+    return shlex.join(["--start", f"{pair.moving}={x},{y},{yaw}deg"])
 
 
 def _transform_words(pair: Alignment) -> str:

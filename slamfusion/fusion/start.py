@@ -5,8 +5,8 @@ map_merge are the same). A pair of maps that both have one is searched only arou
 follows from the two, within the sum of their tolerances. A pair of which one has none is searched
 everywhere.
 
-A single start would say nothing so. It is told in the frame of the output: in that of the reference
-where one is named, else of the drive that the other maps were made on, else of the only other map.
+A single start would say nothing so. It is in the frame of the reference if one is named, else of
+the drive that the other maps were made on, else of the only other map.
 """
 
 from __future__ import annotations

@@ -146,7 +146,7 @@ def site(
     names = [f"map_{index}" for index in range(count)]
     words = [str(folder / f"{name}.yaml") for name in names]
     command = [sys.executable, "-m", "slamfusion", "fuse", *words, "-o", str(store), "--json"]
-    command += ["--mode", "consensus", "--extent", "union", *more]
+    command += ["--mode", "consensus", *more]
     began_s = time.perf_counter()
     with (folder / "fuse.json").open("wb") as out:
         process = subprocess.Popen(command, stdout=out)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ import yaml
 
 from slamfusion import __version__
 from slamfusion.geometry import Pose2, wrap_angle
-from slamfusion.grid import OCCUPIED, UNKNOWN
-from slamfusion.io import load_map
+from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox
+from slamfusion.io import load_map, save_map
 from tests.cli.command import MAPS, SAMPLE, TRUTH, json_of, run, tree
 
 pytestmark = pytest.mark.once
@@ -142,6 +143,53 @@ def stranger(tmp_path_factory: pytest.TempPathFactory) -> Path:
         encoding="utf-8",
     )
     return folder / "stranger.yaml"
+
+
+def test_transforms_are_printed_ready_to_paste(tmp_path: Path) -> None:
+    """Also of a map whose name a shell would take apart."""
+    for path in (Path(MAPS[1]), Path(MAPS[1]).with_suffix(".pgm")):
+        shutil.copy(path, tmp_path)
+    odd = (tmp_path / "map_b.yaml").rename(tmp_path / "map b's.yaml")
+    maps = (MAPS[0], odd)
+    first = run("fuse", *maps, "-o", tmp_path / "first")
+    assert "\nframe:     map_a, the first map given\n" in first.stdout
+    (starts,) = (shlex.split(line) for line in first.stdout.splitlines() if "--start" in line)
+    (transform,) = (shlex.split(line) for line in first.stdout.splitlines() if "--yaw" in line)
+    document = json_of(run("fuse", *maps, "-o", tmp_path / "again", *starts, "--json"))
+    assert document["config"]["start"]["map_a"] == [0.0, 0.0, 0.0]
+    found = pose_of(document["inputs"][1])
+    assert document["config"]["start"]["map b's"] == pytest.approx(
+        [found.x, found.y, found.yaw_rad], abs=1e-2
+    )
+    assert transform[:4] == ["ros2", "run", "tf2_ros", "static_transform_publisher"]
+    options = dict(zip(transform[4::2], transform[5::2], strict=True))
+    assert (options["--frame-id"], options["--child-frame-id"]) == ("map_a", "map b's")
+    numbers = [float(options[name]) for name in ("--x", "--y", "--yaw")]
+    assert numbers == pytest.approx([found.x, found.y, found.yaw_rad], abs=1e-2)
+
+
+def test_the_frame_is_that_of_the_first_map_that_is_fused(tmp_path: Path, stranger: Path) -> None:
+    done = run("fuse", stranger, *MAPS[:2], "-o", tmp_path / "out")
+    assert "\nframe:     map_a, the first map that was fused; before it: stranger\n" in done.stdout
+
+
+def test_like_paper_names_what_the_box_of_the_smallest_map_leaves_out(tmp_path: Path) -> None:
+    large = load_map(TRUTH)
+    save_map(large.crop(CellBox(0, 0, large.height, large.width // 2)), tmp_path / "half")
+    asked = ("fuse", TRUTH, tmp_path / "half.yaml", "-o", tmp_path / "out", "--like-paper")
+    report = tmp_path / "report"
+    done = run(*asked, "--report", report, "--json")
+    document = json_of(done)
+    assert document["reference"] == "half"
+    assert document["config"]["fusion"]["vote"]["unknown"] == "value"
+    outside = np.count_nonzero(large.cells[:, large.width // 2 :] >= 0) * large.resolution**2
+    assert document["left_out_m2"] == pytest.approx({"truth": outside}, rel=0.01)
+    assert document["groups"][0]["left_out_m2"] == document["left_out_m2"]
+    area = f"{document['left_out_m2']['truth']:.1f}"
+    assert f"left out, outside the box of half: {area} m2 of truth; --extent union" in done.stderr
+    assert f"{area} m² of truth" in (report / "report.html").read_text(encoding="utf-8")
+    document = json_of(run(*asked, "--extent", "union", "--json"))
+    assert document["left_out_m2"] == {}
 
 
 def test_rejected_input_is_named_loudly(tmp_path: Path, stranger: Path) -> None:

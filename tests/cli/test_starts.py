@@ -27,6 +27,8 @@ BAD = {
     "map_a=1,2,3,4,5,6": f"map_a: {WANTED}, found 6 numbers: 1,2,3,4,5,6",
     "map_a=1,2,north": f"map_a: {WANTED}, all numbers, found 1,2,north",
     "map_a=": f"map_a: {WANTED}, all numbers, found",
+    "map_a=1deg,2,3": f"map_a: {WANTED}, all numbers, found 1deg,2,3",
+    "map_a=1,2,deg": f"map_a: {WANTED}, all numbers, found 1,2,deg",
     "map_a=1,2,3,-0.1,1": "map_a: the tolerances must be at least 0, found -0.1,1",
     "map_a=1,2,3,1,nan": f"map_a: {WANTED}, all finite, found 1,2,3,1,nan",
     "=1,2,3": "wanted NAME=x,y,yaw or NAME=x,y,yaw,metres,radians, found '=1,2,3'",
@@ -116,6 +118,12 @@ def test_starts_of_the_file_hold_unless_the_option_says_otherwise(tmp_path: Path
     done = run(*asked)
     assert done.returncode == 1
     assert done.stderr.startswith(f"slamfusion: error: {path}: start: map_b: {WANTED}, all finite")
+
+
+@pytest.mark.parametrize("form", ["--start -0.2,-0.2,-126.05deg", "--start -0.2 -0.2 -126.05deg"])
+def test_a_yaw_may_be_in_degrees(form: str) -> None:
+    found = json_of(run("align", TRUTH, MAPS[1], *form.split(), "--json"))
+    assert found["config"]["start"]["map_b"] == pytest.approx([-0.2, -0.2, -2.2], abs=1e-4)
 
 
 @pytest.mark.parametrize("form", ["--start -0.2,-0.2,-2.2", "--start -0.2 -0.2 -2.2"])

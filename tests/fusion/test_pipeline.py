@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
+from slamfusion.config import SMALLEST, FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import AlignmentError, ConfigError, MemoryBudgetError
 from slamfusion.fusion import FusionResult, fuse_grids, normalize
 from slamfusion.fusion.features import GridFeatures
@@ -242,11 +242,57 @@ def test_names_given_twice_are_refused(device: ComputeDevice) -> None:
 
 def test_order_of_the_inputs_does_not_change_the_fused_map(device: ComputeDevice) -> None:
     grids, _ = three()
-    wanted = fuse_grids(grids, QUICK, device)
+    config = replace(QUICK, reference="a")
+    wanted = fuse_grids(grids, config, device)
     for order in itertools.permutations(grids):
-        result = fuse_grids(order, QUICK, device)
+        result = fuse_grids(order, config, device)
         assert result.reference == wanted.reference
         assert np.array_equal(result.fused.cells, wanted.fused.cells)
+
+
+def poses_in(result: FusionResult, name: str) -> dict[str, Pose2]:
+    """Where the maps lie in the frame of one of them."""
+    found = {r.name: r.alignment.transform for r in result.accepted if r.alignment is not None}
+    return {other: found[name].inverse().compose(pose) for other, pose in found.items()}
+
+
+def test_the_fused_map_is_in_the_frame_of_the_first_map_wherever_that_is(
+    device: ComputeDevice,
+) -> None:
+    """The frame is the user's choice; it does not change how the maps lie to each other."""
+    grids, _ = three()
+    wanted = poses_in(fuse_grids(grids, QUICK, device), "a")
+    for order in itertools.permutations(grids):
+        result = fuse_grids(order, QUICK, device)
+        assert result.reference == order[0].name
+        assert result.fused.origin.yaw_rad == order[0].origin.yaw_rad
+        for name, pose in poses_in(result, "a").items():
+            assert vars(pose) == pytest.approx(vars(wanted[name]), abs=1e-9)
+
+
+def test_the_first_map_that_fits_gives_the_frame(device: ComputeDevice) -> None:
+    grids, _ = three()
+    result = fuse_grids([stranger(), grids[2], grids[0]], QUICK, device)
+    assert result.reference == "c"
+
+
+@pytest.mark.parametrize("order", [("part", "whole"), ("whole", "part")])
+def test_nothing_that_one_map_knows_is_lost_by_default(
+    device: ComputeDevice, order: tuple[str, str]
+) -> None:
+    """What is cut off by the box of the smaller map is measured."""
+    truth = place()
+    maps = {"whole": truth, "part": truth.crop(CellBox(0, 0, 90, 60))}
+    grids = [maps[name].with_name(name) for name in order]
+    config = replace(QUICK, align=replace(QUICK.align, shared_frame=True))
+    result = fuse_grids(grids, config, device)
+    assert_same_world(result.fused, truth)
+    assert result.left_out_m2 == {}
+    config = replace(config, reference=SMALLEST, vote=replace(QUICK.vote, extent="reference"))
+    result = fuse_grids(grids, config, device)
+    assert result.fused.cells.shape == (90, 60)
+    outside = np.count_nonzero(truth.cells[:, 60:] >= 0) * truth.resolution**2
+    assert result.left_out_m2 == pytest.approx({"whole": outside})
 
 
 def test_same_input_same_fused_map(
@@ -353,7 +399,7 @@ def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
     # Two halves of a small place: told apart only by the frame they share.
     align = replace(QUICK.align, shared_frame=True)
     config = replace(QUICK, reference="west", align=align)
-    inner = fuse_grids(parts, config, device).fused
+    inner = fuse_grids(parts, replace(config, vote=VoteConfig(extent="reference")), device).fused
     outer = fuse_grids(parts, replace(config, vote=VoteConfig(extent="union")), device).fused
     assert outer.width > inner.width
     assert inner.cells.shape == parts[0].cells.shape
@@ -431,37 +477,37 @@ def table_of(shapes: dict[str, tuple[int, int]], device: ComputeDevice) -> dict[
     }
 
 
-def test_the_reference_is_the_smallest_box_of_those_half_as_large_as_usual(
+def test_the_smallest_is_the_smallest_box_of_those_half_as_large_as_usual(
     device: ComputeDevice,
 ) -> None:
     features = table_of({"a": (40, 40), "b": (30, 40), "c": (35, 35), "new": (10, 10)}, device)
     names = list(features)
-    assert choose_reference(names, features, None, names) == "b"
+    assert choose_reference(names, features, SMALLEST, names) == "b"
     # The median of the three known areas is 1225 cells; half of it is 612.
     half = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 31)}, device)
-    assert choose_reference(list(half), half, None, list(half)) == "d"
+    assert choose_reference(list(half), half, SMALLEST, list(half)) == "d"
     less = table_of({"a": (40, 40), "c": (35, 35), "d": (20, 30)}, device)
-    assert choose_reference(list(less), less, None, list(less)) == "c"
+    assert choose_reference(list(less), less, SMALLEST, list(less)) == "c"
 
 
-def test_a_newborn_map_is_never_the_reference(device: ComputeDevice) -> None:
+def test_a_newborn_map_is_never_the_smallest(device: ComputeDevice) -> None:
     features = table_of({"one": (1, 1), "a": (40, 40), "b": (41, 40)}, device)
     for members in itertools.permutations(features):
-        assert choose_reference(members, features, None, list(features)) == "a"
-    assert choose_reference(["one", "a"], features, None, list(features)) == "a"
+        assert choose_reference(members, features, SMALLEST, list(features)) == "a"
+    assert choose_reference(["one", "a"], features, SMALLEST, list(features)) == "a"
 
 
-def test_a_box_without_much_known_is_no_reference(device: ComputeDevice) -> None:
+def test_a_box_without_much_known_is_not_the_smallest(device: ComputeDevice) -> None:
     """Half the usual known area is asked for, not half the usual box."""
     hollow = draw("\n".join(["#" * 30, *["#" + " " * 28 + "#"] * 28, "#" * 30]), name="hollow")
     features = table_of({"a": (40, 40), "b": (40, 41)}, device)
     features["hollow"] = features_of(hollow, device)
-    assert choose_reference(list(features), features, None, list(features)) == "a"
+    assert choose_reference(list(features), features, SMALLEST, list(features)) == "a"
 
 
 def test_a_name_or_an_index_chooses_the_reference(device: ComputeDevice) -> None:
     grids, _ = three()
-    for wanted, name in (("c", "c"), ("1", "b"), ("0", "a")):
+    for wanted, name in (("c", "c"), ("1", "b"), ("0", "a"), (SMALLEST, "b")):
         assert fuse_grids(grids, replace(QUICK, reference=wanted), device).reference == name
 
 
