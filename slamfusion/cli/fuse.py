@@ -123,8 +123,8 @@ def command(
     """Align saved MAPS of one place and fuse them by vote.
 
     MAPS are map_server YAML files, or bare images together with --resolution. At least two have
-    to fit each other; those that do not are named and left out. The fused map is in the frame of
-    the first that fits, and holds all that the maps hold.
+    to fit each other; those that do not are named and left out. The fused map covers all that
+    fit, in the frame of the first.
     """
     from slamfusion.jobs.fuse import (  # noqa: PLC0415
         check_count,

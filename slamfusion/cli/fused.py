@@ -55,9 +55,9 @@ def print_frames(result: FusionResult | StoredFusion, wanted: str | None) -> Non
 
     groups = (result, *result.others)
     print(f"frame:     {frame_words(result, wanted)}")
-    for number, group in enumerate(groups[1:], start=2):
-        print(f"group {number}:   {group.reference}")
-    print("the inputs in it, as starts:")
+    for place, group in enumerate(groups[1:], start=2):
+        print(f"frame of group {place}: {group.reference}")
+    print("where the inputs are, as starts:")
     for group in groups:
         print("   " + "".join(f" {_start_words(pair)}" for pair in _alignments(group)))
     print("and as transforms:")

@@ -15,8 +15,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fleet import InProcess, Scheduler
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice_vote import TILE
 from slamfusion.fusion.lattice import Extent, Lattice
+from slamfusion.fusion.lattice_vote import TILE
 from slamfusion.fusion.pipeline import AlignedInputs, align_inputs, left_out_areas
 from slamfusion.fusion.records import Fusion, InputRecord, StoredFusion
 from slamfusion.fusion.start import place_starts

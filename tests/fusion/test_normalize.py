@@ -13,6 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import normalize
+from slamfusion.fusion.lattice import Extent, Lattice
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     common_resolution,
@@ -230,6 +231,15 @@ def test_the_extent_of_a_grid_on_itself_is_its_own(device: ComputeDevice) -> Non
     normal = normalize_grid(OccupancyGrid(random_grid(2).cells, 0.1, TURNED), 0.1, DEFAULTS, device)
     extent = normal.extent
     assert extent.on(extent.lattice, Pose2()) == extent.box == CellBox(0, 0, *normal.shape)
+
+
+def test_the_area_outside_counts_known_cells_alone() -> None:
+    """A row of five cells, 0.5 m each, is turned to the north: two of its known cells stick out."""
+    row = OccupancyGrid(np.array([[0, 50, -1, 0, 100]], dtype=np.int8), 0.5)
+    box = Extent(Lattice(0.5, Pose2(-1.0, 0.0, 0.0)), (3, 4))
+    area = box.area_outside(row, Pose2(0.0, 0.0, math.pi / 2), NormalizeConfig())
+    assert area == pytest.approx(2 * 0.25)
+    assert box.area_outside(row, Pose2(-1.0, 0.0, 0.0), NormalizeConfig()) == pytest.approx(0.25)
 
 
 def test_an_extent_holds_every_corner_of_a_turned_grid(device: ComputeDevice) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import NormalizeConfig, VoteConfig
+from slamfusion.config import SMALLEST, NormalizeConfig, VoteConfig
 from slamfusion.errors import ConfigError
 from slamfusion.fusion import boxes, fuse_grids
 from slamfusion.fusion.live.layers import FusedLayers
@@ -584,7 +584,9 @@ def test_the_extent_may_be_that_of_the_reference(device: ComputeDevice) -> None:
     drive = Drive(live_fusion(device, extent="reference"))
     update = drive.step(*three().values())
     assert update.fused is not None
-    offline = fuse_grids(list(three().values()), fusion_config(), device)
+    vote = VoteConfig(extent="reference")
+    config = replace(fusion_config(), reference=SMALLEST, vote=vote)
+    offline = fuse_grids(list(three().values()), config, device)
     assert update.fused.cells.shape == offline.fused.cells.shape
     assert np.array_equal(update.fused.cells, offline.fused.cells)
 
