@@ -49,8 +49,9 @@ def command(
 ) -> int:
     """Simulate a robot that drives COURSE: the name of a course, or a YAML file.
 
-    Writes DIR/NAME.log.gz (a CARMEN log), DIR/truth.yaml and .pgm (the true map), DIR/truth.tum
-    (the true poses) and DIR/course.yaml, which gives the same files again.
+    Writes DIR/NAME.log.gz (a CARMEN log), DIR/truth.yaml (the true map; walls are solid),
+    DIR/truth_thin.yaml (only the surfaces of walls, which a lidar can see), DIR/truth.tum (the
+    true poses) and DIR/course.yaml, which gives the same files again.
     """
     from slamfusion.jobs.simulate import (  # noqa: PLC0415
         choose_course,

@@ -11,6 +11,7 @@ from slamfusion.sim.building import draw_building
 from slamfusion.sim.courses import COURSES, Course, load_course, named_course, with_overrides
 from slamfusion.sim.degrade import Degradation, degrade_map, draw_degradation
 from slamfusion.sim.simulate import Recording, simulate, write_recording
+from slamfusion.sim.world import thin_walls
 
 __all__ = [
     "COURSES",
@@ -23,6 +24,7 @@ __all__ = [
     "load_course",
     "named_course",
     "simulate",
+    "thin_walls",
     "with_overrides",
     "write_recording",
 ]

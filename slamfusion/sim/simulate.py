@@ -26,7 +26,7 @@ from slamfusion.sim.drive import Motion, StuckError, follow_ways, read_odometry,
 from slamfusion.sim.lidar import beam_angles, mount_of, sweep_ranges
 from slamfusion.sim.people import PERSON_RADIUS_M, Walks, draw_people, walk
 from slamfusion.sim.route import MARGIN_M, FreeSpace
-from slamfusion.sim.world import World
+from slamfusion.sim.world import World, thin_walls
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from slamfusion.trajectory import Trajectory
 
@@ -126,14 +126,15 @@ def simulate(course: Course, device: RayDevice, progress: Progress | None = None
 
 
 def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
-    """Write the log, the truth map, the true trajectory and the course; all of them or none.
+    """Write the log, the true maps, the true trajectory and the course; all of them or none.
 
     Args:
         recording: same recording, same bytes.
         folder: made where it is missing; old files of the same names are replaced.
 
     Returns:
-        The files: ``<name>.log.gz`` (CARMEN), ``truth.yaml``, ``truth.pgm``, ``truth.tum`` and
+        The files: ``<name>.log.gz`` (CARMEN), ``truth`` and ``truth_thin`` as ``.yaml`` and
+        ``.pgm`` (the true map with solid walls, and with only their surfaces), ``truth.tum`` and
         ``course.yaml``.
 
     Raises:
@@ -149,10 +150,12 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
     text = yaml.safe_dump(course_to_mapping(course), sort_keys=False)
     with AtomicFiles() as files:
         write_carmen(log, recording.scans, files=files)
-        maps = save_map(recording.world.grid, folder / "truth", files=files)
+        truth = recording.world.grid
+        maps = save_map(truth, folder / "truth", files=files)
+        thin = save_map(thin_walls(truth), folder / "truth_thin", files=files)
         write_tum(tum, recording.truth, files=files)
         files.add(settings, text.encode())
-    return [log, *maps, tum, settings]
+    return [log, *maps, *thin, tum, settings]
 
 
 def _chance(course: Course, stream: int) -> np.random.Generator:

@@ -11,9 +11,9 @@ from slamfusion.compute.layout import GLASS, OPEN, WALL
 from slamfusion.config import ObstacleConfig, PersonConfig
 from slamfusion.errors import SimulationError
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, OccupancyGrid
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
-__all__ = ["GLASS", "OPEN", "WALL", "Person", "World", "tilt_of", "zone_place"]
+__all__ = ["GLASS", "OPEN", "WALL", "Person", "World", "thin_walls", "tilt_of", "zone_place"]
 
 
 Point = tuple[float, float]
@@ -69,6 +69,25 @@ class World:
         """Return what beams meet, (H, W) uint8: 0 open, 1 wall, 2 glass."""
         solid = np.where(self.grid.cells == OCCUPIED, WALL, OPEN)
         return np.asarray(np.where(self.glass, GLASS, solid), dtype=np.uint8)
+
+
+def thin_walls(truth: OccupancyGrid) -> OccupancyGrid:
+    """Return a true map with only the surfaces of its walls: what a perfect lidar could map.
+
+    An occupied cell that shares a side with a free cell stays occupied; other occupied cells, the
+    inside of walls and furniture, become unknown.
+
+    Args:
+        truth: cells -1, 0 or 100.
+
+    Returns:
+        The same lattice and name.
+    """
+    free = np.pad(truth.cells == FREE, 1)
+    beside = free[:-2, 1:-1] | free[2:, 1:-1] | free[1:-1, :-2] | free[1:-1, 2:]
+    is_inside = (truth.cells == OCCUPIED) & ~beside
+    cells = np.where(is_inside, np.int8(UNKNOWN), truth.cells)
+    return OccupancyGrid(cells, truth.resolution, truth.origin, truth.name)
 
 
 def zone_place(

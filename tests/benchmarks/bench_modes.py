@@ -1,10 +1,11 @@
-"""Each SLAM's map and each vote of them, on simulated drives: errors [F16] against the true map.
+"""Each SLAM's map and each vote of them, on simulated drives: errors [F16] against true maps.
 
     python -m tests.benchmarks.bench_modes --record
 
 One drive of each course, 541 beams, without obstacle: the three producers' maps by ``run``, then
-voted on by ``fuse --shared-frame`` in every mode. Less is better; the best of a row is bold. The
-errors do not depend on the machine's load.
+voted on by ``fuse --shared-frame`` in every mode. All are compared with the true map of solid walls
+and with that of thin ones. Less is better; the best of a row is bold. The errors do not depend on
+the machine's load.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from tests.benchmarks.record import add_record_option, console_for
 
 COURSES = ("office", "hall", "corridor")
 PRODUCERS = ("tinyslam", "gmapping", "graph")
+TRUTHS = {"solid": "truth.yaml", "thin": "truth_thin.yaml"}
 MODES = ("consensus", "log-odds", "majority", "weighted")
 
 
@@ -36,9 +38,9 @@ def slamfusion(*words: str | Path) -> dict[str, Any]:
     return document
 
 
-def errors_on(course: str, seed: int, folder: Path) -> dict[str, float]:
-    """Return the error of each producer's map and of the vote in each mode."""
-    drive, made, truth = folder / "drive", folder / "run", folder / "drive" / "truth.yaml"
+def errors_on(course: str, seed: int, folder: Path) -> dict[str, dict[str, float]]:
+    """Return, by the walls of the true map, the error of each producer's map and of each mode's."""
+    drive, made = folder / "drive", folder / "run"
     slamfusion("simulate", course, "--lidar", "hokuyo", "--seed", str(seed), "-o", drive)
     slamfusion("run", drive / f"{course}.log.gz", "-o", made)
     maps = [made / f"{name}.yaml" for name in PRODUCERS]
@@ -46,16 +48,19 @@ def errors_on(course: str, seed: int, folder: Path) -> dict[str, float]:
         vote = ("--shared-frame", "--mode", mode)
         slamfusion("fuse", *maps, *vote, "-o", folder / mode)
     judged = [*maps, *(folder / f"{mode}.yaml" for mode in MODES)]
-    found = slamfusion("evaluate", *judged, "--truth", truth)["maps"]
-    return {path.stem: item["error"] for path, item in zip(judged, found, strict=True)}
+    errors = {}
+    for walls, truth in TRUTHS.items():
+        found = slamfusion("evaluate", *judged, "--truth", drive / truth)["maps"]
+        errors[walls] = {path.stem: item["error"] for path, item in zip(judged, found, strict=True)}
+    return errors
 
 
-def row(course: str, errors: dict[str, float]) -> Sequence[str]:
+def row(course: str, walls: str, errors: dict[str, float]) -> Sequence[str]:
     """Return a row of the table, the least error bold."""
     best = min(errors.values())
     shown = {name: f"{error:.1f}" for name, error in errors.items()}
     cells = [f"**{shown[name]}**" if errors[name] == best else shown[name] for name in errors]
-    return [course, *cells]
+    return [course, walls, *cells]
 
 
 def main() -> None:
@@ -65,10 +70,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3)
     add_record_option(parser)
     options = parser.parse_args()
-    table = Table("course", "tinySLAM", "gmapping", "graph", *MODES)
+    table = Table("course", "true walls", "tinySLAM", "gmapping", "graph", *MODES)
     for course in track(options.courses, disable=not sys.stderr.isatty()):
         with TemporaryDirectory() as name:
-            table.add_row(*row(course, errors_on(course, options.seed, Path(name))))
+            for walls, errors in errors_on(course, options.seed, Path(name)).items():
+                table.add_row(*row(course, walls, errors))
     console_for("modes", options.record, width=120).print(table)
 
 

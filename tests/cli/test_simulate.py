@@ -35,6 +35,8 @@ def test_it_says_what_was_made(f16: Path) -> None:
         "f16.log.gz",
         "truth.yaml",
         "truth.pgm",
+        "truth_thin.yaml",
+        "truth_thin.pgm",
         "truth.tum",
         "course.yaml",
     ]

@@ -23,7 +23,7 @@ from docs.generate.benchmarks import (
     measurements,
 )
 from docs.generate.marks import pages
-from tests.benchmarks import bench_vote, record
+from tests.benchmarks import bench_vote_time, record
 from tests.cli.command import ROOT
 
 pytestmark = pytest.mark.once
@@ -171,9 +171,10 @@ def test_every_benchmark_can_keep_its_table(path: Path):
 
 
 def test_a_benchmark_keeps_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sys, "argv", ["bench_vote.py", "16", "--record", str(tmp_path / "new")])
-    bench_vote.main()
-    kept = measurements(tmp_path / "new")["vote"]
+    words = ["bench_vote_time.py", "16", "--record", str(tmp_path / "new")]
+    monkeypatch.setattr(sys, "argv", words)
+    bench_vote_time.main()
+    kept = measurements(tmp_path / "new")["vote-time"]
     assert kept.columns == ("mode", "inputs", "copy ms", "vote ms", "ratio")
     assert [row[:2] for row in kept.rows[:2]] == [("majority", "1"), ("majority", "2")]
     assert kept.command.endswith(" 16 --record")

@@ -9,9 +9,10 @@ import pytest
 
 from slamfusion.config import ObstacleConfig, WorldConfig
 from slamfusion.errors import SimulationError
+from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.io import save_map
-from slamfusion.sim.world import GLASS, OPEN, WALL, World, tilt_of, zone_place
+from slamfusion.sim.world import GLASS, OPEN, WALL, World, thin_walls, tilt_of, zone_place
 from slamfusion.sim.worlds import Floor, draw_floor, pick_glass
 from tests.sim.places import room, world_of
 
@@ -148,3 +149,35 @@ def test_driving_along_a_cable_rolls() -> None:
     tilt = tilt_of(world, np.array([(1.0, 1.9, 0.0), (1.0, 1.0, 0.0)]))
     assert tilt[0] == pytest.approx([0.0, CABLE.pitch_rad], abs=1e-12)
     assert tilt[1].tolist() == [0.0, 0.0]
+
+
+def test_thin_walls_keeps_the_surfaces_that_a_lidar_can_see() -> None:
+    # A room (.) whose walls (#) are two cells thick, and a block of 3 x 3 in it; ? is unknown.
+    drawn = (
+        "?????????",
+        "#########",
+        "#########",
+        "##.....##",
+        "##.###.##",
+        "##.###.##",
+        "##.###.##",
+        "##.....##",
+    )
+    wanted = (
+        "?????????",
+        "?????????",
+        "??#####??",
+        "?#.....#?",
+        "?#.###.#?",
+        "?#.#?#.#?",
+        "?#.###.#?",
+        "?#.....#?",
+    )
+    value = {"?": UNKNOWN, ".": FREE, "#": OCCUPIED}
+    cells = [
+        np.array([[value[c] for c in row] for row in rows], np.int8) for rows in (drawn, wanted)
+    ]
+    truth = OccupancyGrid(cells[0], 0.05, Pose2(1.0, 2.0, 0.3), "truth")
+    thin = thin_walls(truth)
+    assert thin.cells.tolist() == cells[1].tolist()
+    assert (thin.resolution, thin.origin, thin.name) == (0.05, truth.origin, "truth")
