@@ -1,7 +1,7 @@
 /* Let aligned grids vote cell by cell.
  *
  * Method: majority of unknown, free and occupied per cell; any tie for first place is occupied
- * ([F16]: two of three decide, three different values give 1). Twin:
+ * ([F16]: two of three decide, three different values give 1); or walls with a tolerance, by weight. Twin:
  * slamfusion/compute/votes/numpy.py, by the same names. All integer, so kernel and twin agree exactly.
  *
  * Inputs are 1 to MOST_INPUTS grids of `cells` cells, each in its own buffer, so that none is copied
@@ -160,7 +160,10 @@ __kernel void vote_majority(GRIDS, const int count, const int cells, const int u
   phantom[get_global_id(0)] = phantoms;
 }
 
-/* -- votes of different weight, cell by cell ------------------------------------------------------ */
+/* -- walls, with a tolerance and by weight ---------------------------------------------------------
+ * Grids are codes of bits (slamfusion/vote/walls.py). weights (count, block_rows, block_cols) uchar and
+ * ranks, ushort, of each block of 2^shift cells on a side; row_phase, col_phase: place of the first cell
+ * in its block; trusted (count) uchar, weights in all. The chunk is whole rows. */
 
 /* Share of a part in the whole in percent, rounded half up; -1 of nothing. */
 INLINE char share_percent(const int part, const int whole) {
@@ -168,87 +171,97 @@ INLINE char share_percent(const int part, const int whole) {
   return (char)((200 * part + whole) / (2 * whole));
 }
 
-/* weights (count) int, 1 to 255; unknown_votes as above. */
-__kernel void vote_weighted(GRIDS, const int count, const int cells, __global const int *weights,
-                            const int unknown_votes, const int chunk, __global char *fused,
-                            __global char *agreement, __global uchar *dissent,
-                            __global int *phantom) {
+__kernel void vote_walls(GRIDS, const int count, const int cells, __global const uchar *weights,
+                         __global const ushort *ranks, __global const uchar *trusted,
+                         const int width, const int shift, const int row_phase,
+                         const int col_phase, const int block_rows, const int block_cols,
+                         const int chunk, __global char *fused, __global char *agreement,
+                         __global uchar *dissent, __global int *phantom) {
   const int start = get_global_id(0) * chunk;
   if (start >= cells) return;
   const int stop = LESS(start + chunk, cells);
   const size_t pitch = DISSENT_PITCH(cells);
   GRID grids[MOST_INPUTS] = GRID_LIST;
-  int phantoms = 0;
+  int weight[MOST_INPUTS], rank[MOST_INPUTS], trust[MOST_INPUTS];
+  for (int n = 0; n < count; n++) trust[n] = trusted[n];
+  int block = -1;
   for (int i = start; i < stop; i++) {
-    int unknown = 0, free = 0, occupied = 0;
-    for (int n = 0; n < count; n++) {
-      const int cell = as_char(grids[n][i]), weight = weights[n];
-      unknown += cell == UNKNOWN ? weight : 0;
-      free += cell == FREE ? weight : 0;
-      occupied += cell == OCCUPIED ? weight : 0;
-    }
-    if (!unknown_votes) unknown = 0;
-    const int most = MORE(MORE(unknown, free), occupied);
-    const bool wall = most > 0 && (occupied == most || unknown == free);
-    const int winner = wall ? OCCUPIED : free == most && most > 0 ? FREE : UNKNOWN;
-    fused[i] = (char)winner;
-    const int own = wall ? occupied : winner == FREE ? free : unknown;
-    agreement[i] = share_percent(own, unknown + free + occupied);
-    for (int first = 0; first < count; first += 8) {
-      uchar bits = 0;
-      for (int n = first; n < LESS(first + 8, count); n++) {
-        const int cell = as_char(grids[n][i]);
-        bits |= (cell != winner && (unknown_votes || cell != UNKNOWN)) << (n - first);
+    const int row = i / width, col = i - row * width;
+    const int here = ((row + row_phase) >> shift) * block_cols + ((col + col_phase) >> shift);
+    if (here != block) {
+      block = here;
+      for (int n = 0; n < count; n++) {
+        weight[n] = weights[n * block_rows * block_cols + block];
+        rank[n] = ranks[n * block_rows * block_cols + block];
       }
-      dissent[(first / 8) * pitch + i] = bits;
     }
-    phantoms += wall && occupied == 0;
-  }
-  phantom[get_global_id(0)] = phantoms;
-}
 
-/* Grids are occupancy in percent, -1 unknown. A vote weighs |odds|, for occupied where positive and
- * for free where negative. The cell is occupied where the sum reaches that of occupied_percent, free
- * where it is at most that of free_percent; between, occupied where an input alone says so, else
- * unknown. odds (101) int, fixed-point log-odds by percent. */
-__kernel void vote_log_odds(GRIDS, const int count, const int cells, __global const int *odds,
-                            const int occupied_percent, const int free_percent, const int chunk,
-                            __global char *fused, __global char *agreement,
-                            __global uchar *dissent, __global int *phantom) {
-  const int start = get_global_id(0) * chunk;
-  if (start >= cells) return;
-  const int stop = LESS(start + chunk, cells);
-  const size_t pitch = DISSENT_PITCH(cells);
-  GRID grids[MOST_INPUTS] = GRID_LIST;
-  const int least = odds[occupied_percent], highest = odds[free_percent];
-  int phantoms = 0;
-  for (int i = start; i < stop; i++) {
-    int free = 0, occupied = 0;
-    bool known = false, wall = false;
+    /* Who draws here, and what is for a wall and for free. */
+    int highest = -1, support = 0, supported = 0, freeing = 0, freed = 0, walls = 0;
+    uchar shown = 0;
     for (int n = 0; n < count; n++) {
-      const int percent = as_char(grids[n][i]);
-      if (percent < 0) continue;
-      known = true;
-      wall |= percent >= occupied_percent;
-      free += MORE(-odds[percent], 0);
-      occupied += MORE(odds[percent], 0);
+      const uchar code = grids[n][i];
+      if (code & WALL_NEAR) {
+        support += weight[n];
+        supported += trust[n];
+        if (weight[n] > 0 && rank[n] > highest) {
+          highest = rank[n];
+          shown = code;
+        }
+      }
+      if (code & WALL_FREE) {
+        freeing += weight[n];
+        freed += trust[n];
+      }
+      if (code & WALL_OCCUPIED) walls += weight[n];
     }
-    const int sum = occupied - free;
-    int winner = UNKNOWN;
-    if (known) winner = sum >= least ? OCCUPIED : sum <= highest ? FREE : wall ? OCCUPIED : UNKNOWN;
+    if (highest < 0 && supported == 0) {
+      /* The usual case: no wall anywhere near. */
+      const bool is_free = freeing > 0 && 2 * freed >= VOTE_ONE;
+      fused[i] = is_free ? FREE : UNKNOWN;
+      agreement[i] = is_free ? 100 : -1;
+      for (int first = 0; first < count; first += 8) {
+        uchar bits = 0;
+        if (!is_free)
+          for (int n = first; n < LESS(first + 8, count); n++)
+            bits |= ((grids[n][i] & WALL_FREE) != 0) << (n - first);
+        dissent[(first / 8) * pitch + i] = bits;
+      }
+      continue;
+    }
+
+    /* What is against the wall. */
+    const uchar ways = (shown & WALL_OCCUPIED) ? shown >> WALL_SIDES : 0;
+    int against = 0, rival = -1;
+    for (int n = 0; n < count; n++) {
+      const uchar code = grids[n][i];
+      if (code & WALL_NEAR) continue;
+      const bool same = (code >> WALL_SIDES) & ways;
+      if (same || (code & WALL_FREE)) against += weight[n];
+      if (same && 2 * weight[n] >= VOTE_ONE) rival = MORE(rival, rank[n]);
+    }
+    const bool stands = highest >= 0 && 2 * supported >= VOTE_ONE &&
+                        (rival < 0         ? support >= against
+                         : rival > highest ? 2 * support >= 3 * against
+                                           : 3 * support >= 2 * against);
+    int winner = freeing > 0 && 2 * freed >= VOTE_ONE ? FREE : UNKNOWN;
+    if (stands) winner = (shown & WALL_OCCUPIED) ? OCCUPIED : (shown & WALL_FREE) ? FREE : UNKNOWN;
     fused[i] = (char)winner;
-    const int own = winner == OCCUPIED ? occupied : winner == FREE ? free : 0;
-    agreement[i] = share_percent(own, free + occupied);
+    agreement[i] = winner == OCCUPIED ? share_percent(support, support + against)
+                   : winner == FREE   ? share_percent(freeing, freeing + walls)
+                                      : -1;
     for (int first = 0; first < count; first += 8) {
       uchar bits = 0;
       for (int n = first; n < LESS(first + 8, count); n++) {
-        const int percent = as_char(grids[n][i]);
-        const int side = percent < 0 ? 0 : odds[percent];
-        bits |= (side > 0 ? winner != OCCUPIED : side < 0 && winner != FREE) << (n - first);
+        const uchar code = grids[n][i];
+        const bool same = (code >> WALL_SIDES) & ways, free = (code & WALL_FREE) != 0;
+        const bool out = winner == OCCUPIED
+                             ? !(code & WALL_NEAR) && (free || same)
+                             : !stands && ((code & WALL_OCCUPIED) || (free && winner != FREE));
+        bits |= out << (n - first);
       }
       dissent[(first / 8) * pitch + i] = bits;
     }
-    phantoms += winner == OCCUPIED && !wall;
   }
-  phantom[get_global_id(0)] = phantoms;
+  phantom[get_global_id(0)] = 0;
 }

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.config import AlignConfig, FusionConfig, VoteConfig
+from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.fusion.align import track_features
@@ -29,12 +29,12 @@ from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.proof import LatticeScore
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.search import SearchWindow
-from slamfusion.fusion.vote import vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.jobs.documents import versions
 from slamfusion.jobs.tool_records import BenchDocument, BenchEntryJson, BenchResultsJson
 from slamfusion.sim import Degradation, degrade_map, draw_building
+from slamfusion.vote.tiles import vote_grids
 
 __all__ = ["Entry", "bench_document", "run_benchmarks"]
 
@@ -297,11 +297,11 @@ def _time_vote(device: ComputeDevice, sizes: Sizes) -> Entry:
 
     runs = 3 * sizes.runs
     vote_s, copy_s = [], []
-    vote_grids(grids, VoteConfig(), device)
+    vote_grids(grids, device, unknown_votes=True)
     for _ in range(runs):
         # In turns, so that both see the machine in the same mood.
         copy_s.append(_seconds(copy))
-        vote_s.append(_seconds(lambda: vote_grids(grids, VoteConfig(), device)))
+        vote_s.append(_seconds(lambda: vote_grids(grids, device, unknown_votes=True)))
     return Entry(
         f"vote of three {_size(sizes.vote_cells)} grids",
         median(vote_s),

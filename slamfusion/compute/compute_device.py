@@ -105,8 +105,7 @@ class NumpyDevice:
     refine_terms = _twin(search.refine_terms)
 
     vote_majority = _twin(votes.vote_majority)
-    vote_weighted = _twin(votes.vote_weighted)
-    vote_log_odds = _twin(votes.vote_log_odds)
+    vote_walls = _twin(votes.vote_walls)
 
     cast_rays = _twin(rays.cast_rays)
 

@@ -75,7 +75,12 @@ __all__ = [
     "TILE",
     "UNSEEN",
     "VALUE_ONE",
+    "VOTE_ONE",
+    "WALL_FREE",
     "WALL_LEVEL",
+    "WALL_NEAR",
+    "WALL_OCCUPIED",
+    "WALL_SIDES",
     "WEIGHT_SHIFT",
     "WINDOW_RADIUS",
     "kernel_options",
@@ -139,6 +144,14 @@ MOST_INPUTS: Final = 32
 BLOCK_CELLS: Final = 32
 # Spreads a byte over the eight lanes of a word.
 EACH_LANE: Final = np.uint64(0x0101010101010101)
+# Bits of what a map shows at a cell: a wall, free, a wall within the tolerance; from WALL_SIDES on the
+# four ways that walls face (``vote.walls``).
+WALL_OCCUPIED: Final = 1
+WALL_FREE: Final = 2
+WALL_NEAR: Final = 4
+WALL_SIDES: Final = 4
+# The greatest weight of a vote.
+VOTE_ONE: Final = 255
 
 # -- rays ------------------------------------------------------------------------------------------
 
@@ -290,6 +303,7 @@ _FOR_KERNELS: Final = (
     *("RUN", "DISTANCE_LANES", "WINDOW_LANES", "SHIFT_LANES", "SHIFT_ROWS"),
     *("SHIFT_POINTS", "SHIFT_TILE"),
     *("REFINE_TERMS", "MOST_INPUTS", "BLOCK_CELLS", "EACH_LANE"),
+    *("WALL_OCCUPIED", "WALL_FREE", "WALL_NEAR", "WALL_SIDES", "VOTE_ONE"),
     *("OPEN", "WALL", "RAY_FLOATS", "RAY_HIT_FLOATS"),
     *("TILE_SHIFT", "TILE", "TILE_MASK", "TILE_CELLS"),
     *("BEAM_SHIFT", "BEAM_ONE", "BEAM_MASK", "BEAM_HALF", "WALK_SHIFT", "WALK_TO_BEAM_SHIFT"),

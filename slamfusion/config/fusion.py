@@ -23,7 +23,7 @@ __all__ = [
 
 
 # How maps vote; and how a fused map comes to be, by such a vote or drawn from scans.
-VoteMode: TypeAlias = Literal["majority", "consensus", "weighted", "log-odds"]
+VoteMode: TypeAlias = Literal["consensus", "majority"]
 FusionMode: TypeAlias = Literal[VoteMode, "drawn"]
 
 # What a setting calls the map with the smallest known box.
@@ -107,31 +107,18 @@ class VoteConfig(Checked):
     """How aligned grids decide a cell."""
 
     mode: FusionMode = option(
-        "majority",
-        "majority; consensus of those that know, without doubled walls; weighted by agreement; "
-        "log-odds of the kept probabilities; or drawn (run alone) from all scans at the fused path",
+        "consensus",
+        "consensus: maps that agree decide, walls are voted for with a tolerance; majority of each "
+        "cell, as in [F16]; or drawn (run alone) from all scans at the fused path",
     )
     unknown: Literal["auto", "value", "abstain"] = option(
         "auto",
-        "unknown as a value, as an abstention, or auto: a value with exactly three voters",
+        "majority: unknown as a value, as an abstention, or auto: a value with exactly three voters",
     )
     extent: Literal["reference", "union"] = option(
         "union",
         "fused cells: the union of all maps that fit, or those of the reference alone; drawn is "
         "always a union",
-    )
-    double_reach_m: float = option(
-        0.4,
-        "consensus: a wall of one input alone this near to one of several is its double",
-        unit="m",
-        low=0.0,
-        high=10.0,
-        level="expert",
-    )
-    solid_walls: bool = option(
-        True,
-        "consensus, log-odds and drawn: walls have a back of one unknown cell; no disputed front",
-        level="expert",
     )
 
 

@@ -10,20 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.boxes import hull, padded
-from slamfusion.fusion.lattice_vote import warp_onto
+from slamfusion.fusion.lattice_vote import wall_agreement_of, warp_onto, weights_of
 from slamfusion.fusion.normalize import NormalizedGrid, normalize_grid
-from slamfusion.fusion.records import FusionResult, VotedLayer
-from slamfusion.fusion.surfaces import wall_backs
-from slamfusion.fusion.vote import double_reach_cells, vote_grids
+from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.vote.boxes import hull
+from slamfusion.vote.tiles import GridLayer, TileVoter
 
 __all__ = ["fuse_with_drawn"]
 
@@ -40,21 +40,21 @@ def fuse_with_drawn(
 ) -> FusionResult:
     """Return the fusion with the drawn map in place of the producers' votes.
 
-    The drawn map and the saved maps that fit vote as in ``consensus``: a majority of those that
-    know a cell, ties occupied, no wall doubled. Without saved maps the drawn map is the fused one.
+    The drawn map and the saved maps that fit vote as in ``consensus``. Without saved maps the drawn
+    map is the fused one.
 
     Args:
         result: of fusing the maps of a drive: says which fit and how they lie.
         drawn: in the map frame of its fused map, cells in {-1, 0, 100}.
         saved: names of inputs that no producer of the drive made.
-        config: thresholds; ``vote`` says whether walls are solid.
+        config: thresholds.
         device: computes.
 
     Returns:
         On the lattice of ``drawn``, over all that it and the voting saved maps know. The agreement
         of a cell is the share of the maps that know it, the drawn one among them, which say what
         the fused one says; an input dissents where it knows a cell and says otherwise. ``weights``
-        has those that voted. A cell that is occupied but nobody knows is the back of a wall.
+        has those that voted.
 
     Raises:
         GridError: no cell of ``drawn`` is known.
@@ -73,30 +73,28 @@ def fuse_with_drawn(
     for name in voters:
         grid, transform = inputs[name]
         box = hull(box, grid.extent.on(lattice, transform))
-    box = padded(box, 1 if config.vote.solid_walls else 0)
 
     def placed(grid: NormalizedGrid, transform: Pose2) -> I8:
         return warp_onto(grid, grid.cells, transform, lattice, box, device)
 
     own = placed(layer, Pose2())
     aligned = {name: placed(*item) for name, item in inputs.items()}
-    vote = replace(config.vote, mode="consensus", solid_walls=False)
-    voted = vote_grids(
-        [own, *(aligned[name] for name in voters)],
-        vote,
-        device,
-        reach_cells=double_reach_cells(vote, drawn.resolution),
-    )
-    fused = voted.fused.copy()
-    if config.vote.solid_walls:
-        fused[wall_backs(fused)] = 1
+    whole = CellBox(0, 0, box.height, box.width)
+    vote = replace(config.vote, mode="consensus")
+    layers = {drawn.name: own, **{name: aligned[name] for name in voters}}
+    voter = TileVoter(whole, vote, drawn.resolution, tuple(layers))
+    shown = {name: voter.prepare(whole, partial(_all, cells)) for name, cells in layers.items()}
+    if voter.weighs:
+        voter = voter.trusting(voter.count(whole, shown))
+    voted = voter.decide(whole, shown, device)
+    fused = own if voted is None else voted.fused
     frame = layer.grid.crop(box)
     cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.int8)[fused + 1]
-    agreement = _agreement(voted.fused, [own, *aligned.values()])
+    agreement = _agreement(fused, [own, *aligned.values()])
     records = tuple(
         replace(
             record,
-            layer=VotedLayer.of(aligned[record.name], _dissent(voted.fused, aligned[record.name])),
+            layer=GridLayer.of(aligned[record.name], _dissent(fused, aligned[record.name])),
         )
         if record.name in aligned
         else record
@@ -107,10 +105,16 @@ def fuse_with_drawn(
         inputs=records,
         fused=OccupancyGrid(cells, frame.resolution, frame.origin, result.fused.name),
         agreement=OccupancyGrid(agreement, frame.resolution, frame.origin, result.agreement.name),
-        phantom_cells=voted.phantom_cells,
-        weights=dict.fromkeys((drawn.name, *voters), 1.0),
+        phantom_cells=0,
+        weights=weights_of(voter.names, voter.trust),
+        wall_agreement=wall_agreement_of(voter.trust),
         left_out_m2={},
     )
+
+
+def _all(cells: I8, box: CellBox) -> I8:  # noqa: ARG001
+    """Return cells as they are, whatever box is asked for: all of them."""
+    return cells
 
 
 def _agreement(fused: I8, maps: list[I8]) -> I8:

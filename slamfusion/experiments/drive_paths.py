@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig, TrajectoryConfig
 from slamfusion.errors import LogError, SlamFusionError
-from slamfusion.evaluation import MapError, compare_to_truth, trajectory_errors
+from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence import (
     Exclusions,
     JudgedScans,
@@ -21,7 +21,6 @@ from slamfusion.evidence import (
 )
 from slamfusion.evidence.drawn_map import draw_map, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.surfaces import with_backs
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan
 from slamfusion.jobs.fused_path import fuse_weighed_paths
@@ -40,8 +39,6 @@ __all__ = [
     "drive_layers",
     "judge_scans",
     "path_errors",
-    "thick",
-    "thickened",
     "weigh_paths",
 ]
 
@@ -54,11 +51,6 @@ FUSED_PATH = "fused path"
 def drawn_at(name: str) -> str:
     """Return what the map is called that all scans draw at a producer's own path."""
     return f"{name}, drawn"
-
-
-def thick(name: str) -> str:
-    """Return what a producer's map is called whose walls were given backs."""
-    return f"{name}, backs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,36 +228,7 @@ def draw_paths(
         method = DRAWN if name == FUSED_PATH else drawn_at(name)
         found[method] = None
         if name in weighed.paths:
-            grid = draw_map(rays, weighed.paths[name], device, resolution=resolution, name=method)
-            if config.fusion.vote.solid_walls:
-                grid = with_backs(grid, config.fusion.normalize)
-            found[method] = grid
-    return found
-
-
-def thickened(
-    maps: Mapping[str, OccupancyGrid | None],
-    errors: Mapping[str, MapError],
-    truth: OccupancyGrid,
-    config: RunConfig,
-) -> dict[str, MapError]:
-    """Return the errors of producers' maps whose walls were given backs, as votes give them.
-
-    Args:
-        maps: by producer; None: it made none.
-        errors: of these maps, by name: each is measured where it lay.
-        truth: the true map.
-        config: thresholds and tolerance.
-    """
-    found = {}
-    for name, grid in maps.items():
-        found[thick(name)] = errors[name]
-        if grid is not None:
-            found[thick(name)] = compare_to_truth(
-                with_backs(grid, config.fusion.normalize),
-                truth,
-                errors[name].transform,
-                normalize=config.fusion.normalize,
-                tolerance_m=config.evaluate.tolerance_m,
+            found[method] = draw_map(
+                rays, weighed.paths[name], device, resolution=resolution, name=method
             )
     return found

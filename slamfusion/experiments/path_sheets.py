@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from slamfusion.evaluation import Summary, compare_pairs, correct_by_holm
-from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, drawn_at, thick
+from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, drawn_at
 from slamfusion.experiments.method_pairs import p_value_text
 from slamfusion.experiments.records import MeasurePairJson
 from slamfusion.experiments.sheets import Sheet
-from slamfusion.experiments.voting import BARE
 from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.slam.registry import BUILT_IN
 
@@ -88,7 +87,7 @@ def measure_pairs(table: ErrorTable) -> list[MeasurePairJson]:
 def sheets(table: ErrorTable) -> list[Sheet]:
     """Return the tables of what the records hold: paths, faces, and what thickness is worth."""
     found = [_sheet(table, kind) for kind in (PATHS, FACES)]
-    return [sheet for sheet in (*found, _thickness_sheet(table)) if sheet.rows]
+    return [sheet for sheet in found if sheet.rows]
 
 
 def _ours(kind: _Kind, methods: Sequence[str]) -> str:
@@ -104,7 +103,6 @@ def _methods(table: ErrorTable, kind: _Kind) -> list[str]:
         *BUILT_IN,
         CHOICE,
         HINDSIGHT,
-        BARE,
         RUN_VOTE,
         *map(drawn_at, BUILT_IN),
         drawn_at(HINDSIGHT),
@@ -170,28 +168,3 @@ def _sheet(table: ErrorTable, kind: _Kind) -> Sheet:
             rows.append((f"{ours} against it", "", *tests))
     note = f"{kind.note} p: paired two-sided t-test of {ours} against it, after Holm."
     return Sheet(kind.title, ("condition", "drives", *methods), tuple(rows), note)
-
-
-def _thickness_sheet(table: ErrorTable) -> Sheet:
-    """Return how much of a smaller [F16] error is the backs of walls alone."""
-    rows = []
-    for condition in table.conditions():
-        records = table.of(condition)
-        if any(BARE not in record.errors for record in records):
-            continue
-        best = table.best_input(condition)
-
-        def mean(method: str, of: Sequence[TrialRecord] = records) -> str:
-            if any(method not in record.errors for record in of):
-                return NO_NUMBER
-            return f"{Summary.of([record.errors[method] for record in of]).mean:.2f}"
-
-        columns = (best, thick(best), BARE, RUN_VOTE, DRAWN)
-        rows.append((condition, best, *map(mean, columns)))
-    return Sheet(
-        "What thickness is worth",
-        ("condition", "best input", "as it is", "with backs", BARE, RUN_VOTE, DRAWN),
-        tuple(rows),
-        "[F16] error, mean; less is better. A back of one cell behind every wall lowers it for any "
-        "map: only maps that both have backs, or both have none, can be compared.",
-    )

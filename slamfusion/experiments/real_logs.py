@@ -35,7 +35,7 @@ from slamfusion.experiments.drive_paths import (
 )
 from slamfusion.experiments.records import RatiosJson, RealLogNumbersJson, RealLogTableJson
 from slamfusion.experiments.sheets import Sheet
-from slamfusion.experiments.voting import BARE, FUSIONS, against_truth, vote_every_way
+from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import LogScan, open_log, read_trajectory
 from slamfusion.jobs.cases import CaseFile, place_files
@@ -410,9 +410,7 @@ def _compare_on_log(
         raise SlamFusionError(message)
     # Saved maps may have any frame.
     align = replace(config.fusion.align, shared_frame=not others)
-    # The reference is drawn from scans as well: its walls have no backs either.
-    vote = replace(config.fusion.vote, solid_walls=False)
-    config = replace(config, fusion=replace(config.fusion, align=align, vote=vote))
+    config = replace(config, fusion=replace(config.fusion, align=align))
     judged = judge_scans(scans, notes)
     at_scans = _at_scans(their_paths, judged, notes)
     weighed = weigh_paths(judged, {**made.paths, **at_scans}, device, notes)
@@ -420,7 +418,6 @@ def _compare_on_log(
     layers = drive_layers([*made.grids, *others], weighed, scans, fed, device)
     fused = vote_every_way(layers, config, device, notes, shared_frame=not others)
 
-    del fused[BARE]  # here all votes are
     errors = path_errors(weighed, trajectory, SAME_TIME_S)
     if FUSED_PATH in errors:
         errors[DRAWN] = errors[FUSED_PATH]

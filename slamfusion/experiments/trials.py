@@ -29,7 +29,6 @@ from slamfusion.experiments.drive_paths import (
     drive_layers,
     judge_scans,
     path_errors,
-    thickened,
     weigh_paths,
 )
 from slamfusion.experiments.examples import FOLDER, Example
@@ -183,15 +182,14 @@ def measure_trial(
         name: against_truth(grid, truth, config, device, same_heading=True)
         for name, grid in {**made.maps, **fused}.items()
     }
-    measured = {**found, **thickened(made.maps, found, truth, config)}
     record = TrialRecord(
         trial.condition,
         trial.world,
         trial.seed,
-        {name: item.error for name, item in measured.items()},
-        {name: item.wall_f1 or 0.0 for name, item in measured.items()},
+        {name: item.error for name, item in found.items()},
+        {name: item.wall_f1 or 0.0 for name, item in found.items()},
         notes,
-        {name: item.faces.f1(FACES_M) or 0.0 for name, item in measured.items()},
+        {name: item.faces.f1(FACES_M) or 0.0 for name, item in found.items()},
         path_errors(weighed, _true_path(recording, seen)),
         weighed.choice,
     )

@@ -18,16 +18,13 @@ from slamfusion.fusion.pipeline import vote_again
 from slamfusion.fusion.records import FusionResult
 from slamfusion.geometry import wrap_angle
 from slamfusion.grid import IDENTITY, UNKNOWN, OccupancyGrid
-from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.partial import Layers, fuse_layers
 
-__all__ = ["BARE", "FUSIONS", "PATIENCE_S", "PLAIN", "against_truth", "vote_every_way"]
+__all__ = ["FUSIONS", "PATIENCE_S", "PLAIN", "against_truth", "vote_every_way"]
 
-# Every way to vote, the plain one first.
+# Every way to vote.
 FUSIONS: tuple[VoteMode, ...] = get_args(VoteMode)
 PLAIN: VoteMode = "majority"
-# The vote of ``run`` without the backs that it gives to walls.
-BARE = f"{RUN_VOTE}, bare"
 # Proofs of alignments end by themselves, so that a busy machine finds what an idle one does.
 PATIENCE_S = 60.0
 # A map that is turned by more against the true one lies wrong where both head alike, radians.
@@ -52,20 +49,16 @@ def vote_every_way(
         shared_frame: all maps are of producers of this drive.
 
     Returns:
-        By way to vote, then by ``BARE``; None where there is no map at all.
+        By way to vote; None where there is no map at all.
     """
-    ways = (*FUSIONS, BARE)
     if not layers.maps:
         notes[PLAIN] = "no map was made"
-        return dict.fromkeys(ways)
+        return dict.fromkeys(FUSIONS)
     notes |= {f"{PLAIN}, {vote.name} in part": vote.sentence() for vote in layers.partial}
     plain = _vote_plainly(layers, config, device, notes, shared_frame=shared_frame)
     if isinstance(plain, OccupancyGrid):
-        return dict.fromkeys(ways, plain)
-    settings: dict[str, FusionConfig] = {mode: _voting(config.fusion, mode) for mode in FUSIONS}
-    bare = replace(settings[RUN_VOTE].vote, solid_walls=False)
-    settings[BARE] = replace(config.fusion, vote=bare)
-    return {way: vote_again(plain, settings[way], device).fused for way in ways}
+        return dict.fromkeys(FUSIONS, plain)
+    return {mode: vote_again(plain, _voting(config.fusion, mode), device).fused for mode in FUSIONS}
 
 
 def _vote_plainly(

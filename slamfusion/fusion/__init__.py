@@ -1,21 +1,20 @@
 """Normalise, align, vote: several occupancy grids of one place become one.
 
 ``fuse_grids`` is the whole pipeline, ``align_grids`` one alignment; the modules are its steps in
-order: ``normalize``, ``features``, ``search``, ``proof``, ``accept``, ``consistency``, ``vote``.
+order: ``normalize``, ``features``, ``search``, ``proof``, ``accept``, ``consistency``; the vote is ``slamfusion.vote``.
 """
 
 from __future__ import annotations
 
 from slamfusion.fusion.align import align_grids
 from slamfusion.fusion.pipeline import fuse_grids
-from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp, VoteResult
+from slamfusion.fusion.records import Alignment, FusionResult, InputRecord, RunnerUp
 
 __all__ = [
     "Alignment",
     "FusionResult",
     "InputRecord",
     "RunnerUp",
-    "VoteResult",
     "align_grids",
     "fuse_grids",
 ]

@@ -69,6 +69,20 @@ class Members:
     reference: str
     alignments: dict[str, Alignment]
 
+    def part(self, names: Sequence[str]) -> Members:
+        """Return some of the members, in the frame of the reference or of the first of them."""
+        reference = self.reference if self.reference in names else names[0]
+        into = self.alignments[reference].transform.inverse()
+        alignments = {
+            name: replace(
+                self.alignments[name],
+                reference=reference,
+                transform=into.compose(self.alignments[name].transform),
+            )
+            for name in names
+        }
+        return Members(reference, alignments)
+
 
 @dataclass(frozen=True, eq=False)
 class AlignedGroup(Members):
@@ -133,7 +147,7 @@ def align_group(
         raise _nothing_fused(names, pairs, reasons)
     group, poses = found[0]
     reference = choose_reference(group.members, features, config.reference, names, in_part)
-    anchor = _smallest(group.members, features, in_part)
+    anchor = _most_agreeing(_whole(group.members, in_part), pairs)
     alignments = _in_frame(reference, anchor, group, poses, features, pairs, device)
     left_out = {
         name: _left_out(name, reference, group, pairs, implied)
@@ -145,7 +159,7 @@ def align_group(
         if len(other.members) >= LEAST_FUSED:
             wanted = None if named_input(config.reference, names) in names else config.reference
             own = choose_reference(other.members, features, wanted, names)
-            anchor = _smallest(other.members, features)
+            anchor = _most_agreeing(other.members, pairs)
             placed_ones = _in_frame(own, anchor, other, its_poses, features, pairs, device)
             others.append(Members(own, placed_ones))
     return AlignedGroup(reference, alignments, left_out, tuple(pairs), tuple(others))
@@ -339,6 +353,22 @@ def choose_reference(
 def _whole(members: Sequence[str], in_part: Collection[str]) -> Sequence[str]:
     """Return the members that show all of their place; all members where none does."""
     return [name for name in members if name not in in_part] or members
+
+
+def _most_agreeing(members: Sequence[str], pairs: Sequence[Alignment]) -> str:
+    """Return the member whose walls agree most with those of the others: the sum of the squares of
+    the shares of the common walls that agree. A bent map must not be what all others are aligned to.
+    """
+    agreement = dict.fromkeys(members, 0.0)
+    for pair in pairs:
+        if (
+            pair.accepted
+            and pair.evidence is not None
+            and {pair.reference, pair.moving} <= set(members)
+        ):
+            for name in (pair.reference, pair.moving):
+                agreement[name] += pair.evidence.share**2
+    return max(agreement, key=lambda name: agreement[name])
 
 
 def _smallest(

@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells, fixed_poses
-from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
+from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS, VOTE_ONE
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.ballot import Ballot, Laid
-from slamfusion.fusion.boxes import hull, moved, overlap, padded, slices
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice import Extent, Lattice
 from slamfusion.fusion.normalize import VotingGrid
-from slamfusion.fusion.records import FusionResult, InputRecord, VotedLayer
-from slamfusion.fusion.vote import agreement_weights, margin_cells, unknown_votes
+from slamfusion.fusion.records import Bent, FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, box_origin
 from slamfusion.io.memory import check_memory
+from slamfusion.vote.agreement import AGREEING, Trust
+from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
+from slamfusion.vote.lattice import Extent, Lattice
+from slamfusion.vote.tiles import OUTVOTED, SMALL_TILE, TILE, GridLayer, TileVoter, sum_counts
 
 __all__ = [
-    "SMALL_TILE",
-    "TILE",
     "Lattices",
+    "bent_maps",
     "fused_box",
     "own_box",
-    "tiles_of",
+    "second_opinion",
     "vote_on_lattice",
+    "wall_agreement_of",
     "warp_onto",
     "warp_pose",
+    "weights_of",
 ]
 
 I8 = npt.NDArray[np.int8]
@@ -40,9 +42,6 @@ I8 = npt.NDArray[np.int8]
 # Gives an input at the common resolution, by its name.
 Lattices: TypeAlias = Callable[[str], VotingGrid]
 
-# Cells on a side that are voted on at once; fewer where so many maps vote that not all may vote in
-# one place.
-TILE, SMALL_TILE = 2048, 256
 # What a vote in memory holds for each fused cell: itself, its agreement, and what is told of both.
 VOTED_BYTES = 4
 
@@ -133,6 +132,7 @@ def vote_on_lattice(
     def normalized(name: str) -> VotingGrid:
         return base if name == group.reference else lattices(name)
 
+    names = tuple(group.alignments)
     box = fused_box(group, lambda name: normalized(name).extent, config)
     check_memory(
         VOTED_BYTES * box.area,
@@ -141,29 +141,50 @@ def vote_on_lattice(
         "free memory, use a coarser cell, or fuse into a store tile by tile (-o OUT.zarr)",
     )
     lattice = base.extent.lattice
-    layers = {
-        name: _laid(normalized(name), group, lattice, box, config, device)
-        for name in group.alignments
-    }
     whole = CellBox(0, 0, box.height, box.width)
-    weights = dict.fromkeys(layers, 1.0)
-    if config.vote.mode == "weighted":
-        found = agreement_weights([layer.on(whole) for layer in layers.values()])
-        weights = dict(zip(layers, found, strict=True))
-    ballot = Ballot(whole, config, base.grid.resolution, weights)
+    voter = TileVoter(whole, config.vote, lattice.resolution, names)
+    layers = {name: _layer(normalized(name), group, lattice, box, voter, device) for name in names}
+    tiles = list(voter.tiles(TILE if len(names) <= MOST_INPUTS else SMALL_TILE))
+
+    def shown(tile: CellBox) -> dict[str, npt.NDArray[Any]]:
+        around = voter.around(tile)
+        return {
+            name: voter.prepare(around, layer.on)
+            for name, layer in layers.items()
+            if overlap(layer.box, around) is not None
+        }
+
+    kept = {tiles[0]: shown(tiles[0])} if len(tiles) == 1 else {}
+    if voter.weighs:
+        counts = [voter.count(tile, kept.get(tile) or shown(tile)) for tile in tiles]
+        voter = voter.trusting(sum_counts(counts))
+        apart = () if voter.trust is None else second_opinion(voter.trust)
+        if apart:
+            return _vote_apart(grids, group, apart, lattices, others, config, device)
     fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
     agreement = np.full_like(fused, UNKNOWN)
-    phantom_cells = 0
-    for tile in tiles_of(whole, TILE if len(layers) <= MOST_INPUTS else SMALL_TILE):
-        decided = ballot.decide(tile, layers, device)
-        if decided is not None:
-            window = slices(tile, 0, 0)
-            fused[window], agreement[window] = decided.fused, decided.agreement
-            phantom_cells += decided.phantom_cells
+    phantom_cells, worst = 0, []
+    for tile in tiles:
+        decided = voter.decide(tile, kept.get(tile) or shown(tile), device)
+        if decided is None:
+            continue
+        window = slices(tile, 0, 0)
+        fused[window], agreement[window] = decided.fused, decided.agreement
+        phantom_cells += decided.phantom_cells
+        worst.append(decided.worst)
+        for name, is_outvoted in decided.outvoted.items():
+            own = overlap(layers[name].box, tile)
+            if own is not None:
+                codes = layers[name].codes[
+                    slices(own, layers[name].box.row0, layers[name].box.col0)
+                ]
+                codes[is_outvoted[slices(own, tile.row0, tile.col0)]] += OUTVOTED
     origin = box_origin(lattice.origin, lattice.resolution, box)
     fused[fused == 1] = OCCUPIED
     # What is read-only is not copied once more.
     fused.flags.writeable = agreement.flags.writeable = False
+    fused_grid = OccupancyGrid(fused, lattice.resolution, origin, "fused")
+    bent = bent_maps(voter.trust, worst, Lattice(lattice.resolution, origin))
     records = []
     for given in grids:
         pair = group.alignments.get(given.name)
@@ -171,25 +192,107 @@ def vote_on_lattice(
             records.append(others[given.name])
         else:
             layer = layers[given.name]
-            voted = VotedLayer(fused.shape, layer.box, layer.codes)
-            records.append(InputRecord(given, pair, True, pair.reason, voted))
+            records.append(InputRecord(given, pair, True, pair.reason, layer))
+    trust = voter.trust
     return FusionResult(
         reference=group.reference,
         inputs=tuple(records),
-        fused=OccupancyGrid(fused, base.grid.resolution, origin, "fused"),
-        agreement=OccupancyGrid(agreement, base.grid.resolution, origin, "agreement"),
+        fused=fused_grid,
+        agreement=OccupancyGrid(agreement, lattice.resolution, origin, "agreement"),
         pairs=(),
         phantom_cells=phantom_cells,
-        weights=weights,
+        weights=weights_of(names, trust),
+        wall_agreement=wall_agreement_of(trust),
+        bent=bent,
         device=device.name,
         time_s=0.0,
     )
 
 
-def _unknown_is_a_vote(config: FusionConfig, voters: int) -> bool:
-    """Say whether an input votes also where it knows nothing."""
-    return config.vote.mode in {"majority", "weighted"} and unknown_votes(
-        config.vote.unknown, [1] * voters
+def _vote_apart(
+    grids: Sequence[OccupancyGrid],
+    group: Members,
+    apart: Collection[str],
+    lattices: Lattices,
+    others: Mapping[str, InputRecord],
+    config: FusionConfig,
+    device: ComputeDevice,
+) -> FusionResult:
+    """Let two groups of maps that contradict each other vote apart; see ``vote_on_lattice``."""
+    first, second = (
+        group.part([name for name in group.alignments if (name in apart) == is_second])
+        for is_second in (False, True)
+    )
+    reason = (
+        f"agrees with {_listed(second.alignments)} and contradicts {_listed(first.alignments)}; "
+        "fused apart"
+    )
+    theirs = {
+        grid.name: InputRecord(grid, group.alignments[grid.name], False, reason)
+        for grid in grids
+        if grid.name in apart
+    }
+    own = [grid for grid in grids if grid.name in apart]
+    result = vote_on_lattice(grids, first, lattices, {**others, **theirs}, config, device)
+    other = vote_on_lattice(own, second, lattices, {}, config, device)
+    return replace(result, others=(*result.others, other))
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names)
+
+
+def weights_of(names: Sequence[str], trust: Trust | None) -> dict[str, float]:
+    """Return the weight of each voter, 0 to 1."""
+    if trust is None:
+        return dict.fromkeys(names, 1.0)
+    return {name: float(trust.weights[trust.of(name)]) / VOTE_ONE for name in names}
+
+
+def wall_agreement_of(trust: Trust | None) -> dict[str, float]:
+    """Return the share of each voter's walls that agree with the others', 0 to 1."""
+    return {} if trust is None else dict(zip(trust.names, trust.agreement.tolist(), strict=True))
+
+
+def bent_maps(
+    trust: Trust | None,
+    worst: Sequence[Mapping[str, tuple[int, int, int]]],
+    grid: Lattice,
+) -> dict[str, Bent]:
+    """Return the maps whose walls do not agree with the others', and where they agree least.
+
+    Args:
+        trust: in the maps; None: nothing is known.
+        worst: of each tile, see ``DecidedTile``.
+        grid: lattice of the fused map, from its first cell on.
+    """
+    if trust is None:
+        return {}
+    bent = {}
+    for name, share in zip(trust.names, trust.agreement.tolist(), strict=True):
+        places = [tile[name] for tile in worst if name in tile]
+        if share < AGREEING and places:
+            _, row, col = max(places, key=lambda place: place[0])
+            corner = grid.corner(row, col)
+            bent[name] = Bent(share, corner.x, corner.y)
+    return bent
+
+
+def second_opinion(trust: Trust) -> tuple[str, ...]:
+    """Return the maps that agree with each other and contradict those that decide; may be none.
+
+    Returns:
+        Two or more of the maps without a vote.
+    """
+    mute = [n for n, weight in enumerate(trust.weights) if weight == 0]
+    if len(mute) < 2:
+        return ()
+    inside = trust.pairs[np.ix_(mute, mute)]
+    best = int(np.argmax((inside**2).sum(axis=1)))
+    if inside[best].max() < AGREEING:
+        return ()
+    return tuple(
+        trust.names[n] for at, n in enumerate(mute) if at == best or inside[best, at] >= AGREEING
     )
 
 
@@ -207,11 +310,11 @@ def fused_box(group: Members, extent_of: Callable[[str], Extent], config: Fusion
     if config.vote.extent == "union":
         for name, pair in group.alignments.items():
             box = hull(box, extent_of(name).on(base.lattice, pair.transform))
-    return padded(box, margin_cells(config.vote, len(group.alignments)))
+    return box
 
 
 def own_box(
-    extent: Extent, name: str, group: Members, lattice: Lattice, box: CellBox, config: FusionConfig
+    extent: Extent, name: str, group: Members, lattice: Lattice, box: CellBox, voter: TileVoter
 ) -> CellBox | None:
     """Return the fused cells in which an input has a say; None: in none.
 
@@ -221,39 +324,29 @@ def own_box(
         group: those that vote.
         lattice: of the reference.
         box: the fused cells, see ``fused_box``.
-        config: settings of the vote.
+        voter: says whether unknown is a vote.
 
     Returns:
         Those that it may know, or all where unknown is a vote; counted as ``box`` is.
     """
-    if _unknown_is_a_vote(config, len(group.alignments)):
+    if voter.unknown_votes:
         return box
     return overlap(padded(extent.on(lattice, group.alignments[name].transform), 1), box)
 
 
-def _laid(
+def _layer(
     grid: VotingGrid,
     group: Members,
     lattice: Lattice,
     box: CellBox,
-    config: FusionConfig,
+    voter: TileVoter,
     device: ComputeDevice,
-) -> Laid:
-    """Lay an input on the fused lattice."""
-    own = own_box(grid.extent, grid.name, group, lattice, box, config)
+) -> GridLayer:
+    """Return an input on the fused lattice."""
+    shape = (box.height, box.width)
+    own = own_box(grid.extent, grid.name, group, lattice, box, voter)
     if own is None:
-        nothing = np.zeros((0, 0), dtype=np.int8)
-        return Laid(CellBox(0, 0, 0, 0), nothing, nothing)
+        return GridLayer(shape, CellBox(0, 0, 0, 0), np.zeros((0, 0), dtype=np.int8))
     transform = group.alignments[grid.name].transform
     cells = warp_onto(grid, grid.cells, transform, lattice, own, device)
-    percents = None
-    if config.vote.mode == "log-odds":
-        percents = warp_onto(grid, grid.grid.cells, transform, lattice, own, device)
-    return Laid(moved(own, -box.row0, -box.col0), cells, percents)
-
-
-def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
-    """Yield boxes of at most so many cells on a side that together are the whole."""
-    for row in range(whole.row0, whole.row1, side):
-        for col in range(whole.col0, whole.col1, side):
-            yield CellBox(row, col, min(row + side, whole.row1), min(col + side, whole.col1))
+    return GridLayer(shape, moved(own, -box.row0, -box.col0), cells)

@@ -16,9 +16,9 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion.cancel import CancelToken, check_cancelled
 from slamfusion.fusion.field_memory import LEAST_KEPT
-from slamfusion.fusion.lattice import SAME_RESOLUTION, Extent, Lattice
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid, known_box, trinary_cells
 from slamfusion.io.memory import check_memory
+from slamfusion.vote.lattice import SAME_RESOLUTION, Extent, Lattice
 
 __all__ = [
     "NormalizedGrid",

@@ -19,15 +19,15 @@ from slamfusion.fusion.groups import (
     SecondLook,
     align_group,
 )
-from slamfusion.fusion.lattice import Extent, Lattice
 from slamfusion.fusion.lattice_vote import Lattices, vote_on_lattice
 from slamfusion.fusion.normalize import common_resolution, normalize_grid
 from slamfusion.fusion.prepared import PreparedInputs
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.fusion.resolutions import odd_resolutions
 from slamfusion.fusion.start import Starts, named_input
-from slamfusion.fusion.vote import check_votes
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.lattice import Extent, Lattice
+from slamfusion.vote.tiles import check_votes
 
 __all__ = ["AlignedInputs", "align_inputs", "fuse_grids", "left_out_areas", "vote_again"]
 
@@ -74,7 +74,9 @@ def fuse_grids(
     result = vote(aligned.group, aligned.others)
     further = tuple(vote(members, {}) for members in aligned.group.others)
     time_s = time.perf_counter() - began
-    return replace(result, pairs=aligned.group.pairs, others=further, time_s=time_s)
+    return replace(
+        result, pairs=aligned.group.pairs, others=(*result.others, *further), time_s=time_s
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypedDict, TypeVar
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.fusion.accept import DecisionKind
-from slamfusion.fusion.boxes import slices
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OCCUPIED, CellBox, OccupancyGrid
+from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.tiles import GridLayer
 
 __all__ = [
-    "OUTVOTED",
     "Alignment",
     "AlignmentJson",
+    "Bent",
     "Fusion",
     "FusionResult",
     "InputRecord",
@@ -27,13 +27,7 @@ __all__ = [
     "RunnerUp",
     "RunnerUpJson",
     "StoredFusion",
-    "VoteResult",
-    "VotedLayer",
-    "occupied_codes",
-    "voted_cells",
 ]
-
-Cell = TypeVar("Cell", np.int8, np.bool_)
 
 
 class RunnerUpJson(TypedDict):
@@ -282,64 +276,18 @@ class Alignment:
         }
 
 
-# Added to the cell of an input where it voted and was outvoted.
-OUTVOTED = np.int8(4)
-
-
-def voted_cells(codes: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
-    """Return the cells, in {-1, 0, 1}, of the codes of a ``VotedLayer``."""
-    # One array of the size of the map is written, and no other.
-    cells = (codes > 1).view(np.int8)
-    cells *= OUTVOTED
-    return np.subtract(codes, cells, out=cells)
-
-
-def occupied_codes(codes: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
-    """Return which codes of a ``VotedLayer`` are of occupied cells."""
-    return np.asarray((codes == 1) | (codes == 1 + OUTVOTED))
-
-
-@dataclass(frozen=True, eq=False)
-class VotedLayer:
-    """What one input says on the fused lattice: cells of a box, nothing outside.
+@dataclass(frozen=True)
+class Bent:
+    """A map whose walls do not agree with those of the others.
 
     Attributes:
-        shape: rows and columns of the fused lattice.
-        box: cells of it that the input may know.
-        codes: (h, w) int8 of the box, cells in {-1, 0, 1}, and these plus ``OUTVOTED`` where the
-            input voted and was outvoted: one byte a cell, of which large maps have many.
+        share: of its walls that agree, 0 to 1.
+        x, y: where it agrees least, metres in the frame of the fused map.
     """
 
-    shape: tuple[int, int]
-    box: CellBox
-    codes: npt.NDArray[np.int8]
-
-    @classmethod
-    def of(cls, aligned: npt.NDArray[np.int8], dissent: npt.NDArray[np.bool_]) -> VotedLayer:
-        """Take what an input says of all cells, and where it was outvoted; both (H, W)."""
-        height, width = aligned.shape
-        box = CellBox(0, 0, height, width)
-        return cls((height, width), box, aligned + OUTVOTED * dissent.view(np.int8))
-
-    @property
-    def cells(self) -> npt.NDArray[np.int8]:
-        """(h, w) int8 in {-1, 0, 1} of the box."""
-        return voted_cells(self.codes)
-
-    def aligned(self) -> npt.NDArray[np.int8]:
-        """Return what it says of all cells, (H, W) int8 in {-1, 0, 1}."""
-        return self._whole(self.cells, np.int8(-1))
-
-    def dissent(self) -> npt.NDArray[np.bool_]:
-        """Return where it was outvoted, (H, W) bool."""
-        return self._whole(self.codes > 1, np.False_)
-
-    def _whole(self, cells: npt.NDArray[Cell], outside: Cell) -> npt.NDArray[Cell]:
-        if cells.shape == self.shape:
-            return cells
-        whole = np.full(self.shape, outside, dtype=cells.dtype)
-        whole[slices(self.box, 0, 0)] = cells
-        return whole
+    share: float
+    x: float
+    y: float
 
 
 @dataclass(frozen=True)
@@ -360,7 +308,7 @@ class InputRecord:
     alignment: Alignment | None
     accepted: bool
     reason: str
-    layer: VotedLayer | None = None
+    layer: GridLayer | None = None
     copy_of: str | None = None
 
     @property
@@ -379,24 +327,6 @@ class InputRecord:
         return None if self.layer is None else self.layer.dissent()
 
 
-@dataclass(frozen=True)
-class VoteResult:
-    """What a vote over a stack of aligned grids gives.
-
-    Attributes:
-        fused: (H, W) int8 in {-1, 0, 1}.
-        agreement: (H, W) int8, share of votes for the winner in percent 0..100, -1 without votes.
-        dissent: (H, W) unsigned integers, bit n set where input n voted otherwise than the winner.
-        phantom_cells: cells that the vote made occupied and that are so in no input; those
-            of wall thickening alone, which nobody voted for, are none.
-    """
-
-    fused: npt.NDArray[np.int8]
-    agreement: npt.NDArray[np.int8]
-    dissent: npt.NDArray[np.unsignedinteger[Any]]
-    phantom_cells: int
-
-
 @dataclass(frozen=True, kw_only=True)
 class Fusion:
     """What became of the inputs of a fusion.
@@ -406,7 +336,10 @@ class Fusion:
         inputs: one record per input, in the order given.
         pairs: every pair that was aligned, also between rejected inputs.
         phantom_cells: occupied in the fused map by vote, occupied in no input.
-        weights: vote weight of each accepted input, by name.
+        weights: vote weight of each accepted input, by name, 0 to 1.
+        wall_agreement: share of its walls that agree with the other maps', by name, 0 to 1; of the
+            accepted inputs, where the vote weighs them.
+        bent: the accepted inputs whose walls do not agree, by name.
         device: the device that computed it, in words.
         time_s: wall time of the whole fusion.
         left_out_m2: area that inputs know outside of the box that the fused map was cut to, square
@@ -418,6 +351,8 @@ class Fusion:
     pairs: tuple[Alignment, ...]
     phantom_cells: int
     weights: dict[str, float]
+    wall_agreement: dict[str, float] = field(default_factory=dict)
+    bent: dict[str, Bent] = field(default_factory=dict)
     device: str
     time_s: float
     left_out_m2: Mapping[str, float] = field(default_factory=dict)
@@ -445,8 +380,7 @@ class FusionResult(Fusion):
     """A fused map and everything needed to judge it.
 
     Attributes:
-        fused: cells in {-1, 0, 100}; frame and lattice of the reference. Backs of walls
-            (``surfaces``) are occupied and have no agreement.
+        fused: cells in {-1, 0, 100}; frame and lattice of the reference.
         agreement: cells 0..100 or -1 on the same lattice.
         others: fusions of further groups of inputs, which share nothing that could be found with
             those of this one; the larger first. Their inputs are the members of the group.
@@ -455,11 +389,6 @@ class FusionResult(Fusion):
     fused: OccupancyGrid
     agreement: OccupancyGrid
     others: tuple[FusionResult, ...] = ()
-
-    @property
-    def wall_backs(self) -> int:
-        """Cells of the fused grid that are occupied by wall thickening alone, without a vote."""
-        return int(np.count_nonzero((self.fused.cells == OCCUPIED) & (self.agreement.cells < 0)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -470,12 +399,10 @@ class StoredFusion(Fusion):
         shape: rows and columns of the fused map.
         resolution: metres a cell.
         origin: pose of the lower-left corner of its first cell; the frame is the reference's.
-        wall_backs: see ``FusionResult``.
         others: see ``FusionResult``.
     """
 
     shape: tuple[int, int]
     resolution: float
     origin: Pose2
-    wall_backs: int
     others: tuple[StoredFusion, ...] = ()

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import itertools
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,29 +21,29 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_cells
 from slamfusion.compute.layout import FIXED_ONE, MOST_INPUTS
 from slamfusion.config import FusionConfig
-from slamfusion.errors import ConfigError
 from slamfusion.fleet import Scheduler, Task
 from slamfusion.fleet.packed import Kept, Packed, pack
 from slamfusion.fleet.worker import worker_device
-from slamfusion.fusion.ballot import Ballot, DecidedTile, Laid
-from slamfusion.fusion.boxes import moved, overlap, slices
 from slamfusion.fusion.groups import Members, Progress
-from slamfusion.fusion.lattice import Extent
-from slamfusion.fusion.lattice_vote import (
-    SMALL_TILE,
-    TILE,
-    Lattices,
-    fused_box,
-    own_box,
-    tiles_of,
-    warp_pose,
-)
+from slamfusion.fusion.lattice_vote import Lattices, fused_box, own_box, warp_pose
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, box_origin
+from slamfusion.vote.agreement import WallCounts
+from slamfusion.vote.boxes import moved, overlap, slices
+from slamfusion.vote.lattice import Extent
+from slamfusion.vote.tiles import (
+    SMALL_TILE,
+    TILE,
+    DecidedTile,
+    TileVoter,
+    sum_counts,
+    tiles_of,
+)
 
 __all__ = ["StoredVote", "Voter", "prepare_stored_vote"]
 
 I8 = npt.NDArray[np.int8]
+Result = TypeVar("Result")
 
 # Tiles for each of the scheduler's slots that are handed over or wait to be written.
 AHEAD = 2
@@ -105,14 +107,12 @@ class Voter:
     Attributes:
         name: of the input.
         cells: in {-1, 0, 1}.
-        percents: the same in percent, where these vote.
         pose: see ``warp_pose``: of the cells that it may know.
         box: these, counted from the first fused cell; all of them where unknown is a vote.
     """
 
     name: str
     cells: PackedBlocks
-    percents: PackedBlocks | None
     pose: npt.NDArray[np.int64]
     box: CellBox
 
@@ -122,8 +122,7 @@ class Voter:
         if part is None:
             return None
         window = self.window(part)
-        percents = None if self.percents is None else self.percents.under(window)
-        return replace(self, cells=self.cells.under(window), percents=percents)
+        return replace(self, cells=self.cells.under(window))
 
     def pose_of(self, part: CellBox) -> npt.NDArray[np.int64]:
         """Return the motion of a part of the box into the input."""
@@ -151,19 +150,30 @@ class StoredVote:
     """A vote that is ready to be held, tile by tile.
 
     Attributes:
-        ballot: what decides a tile.
-        voters: the inputs that vote.
+        voter: decides a tile.
+        inputs: what votes.
         origin: of the first fused cell, in the reference's frame.
     """
 
-    ballot: Ballot
-    voters: tuple[Voter, ...]
+    voter: TileVoter
+    inputs: tuple[Voter, ...]
     origin: Pose2
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the fused map."""
-        return self.ballot.whole.height, self.ballot.whole.width
+        return self.voter.whole.height, self.voter.whole.width
+
+    def trusting(self, scheduler: Scheduler, progress: Progress | None = None) -> StoredVote:
+        """Return the vote with the trust in its inputs; it looks at all of their walls.
+
+        Args:
+            scheduler, progress: see ``decide``.
+        """
+        if not self.voter.weighs:
+            return self
+        counts = [counts for _, counts in self._each(count_tile, "compare", scheduler, progress)]
+        return replace(self, voter=self.voter.trusting(sum_counts(counts)))
 
     def decide(
         self, scheduler: Scheduler, progress: Progress | None = None
@@ -178,26 +188,32 @@ class StoredVote:
             FleetError: those that do the tasks are gone.
             GridError: more inputs than a vote takes know one place.
         """
-        tiles = list(_along_a_curve(tiles_of(self.ballot.whole, TILE)))
-        waiting: OrderedDict[CellBox, Task[DecidedTile | None]] = OrderedDict()
+        for tile, decided in self._each(decide_tile, "vote", scheduler, progress):
+            if decided is not None:
+                yield tile, decided
+
+    def _each(
+        self,
+        task: Callable[[TileVoter, CellBox, Sequence[Voter], str], Result],
+        what: str,
+        scheduler: Scheduler,
+        progress: Progress | None,
+    ) -> Iterator[tuple[CellBox, Result]]:
+        """Yield what a task makes of each tile."""
+        tiles = _along_a_curve(self.voter.tiles())
+        waiting: OrderedDict[CellBox, Task[Result]] = OrderedDict()
         rest = iter(tiles)
         for done in range(len(tiles)):
             for tile in rest:
-                waiting[tile] = self._hand_over(tile, scheduler)
+                here = [item.under(self.voter.reading(tile)) for item in self.inputs]
+                known = [item for item in here if item is not None]
+                waiting[tile] = scheduler.submit(task, self.voter, tile, known, scheduler.device)
                 if len(waiting) >= AHEAD * scheduler.slots:
                     break
-            tile, task = waiting.popitem(last=False)
-            decided = task.result()
-            if decided is not None:
-                yield tile, decided
+            tile, made = waiting.popitem(last=False)
+            yield tile, made.result()
             if progress is not None:
-                progress("vote", done + 1, len(tiles))
-
-    def _hand_over(self, tile: CellBox, scheduler: Scheduler) -> Task[DecidedTile | None]:
-        wide = self.ballot.around(tile)
-        laid = (item.under(wide) for item in self.voters)
-        here = [item for item in laid if item is not None]
-        return scheduler.submit(decide_tile, self.ballot, tile, here, scheduler.device)
+                progress(what, done + 1, len(tiles))
 
 
 def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig) -> StoredVote:
@@ -207,38 +223,27 @@ def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig
         group: those that vote.
         lattices: gives each of them at the common resolution; one is in memory at a time.
         config: settings of the vote.
-
-    Raises:
-        ConfigError: the mode weighs each input by all of its cells.
     """
-    if config.vote.mode == "weighted":
-        message = (
-            "mode 'weighted' weighs maps by all of their cells, and tiles are decided alone; take "
-            "majority, consensus or log-odds"
-        )
-        raise ConfigError(message)
     extents: dict[str, Extent] = {}
-    packed: dict[str, tuple[PackedBlocks, PackedBlocks | None]] = {}
+    packed: dict[str, PackedBlocks] = {}
     for name in group.alignments:
         grid = lattices(name)
-        percents = PackedBlocks.of(grid.grid.cells) if config.vote.mode == "log-odds" else None
-        extents[name], packed[name] = grid.extent, (PackedBlocks.of(grid.cells), percents)
+        extents[name], packed[name] = grid.extent, PackedBlocks.of(grid.cells)
     lattice = extents[group.reference].lattice
     box = fused_box(group, extents.__getitem__, config)
-    voters = []
-    for name, (cells, percents) in packed.items():
-        own = own_box(extents[name], name, group, lattice, box, config)
+    whole = CellBox(0, 0, box.height, box.width)
+    voter = TileVoter(whole, config.vote, lattice.resolution, tuple(extents))
+    inputs = []
+    for name, cells in packed.items():
+        own = own_box(extents[name], name, group, lattice, box, voter)
         if own is None:
             continue
         pose = warp_pose(extents[name].lattice, group.alignments[name].transform, lattice, own)
-        voters.append(Voter(name, cells, percents, pose, moved(own, -box.row0, -box.col0)))
-    whole = CellBox(0, 0, box.height, box.width)
-    ballot = Ballot(whole, config, lattice.resolution, dict.fromkeys(extents, 1.0))
-    origin = box_origin(lattice.origin, lattice.resolution, box)
-    return StoredVote(ballot, tuple(voters), origin)
+        inputs.append(Voter(name, cells, pose, moved(own, -box.row0, -box.col0)))
+    return StoredVote(voter, tuple(inputs), box_origin(lattice.origin, lattice.resolution, box))
 
 
-def _along_a_curve(tiles: Iterator[CellBox]) -> list[CellBox]:
+def _along_a_curve(tiles: Iterable[CellBox]) -> list[CellBox]:
     """Return tiles in an order in which those that follow each other are near (Morton's)."""
 
     def place(tile: CellBox) -> int:
@@ -252,42 +257,64 @@ def _along_a_curve(tiles: Iterator[CellBox]) -> list[CellBox]:
 # --- where tiles are decided -----------------------------------------------------------------
 
 
-def decide_tile(
-    ballot: Ballot, tile: CellBox, voters: Sequence[Voter], device: str
-) -> DecidedTile | None:
-    """Decide a tile; None where no input knows any cell of it.
-
-    Where more inputs than a vote takes know something in the tile, it is decided in smaller ones.
-    """
+def count_tile(voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: str) -> WallCounts:
+    """Count how the walls of inputs agree in a tile; see ``TileVoter.count``."""
     opened = worker_device(device)
-    if len(voters) <= MOST_INPUTS:
-        return ballot.decide(tile, _laid_on(ballot.around(tile), voters, opened), opened)
+    return sum_counts(
+        voter.count(part, _shown(voter, part, inputs, opened))
+        for part in _parts(tile, voter, inputs)
+    )
+
+
+def decide_tile(
+    voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: str
+) -> DecidedTile | None:
+    """Decide a tile; None where no input knows any cell of it."""
+    opened = worker_device(device)
     fused = np.full((tile.height, tile.width), UNKNOWN, dtype=np.int8)
     agreement = np.full_like(fused, UNKNOWN)
-    phantom_cells, is_known = 0, False
-    for part in tiles_of(tile, SMALL_TILE):
-        decided = ballot.decide(part, _laid_on(ballot.around(part), voters, opened), opened)
+    phantom_cells = 0
+    worst: dict[str, tuple[int, int, int]] = {}
+    is_known = False
+    for part in _parts(tile, voter, inputs):
+        decided = voter.decide(part, _shown(voter, part, inputs, opened), opened)
         if decided is not None:
             window = slices(part, tile.row0, tile.col0)
             fused[window], agreement[window] = decided.fused, decided.agreement
             phantom_cells += decided.phantom_cells
+            worst |= {
+                name: place
+                for name, place in decided.worst.items()
+                if place > worst.get(name, (-1, 0, 0))
+            }
             is_known = True
-    return DecidedTile(fused, agreement, phantom_cells) if is_known else None
+    return DecidedTile(fused, agreement, phantom_cells, worst=worst) if is_known else None
 
 
-def _laid_on(wide: CellBox, voters: Sequence[Voter], device: ComputeDevice) -> dict[str, Laid]:
-    """Lay those inputs on a box of the fused lattice that may know a cell of it."""
-    layers = {}
-    for voter in voters:
-        part = overlap(voter.box, wide)
-        if part is None:
-            continue
-        codes = _laid(voter.cells, voter, part, device)
-        percents = None
-        if voter.percents is not None:
-            percents = _laid(voter.percents, voter, part, device)
-        layers[voter.name] = Laid(part, codes, percents)
-    return layers
+def _parts(tile: CellBox, voter: TileVoter, inputs: Sequence[Voter]) -> Iterator[CellBox]:
+    """Yield the tile, or smaller ones where not all inputs that know something may vote at once."""
+    side = TILE if len(inputs) <= MOST_INPUTS else SMALL_TILE
+    yield from tiles_of(tile, side)
+
+
+def _shown(
+    voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device: ComputeDevice
+) -> dict[str, npt.NDArray[Any]]:
+    """Return what those inputs show around a tile that may know a cell there."""
+    around = voter.around(tile)
+
+    def read(item: Voter, box: CellBox) -> I8:
+        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        part = overlap(item.box, box)
+        if part is not None:
+            out[slices(part, box.row0, box.col0)] = _laid(item.cells, item, part, device)
+        return out
+
+    return {
+        item.name: voter.prepare(around, partial(read, item))
+        for item in inputs
+        if overlap(item.box, around) is not None
+    }
 
 
 def _laid(packed: PackedBlocks, voter: Voter, part: CellBox, device: ComputeDevice) -> I8:

@@ -17,7 +17,6 @@ from slamfusion.fusion.records import (
     FusionResult,
     InputRecord,
     StoredFusion,
-    occupied_codes,
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.documents import circumstances, path_text
@@ -31,6 +30,7 @@ from slamfusion.jobs.records import (
     NoAlignmentJson,
     UnalignedInputJson,
 )
+from slamfusion.vote.tiles import occupied_codes
 
 __all__ = [
     "DoubledWalls",
@@ -152,7 +152,6 @@ def fusion_document(
         "reference": result.reference,
         "fused_count": len(result.accepted),
         "phantom_cells": result.phantom_cells,
-        "wall_backs": result.wall_backs,
         "left_out_m2": result.left_out_m2,
         "doubled_wall_share": None if doubled is None else doubled.to_json(),
         "weights": result.weights,
@@ -187,7 +186,6 @@ def failure_document(
         "reference": None,
         "fused_count": 0,
         "phantom_cells": None,
-        "wall_backs": None,
         "left_out_m2": {},
         "doubled_wall_share": None,
         "weights": {},
@@ -209,10 +207,7 @@ def fusion_sentences(
     if result.others:
         text += f"; {further_groups(result)}"
     share = "" if doubled is None else f"{doubled.added:.1%} of the walls doubled by the fusion, "
-    added = (
-        f"{result.phantom_cells} phantom cells, {result.wall_backs} cells behind walls filled, "
-        f"{share}{result.time_s:.2f} s"
-    )
+    added = f"{result.phantom_cells} phantom cells, {share}{result.time_s:.2f} s"
     return text, added
 
 

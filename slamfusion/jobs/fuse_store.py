@@ -15,8 +15,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fleet import InProcess, Scheduler
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice import Extent, Lattice
-from slamfusion.fusion.lattice_vote import TILE
+from slamfusion.fusion.lattice_vote import bent_maps, wall_agreement_of, weights_of
 from slamfusion.fusion.pipeline import AlignedInputs, align_inputs, left_out_areas
 from slamfusion.fusion.records import Fusion, InputRecord, StoredFusion
 from slamfusion.fusion.start import place_starts
@@ -31,6 +30,8 @@ from slamfusion.jobs.fuse_documents import agreement_stem, fusion_document, grou
 from slamfusion.jobs.inputs import GivenMaps, MapInput, Progress, Warn, as_grids, device_for
 from slamfusion.jobs.outputs import FUSED, group_stems, record_file
 from slamfusion.jobs.records import FuseDocument
+from slamfusion.vote.lattice import Extent, Lattice
+from slamfusion.vote.tiles import TILE
 
 __all__ = ["StoredMaps", "check_stores", "fuse_into_store"]
 
@@ -110,7 +111,7 @@ def fuse_into_store(
     Raises:
         MapFileError: something is there, Zarr is not installed, or a map cannot be read or written.
         AlignmentError, ConfigError, MemoryBudgetError, DeviceError, FleetError, SlamFusionError:
-            see ``fuse_maps``. The mode ``weighted`` needs whole maps.
+            see ``fuse_maps``.
     """
     began_s = time.perf_counter()
     store, config = Path(store), config or RunConfig()
@@ -202,38 +203,41 @@ def _vote_into(
 ) -> StoredFusion:
     """Hold the vote of a group; its store is put in place when all are written."""
     vote = prepare_stored_vote(members, aligned.lattices, config.fusion)
+    vote = vote.trusting(scheduler, progress)
     opened = open_stores.enter_context(
         MapStore(
             path,
             (FUSED, AGREEMENT_ARRAY),
             vote.shape,
             TILE,
-            vote.ballot.resolution,
+            vote.voter.resolution,
             vote.origin,
             {"reference": members.reference, "inputs": list(members.alignments)},
         )
     )
-    phantom_cells = wall_backs = 0
+    phantom_cells, worst = 0, []
     for box, decided in vote.decide(scheduler, progress):
         fused = np.where(decided.fused == 1, np.int8(OCCUPIED), decided.fused)
         opened.write(FUSED, box, fused)
         opened.write(AGREEMENT_ARRAY, box, decided.agreement)
         phantom_cells += decided.phantom_cells
-        wall_backs += int(np.count_nonzero((fused == OCCUPIED) & (decided.agreement < 0)))
+        worst.append(decided.worst)
     inputs = _records(aligned, members, aligned.others if members is aligned.group else {})
-    extent = Extent(Lattice(vote.ballot.resolution, vote.origin), vote.shape)
+    extent = Extent(Lattice(vote.voter.resolution, vote.origin), vote.shape)
+    trust = vote.voter.trust
     return StoredFusion(
         reference=members.reference,
         inputs=inputs,
         pairs=(),
         phantom_cells=phantom_cells,
-        weights=dict(vote.ballot.weights),
+        weights=weights_of(tuple(members.alignments), trust),
+        wall_agreement=wall_agreement_of(trust),
+        bent=bent_maps(trust, worst, extent.lattice),
         device=device.name,
         time_s=0.0,
         shape=vote.shape,
-        resolution=vote.ballot.resolution,
+        resolution=vote.voter.resolution,
         origin=vote.origin,
-        wall_backs=wall_backs,
         left_out_m2=left_out_areas(inputs, extent, config.fusion),
     )
 

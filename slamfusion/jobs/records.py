@@ -159,8 +159,6 @@ class FusionJson(TypedDict):
     """Inputs that voted."""
     phantom_cells: int | None
     """Cells occupied in the fused map by vote, and in no input."""
-    wall_backs: int | None
-    """Cells occupied in the fused map by wall thickening alone: nobody voted for them."""
     left_out_m2: Mapping[str, float]
     """Area that inputs know outside of the box of --extent reference, square metres, by input."""
     doubled_wall_share: DoubledWallsJson | None

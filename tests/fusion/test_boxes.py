@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.fusion import boxes as cell_boxes
-from slamfusion.fusion.boxes import joined, overlap
+from slamfusion.vote.boxes import joined, overlap
 from slamfusion.grid import CellBox
 from tests.support.examples import examples
 

@@ -13,7 +13,7 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import normalize
-from slamfusion.fusion.lattice import Extent, Lattice
+from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     common_resolution,

@@ -18,7 +18,7 @@ from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.evaluation.distances import load_distances
 from slamfusion.evaluation.odometry import read_odometry
 from slamfusion.evaluation.relations import read_relations
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.io import load_map, open_log, read_trajectory

@@ -16,7 +16,7 @@ from rclpy.context import Context
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import ConfigError
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos

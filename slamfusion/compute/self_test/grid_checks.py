@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.doubled_walls import RaySteps
@@ -18,6 +20,10 @@ from slamfusion.compute.layout import (
     DISTANCE_UNSEEN,
     FACING_PARTS,
     RUN,
+    WALL_FREE,
+    WALL_NEAR,
+    WALL_OCCUPIED,
+    WALL_SIDES,
 )
 from slamfusion.compute.search import FitSide, ScoredSide
 from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
@@ -222,22 +228,26 @@ def _vote_majority(device: ComputeDevice, sample: Sample) -> Arrays:
     )
 
 
-def _vote_weighted(device: ComputeDevice, sample: Sample) -> Arrays:
-    weights = sample.rng.integers(1, 5, 9).astype(np.int32)
-    return _flat(
-        device.vote_weighted(sample.grids(count), weights[:count], unknown_votes=unknown_votes)
-        for count in (1, 3, 9)
-        for unknown_votes in (True, False)
-    )
+def _vote_walls(device: ComputeDevice, sample: Sample) -> Arrays:
+    found = []
+    for count, shift in ((1, 2), (3, 3), (9, 5)):
+        height, width = sample.shape
+        blocks = (count, (height + 1 >> shift) + 1, (width + 2 >> shift) + 1)
+        codes = [_codes(grid, sample) for grid in sample.grids(count)]
+        weights = sample.rng.integers(0, 16, blocks).astype(np.uint8) * np.uint8(17)
+        ranks = sample.rng.permutation(math.prod(blocks)).astype(np.uint16).reshape(blocks)
+        trusted = sample.rng.integers(0, 256, count).astype(np.uint8)
+        votes = device.vote_walls(codes, weights, ranks, trusted, shift=shift, phase=(1, 2))
+        found += _flat([votes])
+    return found
 
 
-def _vote_log_odds(device: ComputeDevice, sample: Sample) -> Arrays:
-    percent = np.arange(101).clip(2, 98)
-    odds = np.rint(256 * np.log(percent / (100 - percent))).astype(np.int32)
-    return _flat(
-        device.vote_log_odds(sample.percents(count), odds, occupied_percent=65, free_percent=25)
-        for count in (1, 3, 9)
-    )
+def _codes(grid: npt.NDArray[np.int8], sample: Sample) -> npt.NDArray[np.uint8]:
+    """Return codes of walls, with ways that they face at random."""
+    walls = (grid == 1) * np.uint8(WALL_OCCUPIED | WALL_NEAR)
+    near = (sample.rng.random(grid.shape) < 0.2) * np.uint8(WALL_NEAR)
+    ways = sample.rng.integers(0, 16, grid.shape).astype(np.uint8) << np.uint8(WALL_SIDES)
+    return np.asarray(walls | near | (grid == 0) * np.uint8(WALL_FREE) | ways, dtype=np.uint8)
 
 
 def _cast_rays(device: ComputeDevice, sample: Sample) -> Arrays:
@@ -291,8 +301,7 @@ GRID_CHECKS: dict[str, Check] = {
     "piece_sums": _piece_sums,
     "refine_terms": _refine_terms,
     "vote_majority": _vote_majority,
-    "vote_weighted": _vote_weighted,
-    "vote_log_odds": _vote_log_odds,
+    "vote_walls": _vote_walls,
     "cast_rays": _cast_rays,
     "mark_doubled": _mark_doubled,
 }

@@ -47,12 +47,6 @@ class Sample:
         stack = self.rng.choice(values, (count, *self.shape), p=share)
         return list(stack)
 
-    def percents(self, count: int) -> list[npt.NDArray[np.int8]]:
-        """Return grids of occupancy in percent (H, W) int8, -1 unknown."""
-        percent = self.rng.integers(0, 101, (count, *self.shape)).astype(np.int8)
-        stack = np.stack(self.grids(count))
-        return list(np.where(stack < 0, stack, percent))
-
     @cached_property
     def cells(self) -> npt.NDArray[np.int8]:
         """(H, W) int8 trinary."""

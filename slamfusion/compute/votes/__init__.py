@@ -46,21 +46,14 @@ class VoteDevice(ArrayDevice, Protocol):
     def vote_majority(self, grids: Sequence[npt.NDArray[np.int8]], *, unknown_votes: bool) -> Votes:
         """See ``votes.numpy.vote_majority``."""
 
-    def vote_weighted(
+    def vote_walls(
         self,
-        grids: Sequence[npt.NDArray[np.int8]],
-        weights: npt.NDArray[np.int32],
+        codes: Sequence[U8],
+        weights: U8,
+        ranks: npt.NDArray[np.uint16],
+        trusted: U8,
         *,
-        unknown_votes: bool,
+        shift: int,
+        phase: tuple[int, int],
     ) -> Votes:
-        """See ``votes.numpy.vote_weighted``."""
-
-    def vote_log_odds(
-        self,
-        grids: Sequence[npt.NDArray[np.int8]],
-        odds: npt.NDArray[np.int32],
-        *,
-        occupied_percent: int,
-        free_percent: int,
-    ) -> Votes:
-        """See ``votes.numpy.vote_log_odds``."""
+        """See ``votes.numpy.vote_walls``."""

@@ -29,30 +29,31 @@ class OpenCLVotes(OpenCLQueue):
         arguments = (np.int32(unknown_votes), self._table(shares), np.int32(len(shares)))
         return self._vote("vote_majority", grids, arguments)
 
-    def vote_weighted(
+    def vote_walls(
         self,
-        grids: Sequence[npt.NDArray[np.int8]],
-        weights: npt.NDArray[np.int32],
+        codes: Sequence[npt.NDArray[np.uint8]],
+        weights: npt.NDArray[np.uint8],
+        ranks: npt.NDArray[np.uint16],
+        trusted: npt.NDArray[np.uint8],
         *,
-        unknown_votes: bool,
+        shift: int,
+        phase: tuple[int, int],
     ) -> Votes:
-        """See ``votes.numpy.vote_weighted``."""
-        return self._vote("vote_weighted", grids, (self.upload(weights), np.int32(unknown_votes)))
-
-    def vote_log_odds(
-        self,
-        grids: Sequence[npt.NDArray[np.int8]],
-        odds: npt.NDArray[np.int32],
-        *,
-        occupied_percent: int,
-        free_percent: int,
-    ) -> Votes:
-        """See ``votes.numpy.vote_log_odds``."""
-        thresholds = (np.int32(occupied_percent), np.int32(free_percent))
-        return self._vote("vote_log_odds", grids, (self._table(odds), *thresholds))
+        """See ``votes.numpy.vote_walls``."""
+        width = codes[0].shape[1]
+        tables = [self.upload(table) for table in (weights, ranks, trusted)]
+        sizes = (width, shift, *phase, *weights.shape[1:])
+        arguments = (*tables, *(np.int32(size) for size in sizes))
+        # A work item decides whole rows: the weights change along them every few cells.
+        rows = max(1, CHUNK_CELLS // width)
+        return self._vote("vote_walls", codes, arguments, chunk=rows * width)
 
     def _vote(
-        self, name: str, grids: Sequence[npt.NDArray[np.int8]], arguments: tuple[Any, ...]
+        self,
+        name: str,
+        grids: Sequence[npt.NDArray[np.int8] | npt.NDArray[np.uint8]],
+        arguments: tuple[Any, ...],
+        chunk: int = CHUNK_CELLS,
     ) -> Votes:
         """Run a kernel of the vote family; its own arguments follow the grids and their sizes."""
         shape, count = grids[0].shape, len(grids)
@@ -64,7 +65,7 @@ class OpenCLVotes(OpenCLQueue):
         results = (fused, agreement, dissent)
         wrapped = [self.wrap_host(grid) for grid in grids]
         outs = [self.wrap_host(result, writable=True) for result in results]
-        chunks = -(-cells // CHUNK_CELLS)
+        chunks = -(-cells // chunk)
         phantom = self.empty((chunks,), np.int32)
         self._launch(
             name,
@@ -74,7 +75,7 @@ class OpenCLVotes(OpenCLQueue):
             np.int32(count),
             np.int32(cells),
             *arguments,
-            np.int32(CHUNK_CELLS),
+            np.int32(chunk),
             *outs,
             phantom,
         )

@@ -13,7 +13,6 @@ from slamfusion.fusion.align import align_features, track_features
 from slamfusion.fusion.cancel import CancelledSearchError, CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.frames import motion_of
-from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.searched import Searched
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.mirror import SURE_SHARE, mirror_gain
@@ -22,6 +21,7 @@ from slamfusion.fusion.search import wall_widths
 from slamfusion.fusion.start import StartPose, Starts
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
+from slamfusion.vote.lattice import Lattice
 
 __all__ = ["Aligner", "Held"]
 

@@ -58,9 +58,9 @@ from slamfusion.fusion.live.state import LiveState, StateError
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.voting import Voting
 from slamfusion.fusion.start import place_starts
-from slamfusion.fusion.vote import check_votes
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.tiles import check_votes
 
 __all__ = ["LiveFusion"]
 

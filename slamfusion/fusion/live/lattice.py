@@ -11,11 +11,11 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.compute.lattice import fixed_poses
 from slamfusion.compute.layout import FIXED_ONE
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion.boxes import overlap, padded, slices
-from slamfusion.fusion.lattice import SAME_RESOLUTION, Lattice
 from slamfusion.fusion.normalize import pool_cells
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.vote.boxes import overlap, padded, slices
+from slamfusion.vote.lattice import SAME_RESOLUTION, Lattice
 
 __all__ = ["Layer", "carry", "lay_out"]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,31 +16,28 @@ import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig
-from slamfusion.fusion.boxes import grown_inside, hull, overlap, padded, slices
-from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.lattice import Layer, carry
-from slamfusion.fusion.vote import (
-    agreement_weights,
-    double_reach_cells,
-    vote_grids,
-    vote_reach_cells,
-)
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.memory import check_memory
+from slamfusion.vote.agreement import Trust
+from slamfusion.vote.boxes import grown_inside, hull, overlap, padded, slices
+from slamfusion.vote.lattice import Lattice
+from slamfusion.vote.tiles import TileVoter
+from slamfusion.vote.walls import margin_cells, wall_codes
 
 __all__ = ["FusedLayers"]
 
 I8 = npt.NDArray[np.int8]
 
-# Layers, results and copies of a fused cell, in bytes.
-CELL_BYTES = 6
+# Results and copies of a fused cell, and what a layer takes, in bytes.
+CELL_BYTES, LAYER_BYTES = 6, 2
 # Fused layers of this many cells or more shrink where this share of them would do.
 SHRUNK_CELLS, SHRUNK_SHARE = 1 << 22, 0.25
 
 
 class FusedLayers:
-    """The fused cells, and what every input says of them.
+    """The fused cells, and what every input shows of them.
 
     They grow by whole cells of their lattice and never move. They shrink only where four times
     fewer cells would do, so that an input which leaves for a while does not change the size of what
@@ -58,7 +56,10 @@ class FusedLayers:
         self.phantom_cells = 0
         self._config = config
         self._device = device
+        # Cells in {-1, 0, 1} of each input, and what they show around each cell, if that decides.
         self._carried: dict[str, I8] = {}
+        self._walls: dict[str, npt.NDArray[np.uint8]] = {}
+        self._trust: Trust | None = None
         self._covered: dict[str, CellBox] = {}
         self._fused = np.zeros((0, 0), dtype=np.int8)
         self._agreement = self._fused
@@ -79,11 +80,15 @@ class FusedLayers:
         if self.box is not None and hull(self.box, box) == self.box:
             return None
         grown = box if self.box is None else hull(self.box, box)
-        room = grown.area * (CELL_BYTES + len(self._carried))
+        room = grown.area * (CELL_BYTES + LAYER_BYTES * len(self._carried))
         check_memory(room, f"a fused map of {grown.height} x {grown.width} cells", name)
         self._fused = self._moved(self._fused, grown)
         self._agreement = self._moved(self._agreement, grown)
         self._carried = {name: self._moved(cells, grown) for name, cells in self._carried.items()}
+        self._walls = {
+            name: self._moved(walls.view(np.int8), grown, 0).view(np.uint8)
+            for name, walls in self._walls.items()
+        }
         self.box = grown
         return grown
 
@@ -100,6 +105,10 @@ class FusedLayers:
         self._fused = self._cut(self._fused, box)
         self._agreement = self._cut(self._agreement, box)
         self._carried = {name: self._cut(cells, box) for name, cells in self._carried.items()}
+        self._walls = {
+            name: self._cut(walls.view(np.int8), box).view(np.uint8)
+            for name, walls in self._walls.items()
+        }
         kept = {name: overlap(covered, box) for name, covered in self._covered.items()}
         self._covered = {name: part for name, part in kept.items() if part is not None}
         self.box = box
@@ -127,8 +136,8 @@ class FusedLayers:
         self._agreement = agreement.copy()
         self.box = box
 
-    def _moved(self, cells: I8, grown: CellBox) -> I8:
-        out = np.full((grown.height, grown.width), UNKNOWN, dtype=np.int8)
+    def _moved(self, cells: I8, grown: CellBox, outside: int = UNKNOWN) -> I8:
+        out = np.full((grown.height, grown.width), outside, dtype=np.int8)
         if self.box is not None:
             out[slices(self.box, grown.row0, grown.col0)] = cells
         return out
@@ -168,14 +177,27 @@ class FusedLayers:
         if now is not None:
             self._covered[name] = now if before is None or changed is None else hull(before, now)
         if target is not None:
-            carried[slices(target, box.row0, box.col0)] = carry(
-                layer, transform, self.lattice, target, self._device
-            )
+            cells = carry(layer, transform, self.lattice, target, self._device)
+            carried[slices(target, box.row0, box.col0)] = self._classes(cells)
+        if touched is not None and self._config.vote.mode == "consensus":
+            self._show(name, touched, box)
         return touched
+
+    def _show(self, name: str, touched: CellBox, whole: CellBox) -> None:
+        """Find what a layer shows around the cells that changed."""
+        if name not in self._walls:
+            self._walls[name] = np.zeros((whole.height, whole.width), dtype=np.uint8)
+        size = self.lattice.resolution
+        box, seen = (grown_inside(touched, cells * margin_cells(size), whole) for cells in (1, 2))
+        cells = self._carried[name][slices(seen, whole.row0, whole.col0)]
+        codes = wall_codes(np.ascontiguousarray(cells), size)
+        window = slices(box, whole.row0, whole.col0)
+        self._walls[name][window] = codes[slices(box, seen.row0, seen.col0)]
 
     def lift(self, name: str) -> CellBox | None:
         """Take an input's layer away; return the cells that it had covered."""
         self._carried.pop(name, None)
+        self._walls.pop(name, None)
         return self._covered.pop(name, None)
 
     def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
@@ -183,8 +205,8 @@ class FusedLayers:
 
         Args:
             names: the voters, one or more, in order; each has a layer.
-            box: cells of the lattice, inside of those kept. Weighted votes take all of these,
-                since the weights follow from all of it.
+            box: cells of the lattice, inside of those kept. All of these are voted on where the
+                trust in the inputs has changed.
             has_young: whether a map that began anew votes: unknown abstains by the rule ``auto``.
 
         Returns:
@@ -197,32 +219,31 @@ class FusedLayers:
         config = self._config.vote
         if has_young and config.unknown == "auto":
             config = replace(config, unknown="abstain")
-        if config.mode == "weighted":
-            box = whole
-        # A wall decides what its neighbours become, and theirs are needed to say what it is.
-        reach = vote_reach_cells(config, self.lattice.resolution)
-        box, seen = (grown_inside(box, cells, whole) for cells in (reach, 2 * reach))
-        window = slices(seen, whole.row0, whole.col0)
-        percents = [np.ascontiguousarray(self._carried[name][window]) for name in names]
-        aligned = [self._classes(cells) for cells in percents]
-        weights = agreement_weights(aligned) if config.mode == "weighted" else None
-        voted = vote_grids(
-            aligned,
-            config,
-            self._device,
-            weights=weights,
-            percents=percents if config.mode == "log-odds" else None,
-            thresholds=self._config.normalize,
-            reach_cells=double_reach_cells(config, self.lattice.resolution),
-        )
-        window, part = slices(box, whole.row0, whole.col0), slices(box, seen.row0, seen.col0)
-        self._fused[window] = voted.fused[part]
-        self._agreement[window] = voted.agreement[part]
+        voter = TileVoter(whole, config, self.lattice.resolution, tuple(names))
+        if voter.weighs:
+            voter = voter.trusting(voter.count(whole, self._shown(voter, whole)))
+            is_same = voter.trust is not None and voter.trust.decides_like(self._trust)
+            reach = margin_cells(voter.resolution) + (1 << voter.shift)
+            box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
+        self._trust = voter.trust
+        decided = voter.decide(box, self._shown(voter, box), self._device)
+        if decided is None:
+            return box
+        window = slices(box, whole.row0, whole.col0)
+        self._fused[window] = decided.fused
+        self._agreement[window] = decided.agreement
         if box == whole:
-            self.phantom_cells = voted.phantom_cells
-        elif voted.phantom_cells or self.phantom_cells:
+            self.phantom_cells = decided.phantom_cells
+        elif decided.phantom_cells or self.phantom_cells:
             self.phantom_cells = self._count_phantoms(names)
         return box
+
+    def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
+        """Return what the voters show around a tile."""
+        shown = self._walls if voter.weighs else self._carried
+        whole = self.box or tile
+        window = slices(voter.around(tile), whole.row0, whole.col0)
+        return {name: shown[name][window] for name in voter.names}
 
     def _classes(self, cells: I8) -> I8:
         return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
@@ -231,7 +252,7 @@ class FusedLayers:
         """Count the fused walls of all cells that were voted for and that no voter has."""
         alone = (self._fused == 1) & (self._agreement >= 0)
         for name in names:
-            alone &= self._classes(self._carried[name]) != 1
+            alone &= self._carried[name] != 1
         return int(np.count_nonzero(alone))
 
     def grids(self) -> tuple[OccupancyGrid, OccupancyGrid]:

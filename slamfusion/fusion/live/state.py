@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.fusion.lattice import Lattice
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, CellBox, OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 
 __all__ = ["LiveState", "StateError", "is_state"]
 

@@ -8,7 +8,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.fusion.cancel import CancelledSearchError
-from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.anchor import Anchor
 from slamfusion.fusion.live.begin import align_first, believe_first, fusable
@@ -16,6 +15,7 @@ from slamfusion.fusion.live.recovery import recover
 from slamfusion.fusion.live.track import Track, refuse_all
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 
 __all__ = ["InputSupervisor"]
 

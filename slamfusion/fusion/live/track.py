@@ -13,7 +13,6 @@ import numpy.typing as npt
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.accept import WALLS_MIN
-from slamfusion.fusion.boxes import hull, moved, overlap, padded
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.features import GridFeatures
 from slamfusion.fusion.live.lattice import Layer, carry, lay_out
@@ -21,6 +20,7 @@ from slamfusion.fusion.live.limits import bands
 from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid, known_box
+from slamfusion.vote.boxes import hull, moved, overlap, padded
 
 __all__ = ["GROWN_SHARE", "Change", "Track", "compare", "refuse_all"]
 

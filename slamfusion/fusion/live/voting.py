@@ -7,12 +7,12 @@ from collections.abc import Iterable, Sequence
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.boxes import hull, joined, moved
-from slamfusion.fusion.lattice import Lattice
 from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.fusion.live.track import Track
 from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.vote.boxes import hull, joined, moved
+from slamfusion.vote.lattice import Lattice
 
 __all__ = ["Voting"]
 
@@ -117,7 +117,7 @@ class Voting:
         parts = [_lay(layers, track) for track in voters]
         boxes = [part for part in parts if part is not None]
         before, now = (self.names, self.has_young), (names, any(t.is_young for t in voters))
-        if has_shrunk or any(grown) or now != before or (boxes and self._is_weighted):
+        if has_shrunk or any(grown) or now != before:
             boxes = [layers.box]
         self.names, self.has_young = now
         if not boxes:
@@ -135,11 +135,6 @@ class Voting:
             self.agreed = None
         elif len(self.names) >= MAJORITY:
             self.agreed = self.last_fused()
-
-    @property
-    def _is_weighted(self) -> bool:
-        """Whether what changed in one place weighs in all others."""
-        return self._config.vote.mode == "weighted"
 
     def _make_room(self, layers: FusedLayers, track: Track, reference: str) -> bool:
         """Grow the layers to hold an input's new cells; return whether they grew."""

@@ -18,7 +18,7 @@ from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import DecisionKind
 from slamfusion.fusion.cancel import CancelToken
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import align
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.lattice import Layer

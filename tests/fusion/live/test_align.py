@@ -8,7 +8,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import align as live_align
 from slamfusion.fusion.live.align import MIRROR_SHARE, Aligner
 from slamfusion.fusion.live.track import Track

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import CLASH_MAX
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.align import (
     MIRROR_SHARE,
     Aligner,

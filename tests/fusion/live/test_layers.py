@@ -8,7 +8,7 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.fusion.vote import double_reach_cells, vote_grids

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live.state import KIND, LiveState, StateError, is_state
 from slamfusion.geometry import Pose2

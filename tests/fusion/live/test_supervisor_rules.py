@@ -11,7 +11,7 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.track import Track

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import track as tracks
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.track import Change, Track, compare

@@ -7,7 +7,7 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.fusion.lattice import Lattice
+from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.live.voting import Voting
 from slamfusion.geometry import Pose2

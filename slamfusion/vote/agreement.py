@@ -1,0 +1,244 @@
+"""Weigh maps by how well their walls agree: in all, and in windows of a few metres.
+
+Two maps agree in a wall cell where the other has a wall within the tolerance; it counts where the
+other knows the cell, or has the same wall elsewhere (``walls``). The best map is the one with the
+greatest agreement with all others. A map is as right as its agreement with the best one says, or
+with maps that agree with that one; independent voters that are right with probability p are best
+weighed by the log-odds of p (Nitzan and Paroush, International Economic Review 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.layout import (
+    VOTE_ONE,
+    WALL_FREE,
+    WALL_NEAR,
+    WALL_OCCUPIED,
+    WALL_SIDES,
+)
+
+__all__ = ["AGREEING", "Trust", "WallCounts", "count_walls", "local_weights", "trust_of"]
+
+U8 = npt.NDArray[np.uint8]
+U16 = npt.NDArray[np.uint16]
+I64 = npt.NDArray[np.int64]
+F64 = npt.NDArray[np.float64]
+
+# Maps of one place that are not bent agree in this share of their walls, and more.
+AGREEING = 0.8
+# The most reliable that a map may be taken for, as a share of its walls.
+SUREST = 0.999
+# A map does not vote where the log-odds of its agreement are less than this share of the best's.
+LEAST_WEIGHT = 0.1
+# Weights have this many levels above 0, so that a few cells more or less change none.
+LEVELS = 15
+# Shares are told in so many steps, for the same reason.
+STEPS = 200
+# Walls, in metres, that a map's agreement in all counts for in a window.
+PRIOR_M = 2.0
+# Ranks are shares in 1/1023, with six bits for the order of the maps below.
+RANK_ONE, RANK_SHIFT = 1023, 6
+
+
+@dataclass(frozen=True, eq=False)
+class WallCounts:
+    """Wall cells of each map beside each other one, (N, N) or (N, N, H, W) integers.
+
+    Attributes:
+        seen: wall cells of map i that map j knows, or has elsewhere.
+        met: of these, the ones with a wall of j within the tolerance.
+        same: the ones that are wall cells of j.
+    """
+
+    seen: I64
+    met: I64
+    same: I64
+
+    def total(self) -> WallCounts:
+        """Return the sum over all blocks."""
+        return WallCounts(*(part.sum(axis=(2, 3)) for part in (self.seen, self.met, self.same)))
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """How far each map may be trusted, in the order of ``names``.
+
+    Attributes:
+        names: of the maps.
+        agreement: (N,) float64, the share of its walls that agree with the others', 0 to 1.
+        weights: (N,) uint8, 0 (no vote) to ``VOTE_ONE``.
+        precision: (N,) float64, the share of its wall cells that are wall cells of the others: of
+            maps that agree alike, the one with the thinnest and steadiest walls has most.
+        pairs: (N, N) float64, the agreement of each two; 0.5 where they share no ground.
+    """
+
+    names: tuple[str, ...]
+    agreement: F64
+    weights: U8
+    precision: F64
+    pairs: F64
+
+    def decides_like(self, other: Trust | None) -> bool:
+        """Return whether the other trust, in the same maps, lets them vote alike."""
+        return other is not None and all(
+            np.array_equal(own, its)
+            for own, its in (
+                (np.array(self.names), np.array(other.names)),
+                (self.agreement, other.agreement),
+                (self.weights, other.weights),
+                (self.precision, other.precision),
+            )
+        )
+
+    def of(self, name: str) -> int:
+        """Return the position of a map."""
+        return self.names.index(name)
+
+    def part(self, names: Sequence[str]) -> Trust:
+        """Return the trust in some of the maps."""
+        at = [self.of(name) for name in names]
+        return Trust(
+            tuple(names),
+            self.agreement[at],
+            self.weights[at],
+            self.precision[at],
+            self.pairs[np.ix_(at, at)],
+        )
+
+
+def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)) -> WallCounts:
+    """Count wall cells that agree, block by block.
+
+    Args:
+        codes: (H, W) uint8 of each map, see ``walls.wall_codes``.
+        shift: blocks are ``2**shift`` cells on a side.
+        phase: row and column of the first cell in its block.
+
+    Returns:
+        Counts of (N, N, rows of blocks, columns of blocks).
+    """
+    (height, width), count = codes[0].shape, len(codes)
+    shape = tuple((side + first - 1 >> shift) + 1 for side, first in zip((height, width), phase))
+    blocks = shape[0] * shape[1]
+    seen = np.zeros((count, count, blocks), dtype=np.int64)
+    met, same = np.zeros_like(seen), np.zeros_like(seen)
+    for i, own in enumerate(codes):
+        rows, cols = np.nonzero(own & WALL_OCCUPIED)
+        block = (rows + phase[0] >> shift) * shape[1] + (cols + phase[1] >> shift)
+        ways = own[rows, cols] >> WALL_SIDES
+        for j, other in enumerate(codes):
+            if i == j:
+                continue
+            there = other[rows, cols]
+            is_met = there & WALL_NEAR != 0
+            is_seen = is_met | (there & WALL_FREE != 0) | (there >> WALL_SIDES & ways != 0)
+            is_same = there & WALL_OCCUPIED != 0
+            for table, mask in ((seen, is_seen), (met, is_met), (same, is_same)):
+                table[i, j] = np.bincount(block[mask], minlength=blocks)
+    return WallCounts(*(table.reshape(count, count, *shape) for table in (seen, met, same)))
+
+
+def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
+    """Say how far maps may be trusted.
+
+    Args:
+        names: of the maps.
+        counts: (N, N), of all their walls.
+    """
+    share = (counts.met + 1.0) / (counts.seen + 2.0)
+    pairs = np.minimum(share, share.T)
+    np.fill_diagonal(pairs, 0.0)
+    best = int(np.argmax((pairs**2).sum(axis=1)))
+    agreement = np.zeros(len(names))
+    agreement[best] = 1.0
+    for _ in names[1:]:
+        agreement = np.maximum(agreement, (agreement[:, None] * pairs).max(axis=0))
+    agreement[best] = pairs[best].max() if len(names) > 1 else 1.0
+    odds = _log_odds(agreement)
+    weights = _levels(odds / odds.max()) if odds.max() > 0.0 else np.full(len(names), VOTE_ONE)
+    amount = weights.astype(np.float64) * (1.0 - np.eye(len(names)))
+    precision = (amount * (counts.same + 1.0)).sum(axis=1) / np.maximum(
+        (amount * (counts.seen + 2.0)).sum(axis=1), 1.0
+    )
+    steps = np.rint(STEPS * np.array([agreement, precision])) / STEPS
+    return Trust(tuple(names), steps[0], weights.astype(np.uint8), steps[1], pairs)
+
+
+def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[U8, U16]:
+    """Return what each map weighs in each block, and which is to draw the walls there.
+
+    A map's agreement is counted in the blocks around, three by three, and its agreement in all
+    counts as two metres of wall.
+
+    Args:
+        counts: (N, N, H, W) of blocks.
+        trust: in the same maps.
+        resolution: metres a cell.
+
+    Returns:
+        (N, H, W) uint8, weights from 0 to ``VOTE_ONE``, the greatest of each block is that; and
+        (N, H, W) uint16, ranks: all different; the map with the highest draws a wall that it has.
+    """
+    count, prior = len(trust.names), PRIOR_M / resolution
+    amount = trust.weights.astype(np.float64) / VOTE_ONE
+    shape = counts.seen.shape[2:]
+    odds = np.zeros((count, *shape))
+    for j in range(count):
+        seen, met, known = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        for i in range(count):
+            if i != j and amount[i] > 0.0:
+                there = _window(counts.seen[i, j] + counts.seen[j, i])
+                seen += amount[i] * there
+                met += amount[i] * _window(counts.met[i, j] + counts.met[j, i])
+                known += amount[i] * (there > 0)
+        known = np.maximum(known, 1e-9)
+        odds[j] = _log_odds((met / known + prior * trust.agreement[j]) / (seen / known + prior))
+    most = odds.max(axis=0)
+    relative = np.where(most > 0.0, odds / np.maximum(most, 1e-9), amount[:, None, None])
+    weights = _levels(relative)
+    steady = np.minimum(1.0, 2.0 * weights / VOTE_ONE)
+    ranks = np.rint(RANK_ONE * trust.precision[:, None, None] * steady).astype(np.uint16)
+    order = np.arange(count - 1, -1, -1, dtype=np.uint16)
+    ranks = (ranks << np.uint16(RANK_SHIFT)) + order[:, None, None]
+    return weights.astype(np.uint8), ranks
+
+
+def disagreeing(counts: WallCounts, trust: Trust) -> Mapping[str, tuple[int, int, int]]:
+    """Return where each map disagrees most: wall cells that do not agree, and the block."""
+    amount = (trust.weights > 0).astype(np.int64)
+    found = {}
+    for j, name in enumerate(trust.names):
+        missed = (counts.seen[:, j] - counts.met[:, j] + counts.seen[j] - counts.met[j]).astype(
+            np.int64
+        )
+        around = _window((amount[:, None, None] * missed).sum(axis=0))
+        row, col = np.unravel_index(int(np.argmax(around)), around.shape)
+        found[name] = (int(around[row, col]), int(row), int(col))
+    return found
+
+
+def _log_odds(share: F64) -> F64:
+    share = np.clip(share, 0.5, SUREST)
+    return np.asarray(np.log(share / (1.0 - share)))
+
+
+def _levels(relative: F64) -> F64:
+    """Return shares of the greatest weight as weights; small ones as 0."""
+    weights = np.rint(LEVELS * relative) * (VOTE_ONE // LEVELS)
+    return np.where(relative < LEAST_WEIGHT, 0.0, weights)
+
+
+def _window(blocks: npt.NDArray[np.integer | np.floating]) -> F64:
+    """Return sums over three by three blocks; beyond the edge is nothing."""
+    return np.asarray(
+        cv2.boxFilter(
+            blocks.astype(np.float64), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
+    )

@@ -1,0 +1,404 @@
+"""The vote on one tile: what aligned maps show there decides its cells.
+
+Maps in memory, packed maps of a store and the layers of the live fusion are all decided here:
+``prepare`` what each map shows on ``around(tile)``, ``count`` it for the trust in the maps, and
+``decide``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.layout import MOST_INPUTS
+from slamfusion.compute.votes import VoteDevice, Votes
+from slamfusion.config import VoteConfig, VoteMode
+from slamfusion.errors import ConfigError, GridError
+from slamfusion.grid import UNKNOWN, CellBox
+from slamfusion.vote.agreement import (
+    Trust,
+    WallCounts,
+    count_walls,
+    disagreeing,
+    local_weights,
+    trust_of,
+)
+from slamfusion.vote.boxes import grown_inside, overlap, slices
+from slamfusion.vote.walls import margin_cells, wall_codes
+
+__all__ = [
+    "OUTVOTED",
+    "DecidedTile",
+    "GridLayer",
+    "TileVoter",
+    "check_votes",
+    "occupied_codes",
+    "sum_counts",
+    "tiles_of",
+    "unknown_votes",
+    "vote_grids",
+]
+
+I8 = npt.NDArray[np.int8]
+U8 = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
+Cell = npt.NDArray[Any]
+
+# Added to the cell of an input where it voted and was outvoted.
+OUTVOTED = np.int8(4)
+# Cells on a side that are decided at once; fewer where so many maps vote that not all may vote in
+# one place. Multiples of a block.
+TILE, SMALL_TILE = 2048, 256
+# Maps are weighed in windows of three by three blocks of about this many metres.
+BLOCK_M = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class GridLayer:
+    """What one input shows on the fused lattice: cells of a box, nothing outside.
+
+    Attributes:
+        shape: rows and columns of the fused lattice.
+        box: cells of it that the input may know, counted from the first; may be empty.
+        codes: (h, w) int8 of the box, cells in {-1, 0, 1}, and these plus ``OUTVOTED`` where the
+            input voted and was outvoted: one byte a cell, of which large maps have many.
+    """
+
+    shape: tuple[int, int]
+    box: CellBox
+    codes: I8
+
+    @classmethod
+    def of(cls, aligned: I8, dissent: Mask) -> GridLayer:
+        """Take what an input shows on all cells, and where it was outvoted; both (H, W)."""
+        height, width = aligned.shape
+        box = CellBox(0, 0, height, width)
+        return cls((height, width), box, aligned + OUTVOTED * dissent.view(np.int8))
+
+    @property
+    def cells(self) -> I8:
+        """(h, w) int8 in {-1, 0, 1} of the box."""
+        return _plain(self.codes)
+
+    def on(self, box: CellBox) -> I8:
+        """Return its cells on a box of the lattice, unknown outside of its own."""
+        out = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+        own = overlap(self.box, box)
+        if own is not None:
+            part = self.codes[slices(own, self.box.row0, self.box.col0)]
+            out[slices(own, box.row0, box.col0)] = _plain(part)
+        return out
+
+    def aligned(self) -> I8:
+        """Return what it shows on all cells, (H, W) int8 in {-1, 0, 1}."""
+        return self.on(CellBox(0, 0, *self.shape))
+
+    def dissent(self) -> Mask:
+        """Return where it was outvoted, (H, W) bool."""
+        whole = np.zeros(self.shape, dtype=np.bool_)
+        whole[slices(self.box, 0, 0)] = self.codes > 1
+        return whole
+
+
+def occupied_codes(codes: I8) -> Mask:
+    """Return which codes of a layer are of occupied cells."""
+    return np.asarray((codes == 1) | (codes == 1 + OUTVOTED))
+
+
+def _plain(codes: I8) -> I8:
+    """Return cells in {-1, 0, 1} of the codes of a layer."""
+    # One array of the size of the map is written, and no other.
+    cells = (codes > 1).view(np.int8)
+    cells *= OUTVOTED
+    return np.subtract(codes, cells, out=cells)
+
+
+@dataclass(frozen=True, eq=False)
+class DecidedTile:
+    """The outcome of the vote on a tile.
+
+    Attributes:
+        fused: (h, w) int8 in {-1, 0, 1}.
+        agreement: (h, w) int8, share of the votes for the winner in percent, rounded half up; -1
+            where no vote counts.
+        phantom_cells: cells that are occupied here and in no input.
+        outvoted: where each input that shows something here was outvoted, (h, w) bool by name.
+        worst: by name, how many wall cells disagree with the other maps in the window of a few
+            metres in which most do, and the row and column of its middle.
+    """
+
+    fused: I8
+    agreement: I8
+    phantom_cells: int
+    outvoted: Mapping[str, Mask] = field(default_factory=dict)
+    worst: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TileVoter:
+    """A vote on one lattice: all that decides a tile beside what the inputs show there.
+
+    Attributes:
+        whole: the fused cells.
+        config: settings of the vote.
+        resolution: metres a cell.
+        names: of the voters.
+        first: row and column of the lattice of cell [0, 0], so that blocks stay where they are
+            when the fused map grows.
+        trust: in the voters; None: it has not been found, or the mode does not ask for it.
+    """
+
+    whole: CellBox
+    config: VoteConfig
+    resolution: float
+    names: tuple[str, ...]
+    first: tuple[int, int] = (0, 0)
+    trust: Trust | None = None
+
+    @property
+    def weighs(self) -> bool:
+        """Whether the maps have weights, which ``count`` and ``trusting`` find."""
+        return self.config.mode == "consensus" and len(self.names) > 1
+
+    @cached_property
+    def unknown_votes(self) -> bool:
+        """Whether unknown is a vote."""
+        return self.config.mode == "majority" and unknown_votes(
+            self.config.unknown, len(self.names)
+        )
+
+    @property
+    def shift(self) -> int:
+        """Blocks are this power of two cells on a side."""
+        return max(0, round(np.log2(BLOCK_M / self.resolution)))
+
+    def aligned(self, box: CellBox) -> CellBox:
+        """Return the smallest box of whole blocks that holds a box, inside of the fused cells."""
+        row, col = self.first
+        side = 1 << self.shift
+
+        def down(cell: int, first: int) -> int:
+            return ((cell + first) // side) * side - first
+
+        grown = CellBox(
+            down(box.row0, row),
+            down(box.col0, col),
+            down(box.row1 + side - 1, row),
+            down(box.col1 + side - 1, col),
+        )
+        return overlap(grown, self.whole) or box
+
+    def tiles(self, side: int = TILE) -> Iterator[CellBox]:
+        """Yield tiles that together are the fused cells, whole blocks each but at the edges."""
+        return tiles_of(self.whole, side, self.first)
+
+    def around(self, tile: CellBox) -> CellBox:
+        """Return the cells that have a say in a tile: with ``consensus`` a block more."""
+        if not self.weighs:
+            return tile
+        return grown_inside(tile, 1 << self.shift, self.whole)
+
+    def reading(self, tile: CellBox) -> CellBox:
+        """Return the cells of the inputs that have a say in a tile."""
+        around = self.around(tile)
+        if not self.weighs:
+            return around
+        return grown_inside(around, margin_cells(self.resolution), self.whole)
+
+    def prepare(self, box: CellBox, read: Callable[[CellBox], I8]) -> I8 | U8:
+        """Return what an input shows on a box, as the other functions take it.
+
+        Args:
+            box: of the fused cells.
+            read: returns its cells, in {-1, 0, 1}, on a box.
+        """
+        if not self.weighs:
+            return read(box)
+        wide = grown_inside(box, margin_cells(self.resolution), self.whole)
+        codes = wall_codes(read(wide), self.resolution)
+        return np.ascontiguousarray(codes[slices(box, wide.row0, wide.col0)])
+
+    def count(self, tile: CellBox, shown: Mapping[str, I8 | U8]) -> WallCounts:
+        """Count how the walls in a tile agree, (N, N) in the order of ``names``.
+
+        Args:
+            tile: of whole blocks.
+            shown: by name, prepared on ``around(tile)``, of those that know a cell there.
+        """
+        count = len(self.names)
+        total = WallCounts(*(np.zeros((count, count), dtype=np.int64) for _ in range(3)))
+        if len(shown) > 1:
+            at = np.ix_(*[[self.names.index(name) for name in shown]] * 2)
+            wide = self.around(tile)
+            part = slices(tile, wide.row0, wide.col0)
+            found = count_walls([codes[part].view(np.uint8) for codes in shown.values()], 31)
+            for sums, own in zip(_tables(total), _tables(found.total()), strict=True):
+                sums[at] = own
+        return total
+
+    def trusting(self, counts: WallCounts) -> TileVoter:
+        """Return the vote with the trust that the counts of all tiles give."""
+        return replace(self, trust=trust_of(self.names, counts))
+
+    def decide(
+        self, tile: CellBox, shown: Mapping[str, I8 | U8], device: VoteDevice
+    ) -> DecidedTile | None:
+        """Decide the cells of a tile; None where no input shows anything.
+
+        Args:
+            tile: of whole blocks.
+            shown: by name, prepared on ``around(tile)``, of those that know a cell there.
+            device: computes.
+
+        Raises:
+            GridError: more inputs than a vote takes know one place.
+        """
+        if not shown:
+            return None
+        wide = self.around(tile)
+        part = slices(tile, wide.row0, wide.col0)
+        grids = [np.ascontiguousarray(own[part]) for own in shown.values()]
+        worst: dict[str, tuple[int, int, int]] = {}
+        if not self.weighs or self.trust is None:
+            votes = vote_grids(grids, device, unknown_votes=self.unknown_votes)
+        else:
+            trust = self.trust.part(list(shown))
+            votes, worst = self._weighed(tile, wide, shown, trust, device)
+        outvoted = {
+            name: (votes.dissent[n // 8] >> np.uint8(n % 8)) & 1 != 0
+            for n, name in enumerate(shown)
+        }
+        return DecidedTile(votes.fused, votes.agreement, votes.phantom_cells, outvoted, worst)
+
+    def _weighed(
+        self,
+        tile: CellBox,
+        wide: CellBox,
+        shown: Mapping[str, I8 | U8],
+        trust: Trust,
+        device: VoteDevice,
+    ) -> tuple[Votes, dict[str, tuple[int, int, int]]]:
+        """Let walls be voted for by weight."""
+        codes = [own.view(np.uint8) for own in shown.values()]
+        _check_count(codes)
+        phase = self._phase(wide)
+        counts = count_walls(codes, self.shift, phase)
+        weights, ranks = local_weights(counts, trust, self.resolution)
+        own = self._phase(tile)
+        row, col = (
+            (at + first >> self.shift) - (start + first >> self.shift)
+            for at, start, first in zip(
+                (tile.row0, tile.col0), (wide.row0, wide.col0), self.first, strict=True
+            )
+        )
+        inner = (slice(None), slice(row, None), slice(col, None))
+        votes = device.vote_walls(
+            [np.ascontiguousarray(c[slices(tile, wide.row0, wide.col0)]) for c in codes],
+            np.ascontiguousarray(weights[inner]),
+            np.ascontiguousarray(ranks[inner]),
+            trust.weights,
+            shift=self.shift,
+            phase=own,
+        )
+        side = 1 << self.shift
+        worst = {
+            name: (
+                missed,
+                wide.row0 - phase[0] + block_row * side + side // 2,
+                wide.col0 - phase[1] + block_col * side + side // 2,
+            )
+            for name, (missed, block_row, block_col) in disagreeing(counts, trust).items()
+        }
+        return votes, worst
+
+    def _phase(self, box: CellBox) -> tuple[int, int]:
+        """Return the row and column of the first cell of a box in its block."""
+        mask = (1 << self.shift) - 1
+        return (box.row0 + self.first[0]) & mask, (box.col0 + self.first[1]) & mask
+
+
+def sum_counts(counts: Iterable[WallCounts]) -> WallCounts:
+    """Return the sum of the counts of tiles."""
+    tables = zip(*(_tables(part) for part in counts), strict=True)
+    return WallCounts(*(np.sum(table, axis=0) for table in tables))
+
+
+def vote_grids(grids: list[I8], device: VoteDevice, *, unknown_votes: bool) -> Votes:
+    """Let each cell be what most grids say; a tie for first place is occupied ([F16]).
+
+    Args:
+        grids: 1 to 32 of (H, W) int8 in {-1, 0, 1}.
+        device: computes.
+        unknown_votes: unknown is a value like the others; else it abstains.
+
+    Raises:
+        GridError: no grid, more than 32, or grids that do not share one shape.
+    """
+    _check_count(grids)
+    kinds = {(grid.shape, grid.dtype.name) for grid in grids}
+    shape, dtype = next(iter(kinds))
+    if len(kinds) > 1 or dtype != "int8" or len(shape) != 2 or 0 in shape:
+        found = ", ".join(f"{dtype} {shape}" for shape, dtype in sorted(kinds))
+        message = f"grids that vote must be (H, W) int8 of one shape, found {found}"
+        raise GridError(message)
+    return device.vote_majority(grids, unknown_votes=unknown_votes)
+
+
+def check_votes(config: VoteConfig) -> None:
+    """Refuse a mode in which maps do not vote.
+
+    Raises:
+        ConfigError: it is ``drawn``.
+    """
+    votes = get_args(VoteMode)
+    if config.mode not in votes:
+        message = (
+            f"mode {config.mode!r} draws the map from the scans of a log, and here are only maps; "
+            f"use {' or '.join(votes)}, or pass the log to `slamfusion run`"
+        )
+        raise ConfigError(message)
+
+
+def unknown_votes(rule: str, voters: int) -> bool:
+    """Return whether unknown is a value (True) or abstains.
+
+    ``auto``: a value with exactly three voters, so that a tie for first place needs three different
+    cells, one of them occupied. With other numbers free and unknown could tie alone, and the tie
+    would put a wall where no input has one.
+    """
+    return voters == 3 if rule == "auto" else rule == "value"
+
+
+def tiles_of(whole: CellBox, side: int, first: tuple[int, int] = (0, 0)) -> Iterator[CellBox]:
+    """Yield boxes that together are the whole, cut where rows and columns are multiples of a side.
+
+    Args:
+        whole: cells.
+        side: cells.
+        first: row and column that cell [0, 0] counts as.
+    """
+    rows, cols = (
+        [start, *range(start + side - (start + at) % side, stop, side), stop]
+        for start, stop, at in zip(
+            (whole.row0, whole.col0), (whole.row1, whole.col1), first, strict=True
+        )
+    )
+    for row0, row1 in zip(rows, rows[1:], strict=False):
+        for col0, col1 in zip(cols, cols[1:], strict=False):
+            if row1 > row0 and col1 > col0:
+                yield CellBox(row0, col0, row1, col1)
+
+
+def _tables(counts: WallCounts) -> tuple[npt.NDArray[np.int64], ...]:
+    return counts.seen, counts.met, counts.same
+
+
+def _check_count(grids: list[Any]) -> None:
+    if not 1 <= len(grids) <= MOST_INPUTS:
+        message = f"a vote takes 1 to {MOST_INPUTS} grids, found {len(grids)}"
+        raise GridError(message)
