@@ -1,11 +1,33 @@
-"""Colours of maps, paths and inputs, on pages and pictures: (red, green, blue), 0 to 255, sRGB.
+"""All colours of pictures and pages: (red, green, blue), 0 to 255, sRGB.
 
-Those that must be told apart are, also with deuteranopia and protanopia; a test computes it.
+Who or what has a name has one colour wherever it is drawn: ask ``colours_of``. Those that must be
+told apart are, also with deuteranopia and protanopia; a test computes it.
 """
 
 from __future__ import annotations
 
-__all__ = ["DISAGREEMENT_RGB", "FREE_RGB", "INPUT_COLOURS", "UNKNOWN_RGB", "WALL_RGB", "Rgb"]
+import colorsys
+import itertools
+from collections.abc import Iterable, Iterator, Mapping
+
+__all__ = [
+    "AGREED_WALL_RGB",
+    "DISAGREEMENT_RGB",
+    "END_RGB",
+    "EXTRA_FREE_RGB",
+    "EXTRA_WALL_RGB",
+    "FREE_RGB",
+    "INK_RGB",
+    "MISSING_FREE_RGB",
+    "MISSING_WALL_RGB",
+    "NAMED",
+    "OTHERS",
+    "START_RGB",
+    "UNKNOWN_RGB",
+    "WALL_RGB",
+    "Rgb",
+    "colours_of",
+]
 
 Rgb = tuple[int, int, int]
 
@@ -13,8 +35,53 @@ UNKNOWN_RGB: Rgb = (205, 209, 214)
 FREE_RGB: Rgb = (255, 255, 255)
 WALL_RGB: Rgb = (18, 22, 28)
 
-# One for each input, of a path or of the walls of a map.
-INPUT_COLOURS: tuple[Rgb, ...] = ((0, 105, 175), (240, 135, 0), (120, 20, 90), (70, 170, 120))
+# Of a path, of the walls of a map, of whatever else goes by this name.
+NAMED: Mapping[str, Rgb] = {
+    "tinyslam": (0, 105, 175),
+    "gmapping": (240, 135, 0),
+    "graph": (120, 20, 90),
+    "fused": WALL_RGB,
+    "odometry": (133, 127, 143),
+    "truth": (40, 144, 88),
+}
+# Of all other names, in their order.
+OTHERS: tuple[Rgb, ...] = ((68, 195, 230), (100, 80, 235), (191, 183, 102), (246, 158, 156))
 
-# Cells of the fused map on which the votes were divided, shown over maps of all these colours.
+# What speaks against something: cells on which the votes were divided or a map was outvoted,
+# closures that do not hold, revisits.
 DISAGREEMENT_RGB: Rgb = (195, 0, 30)
+# Walls that are not what one looks for: of both maps in a difference, of the map below.
+AGREED_WALL_RGB: Rgb = (140, 147, 156)
+# A map against the truth.
+EXTRA_FREE_RGB: Rgb = (190, 222, 255)
+MISSING_FREE_RGB: Rgb = (255, 226, 158)
+EXTRA_WALL_RGB: Rgb = (28, 110, 225)
+MISSING_WALL_RGB: Rgb = (226, 45, 45)
+# The ends of a path.
+START_RGB: Rgb = (47, 158, 68)
+END_RGB: Rgb = (110, 0, 60)
+# Lettering, and lines of nobody: a contrast of about 4 to 1 on white and on a dark page.
+INK_RGB: Rgb = (123, 130, 140)
+
+# Hues a golden section of the circle apart never meet.
+_GOLDEN = 0.618034
+
+
+def colours_of(names: Iterable[str]) -> dict[str, Rgb]:
+    """Return the colour of each name; no two have the same.
+
+    Args:
+        names: all that are shown together, in their order; a name that is not in ``NAMED`` has the
+            colour of its place among those that are not, so more of them may be added at the end.
+    """
+    others = _others()
+    return {name: NAMED[name] if name in NAMED else next(others) for name in dict.fromkeys(names)}
+
+
+def _others() -> Iterator[Rgb]:
+    """Yield ``OTHERS``, and then colours without end, which are harder to tell apart."""
+    yield from OTHERS
+    for number in itertools.count(1):
+        shades = colorsys.hls_to_rgb(number * _GOLDEN % 1.0, (0.35, 0.55, 0.7)[number % 3], 0.5)
+        red, green, blue = (round(255 * shade) for shade in shades)
+        yield red, green, blue

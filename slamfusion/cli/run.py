@@ -290,10 +290,7 @@ def _print_alignments(run: LogRun) -> None:
         for sentence in fusion_sentences(run.usable, run.doubled):
             print(sentence)
         for gap in run.fusion.gaps:
-            print(
-                f"paths in the fused map: {gap.a} and {gap.b} are {gap.median_m:.2f} m apart "
-                f"(median), {gap.max_m:.2f} m at most"
-            )
+            print(f"paths in the fused map: {gap.sentence()}")
         print()
     elif run.fusion.pairs:
         print_pairs(run.fusion.pairs, run.device)

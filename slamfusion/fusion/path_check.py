@@ -52,6 +52,7 @@ from slamfusion.trajectory import Trajectory
 __all__ = [
     "PathGap",
     "PathsApartError",
+    "Votes",
     "agreeing",
     "fallback_map",
     "fit_paths",
@@ -60,6 +61,10 @@ __all__ = [
     "path_gaps",
     "place_by_path",
 ]
+
+# Of each path that has no vote for some of the drive, by its name: at which of its poses it has
+# one, (N,) bool.
+Votes = Mapping[str, npt.NDArray[np.bool_]]
 
 # Of two paths each pose of one is held against where the other was at its time, which is known
 # between two of its poses that are no farther apart, or beside one, seconds: a path need not be
@@ -99,14 +104,26 @@ class PathGap:
         a, b: the producers.
         stamps_s: (N,) float64, of the poses of ``a`` at whose time it is known where ``b`` is.
         gaps_m: (N,) float64, distance to where ``b`` is then.
-        yaw_rad: median of the differences of the headings, 0 to pi.
+        yaws_rad: (N,) float64, difference of the headings then, 0 to pi.
+        both_vote: (N,) bool, whether both have a vote then.
     """
 
     a: str
     b: str
     stamps_s: npt.NDArray[np.float64]
     gaps_m: npt.NDArray[np.float64]
-    yaw_rad: float
+    yaws_rad: npt.NDArray[np.float64]
+    both_vote: npt.NDArray[np.bool_]
+
+    @property
+    def voting(self) -> PathGap | None:
+        """The same while both have a vote; None where they never do."""
+        kept = self.both_vote
+        if not kept.any():
+            return None
+        return PathGap(
+            self.a, self.b, self.stamps_s[kept], self.gaps_m[kept], self.yaws_rad[kept], kept[kept]
+        )
 
     @property
     def median_m(self) -> float:
@@ -123,8 +140,27 @@ class PathGap:
         """Where they are farthest apart."""
         return float(self.gaps_m.max())
 
+    @property
+    def yaw_rad(self) -> float:
+        """Half of the time the headings differ by less than this."""
+        return float(np.median(self.yaws_rad))
+
+    def sentence(self) -> str:
+        """Say how far the paths are apart over the drive and, if it differs, while both vote."""
+        words = (
+            f"{self.a} and {self.b} are {self.median_m:.2f} m apart over the drive (median; "
+            f"{self.max_m:.2f} m at most)"
+        )
+        if self.both_vote.all():
+            return words
+        voting = self.voting
+        if voting is None:
+            return f"{words}, and never vote at one time"
+        return f"{words}, {voting.median_m:.2f} m while both vote ({voting.max_m:.2f} m at most)"
+
     def to_json(self) -> PathGapJson:
         """Return the figures for a JSON document."""
+        voting = self.voting
         return {
             "a": self.a,
             "b": self.b,
@@ -132,6 +168,8 @@ class PathGap:
             "max_m": self.max_m,
             "start_m": float(self.gaps_m[0]),
             "median_yaw_rad": self.yaw_rad,
+            "voting_median_m": None if voting is None else voting.median_m,
+            "voting_max_m": None if voting is None else voting.max_m,
         }
 
 
@@ -145,18 +183,23 @@ def moved_path(path: Trajectory, transform: Pose2) -> Trajectory:
     return Trajectory(path.stamps_s, moved_poses(transform, path.poses), path.name)
 
 
-def path_gaps(paths: Mapping[str, Trajectory]) -> tuple[PathGap, ...]:
-    """Return how far every two paths lie apart.
+def path_gaps(paths: Mapping[str, Trajectory], votes: Votes | None = None) -> tuple[PathGap, ...]:
+    """Return how far every two paths lie apart, also while one of them has no vote.
 
     Args:
         paths: by producer, all in one frame, at least one pose each.
+        votes: when those of them vote that do not do so for all of the drive.
     """
+    has_vote = {name: np.ones(len(path), dtype=np.bool_) for name, path in paths.items()}
+    has_vote |= votes or {}
     gaps = []
     for (a, path), (b, other) in itertools.combinations(paths.items(), 2):
         at, there = _together(path, other)
         apart = np.hypot(*(path.poses[at, :2] - there[:, :2]).T)
         turned = np.abs(wrap_angles(path.poses[at, 2] - there[:, 2]))
-        gaps.append(PathGap(a, b, path.stamps_s[at], apart, float(np.median(turned))))
+        stamps_s = path.stamps_s[at]
+        both_vote = has_vote[a][at] & has_vote[b][other.nearest(stamps_s)]
+        gaps.append(PathGap(a, b, stamps_s, apart, turned, both_vote))
     return tuple(gaps)
 
 
@@ -296,11 +339,12 @@ def fuse_with_paths(
     device: ComputeDevice,
     progress: Callable[[str, int, int], None] | None = None,
     starts: Starts | None = None,
-    in_part: Collection[str] = (),
+    votes: Votes | None = None,
 ) -> tuple[FusionResult, tuple[PathGap, ...]]:
     """Fuse maps; leave out a producer whose path then lies elsewhere than those of the others.
 
-    Maps that the walls alone leave open are placed by their paths.
+    Maps that the walls alone leave open are placed by their paths. Where a path was while it has no
+    vote counts for neither.
 
     Args:
         grids: see ``fuse_grids``.
@@ -309,7 +353,9 @@ def fuse_with_paths(
         config: see ``fuse_grids``.
         limit_m: two paths agree when their median gap is at most this, metres.
         device: computes.
-        progress, starts, in_part: see ``fuse_grids``.
+        progress, starts: see ``fuse_grids``.
+        votes: when those of them vote that do not do so for all of the drive; their maps show a
+            part of it.
 
     Returns:
         The fusion, and the gaps between the paths of all producers whose walls fit, also of those
@@ -318,17 +364,19 @@ def fuse_with_paths(
     Raises:
         AlignmentError: fewer than two inputs fit; ``PathsApartError``: or are left for their paths.
     """
+    votes = votes or {}
+    counting = {name: _voting(path, votes.get(name)) for name, path in paths.items()}
 
     def look(pair: Alignment, reference: GridFeatures, moving: GridFeatures) -> Alignment:
-        return place_by_path(pair, reference, moving, paths, limit_m, device)
+        return place_by_path(pair, reference, moving, counting, limit_m, device)
 
-    result = fuse_grids(grids, config, device, progress, look, starts, in_part)
+    result = fuse_grids(grids, config, device, progress, look, starts, votes)
     placed = {
         record.name: moved_path(paths[record.name], record.alignment.transform)
         for record in result.accepted
         if record.name in paths and record.alignment is not None
     }
-    gaps = path_gaps(placed)
+    gaps = path_gaps(placed, votes)
     _, reasons = agreeing(tuple(placed), gaps, limit_m)
     if not reasons:
         return result, gaps
@@ -337,7 +385,7 @@ def fuse_with_paths(
         message = f"the walls of the maps fit, but the paths do not, so nothing is fused ({words})"
         raise PathsApartError(message, result.pairs, gaps)
     rest = [grid for grid in grids if grid.name not in reasons]
-    again = fuse_grids(rest, config, device, second_look=look, starts=starts, in_part=in_part)
+    again = fuse_grids(rest, config, device, second_look=look, starts=starts, in_part=votes)
     kept = {record.name: record for record in again.inputs}
     inputs = [
         kept[record.name]
@@ -360,10 +408,10 @@ def agreeing(
 
     Args:
         names: the producers, in order.
-        gaps: between every two of them.
+        gaps: between every two of them; while both have a vote they count, or ever if never.
         limit_m: two paths agree when their median gap is at most this, metres.
     """
-    found = {frozenset((gap.a, gap.b)): gap for gap in gaps}
+    found = {frozenset((gap.a, gap.b)): gap.voting or gap for gap in gaps}
     if len(names) < 2:
         return tuple(names), {}
     for late_limit_m in (LOST_LIMITS * limit_m, math.inf):
@@ -372,6 +420,13 @@ def agreeing(
             out = [name for name in names if name not in members]
             return members, {name: _why(name, members, found) for name in out}
     return (), {name: _why(name, names, found) for name in names}
+
+
+def _voting(path: Trajectory, has_vote: npt.NDArray[np.bool_] | None) -> Trajectory:
+    """Return a path without the poses at which it has no vote."""
+    if has_vote is None:
+        return path
+    return Trajectory(path.stamps_s[has_vote], path.poses[has_vote], path.name)
 
 
 def _largest_group(

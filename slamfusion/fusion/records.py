@@ -116,7 +116,7 @@ class AlignmentJson(TypedDict):
 
 
 class PathGapJson(TypedDict):
-    """How far two paths of one drive lie apart in the fused frame."""
+    """How far two paths of one drive lie apart in the fused frame, also while one has no vote."""
 
     a: str
     """One producer."""
@@ -130,6 +130,10 @@ class PathGapJson(TypedDict):
     """How far apart they begin, metres."""
     median_yaw_rad: float
     """Median of the differences of the headings, 0 to pi, radians."""
+    voting_median_m: float | None
+    """``median_m`` over the times in which both have a vote; null where there are none."""
+    voting_max_m: float | None
+    """``max_m`` over the times in which both have a vote; null where there are none."""
 
 
 @dataclass(frozen=True)

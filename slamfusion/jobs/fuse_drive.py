@@ -5,7 +5,7 @@ Shared by ``run_log`` and the experiments, which so measure what a user gets.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slamfusion.compute import ComputeDevice
@@ -15,6 +15,7 @@ from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.path_check import (
     PathGap,
     PathsApartError,
+    Votes,
     fallback_map,
     fuse_with_paths,
 )
@@ -111,7 +112,7 @@ def fuse_drive(
     shared_frame: bool,
     progress: Progress | None = None,
     starts: Starts | None = None,
-    in_part: Collection[str] = (),
+    votes: Votes | None = None,
 ) -> DriveFusion:
     """Fuse the maps, and hold the producers' paths against each other in the fused frame.
 
@@ -127,7 +128,8 @@ def fuse_drive(
         device: computes.
         shared_frame: all maps are of producers of this drive.
         progress: told the stage, and how much of it is done.
-        starts, in_part: see ``fuse_grids``.
+        starts: see ``fuse_grids``.
+        votes: see ``fuse_with_paths``.
 
     Returns:
         The fusion; where there are too few maps, or too few fit, why there is none.
@@ -141,7 +143,7 @@ def fuse_drive(
         fusion = replace(fusion, align=replace(fusion.align, shared_frame=True))
     try:
         result, gaps = fuse_with_paths(
-            grids, paths, fusion, config.run.path_gap_m, device, progress, starts, in_part
+            grids, paths, fusion, config.run.path_gap_m, device, progress, starts, votes
         )
     except AlignmentError as error:
         return DriveFusion(

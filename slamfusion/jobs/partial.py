@@ -10,7 +10,7 @@ own map stays as it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from slamfusion.evidence import ExcludedSpan, Exclusions, UndecidedSpan
 from slamfusion.evidence.drawn_map import DrawnScan, draw_map
 from slamfusion.evidence.path_frames import fit_onto
 from slamfusion.fusion.groups import LEAST_FUSED
-from slamfusion.fusion.path_check import moved_path
+from slamfusion.fusion.path_check import Votes, moved_path
 from slamfusion.fusion.records import InputRecord
 from slamfusion.fusion.start import Starts
 from slamfusion.grid import OccupancyGrid
@@ -94,7 +94,8 @@ class Layers:
     Attributes:
         maps: as they are: the producers', then the saved ones.
         grids: those that take part, some of them drawn anew.
-        paths: by producer, without the times in which it has no vote.
+        paths: by producer, also of the times in which it has no vote.
+        votes: of the producers whose layers were drawn anew: at which of its poses it has a vote.
         partial: the producers that have no vote for some time.
         undecided: times in which producers have parted, and vote because nothing tells who is
             right.
@@ -103,6 +104,7 @@ class Layers:
     maps: tuple[OccupancyGrid, ...]
     grids: tuple[OccupancyGrid, ...]
     paths: Mapping[str, Trajectory]
+    votes: Votes = field(default_factory=dict)
     partial: tuple[PartialVote, ...] = ()
     undecided: tuple[UndecidedSpan, ...] = ()
 
@@ -160,7 +162,8 @@ def draw_layers(
     if exclusions is None:
         return Layers.as_made(maps, paths)
     layers = {grid.name: grid for grid in maps}
-    kept, partial = dict(paths), []
+    votes: dict[str, B8] = {}
+    partial = []
     # Whoever was with the others least goes first.
     for name in sorted(exclusions.names, key=exclusions.excluded_share, reverse=True):
         share, left_out, is_filled = exclusions.excluded_share(name), "", False
@@ -170,8 +173,8 @@ def draw_layers(
             left_out = f"less than {LEAST_SHARE:.0%} of the drive is left, too little for a layer"
             del layers[name]
         else:
-            votes = exclusions.votes_at(name, paths[name].stamps_s)
-            path = Trajectory(paths[name].stamps_s[votes], paths[name].poses[votes], name)
+            kept = votes[name] = exclusions.votes_at(name, paths[name].stamps_s)
+            path = Trajectory(paths[name].stamps_s[kept], paths[name].poses[kept], name)
             own, scans, drawn = layers[name], scans_of(name), path
             if filling is not None:
                 filled = _filled(path, exclusions, filling)
@@ -182,9 +185,10 @@ def draw_layers(
             layers[name] = draw_map(
                 scans, drawn, device, resolution=own.resolution, origin=own.origin, name=name
             )
-            kept[name] = path
         partial.append(PartialVote(name, exclusions.spans[name], share, left_out, is_filled))
-    return Layers(tuple(maps), tuple(layers.values()), kept, tuple(partial), exclusions.undecided)
+    return Layers(
+        tuple(maps), tuple(layers.values()), paths, votes, tuple(partial), exclusions.undecided
+    )
 
 
 def _filled(path: Trajectory, exclusions: Exclusions, filling: Filling) -> Trajectory:
@@ -243,7 +247,7 @@ def fuse_layers(
         shared_frame=shared_frame,
         progress=progress,
         starts=starts,
-        in_part=[vote.name for vote in layers.partial],
+        votes=layers.votes,
     )
     reasons = {vote.name: vote.left_out for vote in layers.partial if vote.left_out}
     if fusion.result is None or not reasons:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox
-from slamfusion.palette import Rgb
+from slamfusion.palette import FREE_RGB, INK_RGB, Rgb
 
 __all__ = [
     "DPI",
@@ -43,7 +43,7 @@ __all__ = [
 
 Classes = npt.NDArray[np.int8]
 
-INK = "#7b828c"  # contrast of about 4 to 1 on white and on the dark page
+INK = "#{:02x}{:02x}{:02x}".format(*INK_RGB)
 # Four inches of lettering in 920 pixels: readable where three pictures stand side by side.
 DPI = 230
 WIDTH_IN = 4.0
@@ -113,8 +113,8 @@ def pool_cells(codes: Classes, origin: Pose2) -> tuple[Classes, int]:
 
 
 def style_axes(axes: Axes) -> None:
-    """Give axes their quiet lettering and frame."""
-    axes.set_facecolor("none")
+    """Give axes their quiet lettering and frame, and white ground also on a dark page."""
+    axes.set_facecolor(unit_rgb(FREE_RGB))
     axes.tick_params(colors=INK, labelsize=7.5, width=0.7, length=3)
     axes.ticklabel_format(useOffset=False, style="plain")
     for spine in axes.spines.values():

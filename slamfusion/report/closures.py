@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection  # noqa: TID251
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import Rgb
+from slamfusion.palette import DISAGREEMENT_RGB, Rgb, colours_of
 from slamfusion.report.canvas import to_png, unit_rgb
 from slamfusion.report.map_axes import (
     draw_grid,
@@ -21,14 +21,11 @@ from slamfusion.report.map_axes import (
     path_extent,
 )
 from slamfusion.report.page import LegendEntry, Picture
-from slamfusion.report.paths import ESTIMATE_COLOUR
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["closure_pictures", "closures_picture"]
 
-BELIEVED_COLOUR: Rgb = (28, 126, 214)
-OUTLIER_COLOUR: Rgb = (201, 42, 42)
 BELIEVED_FROM = 0.5
 
 
@@ -38,6 +35,7 @@ def closures_picture(
     *,
     grid: OccupancyGrid,
     normalize: NormalizeConfig,
+    colours: Sequence[Rgb],
 ) -> bytes:
     """Draw a path, a dot where a closure was found, a line to where that has the robot.
 
@@ -46,12 +44,14 @@ def closures_picture(
         closures: of the graph; times beyond the path's count as its ends.
         grid: the map under them.
         normalize: what counts as wall and as free in it.
+        colours: of the path, of closures that hold, and of those that do not.
     """
     figure, axes = map_axes(path_extent(path.poses).grown(grid_extent(grid, normalize)))
     draw_grid(axes, grid, normalize)
     x, y = path.poses[:, 0], path.poses[:, 1]
-    axes.plot(x, y, color=unit_rgb(ESTIMATE_COLOUR), lw=0.8, scalex=False, scaley=False)
-    for colour, is_shown in ((BELIEVED_COLOUR, True), (OUTLIER_COLOUR, False)):
+    own, believed, outlier = colours
+    axes.plot(x, y, color=unit_rgb(own), lw=0.8, scalex=False, scaley=False)
+    for colour, is_shown in ((believed, True), (outlier, False)):
         chosen = [one for one in closures if (one.weight >= BELIEVED_FROM) == is_shown]
         if not chosen:
             continue
@@ -92,12 +92,9 @@ def closure_pictures(
     if not closures:
         return []
     outliers = sum(one.weight < BELIEVED_FROM for one in closures)
-    legend = (
-        LegendEntry("path", ESTIMATE_COLOUR),
-        LegendEntry(f"{len(closures) - outliers} closures", BELIEVED_COLOUR),
-        LegendEntry(f"outliers, not used: {outliers}", OUTLIER_COLOUR),
-        *mark_legend(),
-    )
+    texts = ("path", f"{len(closures) - outliers} closures", f"outliers, not used: {outliers}")
+    colours = (*colours_of((final.name, "closures")).values(), DISAGREEMENT_RGB)
+    legend = (*map(LegendEntry, texts, colours), *mark_legend())
     shown = [
         (
             "graph-before",
@@ -115,7 +112,7 @@ def closure_pictures(
     return [
         Picture(
             name,
-            closures_picture(path, closures, grid=grid, normalize=normalize),
+            closures_picture(path, closures, grid=grid, normalize=normalize, colours=colours),
             title,
             text,
             legend=legend,

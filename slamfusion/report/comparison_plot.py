@@ -14,7 +14,7 @@ from matplotlib.axes import Axes  # noqa: TID251
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.evaluation import ErrorSeries, MeasuredItem, figure_of
-from slamfusion.palette import INPUT_COLOURS
+from slamfusion.palette import colours_of
 from slamfusion.report.canvas import plain_text, to_form, unit_rgb
 
 __all__ = ["comparison_plot"]
@@ -115,13 +115,13 @@ def _draw_series(
     every = [item.series[name] for items in shown.values() for item in items]
     start = min(float(series.at[:, 0].min()) for series in every)
     scale = _scale(every)
-    for number, (label, items) in enumerate(shown.items()):
+    for label, items in shown.items():
         for nth, item in enumerate(items):
             series = item.series[name]
             order = np.argsort(series.at[:, 0], kind="stable")
             step = -(-len(order) // POINTS)
             look: dict[str, Any] = {
-                "color": unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)]),
+                "color": unit_rgb(colours_of(sets)[label]),
                 "ls": STYLES[nth % len(STYLES)],
                 "lw": 0.9,
             }
@@ -157,7 +157,7 @@ def _draw_figure(axes: Axes, sets: Sets, name: str, handles: dict[str, Artist]) 
     for number, (label, items) in enumerate(sets.items()):
         known = [item for item in items if name in item.figures]
         values = [item.figures[name] for item in known]
-        colour = unit_rgb(INPUT_COLOURS[number % len(INPUT_COLOURS)])
+        colour = unit_rgb(colours_of(sets)[label])
         marker = MARKERS[number % len(MARKERS)]
         places = np.full(len(values), float(number))
         (drawn,) = axes.plot(places, values, color=colour, marker=marker, ls="", ms=4, zorder=3)

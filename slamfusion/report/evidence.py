@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.evidence.parting import PART_M, path_gap_m
 from slamfusion.evidence.verdict import PathVerdict, Verdict
-from slamfusion.palette import Rgb
+from slamfusion.palette import NAMED, Rgb, colours_of
 from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png, unit_rgb, write_note
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
-from slamfusion.report.paths import FUSED_COLOUR, run_colour
 
 __all__ = ["evidence_picture", "evidence_section"]
 
@@ -22,16 +23,22 @@ _APART_OPACITY = 0.12
 _LEAST_GAP_M = 0.01
 
 
-def evidence_section(verdict: Verdict) -> Section:
-    """Return the verdict, the score of each path over the drive, and its figures."""
+def evidence_section(verdict: Verdict, page: Mapping[str, Rgb] | None = None) -> Section:
+    """Return the verdict, the score of each path over the drive, and its figures.
+
+    Args:
+        verdict: of one path or more.
+        page: the colours of the paths elsewhere on the page, by name; default: there are none.
+    """
+    colours = _colours(verdict, page or {})
     picture = Picture(
         "evidence",
-        evidence_picture(verdict),
+        evidence_picture(verdict, colours),
         "How well each path predicts what the scans saw, over the drive",
         "Above: mean log-likelihood of a hit under what other parts of the drive drew by the same "
         "path; higher is better. Below: distance from the best path, on which the others are laid "
         "where they agree most. Tinted: a path has left the best one.",
-        legend=tuple(LegendEntry(name, colour) for name, colour in _colours(verdict).items()),
+        legend=tuple(LegendEntry(name, colour) for name, colour in colours.items()),
     )
     columns = (
         *("path", "log-likelihood of a hit", "behind the best", "95 %", "p", "tied with the best"),
@@ -51,11 +58,12 @@ def evidence_section(verdict: Verdict) -> Section:
     )
 
 
-def evidence_picture(verdict: Verdict) -> bytes:
+def evidence_picture(verdict: Verdict, rgb: Mapping[str, Rgb]) -> bytes:
     """Draw the score of each path over the drive, and below it how far it is from the best.
 
     Args:
         verdict: of one path or more.
+        rgb: the colour of each path, by name.
 
     Returns:
         The bytes of a PNG file.
@@ -67,7 +75,7 @@ def evidence_picture(verdict: Verdict) -> bytes:
     figure = Figure(figsize=(WIDTH_IN, tall_in), dpi=DPI)
     scores = figure.add_axes((0.155, (_FOOT_IN + gap_in) / tall_in, 0.825, _SCORE_IN / tall_in))
     start_s = float(evidence.scans.stamps_s[0])
-    colours = {name: unit_rgb(colour) for name, colour in _colours(verdict).items()}
+    colours = {name: unit_rgb(colour) for name, colour in rgb.items()}
     for name, colour in colours.items():
         times_s, mean, _ = evidence.over_time(name)
         scores.plot(times_s - start_s, mean, color=colour, lw=1.1, marker="o", ms=2.0)
@@ -98,10 +106,11 @@ def evidence_picture(verdict: Verdict) -> bytes:
     return to_png(figure)
 
 
-def _colours(verdict: Verdict) -> dict[str, Rgb]:
+def _colours(verdict: Verdict, page: Mapping[str, Rgb]) -> dict[str, Rgb]:
     """Return the colour of each path, as elsewhere on the page."""
-    colours = {name: run_colour(index) for index, name in enumerate(verdict.evidence.scores)}
-    return colours if verdict.fused is None else {**colours, verdict.fused: FUSED_COLOUR}
+    names = verdict.evidence.scores
+    colours = {**colours_of(names), **page}
+    return {name: NAMED["fused"] if name == verdict.fused else colours[name] for name in names}
 
 
 def _row(verdict: Verdict, path: PathVerdict) -> list[Cell]:

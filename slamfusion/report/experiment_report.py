@@ -18,8 +18,9 @@ from matplotlib.ticker import MaxNLocator  # noqa: TID251
 
 from slamfusion.config import RunConfig
 from slamfusion.geometry import Pose2
+from slamfusion.palette import colours_of
 from slamfusion.report import plots
-from slamfusion.report.canvas import DPI, INK, WIDTH_IN, plain_text, style_axes, to_png
+from slamfusion.report.canvas import DPI, INK, WIDTH_IN, plain_text, style_axes, to_png, unit_rgb
 from slamfusion.report.page import (
     Banner,
     Fact,
@@ -44,7 +45,6 @@ __all__ = [
 # Tables of a fusion experiment that stand above its pictures.
 TOP = 2
 
-_COLOURS = ("#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5")
 _MARKERS = ("o", "D", "s", "^")
 _STYLES = ("-", "--", ":", "-.")
 # Bars at one place on the x axis stand this share of its step apart.
@@ -97,6 +97,7 @@ def sweep_picture(panels: Sequence[Panel], *, x_label: str, y_label: str) -> byt
         The bytes of a PNG file.
     """
     figure, all_axes = _figure(panels, 2.0)
+    colours = colours_of(line.label for panel in panels for line in panel.lines)
     for panel, axes in zip(panels, all_axes, strict=True):
         places = sorted({float(x) for line in panel.lines for x in line.x})
         step = min(np.diff(places), default=1.0)
@@ -106,7 +107,7 @@ def sweep_picture(panels: Sequence[Panel], *, x_label: str, y_label: str) -> byt
                 np.asarray(line.x) + beside,
                 line.y,
                 yerr=line.spread or None,
-                color=_COLOURS[number % len(_COLOURS)],
+                color=unit_rgb(colours[line.label]),
                 marker=_MARKERS[number % len(_MARKERS)],
                 ls=_STYLES[number % len(_STYLES)],
                 label=plain_text(line.label),
@@ -134,13 +135,14 @@ def cell_values_picture(panels: Sequence[Panel]) -> bytes:
         The bytes of a PNG file.
     """
     figure, all_axes = _figure(panels, 1.6)
+    colours = colours_of(line.label for panel in panels for line in panel.lines)
     for panel, axes in zip(panels, all_axes, strict=True):
         axes.axhline(0.5, color=INK, lw=0.7, ls=":")
         for number, line in enumerate(panel.lines):
             axes.plot(
                 line.x,
                 line.y,
-                color=_COLOURS[number % len(_COLOURS)],
+                color=unit_rgb(colours[line.label]),
                 marker=_MARKERS[number % len(_MARKERS)],
                 ls=_STYLES[number % len(_STYLES)],
                 label=plain_text(line.label),

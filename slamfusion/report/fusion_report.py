@@ -12,11 +12,13 @@ from slamfusion.evaluation import MapError
 from slamfusion.fusion.records import Alignment, FusionResult, InputRecord
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
+from slamfusion.palette import DISAGREEMENT_RGB
 from slamfusion.report import plots
 from slamfusion.report.layers import fusion_layers
 from slamfusion.report.maps import (
     alignment_table,
     error_section,
+    input_colours,
     input_picture,
     layer_legend,
     pair_overlay,
@@ -235,15 +237,22 @@ def fused_section(
     ]
     aligned = [record for record in result.accepted if record.aligned is not None]
     layers = [record.aligned for record in aligned if record.aligned is not None]
+    colours = input_colours([record.name for record in result.inputs])
     if layers:
         pictures.append(
             Picture(
                 "overlay",
-                plots.overlay_picture(layers, fused.resolution, fused.origin, box),
+                plots.overlay_picture(
+                    layers,
+                    [colours[record.name] for record in aligned],
+                    fused.resolution,
+                    fused.origin,
+                    box,
+                ),
                 "The aligned inputs over each other",
-                "Walls in the colour of their map, added up: white where all have one. A coloured "
-                "double of a white wall is a slip.",
-                legend=layer_legend([record.name for record in aligned]),
+                "Walls in the colour of their map, darker where more have one, black where all "
+                "do. A coloured double of a black wall is a slip.",
+                legend=layer_legend([record.name for record in aligned], colours),
             )
         )
     pictures.append(
@@ -303,6 +312,7 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
     """Return every input, and for a rejected one also how it would have lain."""
     normalize = config.fusion.normalize
     grids = {record.name: record.grid for record in result.inputs}
+    colours = input_colours(list(grids))
     pictures: list[Picture] = []
     for record in result.inputs:
         role = "Reference." if record.name == result.reference else ""
@@ -314,7 +324,9 @@ def inputs_section(result: FusionResult, config: RunConfig) -> Section:
         )
         alignment = record.alignment
         if not record.accepted and alignment is not None and alignment.reference in grids:
-            overlay = pair_overlay(grids[alignment.reference], record.grid, alignment, normalize)
+            overlay = pair_overlay(
+                grids[alignment.reference], record.grid, alignment, normalize, colours
+            )
             if overlay is not None:
                 pictures.append(overlay)
     return Section("Inputs", "inputs", "The maps as they were given, each in its frame.", pictures)
@@ -336,7 +348,7 @@ def dissent_section(result: FusionResult, box: CellBox) -> Section:
                 ),
                 record.name,
                 f"Outvoted in {_outvoted(record)}.",
-                legend=(LegendEntry("outvoted", plots.DISSENT_COLOUR),),
+                legend=(LegendEntry("outvoted", DISAGREEMENT_RGB),),
             )
         )
     return Section(

@@ -12,7 +12,7 @@ from slamfusion.fusion.records import FusionResult, InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.trajectory import Trajectory
-from slamfusion.viewer.scene import AGREEMENT, FUSED, Scene, layer_name, unlaid
+from slamfusion.viewer.scene import AGREEMENT, FUSED, TRUTH, Scene, layer_name, unlaid
 
 __all__ = ["MOST_CELLS", "Layers", "error_layers", "fusion_layers", "map_layers"]
 
@@ -48,7 +48,7 @@ def fusion_layers(result: FusionResult, paths: Mapping[str, Trajectory] | None =
     too_large = _too_large(result.fused, result.agreement, *(record.grid for record in placed))
     if too_large is not None:
         return too_large
-    scene = _scene()
+    scene = _scene([layer_name(record.name) for record in result.inputs])
     scene.put_status([_told(record, result.reference) for record in placed])
     for name, path in (paths or {}).items():
         scene.put_path(name if name == FUSED else layer_name(name), path.poses)
@@ -65,7 +65,7 @@ def map_layers(grid: OccupancyGrid, path: Trajectory) -> Layers:
     too_large = _too_large(grid)
     if too_large is not None:
         return too_large
-    scene = _scene()
+    scene = _scene([grid.name])
     scene.put_status([])
     scene.put_path(grid.name, path.poses)
     scene.put_map(grid.name, grid, "fused")
@@ -84,10 +84,10 @@ def error_layers(evaluations: Sequence[MapError]) -> Layers:
     too_large = _too_large(truth, *maps)
     if too_large is not None:
         return too_large
-    scene = _scene()
-    names = [f"{grid.name} (map)" if grid.name == first.truth else grid.name for grid in maps]
+    names = [f"{grid.name} (map)" if grid.name == TRUTH else grid.name for grid in maps]
+    scene = _scene(names)
     scene.put_status([unlaid(name) for name in names])
-    scene.put_map(first.truth, truth, "fused")
+    scene.put_map(TRUTH, truth, "fused")
     for number, (name, grid) in enumerate(zip(names, maps, strict=True)):
         scene.put_map(name, grid, "input", is_shown=number == 0)
     return Layers(_recorded(scene), f"{_NOTE} {_LACKING}")
@@ -114,9 +114,9 @@ def _too_large(*grids: OccupancyGrid) -> Layers | None:
     return Layers("", text)
 
 
-def _scene() -> Scene:
-    """Return a scene in which nothing depends on the time of day."""
-    return Scene("report", is_live=False, clock=lambda: 0.0, level=LEVEL)
+def _scene(names: Sequence[str]) -> Scene:
+    """Return a scene of layers of names in which nothing depends on the time of day."""
+    return Scene("report", is_live=False, names=names, clock=lambda: 0.0, level=LEVEL)
 
 
 def _told(record: InputRecord, reference: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from matplotlib.transforms import Affine2D  # noqa: TID251
 
 from slamfusion.config import NormalizeConfig
 from slamfusion.grid import OccupancyGrid, box_origin, trinary_cells
-from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.palette import END_RGB, FREE_RGB, START_RGB, UNKNOWN_RGB, WALL_RGB
 from slamfusion.report.canvas import (
     DPI,
     INK,
@@ -27,8 +27,6 @@ from slamfusion.report.canvas import (
 from slamfusion.report.page import LegendEntry
 
 __all__ = [
-    "END_COLOUR",
-    "START_COLOUR",
     "Extent",
     "draw_grid",
     "draw_marks",
@@ -38,8 +36,6 @@ __all__ = [
     "path_extent",
 ]
 
-START_COLOUR: Rgb = (47, 158, 68)
-END_COLOUR: Rgb = (110, 0, 60)
 
 # A box grows by this at least where its growth is limited to a share of its size.
 _LEAST_GROWTH_M = 1.0
@@ -69,7 +65,7 @@ class Extent:
 
 def mark_legend() -> tuple[LegendEntry, ...]:
     """Return what the marks on a path mean."""
-    return LegendEntry("start (circle)", START_COLOUR), LegendEntry("end (square)", END_COLOUR)
+    return LegendEntry("start (circle)", START_RGB), LegendEntry("end (square)", END_RGB)
 
 
 def map_axes(extent: Extent, *, bar: bool = False) -> tuple[Figure, Axes]:
@@ -127,8 +123,8 @@ def draw_grid(axes: Axes, grid: OccupancyGrid, normalize: NormalizeConfig) -> No
 def draw_marks(axes: Axes, poses: npt.NDArray[np.float64]) -> None:
     """Mark the first and the last pose; where they are one place both are seen."""
     for pose, colour, marker, size in (
-        (poses[0], START_COLOUR, "o", 8.5),
-        (poses[-1], END_COLOUR, "s", 4.0),
+        (poses[0], START_RGB, "o", 8.5),
+        (poses[-1], END_RGB, "s", 4.0),
     ):
         axes.plot(
             [pose[0]],

@@ -14,12 +14,15 @@ from slamfusion.evaluation.cells import sample_on_lattice
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, known_box, trinary_cells
+from slamfusion.palette import Rgb, colours_of
 from slamfusion.report import plots
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
+from slamfusion.viewer.scene import layer_name
 
 __all__ = [
     "alignment_table",
     "error_section",
+    "input_colours",
     "input_picture",
     "layer_legend",
     "pair_overlay",
@@ -48,10 +51,19 @@ def input_picture(
     )
 
 
-def layer_legend(names: Sequence[str]) -> tuple[LegendEntry, ...]:
+def input_colours(names: Sequence[str]) -> dict[str, Rgb]:
+    """Return the colour of each input, as its layer has it: that of the fused map is not given.
+
+    Args:
+        names: of all inputs of the page, in their order.
+    """
+    layers = colours_of(layer_name(name) for name in names)
+    return {name: layers[layer_name(name)] for name in names}
+
+
+def layer_legend(names: Sequence[str], colours: Mapping[str, Rgb]) -> tuple[LegendEntry, ...]:
     """Return the colours of an overlay's layers with their names."""
-    colours = plots.layer_colours(len(names))
-    return tuple(LegendEntry(name, rgb) for name, rgb in zip(names, colours, strict=True))
+    return tuple(LegendEntry(name, colours[name]) for name in names)
 
 
 def pair_overlay(
@@ -59,6 +71,7 @@ def pair_overlay(
     moving: OccupancyGrid,
     alignment: Alignment,
     normalize: NormalizeConfig,
+    colours: Mapping[str, Rgb],
 ) -> Picture | None:
     """Return two maps laid over each other as one alignment would have it, to see why it failed.
 
@@ -78,12 +91,17 @@ def pair_overlay(
     origin = Pose2(float(corner[0]), float(corner[1]), reference.origin.yaw_rad)
     return Picture(
         f"pair-{reference.name}-{moving.name}",
-        plots.overlay_picture(layers, reference.resolution, origin),
+        plots.overlay_picture(
+            layers,
+            [colours[grid.name] for grid in (reference, moving)],
+            reference.resolution,
+            origin,
+        ),
         f"{moving.name} on {reference.name}",
         f"The best alignment found. {alignment.reason}",
         tone="plain" if alignment.accepted else "bad",
         badge="" if alignment.accepted else "rejected",
-        legend=layer_legend((reference.name, moving.name)),
+        legend=layer_legend((reference.name, moving.name), colours),
     )
 
 
@@ -103,16 +121,17 @@ def pairs_section(
         most_overlays: with ten inputs there are 45 pairs.
     """
     by_name = {grid.name: grid for grid in grids}
+    colours = input_colours(list(by_name))
     overlays = [
-        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize)
+        pair_overlay(by_name[pair.reference], by_name[pair.moving], pair, normalize, colours)
         for pair in pairs[:most_overlays]
         if pair.reference in by_name and pair.moving in by_name
     ]
     return Section(
         "Pairs",
         "pairs",
-        "Each pair laid over each other under the best alignment that was found. Where two maps "
-        "agree their colours add up to white.",
+        "Each pair laid over each other under the best alignment that was found. Where both maps "
+        "have a wall it is black.",
         [overlay for overlay in overlays if overlay is not None],
         alignment_table("All pairs", pairs),
     )

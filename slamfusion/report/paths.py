@@ -5,7 +5,7 @@ See ``canvas`` for the look.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import REVISIT_S, RelationErrors, TrajectoryErrors
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import DISAGREEMENT_RGB, INPUT_COLOURS, Rgb
+from slamfusion.palette import DISAGREEMENT_RGB, INK_RGB, NAMED, Rgb, colours_of
 from slamfusion.report.canvas import (
     DPI,
     INK,
@@ -42,12 +42,6 @@ from slamfusion.report.page import LegendEntry
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
-    "ESTIMATE_COLOUR",
-    "FUSED_COLOUR",
-    "ODOMETRY_COLOUR",
-    "OTHERS_COLOUR",
-    "REVISIT_COLOUR",
-    "TRUTH_COLOUR",
     "error_picture",
     "laid_on_start",
     "others_legend",
@@ -56,22 +50,14 @@ __all__ = [
     "paths_picture",
     "relations_picture",
     "revisit_legend",
-    "run_colour",
     "run_paths_legend",
     "run_paths_picture",
 ]
 
 _NORMALIZE = NormalizeConfig()
 
-ESTIMATE_COLOUR: Rgb = (232, 89, 12)
-TRUTH_COLOUR: Rgb = (28, 126, 214)
-ODOMETRY_COLOUR: Rgb = (104, 112, 122)
-OTHERS_COLOUR: Rgb = (103, 65, 217)
-REVISIT_COLOUR: Rgb = (232, 89, 12)
-# Told apart from the colours of all inputs; no picture of paths shows where votes were divided.
-FUSED_COLOUR: Rgb = DISAGREEMENT_RGB
-INK_RGB: Rgb = (20, 22, 26)
-
+# What else a path may have been, beside it.
+_OTHERS = "other paths"
 # Ends of both colour scales that would vanish on white are cut off.
 _TIME_SPAN = (0.15, 0.82)
 _ERROR_SPAN = (0.30, 1.0)
@@ -152,7 +138,7 @@ def paths_picture(
     grid: OccupancyGrid | None = None,
     normalize: NormalizeConfig = _NORMALIZE,
 ) -> bytes:
-    """Draw several paths of one run: the estimate, the truth dashed, raw odometry in grey.
+    """Draw several paths of one run, in their colours; the truth dashed.
 
     Args:
         trajectory: the estimate; like all others in one frame.
@@ -175,11 +161,12 @@ def paths_picture(
     figure, axes = map_axes(extent)
     if grid is not None:
         draw_grid(axes, grid, normalize)
-    _draw_others(axes, beliefs)
+    own, faint = colours_of((trajectory.name, _OTHERS)).values()
+    _draw_others(axes, beliefs, faint)
     layers = (
-        (odometry, ODOMETRY_COLOUR, 0.9, "-"),
-        (trajectory, ESTIMATE_COLOUR, 1.3, "-"),
-        (truth, TRUTH_COLOUR, 1.0, (0, (3.0, 2.0))),
+        (odometry, NAMED["odometry"], 0.9, "-"),
+        (trajectory, own, 1.3, "-"),
+        (truth, NAMED["truth"], 1.0, (0, (3.0, 2.0))),
     )
     for path, colour, width, style in layers:
         if path is not None:
@@ -191,6 +178,7 @@ def paths_picture(
 
 def run_paths_picture(
     paths: Sequence[Trajectory],
+    colours: Sequence[Rgb],
     *,
     fused: Trajectory | None = None,
     truth: Trajectory | None = None,
@@ -202,6 +190,7 @@ def run_paths_picture(
 
     Args:
         paths: at least one, all in the frame of ``grid``; the first lies on top.
+        colours: of each of them.
         fused: the path made of them, over them all.
         truth: the true path, dashed.
         odometry: where the wheels alone would have gone; drift far beyond the rest is cut off.
@@ -219,27 +208,38 @@ def run_paths_picture(
     figure, axes = map_axes(extent)
     if grid is not None:
         draw_grid(axes, grid, normalize)
-    layers = [] if odometry is None else [(odometry, ODOMETRY_COLOUR, 0.8, "-")]
+    layers = [] if odometry is None else [(odometry, NAMED["odometry"], 0.8, "-")]
     last = len(paths) - 1
     for index, path in reversed(list(enumerate(paths))):
         # The lower ones are wider, so that each is seen where all lie on each other.
-        layers.append((path, run_colour(index), 1.0 + 1.2 * index / max(1, last), "-"))
+        layers.append((path, colours[index], 1.0 + 1.2 * index / max(1, last), "-"))
     if fused is not None:
-        layers.append((fused, FUSED_COLOUR, 0.8, "-"))
+        layers.append((fused, NAMED["fused"], 0.8, "-"))
     for path, colour, width, style in layers:
         x, y = path.poses[:, 0], path.poses[:, 1]
         axes.plot(x, y, color=unit_rgb(colour), lw=width, ls=style, scalex=False, scaley=False)
     if truth is not None:
         x, y = truth.poses[:, 0], truth.poses[:, 1]
         axes.plot(
-            x, y, color=unit_rgb(INK_RGB), lw=0.8, ls=(0, (3.0, 2.0)), scalex=False, scaley=False
+            x,
+            y,
+            color=unit_rgb(NAMED["truth"]),
+            lw=0.8,
+            ls=(0, (3.0, 2.0)),
+            scalex=False,
+            scaley=False,
         )
     draw_marks(axes, paths[0].poses)
     return to_png(figure)
 
 
-def error_picture(errors: TrajectoryErrors) -> bytes:
-    """Draw the absolute errors over travelled metres: of the place above, of the heading below."""
+def error_picture(errors: TrajectoryErrors, colour: Rgb) -> bytes:
+    """Draw the absolute errors over travelled metres: of the place above, of the heading below.
+
+    Args:
+        errors: of a path.
+        colour: of the path.
+    """
     figure, (upper, lower) = _stacked()
     travelled = errors.travelled_m
     for axes, values, label in (
@@ -247,8 +247,8 @@ def error_picture(errors: TrajectoryErrors) -> bytes:
         (lower, np.rad2deg(errors.rotation_rad), "error in degrees"),
     ):
         x, y = _thinned(travelled, values)
-        axes.fill_between(x, y, color=unit_rgb(ESTIMATE_COLOUR), alpha=0.16, lw=0)
-        axes.plot(x, y, color=unit_rgb(ESTIMATE_COLOUR), lw=1.0)
+        axes.fill_between(x, y, color=unit_rgb(colour), alpha=0.16, lw=0)
+        axes.plot(x, y, color=unit_rgb(colour), lw=1.0)
         rmse = float(np.sqrt(np.mean(values**2)))
         axes.axhline(rmse, color=INK, lw=0.8, ls=":")
         write_note(axes, f"root mean square {rmse:.3g}")
@@ -276,8 +276,8 @@ def relations_picture(errors: RelationErrors) -> bytes:
         axes.minorticks_off()
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         for chosen, colour, marker, size in (
-            (~revisit, ODOMETRY_COLOUR, "o", 3.0),
-            (revisit, REVISIT_COLOUR, "D", 5.0),
+            (~revisit, INK_RGB, "o", 3.0),
+            (revisit, DISAGREEMENT_RGB, "D", 5.0),
         ):
             axes.scatter(
                 since[chosen],
@@ -297,41 +297,37 @@ def relations_picture(errors: RelationErrors) -> bytes:
     return to_png(figure)
 
 
-def paths_legend(*, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``paths_picture`` mean."""
-    entries = [LegendEntry("estimate", ESTIMATE_COLOUR)]
+def paths_legend(name: str, *, truth: bool, odometry: bool) -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``paths_picture`` mean; the path has a name."""
+    entries = [LegendEntry("estimate", colours_of([name])[name])]
     if truth:
-        entries.append(LegendEntry("truth, dashed", TRUTH_COLOUR))
+        entries.append(LegendEntry("truth, dashed", NAMED["truth"]))
     if odometry:
-        entries.append(LegendEntry("raw odometry", ODOMETRY_COLOUR))
+        entries.append(LegendEntry("raw odometry", NAMED["odometry"]))
     return (*entries, *mark_legend())
 
 
 def run_paths_legend(
-    names: Sequence[str], *, fused: bool, truth: bool, odometry: bool
+    colours: Mapping[str, Rgb], *, fused: bool, truth: bool, odometry: bool
 ) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``run_paths_picture`` mean."""
-    entries = [LegendEntry(name, run_colour(index)) for index, name in enumerate(names)]
+    """Return what the colours of ``run_paths_picture`` mean: those of the paths by their names."""
+    entries = [LegendEntry(name, colour) for name, colour in colours.items()]
     if fused:
-        entries.append(LegendEntry("fused path", FUSED_COLOUR))
+        entries.append(LegendEntry("fused path", NAMED["fused"]))
     if truth:
-        entries.append(LegendEntry("truth, dashed", INK_RGB))
+        entries.append(LegendEntry("truth, dashed", NAMED["truth"]))
     if odometry:
-        entries.append(LegendEntry("raw odometry", ODOMETRY_COLOUR))
+        entries.append(LegendEntry("raw odometry", NAMED["odometry"]))
     return (*entries, *mark_legend())
 
 
-def run_colour(index: int) -> Rgb:
-    """Return the colour of one of several producers' paths."""
-    return INPUT_COLOURS[index % len(INPUT_COLOURS)]
-
-
-def others_legend(count: int) -> tuple[LegendEntry, ...]:
-    """Return what the colours of ``paths_picture`` mean with a number of other paths."""
+def others_legend(name: str, count: int) -> tuple[LegendEntry, ...]:
+    """Return what the colours of ``paths_picture`` mean: of a path by its name, and of others."""
     others = "other path" if count == 1 else "other paths"
+    own, faint = colours_of((name, _OTHERS)).values()
     return (
-        LegendEntry("estimate", ESTIMATE_COLOUR),
-        LegendEntry(f"{count} {others}, faint", OTHERS_COLOUR),
+        LegendEntry("estimate", own),
+        LegendEntry(f"{count} {others}, faint", faint),
         *mark_legend(),
     )
 
@@ -339,8 +335,8 @@ def others_legend(count: int) -> tuple[LegendEntry, ...]:
 def revisit_legend() -> tuple[LegendEntry, ...]:
     """Return what the colours of ``relations_picture`` mean."""
     return (
-        LegendEntry("moments of one visit", ODOMETRY_COLOUR),
-        LegendEntry(f"revisit, over {REVISIT_S:g} s apart", REVISIT_COLOUR),
+        LegendEntry("moments of one visit", INK_RGB),
+        LegendEntry(f"revisit, over {REVISIT_S:g} s apart", DISAGREEMENT_RGB),
     )
 
 
@@ -356,12 +352,12 @@ def _stacked() -> tuple[Figure, Sequence[Axes]]:
     return figure, (upper, lower)
 
 
-def _draw_others(axes: Axes, others: Sequence[Trajectory]) -> None:
+def _draw_others(axes: Axes, others: Sequence[Trajectory], rgb: Rgb) -> None:
     """Draw paths faintly, the first of them on top."""
     poses = sum(len(path) for path in others)
     step = max(1, -(-poses // _OTHERS_POINTS))
     lines = [path.poses[_kept(len(path), step), :2] for path in reversed(others)]
-    colour = (*unit_rgb(OTHERS_COLOUR), _OTHERS_OPACITY)
+    colour = (*unit_rgb(rgb), _OTHERS_OPACITY)
     axes.add_collection(LineCollection(lines, colors=[colour], linewidths=0.7), autolim=False)
 
 

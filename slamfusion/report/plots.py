@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 import math
 from collections.abc import Sequence
 
@@ -25,7 +24,18 @@ from slamfusion.evaluation import (
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, box_origin
-from slamfusion.palette import FREE_RGB, UNKNOWN_RGB, WALL_RGB, Rgb
+from slamfusion.palette import (
+    AGREED_WALL_RGB,
+    DISAGREEMENT_RGB,
+    EXTRA_FREE_RGB,
+    EXTRA_WALL_RGB,
+    FREE_RGB,
+    MISSING_FREE_RGB,
+    MISSING_WALL_RGB,
+    UNKNOWN_RGB,
+    WALL_RGB,
+    Rgb,
+)
 from slamfusion.report.canvas import (
     DPI,
     INK,
@@ -36,11 +46,11 @@ from slamfusion.report.canvas import (
     pool_cells,
     style_axes,
     to_png,
+    unit_rgb,
 )
 
 __all__ = [
     "DIFFERENCE_COLOURS",
-    "DISSENT_COLOUR",
     "Classes",
     "Rgb",
     "agreement_colour",
@@ -48,26 +58,21 @@ __all__ = [
     "crop_box",
     "difference_picture",
     "dissent_picture",
-    "layer_colours",
     "map_picture",
     "overlay_picture",
+    "overlay_rgb",
     "yaw_picture",
 ]
 
-_ACCENT = "#e8590c"
-_RIVAL = "#1c7ed6"
-
-DISSENT_COLOUR: Rgb = (232, 62, 12)
-
 # In the order of visibility when cells are pooled: the last wins.
 DIFFERENCE_COLOURS: dict[int, tuple[str, Rgb]] = {
-    AGREE_UNKNOWN: ("both unknown", (205, 209, 214)),
-    AGREE_FREE: ("both free", (255, 255, 255)),
-    EXTRA_FREE: ("free, unknown in the truth", (190, 222, 255)),
-    MISSING_FREE: ("unknown, free in the truth", (255, 226, 158)),
-    AGREE_WALL: ("true wall", (18, 22, 28)),
-    EXTRA_WALL: ("extra wall", (28, 110, 225)),
-    MISSING_WALL: ("missing wall", (226, 45, 45)),
+    AGREE_UNKNOWN: ("both unknown", UNKNOWN_RGB),
+    AGREE_FREE: ("both free", FREE_RGB),
+    EXTRA_FREE: ("free, unknown in the truth", EXTRA_FREE_RGB),
+    MISSING_FREE: ("unknown, free in the truth", MISSING_FREE_RGB),
+    AGREE_WALL: ("true wall", WALL_RGB),
+    EXTRA_WALL: ("extra wall", EXTRA_WALL_RGB),
+    MISSING_WALL: ("missing wall", MISSING_WALL_RGB),
 }
 
 # Share of votes for the winner: white for all, through yellow to red for hardly any.
@@ -92,14 +97,17 @@ def map_picture(
 
 
 def overlay_picture(
-    layers: Sequence[Classes], resolution: float, origin: Pose2, box: CellBox | None = None
+    layers: Sequence[Classes],
+    colours: Sequence[Rgb],
+    resolution: float,
+    origin: Pose2,
+    box: CellBox | None = None,
 ) -> bytes:
-    """Lay the walls of several maps over each other by adding their colours on black.
-
-    Where all agree the colours add up to white; a wall in one colour is a wall of one map only.
+    """Lay the walls of several maps over each other; see ``overlay_rgb``.
 
     Args:
         layers: (H, W) int8 each, in {-1, 0, 1}, one lattice.
+        colours: of each layer's walls.
         resolution: metres per cell.
         origin: pose of the lower-left corner of cell [0, 0].
         box: cells to show; default: what is known, with a small margin.
@@ -107,23 +115,28 @@ def overlay_picture(
     stack = [np.asarray(layer) for layer in layers]
     box = box or crop_box(np.any([layer != -1 for layer in stack], axis=0))
     pooled = [pool_cells(cut_cells(layer, box), origin) for layer in stack]
-    factor = pooled[0][1]
-    colours = np.array(layer_colours(len(stack)), dtype=np.float64) / 255.0
-    shape = pooled[0][0].shape
-    light = np.zeros((*shape, 3))
-    known = np.zeros(shape)
-    for (classes, _), colour in zip(pooled, colours, strict=True):
-        light += (classes == 1)[..., None] * colour
-        known += classes != -1
-    # A single map keeps its full colour; more of them move towards white.
-    count = np.sum([classes == 1 for classes, _ in pooled], axis=0)
-    total = colours.sum(axis=0)
-    share = np.clip((count - 1) / max(len(stack) - 1, 1), 0.0, 1.0)[..., None]
-    mixed = np.clip(light, 0.0, 1.0) * (1 - share) + np.clip(light / total, 0.0, 1.0) * share
-    floor = 0.035 + 0.085 * (known / len(stack))
-    image = np.where((count > 0)[..., None], mixed, floor[..., None])
-    rgb = (255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
-    return _map_png(rgb, factor * resolution, box_origin(origin, resolution, box))
+    rgb = overlay_rgb([classes for classes, _ in pooled], colours)
+    return _map_png(rgb, pooled[0][1] * resolution, box_origin(origin, resolution, box))
+
+
+def overlay_rgb(layers: Sequence[Classes], colours: Sequence[Rgb]) -> npt.NDArray[np.uint8]:
+    """Mix maps: a wall of one map in its colour, darker where more have one, of all that of a wall.
+
+    Args:
+        layers: (H, W) int8 each, in {-1, 0, 1}.
+        colours: of each layer's walls.
+
+    Returns:
+        (H, W, 3) uint8; other cells are the whiter, the more of the maps know them.
+    """
+    walls = np.array([layer == 1 for layer in layers])[..., None]
+    count = walls.sum(axis=0)
+    own = (walls * np.array(colours, dtype=np.float64)[:, None, None]).sum(axis=0)
+    dark = np.clip((count - 1) / max(len(layers) - 1, 1), 0.0, 1.0)
+    wall = own / np.maximum(count, 1) * (1.0 - dark) + np.array(WALL_RGB) * dark
+    known = np.mean([layer != -1 for layer in layers], axis=0)[..., None]
+    ground = np.array(UNKNOWN_RGB) * (1.0 - known) + np.array(FREE_RGB) * known
+    return np.asarray(np.rint(np.where(count > 0, wall, ground)), dtype=np.uint8)
 
 
 def agreement_picture(
@@ -172,8 +185,7 @@ def dissent_picture(
     codes = cut_cells(fused, box).copy()
     codes[cut_cells(dissent.astype(np.int8), box, outside=0) == 1] = 2
     pooled, factor = pool_cells(codes, origin)
-    faint_wall: Rgb = (140, 147, 156)
-    palette = np.array((UNKNOWN_RGB, FREE_RGB, faint_wall, DISSENT_COLOUR), dtype=np.uint8)
+    palette = np.array((UNKNOWN_RGB, FREE_RGB, AGREED_WALL_RGB, DISAGREEMENT_RGB), dtype=np.uint8)
     return _map_png(palette[pooled + 1], factor * resolution, box_origin(origin, resolution, box))
 
 
@@ -209,10 +221,10 @@ def yaw_picture(alignment: Alignment) -> bytes:
     axes = figure.add_axes((0.125, 0.21, 0.85, 0.65))
     axes.fill_between(yaw_deg, score, min(0.0, float(score.min())), color=INK, alpha=0.16, lw=0)
     axes.plot(yaw_deg, score, color=INK, lw=1.1)
-    marks = [(alignment.transform, "answer", _ACCENT, "o")]
+    marks = [(alignment.transform, "answer", unit_rgb(WALL_RGB), "o")]
     if alignment.runner_up is not None:
         ratio = f"runner-up, {alignment.runner_up.ratio:.2f} of it"
-        marks.append((alignment.runner_up.transform, ratio, _RIVAL, "D"))
+        marks.append((alignment.runner_up.transform, ratio, unit_rgb(DISAGREEMENT_RGB), "D"))
     for pose, label, colour, marker in marks:
         angle = math.degrees(math.remainder(pose.yaw_rad, 2 * math.pi))
         height = float(np.interp(angle, yaw_deg, score))
@@ -249,25 +261,9 @@ def yaw_picture(alignment: Alignment) -> bytes:
 def agreement_colour(percent: int) -> Rgb:
     """Return the colour of a share of votes: white for all, then yellow to dark red."""
     if percent >= 100:
-        return 255, 255, 255
+        return FREE_RGB
     r, g, b, _ = colormaps[_AGREEMENT_MAP](0.15 + 0.85 * (100 - percent) / 100.0)
     return round(255 * r), round(255 * g), round(255 * b)
-
-
-def layer_colours(count: int) -> list[Rgb]:
-    """Return bright colours for ``count`` layers, evenly around the hues; their sum is white."""
-    fixed: dict[int, list[Rgb]] = {
-        1: [(255, 255, 255)],
-        2: [(255, 130, 30), (40, 140, 255)],
-        3: [(235, 100, 0), (90, 235, 150), (80, 100, 255)],
-    }
-    if count in fixed:
-        return fixed[count]
-    colours = []
-    for index in range(count):
-        r, g, b = colorsys.hls_to_rgb((index / count + 0.02) % 1.0, 0.6, 0.95)
-        colours.append((round(255 * r), round(255 * g), round(255 * b)))
-    return colours
 
 
 def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> bytes:
@@ -315,4 +311,5 @@ def _map_png(rgb: npt.NDArray[np.uint8], resolution: float, corner: Pose2) -> by
     axes.set_xlabel("x in m", color=INK, fontsize=7.5, labelpad=2)
     axes.set_ylabel("y in m", color=INK, fontsize=7.5, labelpad=2)
     style_axes(axes)
+    axes.set_facecolor(unit_rgb(UNKNOWN_RGB))
     return to_png(figure)

@@ -10,10 +10,15 @@ from slamfusion.evidence.verdict import Verdict
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.grid import OccupancyGrid
+from slamfusion.palette import NAMED, Rgb
+from slamfusion.report.maps import input_colours
 from slamfusion.slam.common.runner import ProducerRun
 from slamfusion.trajectory import Trajectory
 
 __all__ = ["ReportedPath", "ReportedRun", "RunReport"]
+
+# What the path is called that is made of those of the producers.
+FUSED_PATH = "fused path"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,5 +109,13 @@ class RunReport:
             *((item.path.name, item) for item in self.saved_paths),
         ]
         if self.fused_path is not None:
-            named.append(("fused path", self.fused_path))
+            named.append((FUSED_PATH, self.fused_path))
         return named
+
+    @property
+    def colours(self) -> dict[str, Rgb]:
+        """The colour of each input, of each path, and of the fused one, on all of the page."""
+        names = [grid.name for grid in self.grids]
+        names += [item.run.name for item in self.runs]
+        names += [item.path.name for item in self.saved_paths]
+        return {**input_colours(names), FUSED_PATH: NAMED["fused"]}

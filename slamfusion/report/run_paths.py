@@ -8,7 +8,7 @@ import numpy as np
 
 from slamfusion.config import RunConfig
 from slamfusion.evaluation import ErrorStatistics
-from slamfusion.fusion.path_check import moved_path
+from slamfusion.fusion.path_check import PathGap, moved_path
 from slamfusion.geometry import Pose2
 from slamfusion.report import paths
 from slamfusion.report.map_axes import mark_legend
@@ -17,6 +17,7 @@ from slamfusion.report.run_contents import ReportedRun, RunReport
 from slamfusion.report.series import broken, series_picture
 from slamfusion.report.trajectory_report import FIGURES, figure_cells
 from slamfusion.slam.common.mapper import Series
+from slamfusion.trajectory import flag_runs
 
 __all__ = ["path_errors_section", "paths_section"]
 
@@ -61,34 +62,55 @@ def paths_section(report: RunReport, config: RunConfig) -> Section:
             )
             for gap in report.gaps
         ]
+        shaded = {f"{gap.a} to {gap.b}": _without_vote(gap) for gap in report.gaps}
         start_s = float(report.gaps[0].stamps_s[0])
         pictures.append(
             Picture(
                 "path-gaps",
-                series_picture(over_time, start_s=start_s),
+                series_picture(over_time, start_s=start_s, shaded=shaded),
                 "Distance between the paths in the fused map",
                 "All producers rode on one robot: where two paths part, one of the two, or the "
-                "alignment of their maps, is wrong there. A line is broken where one of the two "
-                "has no vote, or no pose.",
+                "alignment of their maps, is wrong there. Shaded: one of the two has no vote. A "
+                "line is broken where one has no pose.",
             )
         )
-        rows = [
-            [
-                Cell(f"{gap.a} to {gap.b}"),
-                number(float(gap.gaps_m[0])),
-                number(gap.median_m, tone="plain" if gap.median_m <= limit_m else "bad"),
-                number(gap.max_m),
-                number(float(np.rad2deg(gap.yaw_rad)), 2),
-            ]
-            for gap in report.gaps
-        ]
+        rows = [_gap_row(gap, limit_m) for gap in report.gaps]
         note = (
-            f"Laid into the fused map. A producer whose path is more than {limit_m:g} m (median) "
-            "from those of the others is left out of the vote, however well its walls fit."
+            "Laid into the fused map. A producer whose path is, while both vote, more than "
+            f"{limit_m:g} m (median) from those of the others is left out of the vote, however "
+            "well its walls fit."
         )
-        columns = ("paths", "at the start m", "median m", "at most m", "median yaw °")
+        columns = (
+            *("paths", "at the start m", "median m", "at most m", "median yaw °"),
+            *("median m, both vote", "at most m, both vote"),
+        )
         tables.append(Table("The paths against each other", columns, rows, note))
     return Section("Paths", "paths", "", pictures, tables)
+
+
+def _without_vote(gap: PathGap) -> list[tuple[float, float]]:
+    """Return the times, stamps in seconds, in which one of two paths has no vote."""
+    last = len(gap.stamps_s) - 1
+    return [
+        (float(gap.stamps_s[here.start]), float(gap.stamps_s[min(here.stop, last)]))
+        for here in flag_runs(~gap.both_vote)
+    ]
+
+
+def _gap_row(gap: PathGap, limit_m: float) -> list[Cell]:
+    """Return the figures of a gap, over the drive and while both paths have a vote."""
+    median_m, max_m = None, None
+    if gap.voting is not None:
+        median_m, max_m = gap.voting.median_m, gap.voting.max_m
+    return [
+        Cell(f"{gap.a} to {gap.b}"),
+        number(float(gap.gaps_m[0])),
+        number(gap.median_m),
+        number(gap.max_m),
+        number(float(np.rad2deg(gap.yaw_rad)), 2),
+        number(median_m, tone="bad" if median_m is not None and median_m > limit_m else "plain"),
+        number(max_m),
+    ]
 
 
 def _together(
@@ -109,6 +131,7 @@ def _together(
     if odometry is not None:
         odometry = paths.laid_on_start(odometry, shown[0])
     names = [*(item.run.name for item in together), *(path.name for path in others)]
+    colours = {name: report.colours[name] for name in names}
     sentences = []
     if truth is not None:
         sentences.append("The truth is laid on the first path as a whole.")
@@ -122,6 +145,7 @@ def _together(
         "paths",
         paths.run_paths_picture(
             shown,
+            list(colours.values()),
             fused=fused,
             truth=truth,
             odometry=odometry,
@@ -131,7 +155,7 @@ def _together(
         "The paths over the fused map",
         " ".join(sentences),
         legend=paths.run_paths_legend(
-            names,
+            colours,
             fused=fused is not None,
             truth=truth is not None,
             odometry=odometry is not None,
@@ -169,7 +193,7 @@ def path_errors_section(report: RunReport) -> list[Section]:
             pictures.append(
                 Picture(
                     f"error-{name}",
-                    paths.error_picture(found),
+                    paths.error_picture(found, report.colours[name]),
                     f"{name}: error along the path",
                 )
             )

@@ -73,7 +73,7 @@ def write_run_report(
     """
     sections = [_maps_section(report, config)]
     if report.verdict is not None:
-        sections.append(evidence_section(report.verdict))
+        sections.append(evidence_section(report.verdict, report.colours))
     if report.runs:
         sections += [paths_section(report, config), *_health_section(report)]
     if report.result is not None:
@@ -158,11 +158,14 @@ def _facts(report: RunReport) -> list[Fact]:
         if agreement.size:
             unanimous = 100.0 * float(np.mean(agreement == 100))
             facts.append(Fact(f"{unanimous:.0f} %", "of the voted cells are unanimous"))
-    widest = max((gap.median_m for gap in report.gaps), default=None)
-    if widest is not None:
-        facts.append(
-            Fact(f"{widest:.2f} m", "between the paths in the fused map, at most (median)")
-        )
+    for gaps, when in (
+        (report.gaps, "over the drive"),
+        ([gap.voting for gap in report.gaps if not gap.both_vote.all()], "while both vote"),
+    ):
+        widest = max((gap.median_m for gap in gaps if gap is not None), default=None)
+        if widest is not None:
+            what = f"between the paths farthest apart in the fused map, {when} (median)"
+            facts.append(Fact(f"{widest:.2f} m", what))
     facts += [
         Fact(f"{item.relations.translation.mean:.4f} m", f"{name}: error of relations")
         for name, item in report.measured_paths
@@ -203,7 +206,8 @@ def _health_section(report: RunReport) -> list[Section]:
     for item in report.runs:
         shown = drawable(_over_time(item.run))
         if shown:
-            png = series_picture(shown, start_s=float(item.run.trajectory.stamps_s[0]))
+            start_s = float(item.run.trajectory.stamps_s[0])
+            png = series_picture(shown, colour=report.colours[item.run.name], start_s=start_s)
             pictures.append(Picture(f"over-time-{item.run.name}", png, item.run.name))
     rows = [
         [

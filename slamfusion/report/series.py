@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -21,14 +21,13 @@ from slamfusion.report.canvas import (
 )
 from slamfusion.slam.common.mapper import Series
 
-__all__ = ["LINE_COLOUR", "broken", "drawable", "series_picture"]
-
-LINE_COLOUR: Rgb = (28, 126, 214)
+__all__ = ["broken", "drawable", "series_picture"]
 
 # Heights of one pair of axes, of the name above it, and of the lettering below the last.
 _AXES_IN, _HEAD_IN, _FOOT_IN = 1.05, 0.25, 0.4
 # Half the columns of a picture: each shows the least and the greatest of what falls on it.
 _COLUMNS = 400
+_SHADE = 0.25
 _FEW = 50
 # No line is drawn over a time so much longer than that between most values, and than this, seconds.
 _PAUSE, _PAUSE_S = 5.0, 2.0
@@ -51,15 +50,23 @@ def broken(
     return np.insert(stamps_s, pauses + 1, middle_s), np.insert(values, pauses + 1, np.nan)
 
 
-def series_picture(series: Sequence[Series], *, start_s: float | None = None) -> bytes:
+def series_picture(
+    series: Sequence[Series],
+    *,
+    colour: Rgb | None = None,
+    start_s: float | None = None,
+    shaded: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+) -> bytes:
     """Draw quantities over time, one pair of axes above the other on one axis of time.
 
     A limit is a dotted line, said in words beside the name. What is not finite leaves a gap.
 
     Args:
         series: at least one of them ``drawable``; the others are left out.
+        colour: of the lines; default: that of a quantity of no one path.
         start_s: stamp that counts as 0 s, where the axis of time begins; default: the earliest of
             all series.
+        shaded: times that are shaded behind the line of a series, by its name: two stamps each.
 
     Returns:
         The bytes of a PNG file.
@@ -77,6 +84,7 @@ def series_picture(series: Sequence[Series], *, start_s: float | None = None) ->
     tall_in = len(shown) * row_in + _FOOT_IN
     figure = Figure(figsize=(WIDTH_IN, tall_in), dpi=DPI)
     first = None
+    drawn = INK if colour is None else unit_rgb(colour)
     for row, item in enumerate(shown):
         bottom_in = _FOOT_IN + row_in * (len(shown) - 1 - row)
         box = (0.155, bottom_in / tall_in, 0.825, _AXES_IN / tall_in)
@@ -84,7 +92,9 @@ def series_picture(series: Sequence[Series], *, start_s: float | None = None) ->
         first = first or axes
         since, values = _thinned(item.stamps_s - begin, item.values)
         marker = "o" if len(values) <= _FEW else ""  # one value alone makes no line
-        axes.plot(since, values, color=unit_rgb(LINE_COLOUR), lw=0.9, marker=marker, ms=2.0)
+        axes.plot(since, values, color=drawn, lw=0.9, marker=marker, ms=2.0)
+        for one_s, other_s in (shaded or {}).get(item.name, ()):
+            axes.axvspan(one_s - begin, other_s - begin, color=INK, alpha=_SHADE, lw=0)
         if item.limit is not None:
             axes.axhline(item.limit, color=INK, lw=0.8, ls=":")
             write_note(axes, f"limit {item.limit:.4g}")

@@ -9,6 +9,7 @@ from slamfusion.config import RunConfig
 from slamfusion.evaluation import RelationErrors, trajectory_errors
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
+from slamfusion.palette import colours_of
 from slamfusion.report import paths
 from slamfusion.report.closures import closure_pictures
 from slamfusion.report.layers import map_layers
@@ -141,7 +142,7 @@ def _other_paths_pictures(
             png,
             "The path and what else it may have been",
             "Where the faint paths leave the estimate, the producer is not of one mind.",
-            legend=paths.others_legend(len(others)),
+            legend=paths.others_legend(trajectory.name, len(others)),
         )
     ]
 
@@ -152,5 +153,6 @@ def _series_pictures(series: Sequence[Series], trajectory: Trajectory) -> list[P
     if not shown:
         return []
     names = ", ".join(item.name for item in shown)
-    png = series_picture(shown, start_s=float(trajectory.stamps_s[0]))
+    colour = colours_of([trajectory.name])[trajectory.name]
+    png = series_picture(shown, colour=colour, start_s=float(trajectory.stamps_s[0]))
     return [Picture("over-time", png, "Over the run", f"From the top: {names}.")]

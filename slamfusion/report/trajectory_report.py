@@ -10,6 +10,7 @@ from slamfusion.evaluation import ErrorStatistics, RelationErrors, TrajectoryErr
 from slamfusion.fusion.path_check import moved_path
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.atomic import AtomicFiles
+from slamfusion.palette import colours_of
 from slamfusion.report import paths
 from slamfusion.report.map_axes import mark_legend
 from slamfusion.report.page import (
@@ -136,7 +137,9 @@ def path_pictures(
                 "The path beside the others",
                 "The truth is laid on the estimate as a whole, raw odometry on its start; drift "
                 "far beyond the picture is cut off.",
-                legend=paths.paths_legend(truth=true is not None, odometry=wheels is not None),
+                legend=paths.paths_legend(
+                    trajectory.name, truth=true is not None, odometry=wheels is not None
+                ),
             )
         )
     return pictures
@@ -151,7 +154,7 @@ def truth_section(
     pictures = [
         Picture(
             "error-along-path",
-            paths.error_picture(errors),
+            paths.error_picture(errors, colours_of([errors.name])[errors.name]),
             "Error along the path",
             "Distance of each place from the true one, and difference of the headings, over the "
             "metres that were truly travelled.",

@@ -7,7 +7,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -16,25 +16,19 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.palette import (
-    DISAGREEMENT_RGB,
-    FREE_RGB,
-    INPUT_COLOURS,
-    UNKNOWN_RGB,
-    WALL_RGB,
-    Rgb,
-)
+from slamfusion.palette import AGREED_WALL_RGB, DISAGREEMENT_RGB, FREE_RGB, Rgb, colours_of
 from slamfusion.viewer.messages import FASTEST, TILE, encode_tile, to_text
 from slamfusion.viewer.tiles import Lattice, Place, TiledLayer
 
-__all__ = ["AGREEMENT", "FUSED", "Kind", "Scene", "layer_name", "unlaid"]
+__all__ = ["AGREEMENT", "FUSED", "TRUTH", "Kind", "Scene", "layer_name", "unlaid"]
 
-# An input's map, the fused one, or the share of votes for the winner (0 to 100).
+# An input's map, what they are laid over (the fused map, the true one), or the share of votes for
+# the winner (0 to 100).
 Kind = Literal["input", "fused", "agreement"]
 Message = str | bytes
 
-# What the front end calls the two maps that are no input's.
-FUSED, AGREEMENT = "fused", "agreement"
+# What the front end calls the maps that are no input's.
+FUSED, AGREEMENT, TRUTH = "fused", "agreement", "truth"
 
 EVENTS = 500
 # Points of a path, each this far from the one before, metres: 20 km of driving.
@@ -62,7 +56,7 @@ class _Layer:
     """A map that was put.
 
     Attributes:
-        kind, index, epoch: see ``Scene``; the epoch counts the lattices that it had.
+        kind, epoch: see ``Scene``; the epoch counts the lattices that it had.
         is_shown: whether one sees it at first.
         tiled: its tiles.
         seq: when its description changed last.
@@ -72,7 +66,6 @@ class _Layer:
     """
 
     kind: Kind
-    index: int
     is_shown: bool
     tiled: TiledLayer = field(default_factory=TiledLayer)
     epoch: int = 0
@@ -92,6 +85,7 @@ class Scene:
     Args:
         title: of the page.
         is_live: whether more is to come.
+        names: of layers, in the order in which they have their colours; others come after them.
         clock: seconds since 1970.
         level: how hard tiles are packed, 1 to 9.
 
@@ -106,6 +100,7 @@ class Scene:
         title: str,
         *,
         is_live: bool,
+        names: Sequence[str] = (),
         clock: Callable[[], float] = time.time,
         level: int = FASTEST,
     ) -> None:
@@ -115,6 +110,7 @@ class Scene:
         self.on_change: Callable[[], None] = lambda: None
         self._clock = clock
         self._level = level
+        self._colours = colours_of(names)
         self._lock = threading.Lock()
         self._seq = 0
         self._layers: dict[str, _Layer] = {}
@@ -136,8 +132,7 @@ class Scene:
         """
         layer = self._layers.get(name)
         if layer is None:
-            index = sum(item.kind == "input" for item in self._layers.values())
-            layer = _Layer(kind, index, is_shown and kind != "agreement")
+            layer = _Layer(kind, is_shown and kind != "agreement")
         is_new, changed = layer.tiled.put(grid)
         stamp_s = self._clock()
         empty = np.full((TILE, TILE), UNKNOWN, dtype=np.int8)
@@ -148,6 +143,8 @@ class Scene:
             for place in changed
         }
         with self._lock:
+            if kind != "agreement":
+                self._name([name])
             if is_new:
                 layer.epoch += 1
                 layer.sent.clear()
@@ -191,9 +188,10 @@ class Scene:
             if before is None or before[0] != now[0]:
                 verb = "votes" if now[0] else "does not vote"
                 self.put_event("ok" if now[0] else "warn", f"{name} {verb}: {now[1]}")
-        status = {"inputs": list(inputs), **figures, "stamp_s": self._clock()}
         with self._lock:
-            self._status = self._next(), status
+            self._name(item["name"] for item in inputs)
+            status = {"inputs": list(inputs), **figures, "colours": self._colours}
+            self._status = self._next(), {**status, "stamp_s": self._clock()}
         self.on_change()
 
     def put_event(self, level: Literal["ok", "warn", "error"], text: str) -> None:
@@ -217,6 +215,10 @@ class Scene:
         for x_m, y_m, _ in poses:
             self.put_point(name, float(x_m), float(y_m))
 
+    def _name(self, names: Iterable[str]) -> None:
+        """Give layers that are new their colours; those of the others stay."""
+        self._colours = colours_of([*self._colours, *names])
+
     def _next(self) -> int:
         self._seq += 1
         return self._seq
@@ -235,7 +237,7 @@ class Scene:
                 if points:
                     texts.append(to_text("trail", {"name": name, "points": points}))
             texts += [
-                to_text("layer", _described(name, layer))
+                to_text("layer", _described(name, layer, self._colours))
                 for name, layer in self._layers.items()
                 if layer.seq > seq
             ]
@@ -258,16 +260,11 @@ def _newer(trail: deque[tuple[int, float, float]], seq: int) -> list[tuple[float
     return points[::-1]
 
 
-def _described(name: str, layer: _Layer) -> dict[str, Any]:
+def _described(name: str, layer: _Layer, colours: Mapping[str, Rgb]) -> dict[str, Any]:
     """Return what a page needs to place and colour a map's tiles, or that it is gone."""
     if layer.is_gone:
         return {"name": name, "gone": True}
     lattice = layer.tiled.lattice or Lattice(1.0, Pose2())
-    colours: dict[str, Rgb] = {"unknown": UNKNOWN_RGB, "free": FREE_RGB, "wall": WALL_RGB}
-    if layer.kind == "input":
-        colours["wall"] = INPUT_COLOURS[layer.index % len(INPUT_COLOURS)]
-    elif layer.kind == "agreement":
-        colours["wall"] = DISAGREEMENT_RGB
     return {
         "name": name,
         "kind": layer.kind,
@@ -277,5 +274,9 @@ def _described(name: str, layer: _Layer) -> dict[str, Any]:
         "anchor": [lattice.anchor.x, lattice.anchor.y, lattice.anchor.yaw_rad],
         "size": list(layer.size),
         "tile": TILE,
-        "colours": colours,
+        "colours": {
+            "wall": DISAGREEMENT_RGB if layer.kind == "agreement" else colours[name],
+            "free": FREE_RGB,
+            "agreed": AGREED_WALL_RGB,
+        },
     }

@@ -14,7 +14,8 @@ is within 0.02 of the best. These bars are judged:
 - of two maps instead ``common``: on ground that both know, the wall F1 is at least that of the
   worse one less 0.01; and ``adds``: of the true walls that only one of them shows, 95 % are there.
 
-The summary counts cases in which two good inputs agree, or in which there are two inputs.
+The summary counts cases of three or more inputs in which two good ones agree, and pairs that could
+be aligned.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ class Row:
         case: its name.
         truth: ``thin`` or ``solid``.
         mode: of the vote.
-        counts: two good inputs agree, or there are two inputs.
+        counts: in the summary: two good inputs agree, or it is of a pair that was aligned.
         fused: of the fused map; None where the inputs could not be aligned.
         inputs: of each input.
         good: names of the good inputs.
@@ -347,7 +348,7 @@ def measure_case(case: Case, fused: Mapping[str, Fused], device: ComputeDevice) 
                 margins = judge_pair(item, inputs, truth)
             else:
                 margins = judge_bars(found, own, true)
-            counts = len(inputs) == 2 or agreed >= AGREEMENT
+            counts = item is not None if len(inputs) == 2 else agreed >= AGREEMENT
             how = fused[mode]
             yield Row(
                 case.name, kind, mode, counts, found, own, good, margins, how.time_s, how.reason

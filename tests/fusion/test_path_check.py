@@ -58,7 +58,37 @@ def test_gaps_are_measured_between_the_poses_of_one_moment() -> None:
     assert gap.to_json() == {
         "a": "a", "b": "b", "median_m": pytest.approx(5.0), "max_m": pytest.approx(5.0),
         "start_m": pytest.approx(5.0), "median_yaw_rad": 0.0,
+        "voting_median_m": pytest.approx(5.0), "voting_max_m": pytest.approx(5.0),
     }  # fmt: skip
+
+
+def test_a_gap_is_known_also_while_one_path_has_no_vote() -> None:
+    poses = TRUE_PATH.poses.copy()
+    poses[20:, 1] += 2.0
+    paths = {"a": TRUE_PATH, "b": Trajectory(TRUE_PATH.stamps_s, poses, "b")}
+    (gap,) = path_gaps(paths, {"b": TRUE_PATH.stamps_s < 20.0})
+    assert gap.stamps_s.tolist() == TRUE_PATH.stamps_s.tolist()
+    assert gap.both_vote.tolist() == [True] * 20 + [False] * 30
+    assert (gap.median_m, gap.max_m) == (2.0, 2.0)
+    assert gap.voting is not None
+    assert (gap.voting.median_m, gap.voting.max_m) == (0.0, 0.0)
+    figures = gap.to_json()
+    assert (figures["median_m"], figures["voting_median_m"]) == (2.0, 0.0)
+    assert gap.sentence() == (
+        "a and b are 2.00 m apart over the drive (median; 2.00 m at most), "
+        "0.00 m while both vote (0.00 m at most)"
+    )
+    # What was far off without a vote is held against nobody.
+    assert agreeing(("a", "b"), [gap], 1.0) == (("a", "b"), {})
+
+
+def test_paths_that_never_vote_at_one_time_have_no_gap_while_both_do() -> None:
+    early = TRUE_PATH.stamps_s < 20.0
+    (gap,) = path_gaps({"a": TRUE_PATH, "b": shifted(0.5)}, {"a": early, "b": ~early})
+    assert gap.voting is None
+    assert gap.to_json()["voting_max_m"] is None
+    assert gap.sentence().endswith(", and never vote at one time")
+    assert agreeing(("a", "b"), [gap], 1.0) == (("a", "b"), {})
 
 
 def test_a_path_with_fewer_poses_is_met_at_their_times() -> None:

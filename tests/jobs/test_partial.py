@@ -127,8 +127,8 @@ def test_a_layer_is_drawn_anew_without_the_time_in_which_its_producer_had_left(
     assert cells == pytest.approx(np.rint(cells), abs=1e-6)
     assert far_share(maps[2], a) > 0.1
     assert far_share(c, a) == 0.0
-    assert len(layers.paths["c"]) == 70
-    assert layers.paths["a"] is truth
+    assert layers.votes["c"].tolist() == [True] * 70 + [False] * 50
+    assert set(layers.votes) == {"c"}
     (vote,) = layers.partial
     assert (vote.name, vote.left_out) == ("c", "")
     assert vote.excluded_share == pytest.approx(50 / COUNT)
@@ -159,9 +159,16 @@ def test_what_was_drawn_wrong_is_not_in_the_fused_map(device: ComputeDevice) -> 
     assert before > 0.05
     assert after < 0.01
     # The fused map has the box of a map that shows all, though that of the layer is smaller.
-    fused = fuse_layers(layers, CONFIG, device, shared_frame=True).result
-    assert fused is not None
-    assert fused.reference == "a"
+    found = fuse_layers(layers, CONFIG, device, shared_frame=True)
+    assert found.result is not None
+    assert found.result.reference == "a"
+    # The gap between the paths is told of all of the drive, and apart while both vote.
+    (gap,) = found.gaps
+    assert gap.stamps_s.tolist() == truth.stamps_s.tolist()
+    assert gap.gaps_m[70:].min() > 0.5
+    assert gap.max_m > 0.5
+    assert gap.voting is not None
+    assert gap.voting.max_m < 0.1
 
 
 @pytest.mark.parametrize("kept", [int(LEAST_SHARE * COUNT) - 2, int(LEAST_SHARE * COUNT) + 2])
@@ -238,7 +245,7 @@ def test_a_layer_shows_the_time_without_a_vote_at_the_fused_path(device: Compute
     # It shows all that the true path draws, and the other one does not.
     assert far_share(maps[0], layers.grids[1]) == 0.0
     assert far_share(maps[0], bare.grids[1]) > 0.02
-    assert len(layers.paths["c"]) == 70, "its path is its own"
+    assert layers.votes["c"].sum() == 70
 
 
 def test_a_filling_that_meets_no_pose_of_a_layer_fills_nothing(device: ComputeDevice) -> None:

@@ -14,6 +14,7 @@ from docs.generate.marks import COMMAND, PICTURE
 from docs.generate.picture import node_picture
 from docs.generate.ros import PRODUCERS, SERVICES, TOPICS, node_arrows
 from slamfusion.config import FusionNodeConfig
+from slamfusion.palette import NAMED
 from tests.cli.command import ROOT
 
 SCRIPTS = ROOT / "launch_scripts"
@@ -61,6 +62,21 @@ def test_rviz_shows_our_topics_with_their_types(rviz: dict[str, Any]):
     for name, topic in shown.items():
         is_kept = name.endswith(("/map", "/path", "agreement"))
         assert (topic["Durability Policy"] == "Transient Local") == is_kept, name
+
+
+def test_paths_have_the_colours_of_their_names(rviz: dict[str, Any], foxglove: dict[str, Any]):
+    wanted = {f"{name}/path": NAMED[name] for name in PRODUCERS} | {"fused/pose": NAMED["fused"]}
+    shown = {
+        item["Topic"]["Value"]: tuple(map(int, item["Color"].split("; ")))
+        for item in rviz["Displays"]
+        if item["Class"].endswith(("/Path", "/Pose"))
+    }
+    assert shown == wanted
+    view = foxglove["configById"]["3D!map"]["topics"]
+    for name, rgb in wanted.items():
+        look = view[f"/{name}"]
+        colours = {look["color"]} if "color" in look else set(look["gradient"])
+        assert colours == {f"#{bytes(rgb).hex()}ff"}, name
 
 
 def test_rviz_looks_from_the_fused_frame(rviz: dict[str, Any]):

@@ -10,7 +10,7 @@ import pytest
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.page.server import PageServer
-from slamfusion.palette import DISAGREEMENT_RGB, FREE_RGB, INPUT_COLOURS, WALL_RGB
+from slamfusion.palette import DISAGREEMENT_RGB, FREE_RGB, OTHERS, WALL_RGB
 from slamfusion.viewer.scene import Scene
 from tests.support.browser import becomes, browser_page
 
@@ -96,12 +96,16 @@ def test_the_page_follows_looks_back_compares_and_comes_back() -> None:
         status(scene, a=(True, [-7.0, 0.0, 0.0]))
         page.wait_for_selector('#inputs li[data-name="a"][data-votes="true"]')
         page.fill('#layers li[data-name="a"] input[type=range]', "1")
-        becomes(page, (*INPUT_COLOURS[0], 255), "a", 22, 50)
+        becomes(page, (*OTHERS[0], 255), "a", 22, 50)
         page.check("#difference")
         page.select_option("#first", "fused")
         page.select_option("#second", "a")
-        becomes(page, (*INPUT_COLOURS[0], 255), "fused", 39, 5)
-        becomes(page, (*INPUT_COLOURS[1], 255), "a", 22, 5)
+        # A wall of one map alone has that map's colour, and so have the words below.
+        becomes(page, WALL, "fused", 39, 5)
+        becomes(page, (*OTHERS[0], 255), "a", 22, 5)
+        swatch = page.locator("#difference-legend .two")
+        background = swatch.evaluate("item => getComputedStyle(item).backgroundColor")
+        assert background == f"rgb{OTHERS[0]}"
         page.uncheck("#difference")
 
         disagreement_is_of_no_input(page, server)

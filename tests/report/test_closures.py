@@ -9,17 +9,14 @@ import numpy.typing as npt
 from slamfusion.config import NormalizeConfig
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
-from slamfusion.palette import Rgb
-from slamfusion.report.closures import (
-    BELIEVED_COLOUR,
-    OUTLIER_COLOUR,
-    closure_pictures,
-    closures_picture,
-)
+from slamfusion.palette import DISAGREEMENT_RGB, NAMED, OTHERS, Rgb
+from slamfusion.report.closures import closure_pictures, closures_picture
 from slamfusion.slam.common.mapper import Closure
 from slamfusion.trajectory import Trajectory
 
 NORMALIZE = NormalizeConfig()
+COLOURS = (NAMED["graph"], OTHERS[0], DISAGREEMENT_RGB)
+_, BELIEVED, OUTLIER = COLOURS
 GRID = OccupancyGrid(np.zeros((100, 100), dtype=np.int8), 0.1, Pose2(), "graph")
 
 
@@ -40,21 +37,19 @@ def painted(png: bytes, colour: Rgb) -> npt.NDArray[np.intp]:
 
 def picture(path: Trajectory, weight: float) -> bytes:
     closure = Closure(0.0, 8.0, Pose2(3.2, 0.0, 0.0), weight)
-    return closures_picture(path, [closure], grid=GRID, normalize=NORMALIZE)
+    return closures_picture(path, [closure], grid=GRID, normalize=NORMALIZE, colours=COLOURS)
 
 
 def test_a_closure_that_holds_is_a_dot_and_one_that_does_not_a_line() -> None:
-    held, pulled = (painted(picture(straight(end), 1.0), BELIEVED_COLOUR) for end in (5.0, 9.0))
+    held, pulled = (painted(picture(straight(end), 1.0), BELIEVED) for end in (5.0, 9.0))
     assert 0 < np.ptp(held) < 12
     assert np.ptp(pulled) > 150
 
 
 def test_an_outlier_is_told_apart() -> None:
     png = picture(straight(9.0), 0.0)
-    assert len(painted(png, OUTLIER_COLOUR)) > len(
-        painted(picture(straight(9.0), 1.0), OUTLIER_COLOUR)
-    )
-    assert len(painted(png, BELIEVED_COLOUR)) == 0
+    assert len(painted(png, OUTLIER)) > len(painted(picture(straight(9.0), 1.0), OUTLIER))
+    assert len(painted(png, BELIEVED)) == 0
 
 
 def test_before_and_after_and_nothing_without_closures() -> None:
@@ -64,4 +59,5 @@ def test_before_and_after_and_nothing_without_closures() -> None:
     )
     assert [one.stem for one in shown] == ["graph-before", "graph-after"]
     assert "outliers, not used: 1" in shown[0].legend[2].text
+    assert all(tuple(entry.rgb for entry in one.legend[:3]) == COLOURS for one in shown)
     assert closure_pictures(straight(5.0), None, [], grid=GRID, normalize=NORMALIZE) == []

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from slamfusion.palette import NAMED, OTHERS
 from slamfusion.report.experiment_report import (
     Line,
     Panel,
@@ -16,7 +17,7 @@ from slamfusion.report.experiment_report import (
     sweep_picture,
 )
 
-BLUE, ORANGE, GREEN, PURPLE = (28, 126, 214), (232, 89, 12), (47, 158, 68), (156, 54, 181)
+FIRST, SECOND = OTHERS[:2]
 SIZES = (0.1, 0.2, 0.3)
 
 
@@ -37,9 +38,10 @@ def sweep(*lines: Line, title: str = "office") -> npt.NDArray[np.uint8]:
 
 def test_each_line_has_its_colour() -> None:
     old, new = Line("constant", SIZES, (1.0, 2.0, 3.0)), Line("area", SIZES, (1.0, 1.5, 2.0))
-    assert count(sweep(old, new), BLUE) > 200
-    assert count(sweep(old, new), ORANGE) > 200
-    assert count(sweep(old), ORANGE) == 0
+    assert count(sweep(old, new), FIRST) > 200
+    assert count(sweep(old, new), SECOND) > 200
+    assert count(sweep(old), SECOND) == 0
+    assert count(sweep(old, Line("graph", SIZES, (1.0, 1.5, 2.0))), NAMED["graph"]) > 200
 
 
 def test_deviations_are_drawn_as_bars() -> None:
@@ -47,7 +49,7 @@ def test_deviations_are_drawn_as_bars() -> None:
         sweep(Line("constant", SIZES, (2.0, 2.0, 2.0), spread)) for spread in ((), (1.0, 1.0, 1.0))
     )
     # A bar of half the height of the axes adds far more than the caps.
-    assert count(bars, BLUE) > count(plain, BLUE) + 300
+    assert count(bars, FIRST) > count(plain, FIRST) + 300
 
 
 def test_every_panel_adds_its_height() -> None:
@@ -68,18 +70,18 @@ def test_nothing_touches_the_edge() -> None:
 
 
 def test_one_size_alone_can_be_drawn() -> None:
-    assert count(sweep(Line("constant", (0.4,), (1.0,), (0.2,))), BLUE) > 20
+    assert count(sweep(Line("constant", (0.4,), (1.0,), (0.2,))), FIRST) > 20
 
 
 @pytest.mark.parametrize("title", ["$x_{", r"a\b", "名前", "50 %"])
 def test_names_are_never_formulas(title: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a font without these letters draws boxes
-        assert count(sweep(Line(title, SIZES, (1.0, 2.0, 3.0)), title=title), BLUE) > 200
+        assert count(sweep(Line(title, SIZES, (1.0, 2.0, 3.0)), title=title), FIRST) > 200
 
 
 def test_a_cell_s_values_are_drawn_line_by_line() -> None:
     lines = [Line(name, range(4), (0.5, height, height, height)) for name, height in
              (("a", 0.2), ("b", 0.4), ("c", 0.6), ("d", 0.8))]  # fmt: skip
     image = pixels(cell_values_picture([Panel("cell", lines)]))
-    assert all(count(image, colour) > 100 for colour in (BLUE, ORANGE, GREEN, PURPLE))
+    assert all(count(image, colour) > 100 for colour in OTHERS)

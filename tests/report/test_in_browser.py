@@ -13,7 +13,7 @@ import pytest
 
 from slamfusion.config import NormalizeConfig, RunConfig
 from slamfusion.evaluation import compare_to_truth
-from slamfusion.palette import INPUT_COLOURS, WALL_RGB
+from slamfusion.palette import AGREED_WALL_RGB, OTHERS, WALL_RGB
 from slamfusion.report import write_fusion_report
 from tests.report.drawn import colours_of, fusion, room
 from tests.support.browser import PIXEL, becomes, browser_page
@@ -73,7 +73,7 @@ def test_layers_are_shown_compared_and_asked(page: Any) -> None:
     for name in ("room 1", "room 2"):
         page.uncheck(f'#layers li[data-name="{name}"] input[type=checkbox]')
     page.fill('#layers li[data-name="room 0"] input[type=range]', "1")
-    becomes(page, (*INPUT_COLOURS[0], 255), "fused", *WALL)
+    becomes(page, (*OTHERS[0], 255), "fused", *WALL)
     page.uncheck('#layers li[data-name="room 0"] input[type=checkbox]')
     becomes(page, (*WALL_RGB, 255), "fused", *WALL)
     page.uncheck('#layers li[data-name="fused"] input[type=checkbox]')
@@ -107,7 +107,7 @@ def test_layers_are_shown_compared_and_asked(page: Any) -> None:
     page.click("#pixels")
     page.check("#difference")
     page.select_option("#second", "room 0")
-    becomes(page, (*WALL_RGB, 255), "fused", *WALL)
+    becomes(page, (*AGREED_WALL_RGB, 255), "fused", *WALL)
     page.uncheck("#difference")
 
 

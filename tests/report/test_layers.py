@@ -16,7 +16,9 @@ from slamfusion.evaluation import compare_to_truth
 from slamfusion.fusion.records import InputRecord
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.palette import colours_of
 from slamfusion.report import write_fusion_report, write_slam_report
+from slamfusion.report.fusion_report import fused_section, shown_box
 from slamfusion.report.layers import MOST_CELLS, error_layers, fusion_layers, map_layers
 from slamfusion.trajectory import Trajectory
 from tests.report.drawn import NASTY, alignment, fusion, room
@@ -41,6 +43,7 @@ def test_layers_hold_every_map_where_it_was_laid() -> None:
     path = Trajectory(np.arange(3.0), np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0.0]]), "room 1")
     messages, data = told(fusion_layers(result, {"room 1": path, "fused": path}).recorded)
     shown = {layer["name"]: layer["is_shown"] for layer in messages["layer"]}
+    overlay = fused_section(result, shown_box(result)).pictures[1]
     rooms = ["room 0", "room 1", "room 2"]
     assert shown == {"fused": True, "agreement": False, **dict.fromkeys(rooms, True), NASTY: False}
     maps = {
@@ -53,6 +56,10 @@ def test_layers_hold_every_map_where_it_was_laid() -> None:
         cells = painted(tiles(data, layer["name"]), grid.height, grid.width, (0, 0))
         assert np.array_equal(cells, grid.cells), layer["name"]
         assert layer["anchor"] == [grid.origin.x, grid.origin.y, grid.origin.yaw_rad]
+        # In the colour that it has on the overlay, and the path with it.
+        if layer["name"] in rooms:
+            legend = {entry.text: entry.rgb for entry in overlay.legend}
+            assert tuple(layer["colours"]["wall"]) == legend[layer["name"]], layer["name"]
     (status,) = messages["status"]
     votes = {item["name"]: item["votes"] for item in status["inputs"]}
     assert votes == {**dict.fromkeys(rooms, True), NASTY: False}
@@ -102,6 +109,8 @@ def test_maps_against_the_truth_are_told_by_their_differences() -> None:
     messages, data = told(error_layers(evaluations).recorded)
     shown = {layer["name"]: layer["is_shown"] for layer in messages["layer"]}
     assert shown == {"truth": True, "truth (map)": True, "graph": False}
+    colours = {layer["name"]: tuple(layer["colours"]["wall"]) for layer in messages["layer"]}
+    assert colours == colours_of(["truth", "truth (map)", "graph"])
     assert "event" not in messages  # nobody was asked to vote
     height, width = evaluations[0].difference.shape
     cells = {name: painted(tiles(data, name), height, width, (0, 0)) for name in shown}

@@ -9,30 +9,38 @@ import numpy as np
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import compare_to_truth
 from slamfusion.geometry import Pose2
-from slamfusion.report.maps import error_section, pair_overlay, statistics_table
+from slamfusion.palette import NAMED
+from slamfusion.report.maps import error_section, input_colours, pair_overlay, statistics_table
 from tests.report.drawn import alignment, room
 
 NORMALIZE = NormalizeConfig()
+COLOURS = input_colours(["a", "b"])
 
 
 def test_maps_too_far_apart_to_be_drawn_have_no_overlay() -> None:
     far = replace(alignment("a", "b", accepted=False), transform=Pose2(1e5, 1e5))
-    assert pair_overlay(room("a", 1), room("b", 2), far, NORMALIZE) is None
+    assert pair_overlay(room("a", 1), room("b", 2), far, NORMALIZE, COLOURS) is None
 
 
 def test_an_unknown_map_has_no_overlay() -> None:
     unknown = replace(room("b", 2), cells=np.full((5, 5), -1, dtype=np.int8))
     found = alignment("a", "b", accepted=False)
-    assert pair_overlay(room("a", 1), unknown, found, NORMALIZE) is None
+    assert pair_overlay(room("a", 1), unknown, found, NORMALIZE, COLOURS) is None
 
 
 def test_the_overlay_of_a_rejected_pair_is_marked() -> None:
     picture = pair_overlay(
-        room("a", 1), room("b", 2), alignment("a", "b", accepted=False), NORMALIZE
+        room("a", 1), room("b", 2), alignment("a", "b", accepted=False), NORMALIZE, COLOURS
     )
     assert picture is not None
     assert (picture.tone, picture.badge) == ("bad", "rejected")
-    assert [entry.text for entry in picture.legend] == ["a", "b"]
+    assert {entry.text: entry.rgb for entry in picture.legend} == COLOURS
+
+
+def test_an_input_has_no_colour_of_another_nor_of_the_fused_map() -> None:
+    colours = input_colours(["fused", "graph", "a"])
+    assert colours["graph"] == NAMED["graph"]
+    assert len({*colours.values(), NAMED["fused"]}) == 4
 
 
 def test_the_best_of_each_measure_is_marked() -> None:

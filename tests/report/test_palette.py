@@ -8,6 +8,7 @@ What they see is simulated with the matrices of Machado, Oliveira and Fernandes 
 from __future__ import annotations
 
 import itertools
+import re
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +16,18 @@ import pytest
 
 from slamfusion.palette import (
     DISAGREEMENT_RGB,
+    END_RGB,
     FREE_RGB,
-    INPUT_COLOURS,
+    NAMED,
+    OTHERS,
+    START_RGB,
     UNKNOWN_RGB,
     WALL_RGB,
     Rgb,
+    colours_of,
 )
-from slamfusion.report import map_axes, paths, plots
+from slamfusion.report import plots
+from tests.cli.command import ROOT
 
 pytestmark = pytest.mark.once
 
@@ -68,12 +74,8 @@ def distance(one: Rgb, two: Rgb, sight: str) -> float:
 
 
 TOGETHER = {
-    "layers": (*INPUT_COLOURS, DISAGREEMENT_RGB, FREE_RGB, WALL_RGB),
-    "overlay of two": plots.layer_colours(2),
-    "overlay of three": plots.layer_colours(3),
-    "overlay of four": plots.layer_colours(4),
-    "path and truth": (paths.ESTIMATE_COLOUR, paths.TRUTH_COLOUR),
-    "start and end": (map_axes.START_COLOUR, map_axes.END_COLOUR),
+    "layers and paths": (*NAMED.values(), *OTHERS, DISAGREEMENT_RGB, FREE_RGB),
+    "start and end": (START_RGB, END_RGB),
     "difference": tuple(
         rgb for text, rgb in plots.DIFFERENCE_COLOURS.values() if text.endswith("wall")
     ),
@@ -100,3 +102,34 @@ def test_red_and_green_of_one_lightness_would_be_found() -> None:
     red, green = (200, 70, 60), (110, 130, 50)
     assert distance(red, green, "all") > 2 * LEAST
     assert min(distance(red, green, sight) for sight in SEEN) < LEAST
+
+
+def test_a_name_keeps_its_colour_whoever_else_is_shown() -> None:
+    assert colours_of(["graph", "tinyslam"]) == {
+        "graph": NAMED["graph"], "tinyslam": NAMED["tinyslam"],
+    }  # fmt: skip
+    few = colours_of(["left", "graph", "right"])
+    assert list(few.values()) == [OTHERS[0], NAMED["graph"], OTHERS[1]]
+    # Who comes later changes nobody's colour.
+    assert few.items() < colours_of(["left", "graph", "right", "gmapping", "third"]).items()
+
+
+def test_no_two_of_many_names_have_one_colour() -> None:
+    names = [*NAMED, *(f"map {number}" for number in range(200))]
+    colours = colours_of(names)
+    assert list(colours) == names
+    assert len(set(colours.values())) == len(names)
+
+
+def test_colours_stand_in_the_palette_alone() -> None:
+    """Neither Python nor JavaScript repeats one; style sheets have those of the page itself."""
+    number = r"\s*\d{1,3}\s*"
+    colour = re.compile(rf"[(\[]{number},{number},{number}[)\]]|[\"\']#[0-9a-fA-F]{{6}}[\"\']|tab:")
+    found = [
+        f"{path.relative_to(ROOT)}: {match[0]}"
+        for folder in ("report", "viewer", "page")
+        for path in (ROOT / "slamfusion" / folder).rglob("*")
+        if path.suffix in {".py", ".js"}
+        for match in colour.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert found == ["slamfusion/viewer/static/stage.js: [0, 0, 0]"], "an origin, no colour"

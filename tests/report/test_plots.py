@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from slamfusion.geometry import Pose2
+from slamfusion.palette import DISAGREEMENT_RGB, colours_of
 from slamfusion.report import plots
 from tests.report.drawn import alignment
 
@@ -47,16 +48,25 @@ def test_the_yaw_of_the_origin_turns_the_picture() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7])
-def test_agreeing_layers_are_white_and_single_ones_keep_their_colour(count: int) -> None:
+def test_agreeing_layers_are_walls_and_single_ones_keep_their_colour(count: int) -> None:
     layers = [np.zeros((20, 40), dtype=np.int8) for _ in range(count)]
     for index, layer in enumerate(layers):
         layer[:, :20] = 1
         layer[:, 22 + 2 * index : 24 + 2 * index] = 1
-    image = pixels(plots.overlay_picture(layers, 0.1, Pose2()))
-    assert centre_of(image, (255, 255, 255))[0] < 0.5
+    colours = list(colours_of("abcdefg"[:count]).values())
+    image = pixels(plots.overlay_picture(layers, colours, 0.1, Pose2()))
     if count > 1:
-        for colour in plots.layer_colours(count):
+        assert centre_of(image, WALL)[0] < 0.5
+        for colour in colours:
             assert (np.abs(image.astype(int) - colour).max(axis=2) <= 1).any()
+    else:
+        assert centre_of(image, colours[0])[0] < 0.6
+
+
+def test_a_wall_of_most_maps_is_darker_than_one_of_few() -> None:
+    layers = np.array([[[1, 1, 1, 0]], [[0, 1, 1, 0]], [[-1, -1, 1, -1]]], dtype=np.int8)
+    rgb = plots.overlay_rgb(list(layers), [(200, 0, 0), (0, 0, 200), (0, 200, 0)])
+    assert rgb[0].tolist() == [[200, 0, 0], [59, 11, 64], [*WALL], [238, 240, 241]]
 
 
 def test_full_agreement_is_white_and_the_worst_cell_of_a_block_shows() -> None:
@@ -72,7 +82,7 @@ def test_dissent_is_drawn_over_the_fused_map() -> None:
     dissent = np.zeros((30, 30), dtype=np.bool_)
     dissent[20:25, 20:25] = True
     image = pixels(plots.dissent_picture(fused, dissent, 0.1, Pose2()))
-    x, y = centre_of(image, plots.DISSENT_COLOUR)
+    x, y = centre_of(image, DISAGREEMENT_RGB)
     assert x > 0.5
     assert y < 0.5
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from slamfusion.evaluation import Relations, compare_to_truth, relation_errors, 
 from slamfusion.fusion.path_check import moved_path, path_gaps
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
+from slamfusion.palette import NAMED, OTHERS
 from slamfusion.report.run_contents import ReportedPath
 from slamfusion.report.run_report import ReportedRun, RunReport, write_run_report
 from slamfusion.slam.common.runner import ProducerRun, run_producer
@@ -119,6 +122,50 @@ def test_every_part_is_on_the_one_page(page: Path) -> None:
     ):
         assert part in text, part
     assert text.index("Fused map") < text.index("The paths over the fused map")
+
+
+def test_a_name_has_one_colour_on_all_of_the_page(page: Path) -> None:
+    html = page.read_text(encoding="utf-8")
+    legends = re.findall(r'<li><i style="background: (rgb\([^)]*\))"></i>([^<]*)</li>', html)
+    recorded = re.search(r'id="recorded">(.*?)</script>', html, re.DOTALL)
+    assert recorded is not None
+    messages = json.loads(recorded[1])["messages"]
+    layers = [
+        (f"rgb({', '.join(map(str, item['colours']['wall']))})", item["name"])
+        for item in messages
+        if item["type"] == "layer" and item["kind"] == "input"
+    ]
+    found: dict[str, set[str]] = {}
+    for colour, name in (*legends, *layers):
+        found.setdefault(name, set()).add(re.sub(r"[, ]+", " ", colour))
+    wanted = {"fused path": NAMED["fused"], "truth, dashed": NAMED["truth"]}
+    wanted |= dict(zip(NAMES, OTHERS, strict=False))
+    for name, rgb in wanted.items():
+        assert found[name] == {f"rgb({' '.join(map(str, rgb))})"}, name
+    assert sum(name == NAMES[0] for _, name in (*legends, *layers)) >= 3
+
+
+def test_gaps_are_told_over_the_drive_and_while_both_vote(tmp_path: Path) -> None:
+    full = everything()
+    path = full.runs[0].run.trajectory
+    poses = path.poses + np.outer(np.arange(len(path)) >= 20, (0.0, 1.5, 0.0))
+    found = path_gaps(
+        {"room 0": path, "room 1": Trajectory(path.stamps_s, poses, "room 1")},
+        {"room 1": np.arange(len(path)) < 20},
+    )
+    report = replace(full, gaps=found)
+    text = read(write_run_report(report, tmp_path / "apart", config=CONFIG)).text
+    assert "1.50 mbetween the paths farthest apart in the fused map, over the drive" in text
+    assert "0.00 mbetween the paths farthest apart in the fused map, while both vote" in text
+    assert "room 0 to room 10.0001.5001.5000.000.0000.000" in text
+    pictures = [next((tmp_path / "apart").glob("*path-gaps.png")).read_bytes()]
+    write_run_report(
+        replace(report, gaps=[replace(gap, both_vote=gap.gaps_m >= 0.0) for gap in found]),
+        tmp_path / "all",
+        config=CONFIG,
+    )
+    pictures.append(next((tmp_path / "all").glob("*path-gaps.png")).read_bytes())
+    assert pictures[0] != pictures[1], "the time without a vote is shaded"
 
 
 def test_the_fused_path_is_drawn_and_measured_beside_those_it_was_made_of(page: Path) -> None:

@@ -7,10 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from slamfusion.report.series import LINE_COLOUR, broken, drawable, series_picture
+from slamfusion.palette import Rgb
+from slamfusion.report.series import broken, drawable, series_picture
 from slamfusion.slam.common.mapper import Series
 
 pytestmark = pytest.mark.once
+
+COLOUR: Rgb = (28, 126, 214)
 
 
 def series(values: list[float] | npt.NDArray[np.float64], **more: object) -> Series:
@@ -32,19 +35,19 @@ def pixels(png: bytes) -> npt.NDArray[np.uint8]:
 
 def line(png: bytes, slack: int = 40) -> npt.NDArray[np.bool_]:
     """Where the line is."""
-    return np.asarray((np.abs(pixels(png).astype(int) - LINE_COLOUR) <= slack).all(axis=2))
+    return np.asarray((np.abs(pixels(png).astype(int) - COLOUR) <= slack).all(axis=2))
 
 
 def test_a_rising_quantity_rises_to_the_right() -> None:
-    rows, cols = np.nonzero(line(series_picture([series(list(range(100)))])))
+    rows, cols = np.nonzero(line(series_picture([series(list(range(100)))], colour=COLOUR)))
     assert rows[cols < np.quantile(cols, 0.1)].mean() > rows[cols > np.quantile(cols, 0.9)].mean()
     assert np.corrcoef(rows, cols)[0, 1] < -0.99
 
 
 def test_each_series_has_axes_of_its_own_one_above_the_other() -> None:
-    one = pixels(series_picture([series([1.0, 2.0])]))
+    one = pixels(series_picture([series([1.0, 2.0])], colour=COLOUR))
     high, low = series([5.0] * 100), series([0.001] * 100)
-    both = line(series_picture([high, low, high]))
+    both = line(series_picture([high, low, high], colour=COLOUR))
     assert both.shape[0] > 1.9 * one.shape[0]
     rows = np.flatnonzero(both.sum(axis=1) > 300)
     assert np.count_nonzero(np.diff(rows) > 50) == 2
@@ -53,7 +56,7 @@ def test_each_series_has_axes_of_its_own_one_above_the_other() -> None:
 def test_all_share_one_axis_of_time() -> None:
     early, late = series([3.0] * 50), series([3.0] * 50)
     late = Series(late.name, late.unit, late.stamps_s + 50.0, late.values)
-    drawn = line(series_picture([early, late]))
+    drawn = line(series_picture([early, late], colour=COLOUR))
     half = drawn.shape[0] // 2
     first, second = np.nonzero(drawn[:half])[1], np.nonzero(drawn[half:])[1]
     assert first.max() <= second.min() + 3
@@ -61,8 +64,8 @@ def test_all_share_one_axis_of_time() -> None:
 
 def test_the_axis_of_time_begins_at_the_start() -> None:
     values = series([3.0] * 50)
-    at_once = np.nonzero(line(series_picture([values])))[1]
-    later = np.nonzero(line(series_picture([values], start_s=-49.0)))[1]
+    at_once = np.nonzero(line(series_picture([values], colour=COLOUR)))[1]
+    later = np.nonzero(line(series_picture([values], colour=COLOUR, start_s=-49.0)))[1]
     assert np.ptp(later) == pytest.approx(np.ptp(at_once) / 2, rel=0.02)
     assert later.max() == pytest.approx(at_once.max(), abs=5)
 
@@ -75,11 +78,13 @@ def test_a_limit_is_a_line_across_and_in_sight() -> None:
         counts = inside.sum(axis=1)
         return np.flatnonzero((counts > 0.25 * inside.shape[1]) & (counts < 0.9 * inside.shape[1]))
 
-    without = dotted(series_picture([series([9.0, 9.5] * 30)]))
-    with_limit = dotted(series_picture([series([9.0, 9.5] * 30, limit=15.0)]))
+    without = dotted(series_picture([series([9.0, 9.5] * 30)], colour=COLOUR))
+    with_limit = dotted(series_picture([series([9.0, 9.5] * 30, limit=15.0)], colour=COLOUR))
     assert without.size == 0
     assert 0 < with_limit.size < 8
-    below = np.nonzero(line(series_picture([series([9.0, 9.5] * 30, limit=15.0)])))[0]
+    below = np.nonzero(line(series_picture([series([9.0, 9.5] * 30, limit=15.0)], colour=COLOUR)))[
+        0
+    ]
     assert with_limit.max() < below.min()
 
 
@@ -87,7 +92,7 @@ def test_a_limit_is_a_line_across_and_in_sight() -> None:
 def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
     values = np.full(50_000, 1.0)
     values[31_337] = value
-    drawn = line(series_picture([series(values)]))
+    drawn = line(series_picture([series(values)], colour=COLOUR))
     rows, cols = np.nonzero(drawn)
     lonely = [row for row in np.unique(rows) if np.ptp(cols[rows == row]) < 10]
     assert len(lonely) > 50
@@ -98,7 +103,7 @@ def test_one_moment_in_a_long_run_stays_in_the_picture(value: float) -> None:
 def test_what_is_not_known_leaves_a_gap() -> None:
     values = np.full(1000, 4.0)
     values[400:600] = np.nan
-    _, cols = np.nonzero(line(series_picture([series(values)])))
+    _, cols = np.nonzero(line(series_picture([series(values)], colour=COLOUR)))
     gap = np.diff(np.unique(cols)).max()
     assert gap / np.ptp(cols) == pytest.approx(0.2, abs=0.01)
 
@@ -109,7 +114,7 @@ def test_a_line_is_broken_over_a_pause_also_where_it_is_thinned() -> None:
     times_s, shown = broken(stamps_s, values)
     assert np.isnan(shown).sum() == 1
     assert times_s[np.isnan(shown)] == pytest.approx(449.9, abs=0.2)
-    _, cols = np.nonzero(line(series_picture([Series("gap", "m", times_s, shown)])))
+    _, cols = np.nonzero(line(series_picture([Series("gap", "m", times_s, shown)], colour=COLOUR)))
     pause = np.diff(np.unique(cols)).max()
     assert pause / np.ptp(cols) == pytest.approx(100.0 / 900.0, abs=0.01)
 
@@ -135,18 +140,33 @@ def test_a_line_of_even_steps_is_not_broken(step_s: float) -> None:
     ],
 )
 def test_odd_values_can_be_drawn(values: list[float]) -> None:
-    assert line(series_picture([series(values)])).any()
+    assert line(series_picture([series(values)], colour=COLOUR)).any()
 
 
 def test_what_has_no_value_is_left_out() -> None:
     kept = series([1.0, 2.0])
     nothing = [series([]), series([float("nan")] * 3)]
     assert drawable([*nothing, kept]) == [kept]
-    assert series_picture([nothing[0], kept, nothing[1]]) == series_picture([kept])
+    assert series_picture([nothing[0], kept, nothing[1]], colour=COLOUR) == series_picture(
+        [kept], colour=COLOUR
+    )
     with pytest.raises(ValueError, match="none of the series"):
         series_picture(nothing)
 
 
 def test_names_are_drawn_as_they_are_written() -> None:
     odd = Series("a $ and $ a_b^{c", "$", np.arange(3.0), np.arange(3.0))
-    assert line(series_picture([odd])).any()
+    assert line(series_picture([odd], colour=COLOUR)).any()
+
+
+def test_times_are_shaded_behind_the_line_that_goes_on_in_them() -> None:
+    values = series([3.0] * 100)
+    bare = pixels(series_picture([values], colour=COLOUR)).astype(int)
+    spans = {values.name: [(20.0, 40.0)], "another": [(60.0, 80.0)]}
+    shaded = pixels(series_picture([values], colour=COLOUR, shaded=spans)).astype(int)
+    cols = np.unique(np.nonzero(np.abs(shaded - bare).max(axis=2) > 15)[1])
+    drawn = np.nonzero(line(series_picture([values], colour=COLOUR, shaded=spans)))[1]
+    at = (cols - drawn.min()) / np.ptp(drawn)
+    assert (at.min(), at.max()) == pytest.approx((20 / 99, 40 / 99), abs=0.01)
+    assert np.diff(cols).max() == 1
+    assert np.diff(np.unique(drawn)).max() == 1

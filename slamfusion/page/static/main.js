@@ -1,7 +1,7 @@
 // The live page: what the server tells becomes maps, lists and words.
 
-import { css } from "./colours.js";
 import { Connection } from "./connection.js";
+import { css } from "./maps.js";
 import { Inputs, addEvent, clock, showFigures } from "./panels.js";
 import { Stage, byId } from "./stage.js";
 

@@ -179,6 +179,7 @@ export class Maps {
   }
 }
 
+export const css = (rgb) => `rgb(${rgb.join(" ")})`;
 export const isWall = (value) => value >= OCCUPIED;
 export const isKnown = (value) => value >= 0;
 

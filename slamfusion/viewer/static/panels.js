@@ -1,6 +1,6 @@
 // What stands beside the map: who votes, layers, figures, events.
 
-import { ONLY_FIRST, css } from "./colours.js";
+import { css } from "./maps.js";
 
 const POINTS = 600; // of the curves of health, one a status
 
@@ -35,11 +35,12 @@ export class Inputs {
       row.mark.textContent = item.votes === null ? "" : item.votes ? "✓ votes" : "✗ no vote";
       row.mark.className = item.votes ? "good" : "bad";
       row.reason.textContent = item.reason;
-      row.name.style.borderBottom = `3px solid ${colourOf(item.name)}`;
+      const colour = colourOf(item.name);
+      row.name.style.borderBottom = `3px solid ${colour}`;
       row.canvas.title = `score ${item.score ?? "-"}`;
       const scores = this.scores.get(item.name) ?? [];
       row.canvas.hidden = scores.length < 2;
-      this.draw(row.canvas, scores);
+      this.draw(row.canvas, scores, colour);
     }
   }
 
@@ -71,7 +72,7 @@ export class Inputs {
   }
 
   /** Scores from 0 to 1; grey below where it did not vote. */
-  draw(canvas, scores) {
+  draw(canvas, scores, colour) {
     const width = (canvas.width = 320);
     const height = (canvas.height = 26);
     const context = canvas.getContext("2d");
@@ -80,7 +81,7 @@ export class Inputs {
     for (const [index, { votes }] of scores.entries()) {
       if (!votes) context.fillRect(index * step, 0, Math.ceil(step), height);
     }
-    context.strokeStyle = css(ONLY_FIRST);
+    context.strokeStyle = colour;
     context.lineWidth = 2;
     context.beginPath();
     let isDrawn = false;

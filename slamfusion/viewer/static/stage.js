@@ -1,7 +1,6 @@
 // Map over map: layers and their switches, a difference, paths, and who says what of a cell.
 
-import { BOTH, ONLY_FIRST, ONLY_SECOND, css } from "./colours.js";
-import { Maps, said } from "./maps.js";
+import { Maps, css, said } from "./maps.js";
 import { Layers } from "./panels.js";
 import { View, compose } from "./view.js";
 
@@ -23,14 +22,18 @@ export class Stage {
     byId("farther").addEventListener("click", () => this.view.zoom(1 / 1.4));
     byId("whole").addEventListener("click", () => this.view.fit());
     byId("pixels").addEventListener("click", () => this.view.oneToOne("fused"));
-    for (const id of ["show-paths", "first", "second"]) byId(id).addEventListener("change", () => this.view.drawSoon());
-    byId("difference").addEventListener("change", () => {
-      byId("difference-legend").hidden = !byId("difference").checked;
-      this.view.drawSoon();
-    });
-    for (const [kind, rgb] of Object.entries({ both: BOTH, one: ONLY_FIRST, two: ONLY_SECOND })) {
-      document.querySelector(`#difference-legend .${kind}`).style.background = css(rgb);
+    byId("show-paths").addEventListener("change", () => this.view.drawSoon());
+    for (const id of ["difference", "first", "second"]) byId(id).addEventListener("change", () => this.compare());
+  }
+
+  /** Begin or end to draw the difference of two maps, and say what its colours are. */
+  compare() {
+    byId("difference-legend").hidden = !byId("difference").checked;
+    const [first, second] = [byId("first").value, byId("second").value].map((name) => this.maps.layers.get(name)?.colours);
+    for (const [kind, rgb] of Object.entries({ both: first?.agreed, one: first?.wall, two: second?.wall })) {
+      if (rgb !== undefined) document.querySelector(`#difference-legend .${kind}`).style.background = css(rgb);
     }
+    this.view.drawSoon();
   }
 
   empty() {
@@ -42,7 +45,7 @@ export class Stage {
   }
 
   get newest() {
-    return this.statuses.at(-1) ?? { inputs: [], poses: [] };
+    return this.statuses.at(-1) ?? { inputs: [], poses: [], colours: {} };
   }
 
   get status() {
@@ -50,7 +53,7 @@ export class Stage {
   }
 
   colourOf(name) {
-    return this.maps.layers.get(name)?.colours.wall ?? BOTH;
+    return this.maps.layers.get(name)?.colours.wall ?? this.newest.colours[name];
   }
 
   // -- what is told ------------------------------------------------------------------------------

@@ -1,7 +1,6 @@
 // The canvas: maps over each other in the fused frame, paths, the robot; moved by hand and keys.
 
-import { BOTH, ONLY_FIRST, ONLY_SECOND, PAPER, css } from "./colours.js";
-import { isKnown, isWall } from "./maps.js";
+import { css, isKnown, isWall } from "./maps.js";
 
 export const compose = (a, b) => [
   a[0] + Math.cos(a[2]) * b[0] - Math.sin(a[2]) * b[1],
@@ -230,8 +229,8 @@ export class View {
     const { context, canvas } = this;
     const size = 10 * (window.devicePixelRatio || 1);
     const [x, y] = [canvas.width / 2, canvas.height / 2];
-    for (const [rgb, width] of [[PAPER, 5], [BOTH, 2]]) {
-      context.strokeStyle = css(rgb);
+    for (const [colour, width] of [["white", 5], ["black", 2]]) {
+      context.strokeStyle = colour;
       context.lineWidth = width;
       context.beginPath();
       context.moveTo(x - size, y);
@@ -276,6 +275,7 @@ export class View {
         down: [-sin * per, -cos * per],
       };
     });
+    const colours = [first, second].map(({ layer }) => layer.colours);
     const values = [0, 0];
     for (let py = 0; py < height; py += 1) {
       for (let px = 0; px < width; px += 1) {
@@ -287,7 +287,7 @@ export class View {
             Math.floor(column + px * right[0] + py * down[0]),
           );
         }
-        const [rgb, alpha] = compared(values[0], values[1]);
+        const [rgb, alpha] = compared(...values, ...colours);
         const at = 4 * (py * width + px);
         image.data[at] = rgb[0];
         image.data[at + 1] = rgb[1];
@@ -334,11 +334,12 @@ export class View {
   }
 }
 
-function compared(one, two) {
-  if (isWall(one) && isWall(two)) return [BOTH, 255];
-  if (isWall(one)) return [ONLY_FIRST, 255];
-  if (isWall(two)) return [ONLY_SECOND, 255];
-  if (isKnown(one) && !isKnown(two)) return [ONLY_FIRST, 60];
-  if (isKnown(two) && !isKnown(one)) return [ONLY_SECOND, 60];
-  return [PAPER, isKnown(one) ? 200 : 0];
+/** The colour and the opacity of a pixel on which two maps have values: whose wall it is. */
+function compared(one, two, first, second) {
+  if (isWall(one) && isWall(two)) return [first.agreed, 255];
+  if (isWall(one)) return [first.wall, 255];
+  if (isWall(two)) return [second.wall, 255];
+  if (isKnown(one) && !isKnown(two)) return [first.wall, 60];
+  if (isKnown(two) && !isKnown(one)) return [second.wall, 60];
+  return [first.free, isKnown(one) ? 200 : 0];
 }
