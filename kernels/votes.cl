@@ -161,7 +161,7 @@ __kernel void vote_majority(GRIDS, const int count, const int cells, const int u
 }
 
 /* -- walls, with a tolerance and by weight ---------------------------------------------------------
- * Grids are codes of bits (slamfusion/vote/walls.py). weights (count, block_rows, block_cols) uchar and
+ * Eight cells with no wall near are decided at once. Grids are codes of bits (slamfusion/vote/walls.py). weights (count, block_rows, block_cols) uchar and
  * ranks, ushort, of each block of 2^shift cells on a side; row_phase, col_phase: place of the first cell
  * in its block; trusted (count) uchar, weights in all. The chunk is whole rows. */
 
@@ -185,14 +185,42 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
   int weight[MOST_INPUTS], rank[MOST_INPUTS], trust[MOST_INPUTS];
   for (int n = 0; n < count; n++) trust[n] = trusted[n];
   int block = -1;
+  /* Whether each input that has a weight here may free a cell alone. */
+  bool alone = false;
   for (int i = start; i < stop; i++) {
     const int row = i / width, col = i - row * width;
     const int here = ((row + row_phase) >> shift) * block_cols + ((col + col_phase) >> shift);
     if (here != block) {
       block = here;
+      alone = true;
       for (int n = 0; n < count; n++) {
         weight[n] = weights[n * block_rows * block_cols + block];
         rank[n] = ranks[n * block_rows * block_cols + block];
+        alone &= weight[n] == 0 || 2 * trust[n] >= VOTE_ONE;
+      }
+    }
+    if (alone && (i & 7) == 0 && col + 8 <= width && i + 8 <= stop &&
+        (col + 7 + col_phase) >> shift == (col + col_phase) >> shift) {
+      ulong near = 0, free = 0;
+      for (int n = 0; n < count; n++) {
+        const ulong word = *(__global const ulong *)(grids[n] + i);
+        near |= word & (WALL_NEAR * EACH_LANE);
+        if (weight[n] > 0) free |= word & (WALL_FREE * EACH_LANE);
+      }
+      if (near == 0) {
+        const ulong lanes = free / WALL_FREE, known = (lanes << 8) - lanes;
+        *(__global ulong *)(fused + i) = ~known;
+        *(__global ulong *)(agreement + i) = ~known | lanes * 100;
+        for (int first = 0; first < count; first += 8) {
+          ulong bits = 0;
+          for (int n = first; n < LESS(first + 8, count); n++) {
+            const ulong word = *(__global const ulong *)(grids[n] + i);
+            bits |= ((word / WALL_FREE) & EACH_LANE & ~lanes) << (n - first);
+          }
+          *(__global ulong *)(dissent + (first / 8) * pitch + i) = bits;
+        }
+        i += 7;
+        continue;
       }
     }
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from slamfusion.evaluation import Summary, compare_pairs, correct_by_holm
+from slamfusion.evaluation import compare_pairs, correct_by_holm
 from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, drawn_at
 from slamfusion.experiments.method_pairs import p_value_text
 from slamfusion.experiments.records import MeasurePairJson

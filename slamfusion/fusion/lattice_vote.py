@@ -172,7 +172,7 @@ def vote_on_lattice(
         fused[window], agreement[window] = decided.fused, decided.agreement
         phantom_cells += decided.phantom_cells
         worst.append(decided.worst)
-        for name, is_outvoted in decided.outvoted.items():
+        for name, is_outvoted in decided.outvoted():
             own = overlap(layers[name].box, tile)
             if own is not None:
                 codes = layers[name].codes[

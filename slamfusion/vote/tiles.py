@@ -127,7 +127,8 @@ class DecidedTile:
         agreement: (h, w) int8, share of the votes for the winner in percent, rounded half up; -1
             where no vote counts.
         phantom_cells: cells that are occupied here and in no input.
-        outvoted: where each input that shows something here was outvoted, (h, w) bool by name.
+        names: the inputs that show something here.
+        dissent: (planes, h, w) uint8, who was outvoted, see ``Votes``; None: that is not kept.
         worst: by name, how many wall cells disagree with the other maps in the window of a few
             metres in which most do, and the row and column of its middle.
     """
@@ -135,8 +136,15 @@ class DecidedTile:
     fused: I8
     agreement: I8
     phantom_cells: int
-    outvoted: Mapping[str, Mask] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    dissent: U8 | None = None
     worst: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
+
+    def outvoted(self) -> Iterator[tuple[str, Mask]]:
+        """Yield each input with where it was outvoted, (h, w) bool."""
+        if self.dissent is not None:
+            for n, name in enumerate(self.names):
+                yield name, self.dissent[n // 8] & np.uint8(1 << n % 8) != 0
 
 
 @dataclass(frozen=True)
@@ -269,11 +277,9 @@ class TileVoter:
         else:
             trust = self.trust.part(list(shown))
             votes, worst = self._weighed(tile, wide, shown, trust, device)
-        outvoted = {
-            name: (votes.dissent[n // 8] >> np.uint8(n % 8)) & 1 != 0
-            for n, name in enumerate(shown)
-        }
-        return DecidedTile(votes.fused, votes.agreement, votes.phantom_cells, outvoted, worst)
+        return DecidedTile(
+            votes.fused, votes.agreement, votes.phantom_cells, tuple(shown), votes.dissent, worst
+        )
 
     def _weighed(
         self,

@@ -20,7 +20,8 @@ __all__ = ["margin_cells", "wall_codes"]
 
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
-Mask = npt.NDArray[np.bool_]
+# Rows and columns of cells.
+Points = tuple[npt.NDArray[np.intp], ...]
 
 # By how much good maps of one place differ in where they draw a wall, metres.
 TOLERANCE_M = 0.08
@@ -62,16 +63,20 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         slice(max(0, int(rows[0]) - reach), int(rows[-1]) + reach + 1),
         slice(max(0, int(cols[0]) - reach), int(cols[-1]) + reach + 1),
     )
-    walls, free, codes_there = walls[window], free[window], codes[window]
-    codes_there |= cv2.dilate(walls.view(np.uint8), _disc(TOLERANCE_M / resolution)) * np.uint8(
-        WALL_NEAR
-    )
-    fronts = [_faces(walls, free, side) for side in SIDES]
+    own = codes[window]
+    occupied = own & np.uint8(WALL_OCCUPIED)
+    own |= cv2.dilate(occupied, _disc(TOLERANCE_M / resolution)) * np.uint8(WALL_NEAR)
+    points = np.nonzero(occupied)
+    fronts = _fronts(own, points)
+    elsewhere = np.zeros_like(own)
     same = _same_wall_cells(resolution)
-    for number, (side, own) in enumerate(zip(SIDES, _thick(walls, fronts), strict=True)):
-        around = cv2.dilate(fronts[number].view(np.uint8), _band(side, same))
-        bits = np.where(walls, own, around).astype(np.uint8)
-        codes_there |= bits << np.uint8(WALL_SIDES + number)
+    for number, side in enumerate(SIDES):
+        bit = np.uint8(1 << number)
+        front = np.zeros_like(own)
+        front[points] = fronts & bit
+        elsewhere |= cv2.dilate(front, _band(side, same))
+    elsewhere[points] = _thick(fronts, points, own.shape)
+    own |= elsewhere << np.uint8(WALL_SIDES)
     return codes
 
 
@@ -79,39 +84,31 @@ def _same_wall_cells(resolution: float) -> int:
     return max(2, round(SAME_WALL_M / resolution))
 
 
-def _faces(walls: Mask, free: Mask, side: tuple[int, int]) -> Mask:
-    """Return the wall cells that face a way: free cells lie there, and no wall is next to it."""
-    rows, cols = side
-    seen = np.zeros_like(free)
-    for step in range(1, FRONT_CELLS + 1):
-        seen |= _from(free, step * rows, step * cols)
-    return np.asarray(walls & seen & ~_from(walls, rows, cols))
-
-
-def _thick(walls: Mask, fronts: list[Mask]) -> list[Mask]:
-    """Return the ways that wall cells face; those behind a face take its ways."""
-    ways = list(fronts)
-    square = np.ones((3, 3), dtype=np.uint8)
-    for _ in range(THICK_CELLS):
-        rest = walls & ~np.logical_or.reduce(ways)
-        ways = [way | (rest & (cv2.dilate(way.view(np.uint8), square) > 0)) for way in ways]
+def _fronts(codes: U8, points: Points) -> U8:
+    """Return the ways that wall cells face, (N,) bits: free cells lie there, and no wall between."""
+    padded = np.pad(codes, FRONT_CELLS)
+    rows, cols = (at + FRONT_CELLS for at in points)
+    ways = np.zeros(len(rows), dtype=np.uint8)
+    for number, (down, right) in enumerate(SIDES):
+        steps = [padded[rows + n * down, cols + n * right] for n in range(1, FRONT_CELLS + 1)]
+        faces = np.bitwise_or.reduce(steps) & WALL_FREE != 0
+        faces &= steps[0] & WALL_OCCUPIED == 0
+        ways |= faces * np.uint8(1 << number)
     return ways
 
 
-def _from(mask: Mask, rows: int, cols: int) -> Mask:
-    """Return what lies some rows and columns from each cell; nothing does beyond the edge."""
-    height, width = mask.shape
-    out = np.zeros_like(mask)
-    target = (
-        slice(max(0, -rows), min(height, height - rows)),
-        slice(max(0, -cols), min(width, width - cols)),
-    )
-    source = (
-        slice(max(0, rows), min(height, height + rows)),
-        slice(max(0, cols), min(width, width + cols)),
-    )
-    out[target] = mask[source]
-    return out
+def _thick(fronts: U8, points: Points, shape: tuple[int, int]) -> U8:
+    """Return the ways that wall cells face, (N,) bits; those behind a face take its ways."""
+    height, width = shape
+    ways = np.zeros((height + 2, width + 2), dtype=np.uint8)
+    rows, cols = (at + 1 for at in points)
+    ways[rows, cols] = fronts
+    for _ in range(THICK_CELLS):
+        rest = np.flatnonzero(ways[rows, cols] == 0)
+        row, col = rows[rest], cols[rest]
+        around = [ways[row + down, col + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
+        ways[row, col] = np.bitwise_or.reduce(around)
+    return ways[rows, cols]
 
 
 def _disc(radius: float) -> U8:
@@ -124,7 +121,5 @@ def _disc(radius: float) -> U8:
 
 def _band(side: tuple[int, int], reach: int) -> U8:
     """Return a structuring element along a way, ``reach`` cells to both ends, three cells wide."""
-    element = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
-    middle = slice(reach - 1, reach + 2)
-    element[(middle, slice(None)) if side[0] == 0 else (slice(None), middle)] = 1
-    return element
+    shape = (3, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, 3)
+    return np.ones(shape, dtype=np.uint8)

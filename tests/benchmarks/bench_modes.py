@@ -27,7 +27,7 @@ from tests.benchmarks.record import add_record_option, console_for
 COURSES = ("office", "hall", "corridor")
 PRODUCERS = ("tinyslam", "gmapping", "graph")
 TRUTHS = {"solid": "truth.yaml", "thin": "truth_thin.yaml"}
-MODES = ("consensus", "log-odds", "majority", "weighted")
+MODES = ("consensus", "majority")
 
 
 def slamfusion(*words: str | Path) -> dict[str, Any]:
