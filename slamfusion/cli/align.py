@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, map_resolution_option, with_config
+from slamfusion.cli.options import common_options, map_resolution_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.paths import MAP
 from slamfusion.cli.starts import (
     GivenStarts,
     JoinedStart,
@@ -29,8 +30,8 @@ __all__ = ["command"]
 
 
 @click.command("align", cls=JoinedStart)
-@click.argument("reference", type=FILE)
-@click.argument("moving", type=FILE)
+@click.argument("reference", type=MAP)
+@click.argument("moving", type=MAP)
 @start_option(
     "Where the frame of MOVING lies in that of REFERENCE (with NAME: where that map's lies in the "
     "other's; both may have one, in a frame that they share)",

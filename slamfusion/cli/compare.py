@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import FILE, check_picture, common_options, file_option
+from slamfusion.cli.options import check_picture, common_options, output_option
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.paths import FILE
 from slamfusion.cli.table_files import table_option
 from slamfusion.cli.tables import NOTHING
 
@@ -25,11 +26,11 @@ MEANS = ("mean first", "mean second", "difference", "95 %")
 
 @click.command("compare")
 @click.argument("files", metavar="A.zip B.zip...", nargs=-1, required=True, type=FILE)
-@file_option(
+@output_option(
     "--plot",
     "plot_path",
-    "FILE",
-    "Draw the errors along the paths and the figures by case here: .png, .svg or .pdf.",
+    metavar="FILE",
+    help="Draw the errors along the paths and the figures by case here: .png, .svg or .pdf.",
 )
 @common_options
 @table_option

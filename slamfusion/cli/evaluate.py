@@ -11,22 +11,23 @@ import click
 
 from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
-    CASE_FILE,
     case_option,
     check_picture,
     check_report,
     common_options,
     file_option,
     map_resolution_option,
+    output_option,
     report_option,
     with_config,
 )
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.paths import CASE_MAP
 from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
-from slamfusion.jobs.inputs import device_for, load_maps
+from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_file
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
@@ -67,9 +68,26 @@ class _Request:
         check_report(self.report_dir)
 
 
+def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
+    truths = given["truths"]
+    return [folder] if len(truths) < 2 else [folder / case for case in case_names(truths)]
+
+
+def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
+    """Return the difference images that may be written: of several maps with their names."""
+    from slamfusion.jobs.evaluate import difference_images  # noqa: PLC0415
+
+    maps, truths = given["maps"], given["truths"]
+    if len(truths) < 2:
+        names = distinct_names([map_file(item.path) for item in maps])
+        return [image] if len(maps) == 1 else difference_images(image, names)
+    placed = place_files(case_names(truths), maps)
+    return difference_images(image, [f"{item.case}_{item.method}" for item in placed])
+
+
 @click.command("evaluate")
-@click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_FILE)
-@case_option("--truth", "truths", "MAP", "The true map.")
+@click.argument("maps", metavar="MAP...", nargs=-1, required=True, type=CASE_MAP)
+@case_option("--truth", "truths", "MAP", "The true map.", CASE_MAP)
 @click.option(
     "--align/--no-align",
     default=True,
@@ -81,12 +99,13 @@ class _Request:
     "FILE",
     "Compare distances measured in the building with the map's (CSV or YAML).",
 )
-@report_option("report_dir")
-@file_option(
+@report_option("report_dir", _report_folders)
+@output_option(
     "--image",
     "image_path",
-    "FILE",
-    "Write the difference image of the map here; several maps add their names.",
+    files=_image_files,
+    metavar="FILE",
+    help="Write the difference image of the map here; several maps add their names.",
 )
 @map_resolution_option
 @with_config("fusion.normalize", "fusion.align", "map_files", "evaluate", "report", "device", "")

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slamfusion.cli.fleet import asked_scheduler, scheduler_option
-from slamfusion.cli.options import FILE, case_option, common_options, with_config
+from slamfusion.cli.options import case_option, common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
+from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
 from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
-from slamfusion.config import RunConfig
+from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError
 from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.inputs import device_for
+from slamfusion.jobs.outputs import possible_report
 
 if TYPE_CHECKING:
-    from slamfusion.compute import ComputeDevice
     from slamfusion.experiments import DriveFiles, Results
     from slamfusion.experiments.records import (
         ErrorTableDocument,
@@ -33,12 +35,36 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 FIRST_FLOOR = 1
-OUTPUT = click.option(
+
+
+def _files(folder: Path, _: Mapping[str, Any]) -> list[Path]:
+    """Return what may be written: tables, pictures, the page, and what is kept of drives."""
+    from slamfusion.experiments.examples import FOLDER  # noqa: PLC0415  (loads slowly)
+
+    stem = click.get_current_context().command.name
+    tables = [folder / f"{stem}.{ending}" for ending in ("csv", "md", "json", "png")]
+    pictures = [path for form in PICTURE_FORMS for path in folder.glob(f"{stem}-*.{form}")]
+    return [*tables, *pictures, *possible_report(folder), *(folder / FOLDER).glob("*")]
+
+
+def _read_of_drive(text: Path, given: Mapping[str, Any]) -> list[Path]:
+    """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
+    parts = dataclasses.astuple(_drive_files(text))
+    return [file for part in parts if part is not None for file in FILE.files(part, given)]
+
+
+def _read_of_datasets(folder: Path, _: Mapping[str, Any]) -> list[Path]:
+    from slamfusion.experiments import REAL_LOGS  # noqa: PLC0415  (loads slowly)
+
+    return [folder / name for log in REAL_LOGS.values() for name in (log.log, log.reference)]
+
+
+OUTPUT = output_option(
     "-o",
     "--output",
     "folder",
+    files=_files,
     required=True,
-    type=FILE,
     metavar="DIR",
     help="Folder for the tables and pictures; made where it is missing.",
 )
@@ -73,7 +99,6 @@ def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
     )
     from slamfusion.experiments.documents import save_cell_models  # noqa: PLC0415
 
-    check_writable(folder)
     rows = table_two()
     document = save_cell_models(folder, rows)
     save_results(results_path, document, lambda: [row.item() for row in rows])
@@ -157,7 +182,7 @@ def occupancy_estimator(
         raise click.UsageError(message)
     recorded = [] if log_path is None else [DriveFiles(log_path, *others)]
     floors = _floors(config.experiment.occupancy_estimator.floors, recorded)
-    device = _prepare(folder, config)
+    device = device_for(config)
     keep = keep_results(folder, NAME, config, device.name)
     with progress_bar() as progress:
         drives = gather_drives(recorded, floors, config, device, progress)
@@ -180,6 +205,7 @@ def occupancy_estimator(
     "--log",
     "logs",
     multiple=True,
+    type=InputPath(_read_of_drive),
     metavar="LOG:RELATIONS[:ODOMETRY]",
     help="A recorded drive with known motions [K09], and raw odometry of its whole run; may be "
     "given several times.",
@@ -190,7 +216,7 @@ def occupancy_estimator(
 @table_option
 def cell_models_trajectories(
     folder: Path,
-    logs: tuple[str, ...],
+    logs: tuple[Path, ...],
     config: RunConfig,
     results_path: Path | None,
     as_json: bool,
@@ -212,7 +238,7 @@ def cell_models_trajectories(
 
     recorded = [_drive_files(text) for text in logs]
     floors = _floors(config.experiment.cell_models_trajectories.floors, recorded)
-    device = _prepare(folder, config)
+    device = device_for(config)
     keep = keep_results(folder, NAME, config, device.name)
     with progress_bar() as progress:
         drives = gather_drives(recorded, floors, config, device, progress)
@@ -226,13 +252,13 @@ def cell_models_trajectories(
     return 0
 
 
-def _drive_files(text: str) -> DriveFiles:
+def _drive_files(text: Path) -> DriveFiles:
     """Return the files of ``LOG:RELATIONS[:ODOMETRY]``."""
     from slamfusion.experiments import DriveFiles  # noqa: PLC0415
 
-    parts = text.split(":")
+    parts = str(text).split(":")
     if len(parts) not in {2, 3} or not all(parts):
-        message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found {text!r}"
+        message = f"--log: wanted LOG:RELATIONS or LOG:RELATIONS:ODOMETRY, found '{text}'"
         raise click.UsageError(message)
     # No shell expands what follows a colon.
     return DriveFiles(*(FILE.convert(part, None, None) for part in parts))
@@ -264,7 +290,7 @@ def ground_obstacle(
     from slamfusion.experiments import compare_with_obstacle, obstacle_trials  # noqa: PLC0415
     from slamfusion.experiments.documents import save_obstacle_table  # noqa: PLC0415
 
-    device = _prepare(folder, config).name
+    device = device_for(config).name
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_with_obstacle(config, folder, progress, fleet)
     document = save_obstacle_table(folder, table, obstacle_trials(config), config, device)
@@ -303,7 +329,7 @@ def failures(
         trials = failure_trials(config)
     except ConfigError as error:
         raise click.UsageError(str(error)) from None
-    device = _prepare(folder, config).name
+    device = device_for(config).name
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_failures(config, folder, progress, fleet)
     document = save_failures(folder, table, trials, config, device)
@@ -320,11 +346,17 @@ def failures(
 @click.option(
     "--datasets",
     required=True,
-    type=FILE,
+    type=InputPath(_read_of_datasets),
     metavar="DIR",
     help="Folder of the recordings, with mit-csail/ and intel/ in it.",
 )
-@case_option("--inputs", "maps", "MAP", "Saved map of another SLAM, of a drive whose name it says.")
+@case_option(
+    "--inputs",
+    "maps",
+    "MAP",
+    "Saved map of another SLAM, of a drive whose name it says.",
+    CASE_MAP,
+)
 @case_option(
     "--paths", "paths", "PATH", "The path that was found with such a map, named as that is."
 )
@@ -352,7 +384,7 @@ def real_logs(
 
     names = logs_there(datasets, notice)
     others = other_slams(names, maps, paths)
-    device = _prepare(folder, config)
+    device = device_for(config)
     with progress_bar() as progress:
         table = compare_on_logs(datasets, names, config, device, progress, others)
     document = save_real_logs(folder, table, config, device.name)
@@ -365,14 +397,6 @@ def real_logs(
 
 
 # --- what they share -----------------------------------------------------------------------------
-
-
-def _prepare(folder: Path, config: RunConfig) -> ComputeDevice:
-    """Refuse what cannot end well before any work, and open the device."""
-    from slamfusion.compute import open_device  # noqa: PLC0415
-
-    check_writable(folder)
-    return open_device(config.device.device)
 
 
 def _floors(count: int, recorded: Sequence[DriveFiles]) -> range:

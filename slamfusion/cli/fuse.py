@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,23 +13,32 @@ from slamfusion.cli.fleet import asked_scheduler, processes_option, scheduler_op
 from slamfusion.cli.fused import print_alignments, print_frames, print_pairs, tell_left_out
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
-    FILE,
     check_report,
     common_options,
     file_option,
     map_resolution_option,
+    output_option,
     report_option,
     with_config,
 )
 from slamfusion.cli.output import notice, print_json, progress_bar
+from slamfusion.cli.paths import MAP
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.defaults import LIKE_PAPER
-from slamfusion.jobs.inputs import GivenMaps, check_writable, device_for, load_maps
-from slamfusion.jobs.outputs import AGREEMENT_END, PAGE, STORE_END, group_stems
+from slamfusion.jobs.inputs import GivenMaps, device_for, load_maps
+from slamfusion.jobs.outputs import (
+    AGREEMENT_END,
+    FAILED,
+    PAGE,
+    STORE_END,
+    group_stems,
+    map_files,
+    record_file,
+)
 
 if TYPE_CHECKING:
     from slamfusion.fleet import Scheduler
@@ -39,54 +47,42 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@dataclass(frozen=True)
-class _Outputs:
-    """Where the two maps go: stems, without suffix."""
+def _stem(out: Path) -> Path:
+    """Take ``OUT`` as a stem; a .yaml written out by the user is dropped."""
+    if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
+        message = f"-o {out}: name the map too, e.g. -o {out / 'fused'}"
+        raise click.UsageError(message)
+    return out.with_suffix("") if out.suffix in {".yaml", ".yml", STORE_END} else out
 
-    fused: Path
-    agreement: Path
 
-    @classmethod
-    def of(cls, out: Path) -> _Outputs:
-        """Take ``OUT`` as a stem; a .yaml written out by the user is dropped."""
-        if out.name in {"", ".."} or (out.is_dir() and out.suffix != STORE_END):
-            message = f"-o {out}: name the map too, e.g. -o {out / 'fused'}"
-            raise click.UsageError(message)
-        stem = out.with_suffix("") if out.suffix in {".yaml", ".yml", STORE_END} else out
-        return cls(stem, stem.with_name(stem.name + AGREEMENT_END))
+def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
+    """Return what may be written: also the maps of groups that may be found."""
+    stems = group_stems(_stem(out), len(given["maps"]) // 2)
+    maps = [f"{stem}{end}" for stem in stems for end in ("", AGREEMENT_END)]
+    return [record_file(stems[0]), *(file for name in maps for file in map_files(Path(name)))]
 
-    def refuse_inputs(self, maps: Sequence[Path]) -> None:
-        """Stop before an output replaces an input: also that of a group that may be found."""
-        stems = group_stems(self.fused, len(maps) // 2)
-        written = {
-            Path(f"{stem}{end}{suffix}").absolute()
-            for stem in stems
-            for end in ("", AGREEMENT_END)
-            for suffix in (".yaml", ".pgm", ".png")
-        }
-        for path in maps:
-            if path.absolute() in written:
-                message = f"-o {self.fused} would replace the input {path}; choose another name"
-                raise click.UsageError(message)
+
+def _report_folders(folder: Path, _: Mapping[str, Any]) -> list[Path]:
+    return [folder, folder / FAILED]
 
 
 @click.command("fuse")
-@click.argument("maps", nargs=-1, required=True, type=FILE)
-@click.option(
+@click.argument("maps", nargs=-1, required=True, type=MAP)
+@output_option(
     "-o",
     "--output",
     "out",
+    files=_files,
     required=True,
-    type=FILE,
     metavar="OUT",
     help="Write OUT.yaml, OUT.pgm, OUT_agreement.yaml, OUT_agreement.pgm and the record OUT.json; "
     "of further groups of maps that share ground with each other alone OUT-2.yaml, OUT-3.yaml ... "
     "A fused map that does not fit into memory goes to a Zarr store: OUT.zarr.",
 )
 @file_option(
-    "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one."
+    "--truth", "truth_path", "MAP", "Evaluate every input and the fused map against this one.", MAP
 )
-@report_option("report_dir")
+@report_option("report_dir", _report_folders)
 @start_option(
     "Where the frame of map NAME lies in one that all starts share, or, of one start alone, in "
     "that of the reference or of the only other map"
@@ -133,10 +129,7 @@ def command(
     )
 
     config = with_starts(config, starts)
-    outputs = _Outputs.of(out)
-    outputs.refuse_inputs(maps if truth_path is None else (*maps, truth_path))
     check_count(maps)
-    check_writable(outputs.fused.parent)
     if out.suffix == STORE_END:
         if truth_path is not None or report_dir is not None:
             message = (
@@ -165,12 +158,13 @@ def command(
     except AlignmentError as error:
         _report_failure(error, grids, config, device.name, report_dir, given, as_json)
         raise
-    document = save_fused_maps(fused, outputs.fused, report=report_dir)
+    stem = _stem(out)
+    document = save_fused_maps(fused, stem, report=report_dir)
     tell_left_out(fused.result)
     if as_json:
         print_json(document)
     else:
-        _print_result(fused, outputs, report_dir)
+        _print_result(fused, stem, report_dir)
     return 0
 
 
@@ -216,7 +210,7 @@ def _fuse_into_store(
     return 0
 
 
-def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) -> None:
+def _print_result(fused: FusedMaps, stem: Path, report_dir: Path | None) -> None:
     """Print the alignments, the evaluation and where everything went."""
     from slamfusion.jobs.fuse_documents import fusion_sentences  # noqa: PLC0415
 
@@ -227,20 +221,20 @@ def _print_result(fused: FusedMaps, outputs: _Outputs, report_dir: Path | None) 
     if fused.evaluations:
         print()
         print_evaluations(fused.evaluations)
-    print(f"fused map: {outputs.fused}.yaml")
-    print(f"agreement: {outputs.agreement}.yaml")
+    print(f"fused map: {stem}.yaml")
+    print(f"agreement: {stem}{AGREEMENT_END}.yaml")
     others = fused.result.others
-    _, *stems = group_stems(outputs.fused, 1 + len(others))
-    for number, (other, stem) in enumerate(zip(others, stems, strict=True), start=2):
+    _, *stems = group_stems(stem, 1 + len(others))
+    for number, (other, own) in enumerate(zip(others, stems, strict=True), start=2):
         names = ", ".join(record.name for record in other.accepted)
-        print(f"group {number}:   {stem}.yaml ({names})")
+        print(f"group {number}:   {own}.yaml ({names})")
     if report_dir is not None:
         print(f"report:    {report_dir / PAGE}")
     steps = [f"open {report_dir / PAGE} in a browser"] if report_dir is not None else []
-    steps.append(f"slamfusion show {outputs.fused}.yaml")
+    steps.append(f"slamfusion show {stem}.yaml")
     if not fused.evaluations:
-        steps.append(f"slamfusion evaluate {outputs.fused}.yaml --truth TRUE_MAP.yaml")
-    print_next_steps(Path(f"{outputs.fused}.yaml"), steps)
+        steps.append(f"slamfusion evaluate {stem}.yaml --truth TRUE_MAP.yaml")
+    print_next_steps(Path(f"{stem}.yaml"), steps)
 
 
 def _report_failure(

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, with_config
+from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.paths import FILE
 from slamfusion.config import RunConfig
-from slamfusion.jobs.inputs import check_writable, real_path
 
 if TYPE_CHECKING:
     from slamfusion.jobs.graph import OptimizedGraph
@@ -29,18 +29,16 @@ def command() -> None:
 
 @command.command("optimize")
 @click.argument("path", metavar="FILE", type=FILE)
-@click.option(
+@output_option(
     "-o",
     "--output",
     "out",
-    type=FILE,
     metavar="OUT.g2o",
     help="Write the graph with its new poses here; all edges stay.",
 )
-@click.option(
+@output_option(
     "--tum",
     "tum_path",
-    type=FILE,
     metavar="OUT.tum",
     help="Write the new poses here, with the vertex ids as times.",
 )
@@ -56,7 +54,6 @@ def optimize_command(
     """
     from slamfusion.jobs.graph import optimize_graph, save_optimized_graph  # noqa: PLC0415
 
-    _check_request(path, out, tum_path)
     graph = optimize_graph(path, config)
     if graph.file.skipped:
         notice(f"{path}: lines not understood: {_kinds(graph.file.skipped)}")
@@ -68,23 +65,6 @@ def optimize_command(
     else:
         _print_result(graph)
     return 0
-
-
-def _check_request(path: Path, out: Path | None, tum_path: Path | None) -> None:
-    """Refuse what cannot end well before any work."""
-    taken = {real_path(path): "the input"}
-    for name, target in (("-o", out), ("--tum", tum_path)):
-        if target is None:
-            continue
-        if real_path(target) in taken:
-            what = taken[real_path(target)]
-            message = f"{name} {target} would replace {what}; choose another name"
-            raise click.UsageError(message)
-        if target.is_dir():
-            message = f"{name} {target} is a folder; name a file in it"
-            raise click.UsageError(message)
-        taken[real_path(target)] = f"the file of {name}"
-        check_writable(target.parent)
 
 
 def _print_result(optimized: OptimizedGraph) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,16 +11,16 @@ import click
 
 from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
-    CASE_FILE,
     case_option,
     check_report,
     common_options,
     drive_files,
-    file_option,
+    output_option,
     report_option,
     with_config,
 )
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
@@ -76,6 +77,11 @@ class _Request:
         return place_files(cases, self.paths), held
 
 
+def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
+    logs = (given["log"], *given["more_logs"])
+    return [folder] if len(logs) == 1 else [folder / case for case in case_names(logs)]
+
+
 @click.command("judge")
 @click.argument("log", type=CASE_FILE)
 @click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=CASE_FILE)
@@ -87,13 +93,14 @@ class _Request:
     "The true trajectory: errors of the paths, ranked beside the scans.",
 )
 @drive_files("paths", of_cases=True)
-@file_option(
+@output_option(
     "--fused",
     "fused",
-    "FILE.tum",
-    "Make one path of PATHs as `run` does of its producers', judge it beside them, write it here.",
+    metavar="FILE.tum",
+    help="Make one path of PATHs as `run` does of its producers', judge it beside them, write it "
+    "here.",
 )
-@report_option("report_dir")
+@report_option("report_dir", _report_folders)
 @with_config("log", "trajectory", "report", "device", "")
 @common_options
 @results_option

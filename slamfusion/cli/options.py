@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -14,6 +13,15 @@ from typing import Any, TypeVar
 import click
 
 from slamfusion.cli.output import Settings
+from slamfusion.cli.paths import (
+    CASE_FILE,
+    FILE,
+    CasePath,
+    Files,
+    InputPath,
+    OutputPath,
+    check_paths,
+)
 from slamfusion.config import (
     PICTURE_FORMS,
     PUBLISHED,
@@ -24,12 +32,9 @@ from slamfusion.config import (
     split_list,
 )
 from slamfusion.errors import ConfigError
-from slamfusion.jobs.cases import CaseFile
-from slamfusion.jobs.inputs import check_writable
+from slamfusion.jobs.outputs import possible_report
 
 __all__ = [
-    "CASE_FILE",
-    "FILE",
     "ConfigOption",
     "case_option",
     "check_picture",
@@ -41,6 +46,7 @@ __all__ = [
     "file_option",
     "map_resolution_option",
     "option_name",
+    "output_option",
     "report_option",
     "shown_default",
     "shown_value",
@@ -52,36 +58,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # What help calls a value, by its unit or else its type.
 METAVARS = {"%": "PERCENT", "cells": "CELLS", "str": "TEXT", "int": "N", "float": "NUMBER"}
-
-
-class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
-    """A path, which need not exist; ``~`` is the home folder also where no shell has put it in."""
-
-    name = "path"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path; one that begins with ``~NAME`` of nobody stays."""
-        del param, ctx
-        return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for nobody
-
-
-FILE = _UserPath()
-
-
-class _CaseFileType(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
-    """A file that may be said to belong to a case: ``CASE=FILE``."""
-
-    name = "case_file"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> CaseFile:
-        """Return the file and the case."""
-        found = CaseFile.parse(value)
-        return replace(found, path=FILE.convert(str(found.path), param, ctx))
-
-
-CASE_FILE = _CaseFileType()
 
 
 @dataclass(frozen=True)
@@ -197,20 +173,37 @@ def _read(path: Path, defaults: RunConfig) -> RunConfig:
     return load_config(path, defaults)
 
 
-def file_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:
-    """Return the option of a command that names a file or folder, which need not exist.
+def file_option(
+    name: str, parameter: str, metavar: str, text: str, kind: InputPath = FILE
+) -> Callable[[F], F]:
+    """Return the option of a command that names an input, which need not exist.
 
     Args:
         name: on the command line.
         parameter: of the command, a path; None where it is not given.
         metavar: what help calls the value.
         text: of help.
+        kind: says which files are read for it.
     """
-    return click.option(name, parameter, type=FILE, metavar=metavar, help=text)
+    return click.option(name, parameter, type=kind, metavar=metavar, help=text)
+
+
+def output_option(
+    *names: str, files: Files = lambda path, _: [path], required: bool = False, **words: str
+) -> Callable[[F], F]:
+    """Return the option of a command that says where something is written.
+
+    Args:
+        names: on the command line, then that of the command's parameter.
+        files: returns all that may be written or removed for it; see ``OutputPath``.
+        required: whether it has to be given.
+        words: ``metavar`` and ``help``.
+    """
+    return click.option(*names, type=OutputPath(files), required=required, **words)  # type: ignore[arg-type]
 
 
 def check_picture(name: str, path: Path | None) -> None:
-    """Refuse a picture that cannot be drawn or written, before any work is done.
+    """Refuse a picture that cannot be drawn, before any work is done.
 
     Args:
         name: of the option.
@@ -229,29 +222,28 @@ def check_picture(name: str, path: Path | None) -> None:
 
 
 def check_report(folder: Path | None) -> None:
-    """Refuse a report that cannot be drawn or written, before any work is done.
+    """Refuse a report that cannot be drawn, before any work is done.
 
     Args:
         folder: that it goes to; None: none is wanted.
 
     Raises:
-        SlamFusionError: matplotlib is missing, or the folder cannot be written.
+        SlamFusionError: matplotlib is missing.
     """
-    if folder is None:
-        return
-    import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
-
-    check_writable(folder)
+    if folder is not None:
+        import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
 
 
-def case_option(name: str, parameter: str, metavar: str, text: str) -> Callable[[F], F]:
-    """Return the option of a command that names a file of each of several cases; see ``CASE_FILE``.
+def case_option(
+    name: str, parameter: str, metavar: str, text: str, kind: CasePath = CASE_FILE
+) -> Callable[[F], F]:
+    """Return the option of a command that names a file of each of several cases; see ``CasePath``.
 
     Args:
-        name, parameter, metavar, text: see ``file_option``; the parameter is a tuple.
+        name, parameter, metavar, text, kind: see ``file_option``; the parameter is a tuple.
     """
     text = f"{text} May be given for several cases: [CASE=]{metavar}."
-    return click.option(name, parameter, type=CASE_FILE, multiple=True, metavar=metavar, help=text)
+    return click.option(name, parameter, type=kind, multiple=True, metavar=metavar, help=text)
 
 
 _CONFIG_FILE = file_option(
@@ -270,10 +262,25 @@ _LIKE_PAPER = click.option(
 )
 
 
-def report_option(parameter: str) -> Callable[[F], F]:
-    """Return the option ``--report`` of a command that can write one."""
-    text = "Write a self-contained HTML report with its pictures here."
-    return file_option("--report", parameter, "DIR", text)
+def report_option(
+    parameter: str,
+    folders: Files = lambda folder, _: [folder],
+) -> Callable[[F], F]:
+    """Return the option ``--report`` of a command that can write one.
+
+    Args:
+        parameter: of the command, a path; None where it is not given.
+        folders: returns those of the reports, from the one given and the command's values.
+    """
+    return output_option(
+        "--report",
+        parameter,
+        files=lambda path, given: [
+            file for folder in folders(path, given) for file in possible_report(folder)
+        ],
+        metavar="DIR",
+        help="Write a self-contained HTML report with its pictures here.",
+    )
 
 
 def drive_files(judged: str, *, of_cases: bool = False) -> Callable[[F], F]:
@@ -342,7 +349,13 @@ def map_resolution_option(function: F) -> F:
 
 
 def common_options(function: F) -> F:
-    """Give a command ``--json`` (as ``as_json``) and ``--debug``."""
+    """Give a command ``--json`` (as ``as_json``) and ``--debug``, and check its paths."""
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, **values: Any) -> Any:
+        context = click.get_current_context()
+        check_paths(context, {**context.params, **values})
+        return function(*args, **values)
 
     def remember_debug(context: click.Context, _: click.Parameter, value: bool) -> None:
         if value:
@@ -368,7 +381,7 @@ def common_options(function: F) -> F:
         callback=remember_json,
         help="Print one JSON document instead of tables.",
     )
-    return as_json(debug(function))
+    return as_json(debug(typing.cast("F", wrapper)))
 
 
 class _List(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from slamfusion.cli.options import file_option
+from slamfusion.cli.options import output_option
 from slamfusion.cli.output import Settings
-from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import MeasuredItem
@@ -26,20 +25,19 @@ SUFFIX = ".zip"
 
 def results_option(function: F) -> F:
     """Give a command ``--save-results``, which it then hands to ``save_results``."""
-    option = file_option(
+    option = output_option(
         "--save-results",
         "results_path",
-        "FILE.zip",
-        "Save what was measured, its settings and the inputs' SHA-256, for slamfusion compare.",
+        metavar="FILE.zip",
+        help="Save what was measured, its settings and the inputs' SHA-256, for slamfusion "
+        "compare.",
     )
 
     @functools.wraps(function)
     def wrapper(*arguments: Any, results_path: Path | None, **given: Any) -> Any:
-        if results_path is not None:
-            if results_path.suffix.lower() != SUFFIX:
-                message = f"{results_path}: wanted a name that ends in {SUFFIX}"
-                raise click.BadParameter(message, param_hint="'--save-results'")
-            check_writable(results_path.parent)
+        if results_path is not None and results_path.suffix.lower() != SUFFIX:
+            message = f"{results_path}: wanted a name that ends in {SUFFIX}"
+            raise click.BadParameter(message, param_hint="'--save-results'")
         return function(*arguments, results_path=results_path, **given)
 
     return option(wrapper)  # type: ignore[return-value]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +17,11 @@ from slamfusion.cli.fused import print_alignments, print_pairs
 from slamfusion.cli.judge import print_verdict
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
-    CASE_FILE,
-    FILE,
     common_options,
     drive_options,
     file_option,
     map_resolution_option,
+    output_option,
     with_config,
 )
 from slamfusion.cli.output import (
@@ -31,7 +32,7 @@ from slamfusion.cli.output import (
     print_table,
     progress_bar,
 )
-from slamfusion.cli.run_checks import check_run
+from slamfusion.cli.paths import CASE_FILE, FILE, MAP
 from slamfusion.cli.run_many import run_many
 from slamfusion.cli.starts import GivenStarts, start_errors, start_option, with_starts
 from slamfusion.cli.table_files import table_option
@@ -42,10 +43,13 @@ from slamfusion.jobs.defaults import RUN_DEFAULTS
 from slamfusion.jobs.outputs import (
     AGREEMENT,
     DRAWN,
+    FAILED,
     FUSED,
     FUSED_PATH,
     PAGE,
     REPORT,
+    possible_outputs,
+    possible_report,
 )
 
 if TYPE_CHECKING:
@@ -84,15 +88,6 @@ class _Request:
         if self.odometry is not None and self.relations is None:
             message = "--odometry carries poses to the times of relations; give --relations FILE"
             raise click.UsageError(message)
-        read = (
-            self.log,
-            *(file.path for file in self.paths),
-            self.truth_trajectory,
-            self.relations,
-            self.odometry,
-            self.scan_odometry,
-        )
-        check_run(self.out, [self.out], read, [*self.maps, self.truth])
 
 
 class _ManyInputs(click.Command):
@@ -118,14 +113,31 @@ class _ManyInputs(click.Command):
         return super().parse_args(ctx, spread)
 
 
+def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
+    """Return what may be written, or removed of an earlier run: of several logs, for each."""
+    from slamfusion.jobs.run_many import log_tasks  # noqa: PLC0415
+
+    if out.exists() and not out.is_dir():
+        message = f"-o {out} is not a folder; name one for the maps and the report"
+        raise click.UsageError(message)
+    logs = given["logs"]
+    runs = [out] if len(logs) == 1 else [task.folder for task in log_tasks(logs, out)]
+    folders = [folder for run in runs for folder in (run, run / FAILED)]
+    return [
+        file
+        for folder in folders
+        for file in (*possible_outputs(folder), *possible_report(folder / REPORT))
+    ]
+
+
 @click.command("run", cls=_ManyInputs)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
-@click.option(
+@output_option(
     "-o",
     "--output",
     "out",
+    files=_files,
     required=True,
-    type=FILE,
     metavar="DIR",
     help="Write here, of several logs into a folder for each: each producer's map, path and "
     "record, the fused map and path, the record of "
@@ -135,7 +147,7 @@ class _ManyInputs(click.Command):
     "--inputs",
     "maps",
     multiple=True,
-    type=FILE,
+    type=MAP,
     metavar="MAP",
     help="Saved maps of other SLAMs that vote too: one or several.",
 )
@@ -149,7 +161,7 @@ class _ManyInputs(click.Command):
     "fused as the producers' own. A path is that of the map whose name it says: MAP.tum, or "
     "MAP=PATH.",
 )
-@file_option("--truth", "truth", "MAP", "The true map: errors of every map and the fused one.")
+@file_option("--truth", "truth", "MAP", "The true map: errors of every map and the fused one.", MAP)
 @file_option(
     "--truth-trajectory", "truth_trajectory", "FILE", "The true trajectory: errors of the paths."
 )
@@ -196,6 +208,9 @@ def command(
     A fused map with everything beside it replaces the results of an earlier run in DIR, all at
     once. A run without one leaves them as they are; what it made goes to DIR/failed then.
     """
+    # The import takes longer than the look: it is made while the producers are at work.
+    if importlib.util.find_spec("matplotlib") is None:
+        import slamfusion.report  # noqa: F401, PLC0415  (says what to install)
     if len(logs) > 1:
         with start_errors(starts):
             config = with_starts(config, starts)

@@ -10,7 +10,6 @@ import click
 
 from slamfusion.cli.fleet import asked_scheduler
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
-from slamfusion.cli.run_checks import check_run
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.outputs import FUSED, PAGE, REPORT
@@ -40,7 +39,6 @@ def run_many(
     tasks = log_tasks(
         logs, out, asked["maps"], asked["resolution"], probabilities=asked["probabilities"]
     )
-    check_run(out, [task.folder for task in tasks], logs, asked["maps"])
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         runs = run_logs(tasks, config, fleet, progress)
     for run in runs:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slamfusion.cli.options import FILE, common_options
+from slamfusion.cli.options import common_options
 from slamfusion.cli.output import notice, print_json
+from slamfusion.cli.paths import FILE
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import SlamFusionError
 

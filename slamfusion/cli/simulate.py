@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.options import FILE, common_options, with_config
+from slamfusion.cli.options import common_options, output_option, with_config
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.paths import MAP, InputPath
 from slamfusion.config import RunConfig
-from slamfusion.jobs.inputs import check_writable
 
 if TYPE_CHECKING:
     from slamfusion.jobs.tool_records import SimulateDocument
@@ -30,14 +31,30 @@ class _Command(click.Command):
             formatter.write_dl([(name, words) for name, (words, _) in COURSES.items()])
 
 
+def _read(path: Path, given: Mapping[str, Any]) -> list[Path]:
+    """Return the file of a course, and those of the map that it takes place in."""
+    from slamfusion.jobs.simulate import choose_course  # noqa: PLC0415
+
+    course = choose_course(path, given["config"])
+    world = course.world.map
+    return [path, *([] if world is None else MAP.files(course.folder / world, given))]
+
+
+def _files(folder: Path, given: Mapping[str, Any]) -> list[Path]:
+    from slamfusion.jobs.simulate import choose_course  # noqa: PLC0415
+    from slamfusion.sim.simulate import recording_files  # noqa: PLC0415
+
+    return recording_files(choose_course(given["course"], given["config"]), folder)
+
+
 @click.command("simulate", cls=_Command)
-@click.argument("course")
-@click.option(
+@click.argument("course", type=InputPath(_read))
+@output_option(
     "-o",
     "--output",
     "folder",
+    files=_files,
     required=True,
-    type=FILE,
     metavar="DIR",
     help="Folder for the log, the truth and the course; made where it is missing.",
 )
@@ -45,13 +62,13 @@ class _Command(click.Command):
 @common_options
 @click.pass_context
 def command(
-    context: click.Context, course: str, folder: Path, config: RunConfig, as_json: bool
+    context: click.Context, course: Path, folder: Path, config: RunConfig, as_json: bool
 ) -> int:
     """Simulate a robot that drives COURSE: the name of a course, or a YAML file.
 
-    Writes DIR/NAME.log.gz (a CARMEN log), DIR/truth.yaml (the true map; walls are solid),
-    DIR/truth_thin.yaml (only the surfaces of walls, which a lidar can see), DIR/truth.tum (the
-    true poses) and DIR/course.yaml, which gives the same files again.
+    Writes DIR/NAME.log.gz (a CARMEN log), DIR/truth.yaml and .pgm (the true map; walls are solid),
+    DIR/truth_thin.yaml and .pgm (only the surfaces of walls, which a lidar can see), DIR/truth.tum
+    (the true poses) and DIR/course.yaml, which gives the same files again in another DIR.
     """
     from slamfusion.jobs.simulate import (  # noqa: PLC0415
         choose_course,
@@ -59,7 +76,6 @@ def command(
         simulate_course,
     )
 
-    check_writable(folder)
     is_seed_given = (
         context.get_parameter_source("config_seed") != click.core.ParameterSource.DEFAULT
     )

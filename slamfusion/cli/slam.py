@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +11,19 @@ import click
 
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.options import (
-    FILE,
     check_report,
     common_options,
     drive_options,
     file_option,
+    output_option,
     report_option,
     with_config,
 )
 from slamfusion.cli.output import notice, one_line, print_json, print_table, progress_bar
+from slamfusion.cli.paths import FILE, MAP
 from slamfusion.cli.trajectory import print_measures
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.jobs.inputs import check_writable, real_path
 from slamfusion.jobs.outputs import PAGE, SUFFIXES, output_files
 
 if TYPE_CHECKING:
@@ -90,46 +90,11 @@ class _Request:
         if self.odometry is not None and self.relations is None:
             message = "--odometry carries poses to the times of relations; give --relations FILE"
             raise click.UsageError(message)
-        given = (
-            self.log,
-            self.relations,
-            self.odometry,
-            self.truth,
-            self.truth_map,
-            self.resume,
-            self.scan_odometry,
-        )
-        inputs = {real_path(path) for path in given if path is not None}
-        for path in self.outputs():
-            if real_path(path) in inputs:
-                what = "--save-state" if path == self.state else f"-o {self.stem}"
-                message = f"{what} would replace the input {path}; choose another name"
-                raise click.UsageError(message)
-        self._check_state()
-        check_writable(self.stem.parent)
-        check_report(self.report)
-
-    def _check_state(self) -> None:
-        """Refuse a state that cannot be read, or that cannot be written."""
         if self.resume is not None:
             from slamfusion.io.regular import open_regular  # noqa: PLC0415  (OpenCV loads slowly)
 
             open_regular(self.resume, SlamFusionError).close()
-        if self.state is None:
-            return
-        others = output_files(self.stem, probabilities=self.probabilities)
-        if self.report is not None:
-            others.append(self.report / "report.html")
-        if real_path(self.state) in {real_path(path) for path in others}:
-            message = (
-                f"--save-state {self.state} is also a file that the run writes; choose another"
-            )
-            raise click.UsageError(message)
-        if self.state.exists() and not self.state.is_file():
-            what = "a folder" if self.state.is_dir() else "a device or pipe"
-            message = f"--save-state {self.state} is {what}; name a file"
-            raise click.UsageError(message)
-        check_writable(self.state.parent)
+        check_report(self.report)
 
     def outputs(self) -> list[Path]:
         """Return the files that are written: map, path, record, and what else is wanted."""
@@ -143,6 +108,10 @@ def _stem(out: Path) -> Path:
         message = f"-o {out}: name the map too, e.g. -o {out / 'map'}"
         raise click.UsageError(message)
     return out.with_suffix("") if out.suffix in SUFFIXES else out
+
+
+def _files(out: Path, given: Mapping[str, Any]) -> list[Path]:
+    return output_files(_stem(out), probabilities=given["probabilities"])
 
 
 def _state_options(*, is_resumable: bool) -> Callable[[Any], Any]:
@@ -166,11 +135,11 @@ def _state_options(*, is_resumable: bool) -> Callable[[Any], Any]:
                 "Go on from a saved state, with the settings that it was made with; scans of LOG "
                 "up to its last one are passed over.",
             ),
-            file_option(
+            output_option(
                 "--save-state",
                 "state",
-                "FILE",
-                "Write at the end everything that a later run needs to go on with --resume.",
+                metavar="FILE",
+                help="Write at the end everything that a later run needs to go on with --resume.",
             ),
         ):
             function = option(function)
@@ -188,18 +157,18 @@ def _make_command(name: str) -> click.Command:
 
     @click.command(name)
     @click.argument("log", type=FILE)
-    @click.option(
+    @output_option(
         "-o",
         "--output",
         "out",
+        files=_files,
         required=True,
-        type=FILE,
         metavar="OUT",
         help="Write the map OUT.yaml and OUT.pgm, the path OUT.tum and the record OUT.json.",
     )
     @drive_options("path")
     @file_option("--truth", "truth", "FILE", "The true trajectory: errors of the path.")
-    @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.")
+    @file_option("--truth-map", "truth_map", "MAP", "The true map: errors of the map.", MAP)
     @report_option("report")
     @_state_options(is_resumable=record.load is not None)
     @with_config(

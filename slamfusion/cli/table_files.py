@@ -5,16 +5,16 @@ from __future__ import annotations
 import csv
 import functools
 import io
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from slamfusion.cli.options import file_option
+from slamfusion.cli.options import output_option
 from slamfusion.cli.output import Settings
 from slamfusion.cli.tables import NOTHING, Table, one_line
-from slamfusion.jobs.inputs import check_writable
 
 __all__ = ["as_csv", "as_latex", "as_markdown", "table_option"]
 
@@ -32,11 +32,12 @@ LATEX = {
 
 def table_option(function: F) -> F:
     """Give a command ``--table``; it stands right above the command, below ``common_options``."""
-    option = file_option(
+    option = output_option(
         "--table",
         "table_path",
-        "FILE",
-        "Also write the tables here: .csv (a file for each: FILE-2.csv ...), .md or .tex.",
+        files=_files,
+        metavar="FILE",
+        help="Also write the tables here: .csv (a file for each: FILE-2.csv ...), .md or .tex.",
     )
 
     @functools.wraps(function)
@@ -49,7 +50,6 @@ def table_option(function: F) -> F:
         if given.get("as_json"):
             message = "--table writes what is printed; leave out --json"
             raise click.UsageError(message)
-        check_writable(table_path.parent)
         settings = click.get_current_context().ensure_object(Settings)
         settings.tables = []
         try:
@@ -59,6 +59,12 @@ def table_option(function: F) -> F:
                 _write(table_path, settings.tables)
 
     return option(wrapper)  # type: ignore[return-value]
+
+
+def _files(path: Path, _: Mapping[str, Any]) -> list[Path]:
+    """Return the file, and those that are there of the names that further tables get."""
+    numbered = re.compile(rf"{re.escape(path.stem)}-\d+{re.escape(path.suffix)}")
+    return [path, *(item for item in path.parent.glob("*") if numbered.fullmatch(item.name))]
 
 
 def _write(path: Path, tables: Sequence[Table]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,6 @@ import click
 
 from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
-    CASE_FILE,
     case_option,
     check_report,
     common_options,
@@ -20,6 +19,7 @@ from slamfusion.cli.options import (
     with_config,
 )
 from slamfusion.cli.output import notice, number, print_json, print_table
+from slamfusion.cli.paths import CASE_FILE, MAP
 from slamfusion.cli.results_files import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
@@ -87,6 +87,16 @@ class _Request:
         return place_files(cases, self.estimates), held
 
 
+def _report_folders(folder: Path, given: Mapping[str, Any]) -> list[Path]:
+    from slamfusion.jobs.several import report_folder  # noqa: PLC0415  (loads slowly)
+
+    kinds = given["truths"], given["relations"]
+    if max(map(len, (given["estimates"], *kinds))) == 1:
+        return [folder]
+    placed = place_files(shared_case_names(*kinds), given["estimates"])
+    return [report_folder(folder, item) for item in placed]
+
+
 @click.command("trajectory")
 @click.argument("estimates", metavar="EST...", nargs=-1, required=True, type=CASE_FILE)
 @case_option(
@@ -117,8 +127,9 @@ class _Request:
     "map_path",
     "MAP",
     "A map in the frame of EST, to draw the path over in the report.",
+    MAP,
 )
-@report_option("report_dir")
+@report_option("report_dir", _report_folders)
 @with_config("trajectory", "log", "map_files", "report")
 @common_options
 @results_option

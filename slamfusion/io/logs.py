@@ -14,7 +14,7 @@ from slamfusion.io.log import ScanLog
 from slamfusion.io.scan_odometry import read_scan_odometry
 from slamfusion.io.tinyslam_dat import FIELDS, TinySlamDat
 
-__all__ = ["open_log"]
+__all__ = ["log_sources", "open_log"]
 
 _DEFAULT_CONFIG = LogConfig()
 
@@ -64,11 +64,7 @@ def open_log(
             it cannot be read or is not of this log.
         OSError: the file cannot be opened.
     """
-    where = Path(path)
-    if where.name == _BAG_FILES[0]:
-        where = where.parent
-    elif where.is_dir() and not _is_bag(where) and len(logs := _logs_in(where)) == 1:
-        where = logs[0]
+    where = _place(Path(path))
     reader = _reader(where)
     if scan_odometry is None:
         return reader(where, config)
@@ -78,6 +74,22 @@ def open_log(
         )
         raise LogError(message)
     return CarmenLog(where, config, read_scan_odometry(scan_odometry))
+
+
+def log_sources(path: Path) -> list[Path]:
+    """Return the files that ``open_log`` reads: of a bag's folder, those that are the bag."""
+    where = _place(path)
+    files = [item for pattern in _BAG_FILES for item in where.glob(pattern)]
+    return files if where.is_dir() else [where]
+
+
+def _place(path: Path) -> Path:
+    """Return the folder of a bag for its index, and for another folder the one log in it."""
+    if path.name == _BAG_FILES[0]:
+        return path.parent
+    if path.is_dir() and not _is_bag(path) and len(logs := _logs_in(path)) == 1:
+        return logs[0]
+    return path
 
 
 def _suffix(where: Path) -> str:

@@ -19,7 +19,7 @@ import os
 import stat
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 from slamfusion.config import NormalizeConfig
@@ -44,7 +44,7 @@ from slamfusion.io.map_yaml import (
 )
 from slamfusion.io.memory import WORKING_BYTES, check_memory
 
-__all__ = ["load_map", "save_map"]
+__all__ = ["load_map", "map_sources", "save_map", "saved_files"]
 
 # The thresholds of the vote: what is saved is what votes.
 VOTE = NormalizeConfig()
@@ -126,7 +126,7 @@ def _load(
             message = f"{path}: the YAML has its own resolution; leave --resolution out"
             raise MapFileError(message)
         entry = read_map_yaml(path)
-    image = read_image(entry.image)
+    image = read_image(existing(entry.image))
     cells, count = cells_from_image(image, entry.rules, legacy_unknown=legacy_unknown)
     remark = ""
     if count and not legacy_unknown:
@@ -138,6 +138,20 @@ def _load(
     if name is None:
         name = Path(path.name.removesuffix(".gz")).stem
     return OccupancyGrid(cells, entry.resolution, entry.origin, name), remark
+
+
+def map_sources(path: Path) -> list[Path]:
+    """Return the files that ``load_map`` reads, and the names that stand for packed ones.
+
+    Of a map that cannot be read as many as are known: it is refused when it is loaded.
+    """
+    files = [path]
+    with suppress(MapFileError):
+        files.append(existing(path))
+        if not looks_like_image(files[-1]):
+            files.append(read_map_yaml(files[-1]).image)
+            files.append(existing(files[-1]))
+    return files
 
 
 def _folder(path: Path) -> Path:
@@ -229,12 +243,10 @@ def save_map(
             loading (``implausible``), or a file cannot be written; nothing was changed.
     """
     stem = Path(stem)
-    if image_format is None:
-        image_format = "png" if mode == "scale" else "pgm"
+    yaml_path, image_path = saved_files(stem, mode, image_format)
+    image_format = image_path.suffix.removeprefix(".")
     rules = Rules(mode, negate=False, occupied_thresh=occupied_thresh, free_thresh=free_thresh)
     _check_saving(grid, stem, rules, image_format)
-    yaml_path = stem.with_name(f"{stem.name}.yaml")
-    image_path = stem.with_name(f"{stem.name}.{image_format}")
     bytes_per_cell = 8 if mode == "scale" else 3
     what = f"saving a {grid.width} x {grid.height} map"
     check_memory(bytes_per_cell * grid.cells.size + WORKING_BYTES, what, str(image_path))
@@ -248,6 +260,15 @@ def save_map(
             whole.add(image_path, encode_image(pixels, image_format, str(image_path)))
         whole.add(yaml_path, text.encode())
     return yaml_path, image_path
+
+
+def saved_files(
+    stem: Path, mode: str = "trinary", image_format: str | None = None
+) -> tuple[Path, Path]:
+    """Return the YAML and the picture that ``save_map`` writes."""
+    if image_format is None:
+        image_format = "png" if mode == "scale" else "pgm"
+    return Path(f"{stem}.yaml"), Path(f"{stem}.{image_format}")
 
 
 def _check_saving(grid: OccupancyGrid, stem: Path, rules: Rules, image_format: str) -> None:

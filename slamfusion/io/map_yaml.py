@@ -59,7 +59,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class MapFile:
-    """What a map's YAML says, checked."""
+    """What a map's YAML says, checked; ``image`` may be there with ``.gz`` alone."""
 
     image: Path
     resolution: float
@@ -104,7 +104,8 @@ def read_map_yaml(path: Path) -> MapFile:
         free_thresh=_number(values.get("free_thresh", str(FREE_THRESH))),
     )
     check_thresholds(str(path), rules)
-    picture = existing(path.parent / image, f"{path}: 'image' names ")
+    picture = path.parent / image
+    existing(picture, f"{path}: 'image' names ")
     return MapFile(picture, resolution, Pose2(*numbers), rules)
 
 

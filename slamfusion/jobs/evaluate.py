@@ -243,9 +243,12 @@ def write_evaluation(
     if image is not None:
         from slamfusion.report import write_difference_image  # noqa: PLC0415  (an extra)
 
-        for error in errors:
-            path = image
-            if name_each or len(errors) > 1:
-                name = f"{image.stem}_{error.name.replace('/', '_')}{image.suffix}"
-                path = image.with_name(name)
+        names = [error.name for error in errors]
+        paths = [image] if len(errors) == 1 and not name_each else difference_images(image, names)
+        for error, path in zip(errors, paths, strict=True):
             write_difference_image(error, path, files)
+
+
+def difference_images(image: Path, names: Sequence[str]) -> list[Path]:
+    """Return where the difference images of several maps go: beside one that is asked for."""
+    return [image.with_stem(f"{image.stem}_{name.replace('/', '_')}") for name in names]

@@ -32,7 +32,6 @@ __all__ = [
     "distinct_names",
     "load_maps",
     "map_file",
-    "real_path",
 ]
 
 _LOG = logging.getLogger(__name__)
@@ -141,11 +140,6 @@ def as_grids(
 def as_path(path: str | Path | None) -> Path | None:
     """Return the path of a file that may not have been named."""
     return None if path is None else Path(path)
-
-
-def real_path(path: Path) -> Path:
-    """Return a path without links; one whose links lead in a circle stays as far as it goes."""
-    return Path(os.path.realpath(path))
 
 
 def device_for(config: RunConfig, device: ComputeDevice | None = None) -> ComputeDevice:

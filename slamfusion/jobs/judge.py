@@ -317,13 +317,6 @@ def _check_fused(files: JudgeFiles) -> None:
             "give this one another name, or leave it out"
         )
         raise TrajectoryError(message)
-    beside = (files.relations, files.odometry, files.truth, files.scan_odometry)
-    given = {
-        path.resolve() for path in (files.log, *files.paths.values(), *beside) if path is not None
-    }
-    if files.fused is not None and files.fused.resolve() in given:
-        message = f"{files.fused}: the fused path would be written over what was given"
-        raise TrajectoryError(message)
 
 
 def _fuse(

@@ -32,6 +32,7 @@ __all__ = [
     "map_files",
     "output_files",
     "possible_outputs",
+    "possible_report",
     "record_file",
     "remove_empty",
     "report_files",
@@ -75,13 +76,15 @@ def failure_folder(folder: Path, results: Iterable[Path]) -> Path:
     return folder / FAILED if any(path.exists() for path in results) else folder
 
 
+def possible_report(folder: Path) -> list[Path]:
+    """Return the page of a report, and what of a folder its pictures may replace."""
+    pictures = [folder.glob(f"{PICTURES}.{form}") for form in PICTURE_FORMS]
+    return [folder / PAGE, *sorted(path for paths in pictures for path in paths)]
+
+
 def report_files(folder: Path) -> list[Path]:
     """Return the page and the pictures of a report that lies in a folder; empty without a page."""
-    page = folder / PAGE
-    if not page.exists():
-        return []
-    pictures = [folder.glob(f"{PICTURES}.{form}") for form in PICTURE_FORMS]
-    return [page, *sorted(path for paths in pictures for path in paths)]
+    return possible_report(folder) if (folder / PAGE).exists() else []
 
 
 def remove_empty(*folders: Path) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 from slamfusion.errors import SlamFusionError, shown
 from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.io import write_atomic
-from slamfusion.io.map_yaml import read_map_yaml
+from slamfusion.io.map_yaml import existing, read_map_yaml
 from slamfusion.io.memory import format_bytes
 from slamfusion.io.regular import open_regular
 from slamfusion.jobs.documents import record_bytes, versions
@@ -99,7 +99,7 @@ def map_inputs(role: str, case: str, paths: Sequence[Path]) -> list[InputFile]:
         path = map_file(given)
         found.append(InputFile(role, case, path))
         if path.suffix.lower() in {".yaml", ".yml"}:
-            found.append(InputFile(f"{role} image", case, read_map_yaml(path).image))
+            found.append(InputFile(f"{role} image", case, existing(read_map_yaml(path).image)))
     return found
 
 

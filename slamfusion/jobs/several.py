@@ -347,8 +347,12 @@ def write_trajectories(found: CaseTrajectories, directory: Path) -> None:
     """
     with AtomicFiles() as files:
         for placed, measured in zip(found.placed, found.measured, strict=True):
-            folder = directory / placed.case / placed.method.replace("/", "_")
-            write_trajectory(measured, folder, files)
+            write_trajectory(measured, report_folder(directory, placed), files)
+
+
+def report_folder(directory: Path, placed: Placed) -> Path:
+    """Return the folder of the report of one of several paths."""
+    return directory / placed.case / placed.method.replace("/", "_")
 
 
 # --- paths of several logs ----------------------------------------------------------------------

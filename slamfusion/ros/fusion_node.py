@@ -102,8 +102,8 @@ class FusionNode(NodeBase):
         )
         is_open = bool(self.settings.discover)
         outputs = MAP_TOPIC, AGREEMENT_TOPIC
-        self._inputs = FusionInputs(self, outputs, is_open=is_open, on_change=self._on_inputs)
-        names = tuple(self._inputs.entries)
+        self.inputs = FusionInputs(self, outputs, is_open=is_open, on_change=self._on_inputs)
+        names = tuple(self.inputs.entries)
         least = LiveConfig().minimum_inputs
         live = LiveConfig(minimum_inputs=least if is_open else min(least, len(names)))
         live = declare(
@@ -124,7 +124,7 @@ class FusionNode(NodeBase):
         # Before the inputs: of what has come the odometry is heard first, and then the poses.
         self._frames = FusedFrames(self, self.settings)
         callbacks = self._wake, self._on_pose
-        self._inputs.begin(
+        self.inputs.begin(
             lambda name, entry: load_saved(name, entry, config.map_files, self.log.warning),
             lambda name, topic: MapSource(
                 self,
@@ -155,15 +155,15 @@ class FusionNode(NodeBase):
         self._session = FusionSession(fusion, self._outbox, self._memory)
         self._told_votes = 0
         self._worker: Worker[_Wake] = Worker(self._turn, 1, self._failed, "fusion")
-        self._frames.watch(self._inputs.sources)
+        self._frames.watch(self.inputs.sources)
         heard = [] if page is None else [page.put_heard]
-        self._ports = FusionPorts(self, self._inputs, self._output, *heard)
+        self._ports = FusionPorts(self, self.inputs, self._output, *heard)
         self.timer(TURN_S, self._look_turn)
         self.timer(LOOK_S, self._look)
         self.timer(SHOW_S, self._show)
         self.timer(LOOK_AROUND_S, self._look_around)
         self.log.info(
-            f"fuses {', '.join(self._inputs.entries.values()) or self.settings.discover} on "
+            f"fuses {', '.join(self.inputs.entries.values()) or self.settings.discover} on "
             f"{self._device.name}; the fused map is on {node.resolve_topic_name(MAP_TOPIC)!r} in "
             f"frame {self.settings.fused_frame!r}"
         )
@@ -172,7 +172,7 @@ class FusionNode(NodeBase):
     @property
     def rest(self) -> float:
         """Leave the worker three quarters of the interpreter, where inputs are many."""
-        return REST if len(self._inputs.sources) >= MANY else 0.0
+        return REST if len(self.inputs.sources) >= MANY else 0.0
 
     # --- callbacks, in the executor's thread -------------------------------------------------
 
@@ -182,7 +182,7 @@ class FusionNode(NodeBase):
             self._session.forget(name)
             self._stamps.remove(name)
             self._writers.remove(name)
-        self._frames.watch(self._inputs.sources)
+        self._frames.watch(self.inputs.sources)
         self._wake()
 
     def _wake(self) -> None:
@@ -205,8 +205,8 @@ class FusionNode(NodeBase):
 
     def _look(self) -> None:
         """See which inputs are lost or back, and send what is new of the frames and votes."""
-        self._inputs.discover(self.settings)
-        for name, source in self._inputs.sources.items():
+        self.inputs.discover(self.settings)
+        for name, source in self.inputs.sources.items():
             if self._session.look(
                 name, source.lost, has_map=bool(source.frame), is_back=source.is_back
             ):
@@ -225,11 +225,11 @@ class FusionNode(NodeBase):
         """Show how the inputs are on the page."""
         if self._page is not None:
             believed = self._session.snapshot.believed
-            self._page.show(self.statuses(), believed, self._inputs.sources.values())
+            self._page.show(self.statuses(), believed, self.inputs.sources.values())
 
     def _look_around(self) -> None:
         """See who publishes the inputs and the fused map, and let ages be looked at."""
-        sources = self._inputs.sources
+        sources = self.inputs.sources
         for source in sources.values():
             source.look()
         self._writers.look({name: source.topic for name, source in sources.items()})
@@ -240,7 +240,7 @@ class FusionNode(NodeBase):
     def _on_settings(self, settings: FusionNodeConfig) -> None:
         self.settings = self._frames.settings = self._output.settings = settings
         self._outbox.rate_hz = settings.max_publish_rate_hz
-        for source in self._inputs.sources.values():
+        for source in self.inputs.sources.values():
             source.ask(settings.lost_after_s)
 
     def _on_live(self, live: LiveConfig) -> None:
@@ -265,7 +265,7 @@ class FusionNode(NodeBase):
 
     def load_input(self, entry: str) -> tuple[grids.OccupancyGrid | None, str]:
         """Let a saved map be an input; return it, or why not."""
-        return self._inputs.load(entry)
+        return self.inputs.load(entry)
 
     def ask_reset(self) -> None:
         """Let the worker begin a new fused frame."""
@@ -293,8 +293,8 @@ class FusionNode(NodeBase):
         by_name = snapshot.believed.inputs
         since_s = time.monotonic() - snapshot.noted_s
         lines = []
-        for name, entry in self._inputs.entries.items():
-            source = self._inputs.sources.get(name)
+        for name, entry in self.inputs.entries.items():
+            source = self.inputs.sources.get(name)
             topic = "" if source is None else self.node.resolve_topic_name(source.topic)
             frame = "-" if source is None else self._frames.child_frame(source) or source.frame
             lines.append(

@@ -11,7 +11,15 @@ from slamfusion.errors import ConfigError
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
 
-__all__ = ["FILE_PREFIX", "MAP_SUFFIX", "entry_for", "input_names", "load_saved", "topic_of"]
+__all__ = [
+    "FILE_PREFIX",
+    "MAP_SUFFIX",
+    "entry_for",
+    "input_names",
+    "load_saved",
+    "saved_path",
+    "topic_of",
+]
 
 FILE_PREFIX = "file:"
 MAP_SUFFIX = "/map"
@@ -71,6 +79,12 @@ def topic_of(entry: str) -> str | None:
     return None if where.startswith(FILE_PREFIX) else where
 
 
+def saved_path(entry: str) -> Path | None:
+    """Return the file of a saved map's entry; None of a topic."""
+    where = _place(entry)
+    return Path(where.removeprefix(FILE_PREFIX)) if where.startswith(FILE_PREFIX) else None
+
+
 def load_saved(
     name: str, entry: str, config: MapFileConfig, warn: Callable[[str], Any]
 ) -> OccupancyGrid | None:
@@ -85,9 +99,9 @@ def load_saved(
     Raises:
         MapFileError: it cannot be read.
     """
-    if topic_of(entry) is not None:
+    path = saved_path(entry)
+    if path is None:
         return None
-    path = _place(entry).removeprefix(FILE_PREFIX)
     return load_map(path, name=name, legacy_unknown=config.legacy_unknown, warn=warn)
 
 

@@ -11,8 +11,11 @@ from nav_msgs.msg import OccupancyGrid
 from slamfusion import grid as grids
 from slamfusion.config import FusionNodeConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.io.map_server import save_map
+from slamfusion.io.map_server import map_sources, save_map, saved_files
+from slamfusion.io.overwriting import refuse_overwriting
 from slamfusion.ros.base import Level, NodeBase
+from slamfusion.ros.fusion_inputs import FusionInputs
+from slamfusion.ros.input_entries import saved_path
 
 __all__ = ["SHOWN_S", "MapSaver", "Saved", "save_target"]
 
@@ -24,10 +27,12 @@ class Saved(Protocol):
 
     Attributes:
         settings: of now.
+        inputs: what is fused; no saved map of these is written over.
         published: the last published map as message and as grid; None before the first.
     """
 
     settings: FusionNodeConfig
+    inputs: FusionInputs
 
     @property
     def published(self) -> tuple[OccupancyGrid, grids.OccupancyGrid] | None:
@@ -70,6 +75,16 @@ class MapSaver:
                 target = save_target(self._saved.settings.save_path, self._root)
             else:
                 target = save_target(path, self._root, "path")
+            kind = {key: rules[key] for key in ("mode", "image_format") if key in rules}
+            refuse_overwriting(
+                [
+                    (given, file)
+                    for entry in self._saved.inputs.entries.values()
+                    if (given := saved_path(entry)) is not None
+                    for file in map_sources(given)
+                ],
+                [(f"the map {target}", file) for file in saved_files(target, **kind)],
+            )
             written, _ = save_map(published[1], target, **rules)
         except (SlamFusionError, OSError) as error:
             text = f"not saved: {error}"

@@ -11,7 +11,9 @@ from typing import Any
 from nav_msgs.msg import OccupancyGrid
 
 from slamfusion.errors import SlamFusionError
-from slamfusion.io.map_server import save_map
+from slamfusion.io.logs import log_sources
+from slamfusion.io.map_server import save_map, saved_files
+from slamfusion.io.overwriting import refuse_overwriting
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import NodeBase
 from slamfusion.ros.interrupt import Interrupt
@@ -28,14 +30,24 @@ class PlayerMaps:
         topics: of the maps.
         folder: where they are written; made when missing.
         interrupt: ends the wait for the last ones.
+        log: that is played.
 
     Raises:
+        SlamFusionError: a map would be written over a file of the log.
         OSError: the folder cannot be made, or written to: said before the log plays, not after.
     """
 
     def __init__(
-        self, base: NodeBase, topics: Sequence[str], folder: Path, interrupt: Interrupt
+        self, base: NodeBase, topics: Sequence[str], folder: Path, interrupt: Interrupt, log: Path
     ) -> None:
+        self._stems = {
+            topic: folder / topic.strip("/").removesuffix("/map").replace("/", "_")
+            for topic in topics
+        }
+        refuse_overwriting(
+            [(log, file) for file in log_sources(log)],
+            [(f"save {stem}", file) for stem in self._stems.values() for file in saved_files(stem)],
+        )
         _check_writable(folder)
         self._node, self._log = base.node, base.log
         self._topics = tuple(topics)
@@ -74,8 +86,7 @@ class PlayerMaps:
             raise SlamFusionError(message)
         self._folder.mkdir(parents=True, exist_ok=True)
         for topic, message in maps.items():
-            name = topic.strip("/").removesuffix("/map").replace("/", "_")
-            path, _ = save_map(messages.grid_from_message(message, topic), self._folder / name)
+            path, _ = save_map(messages.grid_from_message(message, topic), self._stems[topic])
             self._log.info(f"wrote {path}")
 
     def _late(self, stamp_s: float) -> list[str]:

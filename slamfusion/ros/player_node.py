@@ -80,7 +80,8 @@ class PlayerNode(NodeBase):
         self._maps: PlayerMaps | None = None
         if self.settings.save is not None:
             folder = Path(self.settings.save)
-            self._maps = PlayerMaps(self, map_topics, folder, self._interrupt)
+            log = Path(self.settings.file)
+            self._maps = PlayerMaps(self, map_topics, folder, self._interrupt, log)
         self._log: ScanLog = open_log(self.settings.file, reading)
         self._sender = ScanSender(self, self.settings)
         timeout_s = self.settings.lockstep_timeout_s

@@ -142,8 +142,8 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     course = recording.course
-    log, tum = folder / f"{course.name}.log.gz", folder / "truth.tum"
-    settings = folder / "course.yaml"
+    paths = recording_files(course, folder)
+    log, *_, tum, settings = paths
     if course.world.map is not None:  # the truth is that map, and lies beside the course
         world = replace(course.world, map="truth.yaml")
         course = replace(course, world=world)
@@ -151,11 +151,18 @@ def write_recording(recording: Recording, folder: str | Path) -> list[Path]:
     with AtomicFiles() as files:
         write_carmen(log, recording.scans, files=files)
         truth = recording.world.grid
-        maps = save_map(truth, folder / "truth", files=files)
-        thin = save_map(thin_walls(truth), folder / "truth_thin", files=files)
+        save_map(truth, folder / "truth", files=files)
+        save_map(thin_walls(truth), folder / "truth_thin", files=files)
         write_tum(tum, recording.truth, files=files)
         files.add(settings, text.encode())
-    return [log, *maps, *thin, tum, settings]
+    return paths
+
+
+def recording_files(course: Course, folder: Path) -> list[Path]:
+    """Return the files of a recording of a course: see ``write_recording``."""
+    maps = [f"{stem}{end}" for stem in ("truth", "truth_thin") for end in (".yaml", ".pgm")]
+    names = (f"{course.name}.log.gz", *maps, "truth.tum", "course.yaml")
+    return [folder / name for name in names]
 
 
 def _chance(course: Course, stream: int) -> np.random.Generator:

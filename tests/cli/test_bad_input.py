@@ -296,7 +296,6 @@ USAGE = {
     "unknown command": ["merge"],
     "unknown option": ["fuse", *MAPS, "-o", "x", "--shout"],
     "output is a folder": ["fuse", *MAPS, "-o", "."],
-    "output is an input": ["fuse", *MAPS, "-o", MAPS[0]],
     "nothing to evaluate against": ["evaluate", MAPS[0]],
     "three maps to align": ["align", *MAPS],
 }

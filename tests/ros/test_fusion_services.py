@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from slamfusion.config import FusionNodeConfig
 from slamfusion.grid import OccupancyGrid
-from slamfusion.io.map_server import load_map
+from slamfusion.io.map_server import load_map, save_map
 from slamfusion.ros.base import Diagnostics
 from slamfusion.ros.fusion_services import FusionServices
 from tests.fusion.live.maps import three
@@ -39,6 +39,7 @@ class Node:
     def __init__(self, folder: Path) -> None:
         self.settings = FusionNodeConfig(save_path=str(folder / "lab"))
         self.published: Any = (None, three()["a"])
+        self.inputs: Any = SimpleNamespace(entries={"a": "a/map"})
         self.answers: dict[str, Any] = {}
         quiet = SimpleNamespace(info=str, warning=str, error=str)
         self.log, self.diagnostics = quiet, Diagnostics(quiet)
@@ -114,6 +115,22 @@ def test_save_as_names_all_that_it_does_not_take(tmp_path: Path) -> None:
     )
     taken = save_as(node, path=path, mode="raw", occupied_thresh=1, free_thresh=0.3)
     assert taken == (True, f"{path}.yaml")
+
+
+def test_a_saved_input_is_not_written_over(tmp_path: Path) -> None:
+    node = Node(tmp_path)
+    FusionServices(node, node)
+    (tmp_path / "sub").mkdir()
+    yaml, picture = save_map(three()["b"], tmp_path / "yard")
+    floor = yaml.rename(tmp_path / "floor.yaml")
+    node.inputs.entries["floor"] = f"file:{floor}"
+    before = picture.read_bytes()
+    taken, why = save_as(node, path=str(tmp_path / "sub" / ".." / "yard"))
+    assert not taken
+    assert f"would replace the input {picture} (of {floor})" in why
+    assert picture.read_bytes() == before
+    assert not yaml.exists()
+    assert save_as(node, path=str(tmp_path / "yard"), format="png")[0]
 
 
 def test_nav2s_requests_are_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

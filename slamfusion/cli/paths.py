@@ -1,0 +1,120 @@
+"""The paths of the command line: what each is read for, or what is written to it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamfusion.errors import SlamFusionError
+from slamfusion.jobs.cases import CaseFile
+from slamfusion.jobs.inputs import check_writable, map_file
+
+__all__ = [
+    "CASE_FILE",
+    "CASE_MAP",
+    "FILE",
+    "MAP",
+    "CasePath",
+    "Files",
+    "InputPath",
+    "OutputPath",
+    "check_paths",
+]
+
+# Files of a path, which stands beside the other values that the command was given, by name.
+Files = Callable[[Path, Mapping[str, Any]], Iterable[Path]]
+
+
+class _UserPath(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.3 on
+    """A path, which need not exist; ``~`` is the home folder also where no shell has put it in.
+
+    Args:
+        files: returns the files that are read for it, or may be written or removed.
+    """
+
+    name = "path"
+
+    def __init__(self, files: Files) -> None:
+        self.files = files
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; one that begins with ``~NAME`` of nobody stays."""
+        del param, ctx
+        return Path(os.path.expanduser(value))  # noqa: PTH111 - pathlib's raises for nobody
+
+
+class InputPath(_UserPath):
+    """A path that is read."""
+
+
+class CasePath(InputPath):
+    """An input that may be said to belong to a case: ``CASE=FILE``."""
+
+    name = "case_file"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> CaseFile:
+        """Return the file and the case."""
+        found = CaseFile.parse(value)
+        return replace(found, path=super().convert(str(found.path), param, ctx))
+
+
+class OutputPath(_UserPath):
+    """A path that is written to: a file, or a folder or start of names for several."""
+
+
+def _read_of_file(path: Path, _: Mapping[str, Any]) -> Iterable[Path]:
+    from slamfusion.io.logs import log_sources  # noqa: PLC0415  (OpenCV loads slowly)
+
+    return [path, *log_sources(path)]
+
+
+def _read_of_map(path: Path, _: Mapping[str, Any]) -> Iterable[Path]:
+    from slamfusion.io.map_server import map_sources  # noqa: PLC0415  (OpenCV loads slowly)
+
+    return map_sources(map_file(path))
+
+
+# A file of any kind, or the folder of a log or bag; a map.
+FILE, CASE_FILE = InputPath(_read_of_file), CasePath(_read_of_file)
+MAP, CASE_MAP = InputPath(_read_of_map), CasePath(_read_of_map)
+
+
+def check_paths(context: click.Context, given: Mapping[str, Any]) -> None:
+    """Refuse a command that would write over what it reads, or where it cannot, before any work.
+
+    Args:
+        context: of the command.
+        given: its values by name.
+
+    Raises:
+        click.BadParameter: an output would replace an input, or another output.
+        MapFileError: an output cannot be written.
+    """
+    reads: list[tuple[Path, Path]] = []
+    writes: list[tuple[str, Path]] = []
+    for option in context.command.params:
+        value = given.get(option.name or "")
+        for item in value if isinstance(value, tuple) else () if value is None else (value,):
+            path = item.path if isinstance(item, CaseFile) else item
+            if isinstance(option.type, OutputPath):
+                asked = f"{option.opts[0]} {path}"
+                writes += [(asked, file) for file in option.type.files(path, given)]
+            elif isinstance(option.type, InputPath):
+                reads += [(path, file) for file in option.type.files(path, given)]
+    if not writes:
+        return
+    from slamfusion.io.overwriting import refuse_overwriting  # noqa: PLC0415  (OpenCV, as above)
+
+    try:
+        refuse_overwriting(reads, writes)
+    except SlamFusionError as error:
+        raise click.BadParameter(str(error)) from None
+    for folder in dict.fromkeys(file.parent for _, file in writes):
+        check_writable(folder)
