@@ -88,6 +88,7 @@ def _print_alignment(found: Alignment, device: str) -> None:
         ["dy", f"{number(found.transform.y, 4)} m"],
         ["yaw", f"{number(math.degrees(found.transform.yaw_rad))} deg"],
         ["accepted", "yes" if found.accepted else "NO"],
+        ["strength", found.strength or "-"],
         ["reason", found.reason],
         ["score", number(found.score)],
         ["overlap", number(found.overlap)],

@@ -105,15 +105,22 @@ def print_pairs(pairs: Sequence[Alignment], device: str) -> None:
     """Print the pairs of maps of which nothing was fused."""
     print_table(
         PAIR_COLUMNS,
-        [[pair.reference, *_cells(pair, "yes" if pair.accepted else "NO")] for pair in pairs],
+        [[pair.reference, *_cells(pair, _accepted(pair))] for pair in pairs],
         notes=[pair.reason for pair in pairs],
         title=f"Nothing was fused, on {device}",
     )
 
 
+def _accepted(found: Alignment) -> str:
+    """Return whether an alignment is accepted, and if so how good it is, where that is known."""
+    return found.strength or ("yes" if found.accepted else "NO")
+
+
 def _row(record: InputRecord, reference: str) -> list[str]:
     """Return an input's row of the alignment table."""
     accepted = "yes" if record.accepted else "NO"
+    if record.accepted and record.alignment is not None:
+        accepted = _accepted(record.alignment)
     if record.name == reference:
         accepted = "reference"
     if record.copy_of is not None:

@@ -475,6 +475,8 @@ def _over_others(
         time_s=turned.time_s + tracked.time_s,
         yaw_profile=turned.yaw_profile,
         statistics=turned.statistics | tracked.statistics,
+        evidence=turned.evidence,
+        decision=turned.decision,
     )
 
 

@@ -135,7 +135,12 @@ def judge(
             evidence, reference, moving, config, device, stand, best, narrow, cancel
         )
         decision = decide(evidence)
-    elif found.search == "full" and decision.kind in found.image_after:
+    if (
+        found.search == "full"
+        and not decision.accepted
+        and decision.kind not in {"mirrored", "other scale"}
+        and decision.kind in found.image_after
+    ):
         evidence = _looked_at_image(
             evidence, reference, moving, config, device, stand, pairs, cancel
         )

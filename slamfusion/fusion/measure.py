@@ -37,6 +37,8 @@ def measure(
     within 0.15 m, ``wall_clash`` the larger of the two shares in the other's free space more than
     1 m from any wall, ``wall_clash_near`` the same beyond 0.4 m; ``chance`` is the larger of the
     two shares of known cells within 0.15 m of a wall, what a random place would match.
+    ``explained`` is the share of the map with fewer wall cells, and ``explained_by_chance`` what a
+    random place on the known cells of the other map would match of it.
     """
     lattice = to_lattice(motion[None], moving.centre)
     ref, mov = reference.level(1, cancel), moving.level(1, cancel)
@@ -70,6 +72,7 @@ def measure(
         known.append(counts[0] / len(sample))
         check_cancelled(cancel)
         chance.append(features.near_wall_share(near2))
+    smaller = 0 if len(moving.wall_points) <= len(reference.wall_points) else 1
     overlap, error = _overlap_and_error(reference, moving, lattice, device, cancel)
     return {
         "wall_match": float(min(match)),
@@ -79,6 +82,8 @@ def measure(
         "wall_clash_near": float(max(clash[1])),
         "wall_known": float(min(known)),
         "chance": float(max(chance)),
+        "explained": float(match[smaller]),
+        "explained_by_chance": float(chance[smaller]),
         "overlap": overlap,
         "error": error,
     }

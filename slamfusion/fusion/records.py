@@ -9,7 +9,7 @@ from typing import TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.fusion.accept import DecisionKind
+from slamfusion.fusion.accept import DecisionKind, Strength, strength_of
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.vote.tiles import GridLayer
@@ -113,6 +113,9 @@ class AlignmentJson(TypedDict):
     """How much speaks for it; null where nothing could be searched."""
     match_decision: DecisionKind
     """What was decided: accepted, or why not, in one of a few words."""
+    strength: Strength | None
+    """How good an accepted match is: by the share of the common walls that it explains, strong from
+    0.85 on, fair from 0.7 on, else weak; null: not accepted, or nothing was searched."""
 
 
 class PathGapJson(TypedDict):
@@ -249,6 +252,13 @@ class Alignment:
     evidence: MatchEvidence | None = None
     decision: DecisionKind = "not searched"
 
+    @property
+    def strength(self) -> Strength | None:
+        """How good an accepted alignment is; None: not accepted, or there is no evidence."""
+        if not self.accepted or self.evidence is None:
+            return None
+        return strength_of(self.evidence.share)
+
     def to_json(self) -> AlignmentJson:
         """Return the keys that other programs rely on."""
         runner_up: RunnerUpJson | None = None
@@ -277,6 +287,7 @@ class Alignment:
             "statistics": self.statistics,
             "match_evidence": None if self.evidence is None else self.evidence.to_json(),
             "match_decision": self.decision,
+            "strength": self.strength,
         }
 
 

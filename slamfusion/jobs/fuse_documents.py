@@ -54,6 +54,7 @@ NO_ALIGNMENT: NoAlignmentJson = {
     "runner_up": None,
     "bound_gap": None,
     "time_s": None,
+    "strength": None,
 }
 
 
@@ -283,6 +284,7 @@ def _input(record: InputRecord, reference: str | None) -> AlignmentJson | Unalig
         **record.alignment.to_json(),
         "name": record.name,
         "accepted": record.accepted,
+        "strength": record.alignment.strength if record.accepted else None,
         "reason": record.reason,
     }
 

@@ -122,6 +122,8 @@ class NoAlignmentJson(TypedDict):
     """Null: it was not aligned."""
     time_s: None
     """Null: it was not aligned."""
+    strength: None
+    """Null: it was not aligned."""
 
 
 class UnalignedInputJson(NoAlignmentJson):

@@ -44,11 +44,11 @@ from slamfusion.trajectory import Trajectory
 __all__ = [
     "alignment_section",
     "dissent_section",
+    "doubtful_lines",
     "fused_section",
     "fusion_banner",
     "group_sections",
     "inputs_section",
-    "left_out_lines",
     "shown_box",
     "statistics_section",
     "write_failure_report",
@@ -162,7 +162,7 @@ _YAW_TEXT = (
 def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
     """Say first which maps vote, and loudest which do not."""
     accepted = ", ".join(record.name for record in result.accepted)
-    lines = left_out_lines(result)
+    lines = doubtful_lines(result)
     lines.append(("Fused:", f"{accepted or 'none'}; in the frame of {result.reference}."))
     total, fused = len(result.inputs) - len(result.copies), len(result.accepted)
     if failure is not None:
@@ -171,19 +171,30 @@ def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
         return Banner("bad", f"Not a vote: only {fused} of {total} maps remains", lines)
     if result.rejected:
         return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
-    return Banner("good", f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
+    tone = "warn" if _weak(result) else "good"
+    return Banner(tone, f"{'Both' if total == 2 else f'All {total}'} maps were fused", lines)
 
 
-def left_out_lines(result: FusionResult) -> list[tuple[str, str]]:
-    """Return which inputs have no vote, and why, and what the fused map was cut off from."""
+def doubtful_lines(result: FusionResult) -> list[tuple[str, str]]:
+    """Return which inputs have no vote or are weak matches, and what the fused map leaves out."""
     return [
         *((f"{record.name} was rejected:", record.reason) for record in result.rejected),
         *((f"{record.name} is a copy:", record.reason) for record in result.copies),
+        *((f"{name} may not belong here:", reason) for name, reason in _weak(result)),
         *(
             (f"Left out, outside the box of {group.reference}:", f"{area:.1f} m² of {name}.")
             for group in (result, *result.others)
             for name, area in group.left_out_m2.items()
         ),
+    ]
+
+
+def _weak(result: FusionResult) -> list[tuple[str, str]]:
+    """Return the inputs that vote though much contradicts them, each with its reason."""
+    return [
+        (record.name, record.reason)
+        for record in result.accepted
+        if record.alignment is not None and record.alignment.strength == "weak"
     ]
 
 

@@ -181,7 +181,7 @@ def alignment_table(
             [
                 Cell(alignment.moving),
                 Cell(alignment.reference),
-                Cell("accepted", "good") if alignment.accepted else Cell("rejected", "bad"),
+                accepted_cell(alignment),
                 number(transform.x),
                 number(transform.y),
                 number(math.degrees(math.remainder(transform.yaw_rad, 2 * math.pi)), 2),
@@ -215,6 +215,15 @@ def alignment_table(
             )
         )
     return tables
+
+
+def accepted_cell(alignment: Alignment) -> Cell:
+    """Return whether an alignment is accepted, and how good it is; a weak one is not green."""
+    if not alignment.accepted:
+        return Cell("rejected", "bad")
+    strength = alignment.strength
+    words = "accepted" if strength is None else f"accepted: {strength}"
+    return Cell(words, "plain" if strength == "weak" else "good")
 
 
 def statistics_table(

@@ -12,9 +12,9 @@ from slamfusion.report.evidence import evidence_section
 from slamfusion.report.fusion_report import (
     alignment_section,
     dissent_section,
+    doubtful_lines,
     fused_section,
     inputs_section,
-    left_out_lines,
     shown_box,
     statistics_section,
 )
@@ -104,7 +104,7 @@ def _banner(report: RunReport) -> Banner:
     lines = [(f"{name} made no map:", reason) for name, reason in report.failed]
     result = report.result
     if result is not None:
-        lines += left_out_lines(result)
+        lines += doubtful_lines(result)
     lines += list(report.warnings)
     if report.verdict is not None:
         lines.append(("Verdict:", report.verdict.sentence))

@@ -297,6 +297,7 @@ def test_align_prints_one_record() -> None:
     table = run("align", TRUTH, MAPS[1])
     assert table.returncode == 0
     assert "runner-up" in table.stdout
+    assert f"strength\t{record['strength']}" in table.stdout
 
 
 def test_align_of_strangers_exits_with_one_and_still_prints(stranger: Path) -> None:

@@ -474,7 +474,9 @@ def test_an_alignment_as_json_has_the_keys_that_programs_rely_on(device: Compute
         "statistics",
         "match_evidence",
         "match_decision",
+        "strength",
     ]
+    assert found.to_json()["strength"] == "strong"
     assert found.to_json()["name"] == "again"
 
 

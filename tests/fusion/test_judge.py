@@ -17,7 +17,7 @@ from slamfusion.fusion.judge import prior_within, rejected_alignment
 from slamfusion.fusion.records import Alignment
 from slamfusion.fusion.rivals import is_distinct
 from slamfusion.geometry import Pose2
-from slamfusion.grid import OccupancyGrid
+from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from slamfusion.sim import draw_building
 from tests.fusion.drawings import (
     assert_right,
@@ -82,6 +82,55 @@ def test_a_room_that_stands_twice_is_ambiguous_and_both_places_are_said(
     degrees = math.degrees(rival.yaw_rad)
     assert f"at {rival.x:.2f}, {rival.y:.2f} m, {degrees:.0f} deg" in found.reason
     assert record_of(found)["rival_ratio"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_buildings_are_not_one_place_that_is_there_twice(
+    device: ComputeDevice, seed: int
+) -> None:
+    """An outer wall of one lies well on that of the other, in many places, back to back."""
+    first, second = (
+        draw_building(np.random.default_rng([seed, which]), 12.0, 10.0, 0.1).with_name(name)
+        for which, name in enumerate(("first", "second"))
+    )
+    found = align_grids(first, second, QUICK, device)
+    assert found.decision == "different place"
+    assert found.strength is None
+    best, chance = (found.statistics[name] for name in ("explained", "explained_by_chance"))
+    assert found.reason.startswith(
+        f"the maps do not show the same place: the best fit explains {best:.0%} of the smaller "
+        f"map's walls, a random one {chance:.0%}; "
+    )
+
+
+def storey(seed: int, rooms: int) -> OccupancyGrid:
+    """Return a storey of an L-shaped building of 30 x 20 m with this number of walls inside."""
+    cells = np.full((440, 640), UNKNOWN, dtype=np.int8)
+    for edge, value in ((20, OCCUPIED), (22, FREE)):
+        cells[edge : 440 - edge, edge : 430 - edge] = value
+        cells[edge : 280 - edge, edge : 640 - edge] = value
+    rng = np.random.default_rng(seed)
+    for _ in range(rooms):
+        row, col = rng.integers(30, (360, 560))
+        height, width = rng.permutation((2, int(rng.integers(40, 80))))
+        wall = cells[row : row + height, col : col + width]
+        wall[wall == FREE] = OCCUPIED
+    return OccupancyGrid(cells, 0.05, name=f"storey {seed}")
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("rooms", "strength"), [(10, "weak"), (12, None)])
+def test_storeys_with_the_same_outer_walls_are_a_weak_match_at_most(
+    device: ComputeDevice, seed: int, rooms: int, strength: str | None
+) -> None:
+    found = align_grids(storey(seed, rooms), storey(seed + 100, rooms), QUICK, device)
+    assert found.strength == strength, found.reason
+    assert found.to_json()["strength"] == strength
+    contradiction = 1.0 - record_of(found)["share"]
+    assert (
+        f"{contradiction:.0%} of the common walls contradict: another storey or another time?"
+        in found.reason
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -12,6 +12,7 @@ from slamfusion.fusion.records import (
     Alignment,
     FusionResult,
     InputRecord,
+    MatchEvidence,
     RunnerUp,
     VotedLayer,
 )
@@ -35,6 +36,20 @@ def room(name: str, seed: int, *, height: int = 40, width: int = 60) -> Occupanc
     return OccupancyGrid(cells, 0.05, Pose2(-3.0, 500.0), name)
 
 
+def explains(share: float) -> MatchEvidence:
+    """Evidence of an alignment that explains this share of the common walls."""
+    return MatchEvidence(
+        pieces=60.0,
+        better=50.0,
+        share=share,
+        common_m=40.0,
+        rival_ratio=0.4,
+        expected_wrong=0.001,
+        mirrored=None,
+        scale=None,
+    )
+
+
 def alignment(reference: str, moving: str, *, accepted: bool) -> Alignment:
     """An alignment with a profile of two peaks."""
     yaw_rad = np.linspace(-math.pi, math.pi, 181)
@@ -53,6 +68,7 @@ def alignment(reference: str, moving: str, *, accepted: bool) -> Alignment:
         time_s=0.2,
         statistics={"walls": 123.0},
         yaw_profile=np.column_stack((yaw_rad, score)),
+        evidence=explains(0.94),
     )
 
 

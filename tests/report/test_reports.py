@@ -25,7 +25,7 @@ from slamfusion.report import (
     write_fusion_report,
 )
 from slamfusion.report.canvas import in_form
-from tests.report.drawn import NASTY, REASON, alignment, colours_of, fusion, room
+from tests.report.drawn import NASTY, REASON, alignment, colours_of, explains, fusion, room
 
 pytestmark = pytest.mark.once
 
@@ -113,6 +113,30 @@ def test_a_fusion_without_rejects_says_that_all_were_fused(tmp_path: Path) -> No
     )
     assert "All 3 maps were fused" in page.text
     assert "rejected" not in page.text
+
+
+@pytest.mark.parametrize(
+    ("share", "strength", "is_told"),
+    [(0.94, "strong", False), (0.8, "fair", False), (0.47, "weak", True)],
+)
+def test_a_weak_match_is_told_first_and_each_says_how_good_it_is(
+    tmp_path: Path, share: float, strength: str, *, is_told: bool
+) -> None:
+    result = fusion()
+    records = [
+        record
+        if record.alignment is None
+        else replace(record, alignment=replace(record.alignment, evidence=explains(share)))
+        for record in result.accepted
+    ]
+    found = tuple(record.alignment for record in records if record.alignment is not None)
+    page = read(
+        write_fusion_report(
+            replace(result, inputs=tuple(records), pairs=found), tmp_path, config=CONFIG
+        )
+    )
+    assert f"accepted: {strength}" in page.text
+    assert ("room 1 may not belong here: fits" in page.text) is is_told
 
 
 def test_one_remaining_map_is_not_called_a_vote(tmp_path: Path) -> None:

@@ -9,7 +9,16 @@ from typing import Any, cast
 
 from slamfusion.fusion.accept import DecisionKind, Evidence
 
-__all__ = ["COLUMNS", "OPTIONAL", "RecordedPair", "changed", "load_pairs", "row_of", "value_of"]
+__all__ = [
+    "COLUMNS",
+    "OPTIONAL",
+    "SAID_ONLY",
+    "RecordedPair",
+    "changed",
+    "load_pairs",
+    "row_of",
+    "value_of",
+]
 
 # What the decision looks at: fields of the evidence, and its statistics.
 FIELDS = (
@@ -29,6 +38,8 @@ FIELDS = (
 )
 STATISTICS = ("wall_match", "wall_clash", "chance")
 COLUMNS = FIELDS + STATISTICS
+# Statistics that a reason names and that decide nothing; the table does not hold them.
+SAID_ONLY = {"explained": 0.3, "explained_by_chance": 0.2}
 # Numbers that are looked for only where the rest speaks for the answer.
 OPTIONAL = ("mirrored", "scale", "held_m", "beside_lines_m")
 
@@ -113,7 +124,7 @@ def _pair(row: dict[str, str]) -> RecordedPair:
         rival="elsewhere",
         pairs=1,
         prior=float(row["prior"]),
-        statistics={name: float(row[name]) for name in STATISTICS},
+        statistics={name: float(row[name]) for name in STATISTICS} | SAID_ONLY,
         search="full",
         mirrored=float(row["mirrored"]) if row["mirrored"] else None,
         scale=float(row["scale"]) if row["scale"] else None,

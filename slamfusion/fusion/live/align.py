@@ -29,8 +29,8 @@ __all__ = ["Aligner", "Held"]
 MIRROR_SHARE = 0.9
 # Messages, besides, after which an unchanged map that jumped is looked at once more.
 CONFIRM_MAPS = 2
-# Of a mirrored map two places often are alike; which of both it is has to be told.
-MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous",)
+# A mirrored map fits nowhere, or two places of it are alike; that it is mirrored has to be told.
+MAY_BE_IMAGE: tuple[DecisionKind, ...] = ("ambiguous", "different place")
 # Seconds of a first search for which maps of others wait; each that is given up doubles them.
 PATIENCE_S = 1.0
 # A search longer than that which found nothing is followed by a pause this many times as long.

@@ -359,6 +359,7 @@ def is_contradicted(reason: str) -> bool:
     words = (
         "walls do not match",
         "maps do not fit each other",
+        "do not show the same place",
         "ambiguous",
         "too little in common",
     )
