@@ -60,17 +60,13 @@ if TYPE_CHECKING:
     from slamfusion.jobs.judge import JudgedPaths, judge_paths, write_judgement
     from slamfusion.jobs.map_log import MappedLog, map_log, save_mapped_log
     from slamfusion.jobs.records import load_schema
-    from slamfusion.jobs.results_file import SavedResults, read_results, write_results_file
+    from slamfusion.jobs.results import SavedResults, read_results, write_results_file
     from slamfusion.jobs.run import LogRun, run_log
     from slamfusion.jobs.run_files import SavedRun, save_run
-    from slamfusion.jobs.several import (
-        CaseFiles,
-        evaluate_cases,
-        judge_logs,
-        measure_trajectories,
-    )
+    from slamfusion.jobs.several import evaluate_cases, judge_logs, measure_trajectories
     from slamfusion.jobs.simulate import SimulatedDrive, save_simulated_drive, simulate_course
     from slamfusion.jobs.trajectory import (
+        CaseFiles,
         MeasuredTrajectory,
         Measures,
         TrajectoryFiles,
@@ -194,12 +190,13 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "jobs.judge": ("JudgedPaths", "judge_paths", "write_judgement"),
     "jobs.map_log": ("MappedLog", "map_log", "save_mapped_log"),
     "jobs.records": ("load_schema",),
-    "jobs.results_file": ("SavedResults", "read_results", "write_results_file"),
+    "jobs.results": ("SavedResults", "read_results", "write_results_file"),
     "jobs.run": ("LogRun", "run_log"),
     "jobs.run_files": ("SavedRun", "save_run"),
-    "jobs.several": ("CaseFiles", "evaluate_cases", "judge_logs", "measure_trajectories"),
+    "jobs.several": ("evaluate_cases", "judge_logs", "measure_trajectories"),
     "jobs.simulate": ("SimulatedDrive", "save_simulated_drive", "simulate_course"),
     "jobs.trajectory": (
+        "CaseFiles",
         "MeasuredTrajectory",
         "Measures",
         "TrajectoryFiles",

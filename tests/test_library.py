@@ -18,7 +18,7 @@ pytestmark = pytest.mark.once
 
 SAMPLE = Path(__file__).resolve().parents[1] / "data" / "sample"
 # What takes long to load, or is not there everywhere.
-HEAVY = {"numpy", "scipy", "cv2", "yaml", "pyopencl", "matplotlib", "rclpy", "click"}
+HEAVY = {"numpy", "scipy", "pandas", "cv2", "yaml", "pyopencl", "matplotlib", "rclpy", "click"}
 PUBLIC = [name for name in slamfusion.__all__ if name != "__version__"]
 
 

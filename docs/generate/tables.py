@@ -14,7 +14,7 @@ from typing import Any
 from slamfusion.experiments.drive_paths import DRAWN
 from slamfusion.experiments.drives import ATE, RELATIONS
 from slamfusion.experiments.real_logs import REFERENCE
-from slamfusion.experiments.table import p_text
+from slamfusion.jobs.documents import p_text
 
 __all__ = [
     "TableText",

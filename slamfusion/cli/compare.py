@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,22 +11,24 @@ import click
 from slamfusion.cli.options import check_picture, common_options, output_option
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.cli.paths import FILE
+from slamfusion.cli.results import print_by_case
 from slamfusion.cli.table_files import table_option
 from slamfusion.cli.tables import NOTHING
+from slamfusion.jobs.documents import p_text
 
 if TYPE_CHECKING:
-    from slamfusion.evaluation import Interval
-    from slamfusion.jobs.compare import ComparedResults
+    from slamfusion.jobs.compare import ComparedFigureJson, ComparedResults, ComparedSeriesJson
 
 __all__ = ["command", "print_comparison"]
 
 # Of a table: figures of several sizes.
 DIGITS = 4
-MEANS = ("mean first", "mean second", "difference", "95 %")
+# Figures that have a table by case, where there are several seeds.
+LEADING = ("error", "wall_f1", "ate_rmse_m", "relations_mean_m", "consistency")
 
 
 @click.command("compare")
-@click.argument("files", metavar="A.zip B.zip...", nargs=-1, required=True, type=FILE)
+@click.argument("files", metavar="A.zip [B.zip...]", nargs=-1, required=True, type=FILE)
 @output_option(
     "--plot",
     "plot_path",
@@ -37,133 +40,133 @@ MEANS = ("mean first", "mean second", "difference", "95 %")
 def command(files: tuple[Path, ...], plot_path: Path | None, as_json: bool) -> int:
     """Compare results that --save-results saved: differences of all figures, with p-values.
 
-    Maps and paths of the same case and method are pairs (of the same case alone, where each file
-    has one a case), and so are errors of two paths at the same times. Where nothing is the same,
-    figures are compared as two samples. Of more than two files, every two are compared.
+    Files are compared, every two of them; if a file has several methods in a case and no other file
+    has one of these, its methods are. Maps and paths of the same case, seed and method are pairs;
+    those of the same case and seed are, if each has one method; if the seeds differ, the means over
+    them are the pairs. If no case is the same, figures are compared as two samples.
     """
     from slamfusion.jobs.compare import compare_results, write_comparison_plot  # noqa: PLC0415
 
-    if len(files) < 2:
-        message = "give two files of --save-results or more"
-        raise click.UsageError(message)
     check_picture("--plot", plot_path)
     found = compare_results(files)
     if plot_path is not None:
         write_comparison_plot(found, plot_path)
-    for sentence in found.sentences():
+    for sentence in found.document["notes"]:
         notice(sentence)
     if as_json:
-        print_json(found.to_json())
+        print_json(found.document)
     else:
         print_comparison(found)
     return 0
 
 
 def print_comparison(found: ComparedResults) -> None:
-    """Print a table of the figures and one of the errors along the paths."""
+    """Print a table of the figures with what was paired, and what is behind them.
+
+    These are the figures over the seeds of each case; without seeds, the errors along the paths.
+    """
+    import pandas as pd  # noqa: PLC0415  (an extra)
+
     _print_figures(found)
-    _print_series(found)
+    table = pd.concat([item.table.assign(method=item.name) for item in found.results])
+    if table["seed"].any():
+        print_by_case(table, "results", LEADING)
+    else:
+        _print_series(found)
 
 
 def _print_figures(found: ComparedResults) -> None:
-    """Print every figure of every two files."""
+    """Print every figure of every two results."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
 
-    has_names = len(found.results) > 2
+    document, has_names = found.document, len(found.results) > 2
     rows = []
-    for pair in found.pairs:
-        names = [pair.first.name, pair.second.name]
-        for item in pair.figures:
-            paired, unpaired = item.paired, item.unpaired
-            rank_test = None
-            if paired is not None:
-                rank_test = paired.wilcoxon
-            elif unpaired is not None:
-                rank_test = unpaired.mann_whitney
-            counts = sorted({item.count_first, item.count_second})
-            rows.append(
-                [
-                    figure_of(item.figure).label,
-                    *(names if has_names else []),
-                    " and ".join(map(str, counts)),
-                    *_means(item.mean_first, item.mean_second),
-                    _interval(None if paired is None else paired.interval),
-                    _p_value(item.p_value),
-                    _p_value(rank_test),
-                    NOTHING if item.better is None else names[item.better],
-                ]
-            )
-    is_paired = any(pair.items.pairs for pair in found.pairs)
-    columns = (
-        "figure ",
-        *(("first ", "second ") if has_names else ()),
-        "pairs" if is_paired else "items",
-        *MEANS,
-        "p paired t" if is_paired else "p Welch",
-        "p Wilcoxon" if is_paired else "p Mann-Whitney",
-        "better ",
-    )
-    print_table(columns, rows, title=_title(found), names=3 if has_names else 1)
-
-
-def _title(found: ComparedResults) -> str:
-    if len(found.results) > 2:
-        return f"Every two of {len(found.results)} results; p of the t-test after Holm"
-    return f"{found.results[0].name} (first) against {found.results[1].name} (second)"
+    for item in document["figures"]:
+        rank_test = None
+        if item["paired"] is not None:
+            rank_test = item["paired"]["wilcoxon"]
+        elif item["unpaired"] is not None:
+            rank_test = item["unpaired"]["mann_whitney"]
+        counts = dict.fromkeys((item["items_first"], item["items_second"]))
+        rows.append(
+            [
+                figure_of(item["figure"]).label,
+                *([item["first"], item["second"]] if has_names else []),
+                " and ".join(map(str, counts)),
+                *_numbers(item["mean_first"], item["std_first"]),
+                *_numbers(item["mean_second"], item["std_second"], item["difference"]),
+                _interval(item),
+                p_text(item["p_value"]),
+                p_text(rank_test),
+                item["better"] or NOTHING,
+            ]
+        )
+    is_paired = {bool(pairing["by"]) for pairing in document["pairings"]}
+    tests = {
+        (True,): ("pairs", "p paired t", "p Wilcoxon"),
+        (False,): ("items", "p Welch", "p Mann-Whitney"),
+        (False, True): ("items", "p t-test", "p rank test"),
+    }[tuple(sorted(is_paired))]
+    names = ("first ", "second ") if has_names else ()
+    means = ("mean first", "std first", "mean second", "std second", "difference", "95 %")
+    columns = ("figure ", *names, tests[0], *means, *tests[1:], "better ")
+    title = f"{found.results[0].name} (first) against {found.results[1].name} (second)"
+    if has_names:
+        title = f"Every two of {len(found.results)} results; p of the t-test after Holm"
+    sentences = list(dict.fromkeys(pairing["sentence"] for pairing in document["pairings"]))
+    if len(sentences) > 1:
+        sentences = ["{first} and {second}: {sentence}".format(**p) for p in document["pairings"]]
+    title = "; ".join((title, *sentences))
+    print_table(columns, rows, title=title, names=1 + len(names))
 
 
 def _print_series(found: ComparedResults) -> None:
     """Print the errors that two paths have at the same times."""
     from slamfusion.evaluation import figure_of  # noqa: PLC0415  (loads slowly)
 
-    pairs = [(pair, item) for pair in found.pairs for item in pair.series]
-    if not pairs:
+    document = found.document
+    if not document["series"]:
         return
-    has_names = len(found.results) > 2 or len({item.first.method for _, item in pairs}) > 1
+    has_names = (
+        len(found.results) > 2 or len({item["method_first"] for item in document["series"]}) > 1
+    )
     rows = []
-    for pair, item in pairs:
-        own, test = item.comparison, item.comparison.paired
-        names = [
-            _made_by(pair.first.name, item.first.method),
-            _made_by(pair.second.name, item.second.method),
-        ]
+    for item in document["series"]:
+        test = item["paired"]
+        first, second = item["mean_first"], item["mean_second"]
         rows.append(
             [
-                item.first.case,
-                *(names if has_names else []),
-                figure_of(own.name).label,
-                str(own.common),
-                *_means(own.mean_first, own.mean_second),
-                _interval(None if test is None else test.interval),
-                _p_value(None if test is None else test.t_test),
-                _p_value(None if test is None else test.wilcoxon),
+                item["case"],
+                *(_made_by(item) if has_names else []),
+                figure_of(item["series"]).label,
+                str(item["common"]),
+                *_numbers(first, second, first - second),
+                _interval(item),
+                p_text(None if test is None else test["t_test"]),
+                p_text(None if test is None else test["wilcoxon"]),
             ]
         )
-    heads = ("case ", *(("first ", "second ") if has_names else ()), "errors ")
-    columns = (*heads, "common", *MEANS, "p paired t", "p Wilcoxon")
+    names = ("first ", "second ") if has_names else ()
+    heads = ("case ", *names, "errors ")
+    means = ("mean first", "mean second", "difference", "95 %")
+    columns = (*heads, "common", *means, "p paired t", "p Wilcoxon")
     title = "Errors along the paths; the pairs of the tests are means over spans of neighbours"
     print_table(columns, rows, title=title, names=len(heads))
 
 
-def _means(first: float, second: float) -> list[str]:
-    """Return two means and their difference as cells."""
-    return [number(value, DIGITS) for value in (first, second, first - second)]
+def _made_by(item: ComparedSeriesJson) -> Sequence[str]:
+    """Return what two paths are called: their results' names, and their own where they differ."""
+    both = ((item["first"], item["method_first"]), (item["second"], item["method_second"]))
+    return [name if name == method else f"{name}: {method}" for name, method in both]
 
 
-def _made_by(name: str, method: str) -> str:
-    """Return what a path is called: its file's name, and its own where that is another."""
-    return name if name == method else f"{name}: {method}"
+def _numbers(*values: float | None) -> list[str]:
+    """Return numbers as cells."""
+    return [number(value, DIGITS) for value in values]
 
 
-def _p_value(value: float | None) -> str:
-    """Return a p-value as a cell; a dash where there is none."""
-    from slamfusion.experiments.table import p_text  # noqa: PLC0415  (loads slowly)
-
-    return NOTHING if value is None else p_text(value)
-
-
-def _interval(interval: Interval | None) -> str:
-    """Return an interval as a cell; a dash where there is none."""
-    if interval is None:
+def _interval(item: ComparedFigureJson | ComparedSeriesJson) -> str:
+    """Return the interval of the mean difference as a cell; a dash where nothing is paired."""
+    if item["paired"] is None:
         return NOTHING
-    return f"{number(interval.low, DIGITS)} to {number(interval.high, DIGITS)}"
+    return " to ".join(_numbers(*item["paired"]["interval"]))

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
     case_option,
     check_picture,
@@ -23,7 +22,12 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP
-from slamfusion.cli.results_files import results_option, save_results
+from slamfusion.cli.results import (
+    print_items,
+    print_repetitions,
+    results_option,
+    save_results,
+)
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.jobs.cases import CaseFile, case_names, place_files
@@ -32,7 +36,6 @@ from slamfusion.jobs.inputs import device_for, distinct_names, load_maps, map_fi
 if TYPE_CHECKING:
     from slamfusion.evaluation import DistanceComparison
     from slamfusion.jobs.evaluate import Evaluation
-    from slamfusion.jobs.results_file import InputFile
 
 __all__ = ["command", "print_evaluations"]
 
@@ -168,7 +171,7 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: [*evaluated_items(placed, evaluations), *distance_items(distances)],
+        lambda: [*evaluated_items(placed, evaluations), *distance_items(request.maps, distances)],
         lambda: _inputs(request, {} if truth_path is None else {cases[0]: truth_path}),
     )
     if request.as_json:
@@ -176,6 +179,7 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
     else:
         if evaluations:
             print_evaluations(evaluations)
+            print_repetitions(evaluated_items(placed, evaluations), "map")
         for comparison in distances:
             _print_distances(comparison)
     return 0
@@ -205,7 +209,7 @@ def _evaluate_cases(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: [*found.items(), *distance_items(found.distances)],
+        lambda: [*found.items(), *distance_items(request.maps, found.distances)],
         lambda: _inputs(request, truths),
     )
     if request.as_json:
@@ -223,15 +227,15 @@ def _tell_not_aligned(evaluations: Sequence[Evaluation]) -> None:
             notice(f"not aligned: {evaluation.error.name}: {evaluation.alignment.reason}")
 
 
-def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[InputFile]:
-    """Return the files that were read."""
-    from slamfusion.jobs.results_file import InputFile, map_inputs  # noqa: PLC0415
+def _inputs(request: _Request, truths: Mapping[str, Path]) -> list[tuple[str, str, Path]]:
+    """Return role, case and path of the files that were read."""
+    from slamfusion.jobs.results import map_inputs  # noqa: PLC0415
 
     found = map_inputs("map", "", request.paths)
     for case, path in truths.items():
         found += map_inputs("truth", case, [path])
     if request.distances_path is not None:
-        found.append(InputFile("distances", "", request.distances_path))
+        found.append(("distances", "", request.distances_path))
     return found
 
 

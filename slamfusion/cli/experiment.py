@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -13,7 +13,7 @@ from slamfusion.cli.fleet import asked_scheduler, scheduler_option
 from slamfusion.cli.options import case_option, common_options, output_option, with_config
 from slamfusion.cli.output import notice, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_MAP, FILE, InputPath
-from slamfusion.cli.results_files import results_option, save_results
+from slamfusion.cli.results import results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import PICTURE_FORMS, RunConfig
 from slamfusion.errors import ConfigError
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         RepeatedRunsDocument,
     )
     from slamfusion.experiments.sheets import Tables
-    from slamfusion.jobs.results_file import InputFile
     from slamfusion.jobs.saved_maps import SavedMaps
 
 __all__ = ["command"]
@@ -70,6 +69,19 @@ OUTPUT = output_option(
 )
 
 
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _experiment(*sections: str) -> Callable[[F], F]:
+    """Return what gives a command the settings of sections and the options that all have."""
+
+    def decorate(function: F) -> F:
+        function = common_options(results_option(table_option(function)))
+        return with_config(*sections)(function) if sections else function
+
+    return decorate
+
+
 @click.group("experiment")
 def command() -> None:
     """Repeat an experiment of the papers, with deviations and p-values.
@@ -84,9 +96,7 @@ def command() -> None:
 
 @command.command("cell-models")
 @OUTPUT
-@common_options
-@results_option
-@table_option
+@_experiment()
 def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
     """Compute Table II of [H16]: a cell told 12 values in two orders.
 
@@ -108,7 +118,7 @@ def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
         heading, cells = as_table(rows)
         columns = [f"{heading[0]} ", f"{heading[1]} ", *heading[2:-1], f"{heading[-1]} "]
         print_table(columns, cells, title="A cell after 12 observations ([H16], Table II)")
-        _print_files(document["files"])
+        print(*document["files"], sep="\n")
     check_table_two(rows)
     return 0
 
@@ -146,10 +156,7 @@ def cell_models(folder: Path, results_path: Path | None, as_json: bool) -> int:
     metavar="FILE",
     help="The best known trajectory of the recorded drive.",
 )
-@with_config("experiment.occupancy_estimator", "report", "device", "")
-@common_options
-@results_option
-@table_option
+@_experiment("experiment.occupancy_estimator", "report", "device", "")
 def occupancy_estimator(
     folder: Path,
     log_path: Path | None,
@@ -189,11 +196,7 @@ def occupancy_estimator(
         results = sweep_estimators(drives, config, device, keep=keep, progress=progress)
     document = save_estimator_sweep(folder, results, verdicts(results), config, device.name)
     save_results(results_path, document, results.items, lambda: _drive_inputs(recorded))
-    if as_json:
-        print_json(document)
-    else:
-        _print_results(results, document)
-    return 0
+    return _show(document, as_json, lambda: _print_results(results))
 
 
 # --- Table I -------------------------------------------------------------------------------------
@@ -210,10 +213,7 @@ def occupancy_estimator(
     help="A recorded drive with known motions [K09], and raw odometry of its whole run; may be "
     "given several times.",
 )
-@with_config("experiment.cell_models_trajectories", "device", "")
-@common_options
-@results_option
-@table_option
+@_experiment("experiment.cell_models_trajectories", "device", "")
 def cell_models_trajectories(
     folder: Path,
     logs: tuple[Path, ...],
@@ -231,10 +231,7 @@ def cell_models_trajectories(
         model_sentences,
     )
     from slamfusion.experiments.cell_models_trajectories import NAME  # noqa: PLC0415
-    from slamfusion.experiments.documents import (  # noqa: PLC0415
-        keep_results,
-        save_model_comparison,
-    )
+    from slamfusion.experiments.documents import keep_results, save_runs  # noqa: PLC0415
 
     recorded = [_drive_files(text) for text in logs]
     floors = _floors(config.experiment.cell_models_trajectories.floors, recorded)
@@ -243,13 +240,9 @@ def cell_models_trajectories(
     with progress_bar() as progress:
         drives = gather_drives(recorded, floors, config, device, progress)
         results = compare_models(drives, config, device, keep=keep, progress=progress)
-    document = save_model_comparison(folder, results, model_sentences(results), config, device.name)
+    document = save_runs(folder, NAME, results, model_sentences(results), config, device.name)
     save_results(results_path, document, results.items, lambda: _drive_inputs(recorded))
-    if as_json:
-        print_json(document)
-    else:
-        _print_results(results, document)
-    return 0
+    return _show(document, as_json, lambda: _print_results(results))
 
 
 def _drive_files(text: Path) -> DriveFiles:
@@ -270,10 +263,7 @@ def _drive_files(text: Path) -> DriveFiles:
 @command.command("ground-obstacle")
 @OUTPUT
 @scheduler_option("the drives")
-@with_config("experiment.ground_obstacle", "report", "device", "")
-@common_options
-@results_option
-@table_option
+@_experiment("experiment.ground_obstacle", "report", "device", "")
 def ground_obstacle(
     folder: Path,
     scheduler: str | None,
@@ -288,27 +278,21 @@ def ground_obstacle(
     an interruption, only the rest is run.
     """
     from slamfusion.experiments import compare_with_obstacle, obstacle_trials  # noqa: PLC0415
-    from slamfusion.experiments.documents import save_obstacle_table  # noqa: PLC0415
+    from slamfusion.experiments.documents import save_error_table  # noqa: PLC0415
+    from slamfusion.experiments.ground_obstacle import NAME  # noqa: PLC0415
 
     device = device_for(config).name
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_with_obstacle(config, folder, progress, fleet)
-    document = save_obstacle_table(folder, table, obstacle_trials(config), config, device)
+    document = save_error_table(folder, NAME, table, obstacle_trials(config), config, device)
     save_results(results_path, document, table.items)
-    if as_json:
-        print_json(document)
-    else:
-        _print_tables(table, document)
-    return 0
+    return _show(document, as_json, lambda: _print_tables(table))
 
 
 @command.command("failures")
 @OUTPUT
 @scheduler_option("the drives")
-@with_config("experiment.failures", "report", "device", "")
-@common_options
-@results_option
-@table_option
+@_experiment("experiment.failures", "report", "device", "")
 def failures(
     folder: Path,
     scheduler: str | None,
@@ -323,7 +307,8 @@ def failures(
     the rest is run.
     """
     from slamfusion.experiments import compare_failures, failure_trials  # noqa: PLC0415
-    from slamfusion.experiments.documents import save_failures  # noqa: PLC0415
+    from slamfusion.experiments.documents import save_error_table  # noqa: PLC0415
+    from slamfusion.experiments.failures import NAME  # noqa: PLC0415
 
     try:
         trials = failure_trials(config)
@@ -332,13 +317,9 @@ def failures(
     device = device_for(config).name
     with asked_scheduler(scheduler, config) as fleet, progress_bar() as progress:
         table = compare_failures(config, folder, progress, fleet)
-    document = save_failures(folder, table, trials, config, device)
+    document = save_error_table(folder, NAME, table, trials, config, device)
     save_results(results_path, document, table.items)
-    if as_json:
-        print_json(document)
-    else:
-        _print_tables(table, document)
-    return 0
+    return _show(document, as_json, lambda: _print_tables(table))
 
 
 @command.command("real-logs")
@@ -360,10 +341,7 @@ def failures(
 @case_option(
     "--paths", "paths", "PATH", "The path that was found with such a map, named as that is."
 )
-@with_config("report", "device", "")
-@common_options
-@results_option
-@table_option
+@_experiment("report", "device", "")
 def real_logs(
     folder: Path,
     datasets: Path,
@@ -389,11 +367,7 @@ def real_logs(
         table = compare_on_logs(datasets, names, config, device, progress, others)
     document = save_real_logs(folder, table, config, device.name)
     save_results(results_path, document, table.items, lambda: _log_inputs(datasets, names, others))
-    if as_json:
-        print_json(document)
-    else:
-        _print_tables(table, document)
-    return 0
+    return _show(document, as_json, lambda: _print_tables(table))
 
 
 # --- what they share -----------------------------------------------------------------------------
@@ -407,12 +381,10 @@ def _floors(count: int, recorded: Sequence[DriveFiles]) -> range:
     return range(FIRST_FLOOR, FIRST_FLOOR + count)
 
 
-def _drive_inputs(recorded: Sequence[DriveFiles]) -> list[InputFile]:
-    """Return the files of recorded drives."""
-    from slamfusion.jobs.results_file import InputFile  # noqa: PLC0415
-
+def _drive_inputs(recorded: Sequence[DriveFiles]) -> list[tuple[str, str, Path]]:
+    """Return role, drive and path of the files of recorded drives."""
     return [
-        InputFile(role, files.log.stem, path)
+        (role, files.log.stem, path)
         for files in recorded
         for role, path in (
             ("log", files.log),
@@ -426,24 +398,36 @@ def _drive_inputs(recorded: Sequence[DriveFiles]) -> list[InputFile]:
 
 def _log_inputs(
     folder: Path, names: Sequence[str], others: Mapping[str, SavedMaps]
-) -> list[InputFile]:
+) -> list[tuple[str, str, Path]]:
     """Return the files of drives of the data sets, and of other SLAMs' maps and paths of them."""
     from slamfusion.experiments import REAL_LOGS  # noqa: PLC0415
-    from slamfusion.jobs.results_file import InputFile, map_inputs  # noqa: PLC0415
+    from slamfusion.jobs.results import map_inputs  # noqa: PLC0415
 
     saved = [item for name in names for item in map_inputs("map", name, others[name].files)]
-    saved += [
-        InputFile("path", name, path) for name in names for path in others[name].paths.values()
-    ]
+    saved += [("path", name, path) for name in names for path in others[name].paths.values()]
     return saved + [
-        InputFile(role, name, folder / path)
+        (role, name, folder / path)
         for name in names
         for role, path in (("log", REAL_LOGS[name].log), ("truth", REAL_LOGS[name].reference))
     ]
 
 
-def _print_results(results: Results, document: RepeatedRunsDocument) -> None:
-    """Print a table for each measure, what they say, and the files."""
+def _show(
+    document: RepeatedRunsDocument | ErrorTableDocument | RealLogsDocument,
+    as_json: bool,
+    print_tables: Callable[[], None],
+) -> int:
+    """Print the document, or the tables, what they say, and the files."""
+    if as_json:
+        print_json(document)
+    else:
+        print_tables()
+        print(*document["sentences"], *document["files"], sep="\n")
+    return 0
+
+
+def _print_results(results: Results) -> None:
+    """Print a table for each measure."""
     from slamfusion.experiments.table import measure_label  # noqa: PLC0415
 
     print(results.title)
@@ -451,22 +435,11 @@ def _print_results(results: Results, document: RepeatedRunsDocument) -> None:
         heading, rows = results.rows(measure)
         columns = [f"{heading[0]} ", *heading[1:]]
         print_table(columns, rows, title=measure_label(measure))
-    for sentence in document["sentences"]:
-        print(sentence)
-    _print_files(document["files"])
 
 
-def _print_tables(table: Tables, document: ErrorTableDocument | RealLogsDocument) -> None:
-    """Print the tables without their details, what they say, and the files."""
+def _print_tables(table: Tables) -> None:
+    """Print the tables without their details."""
     print(table.title)
     for sheet in table.sheets(details=False):
         columns = [f"{sheet.heading[0]} ", *sheet.heading[1:]]
         print_table(columns, sheet.rows, title=sheet.title)
-    for sentence in document["sentences"]:
-        print(sentence)
-    _print_files(document["files"])
-
-
-def _print_files(files: Sequence[str]) -> None:
-    for path in files:
-        print(path)

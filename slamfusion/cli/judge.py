@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
     case_option,
     check_report,
@@ -21,16 +20,22 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
 from slamfusion.cli.paths import CASE_FILE
-from slamfusion.cli.results_files import results_option, save_results
+from slamfusion.cli.results import (
+    print_items,
+    print_repetitions,
+    results_option,
+    save_results,
+)
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
+from slamfusion.jobs.documents import p_text
 
 if TYPE_CHECKING:
     from slamfusion.evidence.verdict import PathVerdict, Verdict
     from slamfusion.jobs.judge import JudgedPaths
-    from slamfusion.jobs.several import CaseFiles
+    from slamfusion.jobs.trajectory import CaseFiles
 
 __all__ = ["command", "print_verdict"]
 
@@ -63,7 +68,7 @@ class _Request:
 
     def placed(self) -> tuple[list[Placed], CaseFiles]:
         """Return the paths of each log, and what they are held against."""
-        from slamfusion.jobs.several import CaseFiles  # noqa: PLC0415  (loads slowly)
+        from slamfusion.jobs.trajectory import CaseFiles  # noqa: PLC0415  (loads slowly)
 
         logs = (self.log, *self.more_logs)
         cases = case_names(logs)
@@ -132,7 +137,7 @@ def _judge_one(request: _Request, config: RunConfig) -> int:
     (case,) = held.logs
     found = judge_paths(
         held.logs[case],
-        {item.method: item.path for item in placed},
+        {item.name: item.path for item in placed},
         config,
         relations=held.relations.get(case),
         odometry=held.odometry.get(case),
@@ -147,12 +152,16 @@ def _judge_one(request: _Request, config: RunConfig) -> int:
             write_judgement(found, request.report_dir, files)
     document = found.to_json()
     save_results(
-        request.results_path, document, lambda: found.items(case), lambda: held.inputs(placed)
+        request.results_path,
+        document,
+        lambda: found.items(case, placed),
+        lambda: held.inputs(placed),
     )
     if request.as_json:
         print_json(document)
     else:
         _print(found)
+        print_repetitions(found.items(case, placed), "path")
     if found.not_measured:
         raise SlamFusionError("; ".join(found.not_measured))
     return 0
@@ -239,7 +248,7 @@ def _path_row(verdict: Verdict, path: PathVerdict) -> list[str]:
         number(path.consistency, 4),
         number(None if against is None else against.difference, 4),
         "-" if against is None else f"{against.low:.4f} to {against.high:.4f}",
-        number(None if against is None else against.p_value),
+        p_text(None if against is None else against.p_value),
         "yes" if path.tied else "no",
         str(score.beams_judged),
         number(100.0 * score.seen_share, 0),

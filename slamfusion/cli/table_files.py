@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -16,18 +14,16 @@ from slamfusion.cli.options import output_option
 from slamfusion.cli.output import Settings
 from slamfusion.cli.tables import NOTHING, Table, one_line
 
-__all__ = ["as_csv", "as_latex", "as_markdown", "table_option"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["table_option"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+FORMS = (".csv", ".md", ".tex")
 # A spreadsheet takes a cell that begins so for a formula.
 FORMULA = ("=", "+", "-", "@")
-LATEX = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    **{character: f"\\{character}" for character in "&%$#_{}"},
-}
 
 
 def table_option(function: F) -> F:
@@ -50,13 +46,14 @@ def table_option(function: F) -> F:
         if given.get("as_json"):
             message = "--table writes what is printed; leave out --json"
             raise click.UsageError(message)
+        import slamfusion.jobs.results  # noqa: F401, PLC0415  (says what to install)
+
         settings = click.get_current_context().ensure_object(Settings)
         settings.tables = []
         try:
             return function(*arguments, **given)
         finally:
-            if settings.tables:
-                _write(table_path, settings.tables)
+            _write(table_path, settings.tables)
 
     return option(wrapper)  # type: ignore[return-value]
 
@@ -67,89 +64,51 @@ def _files(path: Path, _: Mapping[str, Any]) -> list[Path]:
     return [path, *(item for item in path.parent.glob("*") if numbered.fullmatch(item.name))]
 
 
-def _write(path: Path, tables: Sequence[Table]) -> None:
-    """Write all files or none."""
+def _write(path: Path, tables: list[Table]) -> None:
+    """Write all files or none: of CSV one a table, of the others one in all."""
     from slamfusion.io import AtomicFiles  # noqa: PLC0415  (OpenCV loads slowly; --help needs none)
 
+    form = path.suffix.lower()
+    texts = [_text(table, form) for table in tables]
+    if form != ".csv" and tables:
+        texts = ["\n".join(texts)]
     with AtomicFiles() as files:
-        for name, text in FORMS[path.suffix.lower()](path, tables).items():
+        for number, text in enumerate(texts, start=1):
+            name = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
             files.add(name, text.encode())
 
 
-def as_csv(path: Path, tables: Sequence[Table]) -> dict[Path, str]:
-    """Return a file for each table; a cell without a value is empty, none is a formula."""
-    found = {}
-    for number, table in enumerate(tables, start=1):
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        for row in _rows(table):
-            writer.writerow("" if cell == NOTHING else _harmless(cell) for cell in row)
-        name = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
-        found[name] = stream.getvalue()
-    return found
-
-
-def as_markdown(path: Path, tables: Sequence[Table]) -> dict[Path, str]:
-    """Return one file with a heading for each table."""
+def _text(table: Table, form: str) -> str:
+    """Return a table in one of ``FORMS``; Markdown and LaTeX have its title."""
     from slamfusion.experiments.table import markdown_table  # noqa: PLC0415  (loads slowly)
 
-    lines = []
-    for table in tables:
-        head, *rows = _rows(table)
-        lines += [f"## {one_line(table.title)}", ""] if table.title else []
-        lines += [*markdown_table(head, rows), ""]
-    return {path: "\n".join(lines)}
+    cells, title = _cells(table), one_line(table.title)
+    if form == ".csv":
+        return str(cells.map(_harmless).to_csv(index=False, lineterminator="\n"))
+    if form == ".md":
+        lines = markdown_table(list(cells.columns), cells.to_numpy().tolist())
+        return "\n".join([*([f"## {title}", ""] if title else []), *lines, ""])
+    texts = [*(name.endswith(" ") for name in table.columns), True]
+    places = "".join("l" if is_text else "r" for is_text in texts[: cells.shape[1]])
+    body = cells.to_latex(index=False, escape=True, column_format=places)
+    return f"% {title}; needs \\usepackage{{booktabs}}\n{body}"
 
 
-def as_latex(path: Path, tables: Sequence[Table]) -> dict[Path, str]:
-    """Return one file with a ``tabular`` for each table, to be put into a ``table``."""
-    lines = ["% needs \\usepackage{booktabs}"]
-    for table in tables:
-        head, *rows = [[_escaped(cell) for cell in row] for row in _rows(table)]
-        places = "".join("l" if is_text else "r" for is_text in _texts(table))
-        lines += [
-            f"% {one_line(table.title)}",
-            f"\\begin{{tabular}}{{{places}}}",
-            "\\toprule",
-            f"{' & '.join(head)} \\\\",
-            "\\midrule",
-            *(f"{' & '.join(row)} \\\\" for row in rows),
-            "\\bottomrule",
-            "\\end{tabular}",
-            "",
-        ]
-    return {path: "\n".join(lines)}
-
-
-FORMS: dict[str, Callable[[Path, Sequence[Table]], dict[Path, str]]] = {
-    ".csv": as_csv,
-    ".md": as_markdown,
-    ".tex": as_latex,
-}
-
-
-def _has_notes(table: Table) -> bool:
-    return any(table.notes)
-
-
-def _rows(table: Table) -> list[list[str]]:
+def _cells(table: Table) -> pd.DataFrame:
     """Return the heads and the rows; notes are the last column, where there are any."""
+    import pandas as pd  # noqa: PLC0415  (an extra)
+
     heads = [name.strip() for name in table.columns]
-    rows = [[one_line(cell) for cell in row] for row in table.rows]
-    if _has_notes(table):
-        heads.append(table.note_head)
-        rows = [[*row, one_line(note)] for row, note in zip(rows, table.notes, strict=True)]
-    return [heads, *rows]
-
-
-def _texts(table: Table) -> list[bool]:
-    """Return of each column whether it is of text."""
-    texts = [name.endswith(" ") for name in table.columns]
-    return [*texts, True] if _has_notes(table) else texts
+    cells = pd.DataFrame([map(one_line, row) for row in table.rows], columns=heads, dtype=object)
+    if any(table.notes):
+        cells[table.note_head] = [one_line(note) for note in table.notes]
+    return cells
 
 
 def _harmless(cell: str) -> str:
-    """Return a cell that no spreadsheet takes for a formula; numbers stay."""
+    """Return a cell that no spreadsheet takes for a formula; numbers stay, no value is empty."""
+    if cell == NOTHING:
+        return ""
     if not cell.startswith(FORMULA):
         return cell
     try:
@@ -157,7 +116,3 @@ def _harmless(cell: str) -> str:
     except ValueError:
         return f"'{cell}"
     return cell
-
-
-def _escaped(cell: str) -> str:
-    return "".join(LATEX.get(character, character) for character in cell)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamfusion.cli.item_tables import print_items
 from slamfusion.cli.options import (
     case_option,
     check_report,
@@ -20,7 +19,7 @@ from slamfusion.cli.options import (
 )
 from slamfusion.cli.output import notice, number, print_json, print_table
 from slamfusion.cli.paths import CASE_FILE, MAP
-from slamfusion.cli.results_files import results_option, save_results
+from slamfusion.cli.results import print_items, results_option, save_results
 from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
@@ -28,8 +27,7 @@ from slamfusion.jobs.cases import CaseFile, Placed, files_by_case, place_files, 
 
 if TYPE_CHECKING:
     from slamfusion.evaluation import DensePoses, ErrorStatistics
-    from slamfusion.jobs.several import CaseFiles
-    from slamfusion.jobs.trajectory import Measures
+    from slamfusion.jobs.trajectory import CaseFiles, Measures
     from slamfusion.trajectory import Trajectory
 
 __all__ = ["command", "print_errors", "print_measures"]
@@ -75,7 +73,7 @@ class _Request:
 
     def placed(self) -> tuple[list[Placed], CaseFiles]:
         """Return the paths in their cases, and what they are held against there."""
-        from slamfusion.jobs.several import CaseFiles  # noqa: PLC0415  (loads slowly)
+        from slamfusion.jobs.trajectory import CaseFiles  # noqa: PLC0415  (loads slowly)
 
         cases = shared_case_names(self.truths, self.relations)
         held = CaseFiles(
@@ -166,7 +164,7 @@ def _measure_one(request: _Request, config: RunConfig) -> int:
     save_results(
         request.results_path,
         document,
-        lambda: [found.item(placed.case, placed.method)],
+        lambda: [found.item(placed)],
         lambda: held.inputs([placed]),
     )
     if request.as_json:
@@ -214,7 +212,7 @@ def print_measures(estimate: Trajectory, measures: Measures) -> None:
         )
     if measures.at_scans is not None:
         own = measures.at_scans
-        low, high = mean_interval(own.translation_m).to_json()
+        low, high = mean_interval(own.translation_m)
         notes.append(
             f"both ends are poses of the trajectory in {own.relations_used} of "
             f"{own.relations_total} relations; the mean of their translation errors is "

@@ -144,8 +144,8 @@ MOST_INPUTS: Final = 32
 BLOCK_CELLS: Final = 32
 # Spreads a byte over the eight lanes of a word.
 EACH_LANE: Final = np.uint64(0x0101010101010101)
-# Bits of what a map shows at a cell: a wall, free, a wall within the tolerance; from WALL_SIDES on the
-# four ways that walls face (``vote.walls``).
+# Bits of what a map shows at a cell: a wall, free, a wall within the tolerance; from WALL_SIDES on
+# the four ways that walls face (``vote.walls``).
 WALL_OCCUPIED: Final = 1
 WALL_FREE: Final = 2
 WALL_NEAR: Final = 4

@@ -113,7 +113,7 @@ class VoteConfig(Checked):
     )
     unknown: Literal["auto", "value", "abstain"] = option(
         "auto",
-        "majority: unknown as a value, as an abstention, or auto: a value with exactly three voters",
+        "majority: unknown as a value, as an abstention, or auto: a value with three voters",
     )
     extent: Literal["reference", "union"] = option(
         "union",

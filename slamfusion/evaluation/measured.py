@@ -1,20 +1,20 @@
 """Maps and paths with their figures by name, as tables, saved results and comparisons share them.
 
 A *case* is what was measured against: a place, a log, a truth. A *method* is what made the map or
-the path. An item is one method in one case.
+the path. An item is one method in one case; items that differ in the *seed* alone are repetitions.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from slamfusion.evaluation.map_error import MapError
-from slamfusion.evaluation.records import MeasuredItemJson, MethodMeanJson
+from slamfusion.evaluation.records import MeasuredItemJson
 from slamfusion.evaluation.relations import RelationErrors
 from slamfusion.evaluation.statistics import ErrorStatistics
 from slamfusion.evaluation.trajectory_error import TrajectoryErrors
@@ -23,10 +23,8 @@ __all__ = [
     "ErrorSeries",
     "Figure",
     "MeasuredItem",
-    "MethodMean",
     "figure_of",
     "map_figures",
-    "method_means",
     "path_figures",
     "path_series",
 ]
@@ -133,50 +131,26 @@ class MeasuredItem:
         method: what made it.
         figures: by name, each finite; what is not defined is missing.
         series: single errors, by name.
+        seed: number of the repetition of this method in this case; empty for a single one.
+        kind: ``map``, ``path``, or ``run`` of an experiment.
     """
 
     case: str
     method: str
     figures: Mapping[str, float]
     series: Mapping[str, ErrorSeries] = field(default_factory=dict)
+    seed: str = ""
+    kind: str = "path"
 
     def to_json(self) -> MeasuredItemJson:
-        """Return case, method and figures for a JSON document."""
-        return {"case": self.case, "method": self.method, "figures": dict(self.figures)}
-
-
-@dataclass(frozen=True)
-class MethodMean:
-    """The means of a method's figures over its cases.
-
-    Attributes:
-        method: their name.
-        cases: that it was measured in.
-        figures: means of those figures that are defined in each of these cases.
-    """
-
-    method: str
-    cases: int
-    figures: Mapping[str, float]
-
-    def to_json(self) -> MethodMeanJson:
-        """Return it for a JSON document."""
-        return {"method": self.method, "cases": self.cases, "figures": dict(self.figures)}
-
-
-def method_means(items: Sequence[MeasuredItem]) -> list[MethodMean]:
-    """Return the means of each method over its cases, in the order of the methods.
-
-    A figure that is not defined in one of the cases has no mean: one over fewer cases would be held
-    against those of other methods over all of them.
-    """
-    means = []
-    for method in dict.fromkeys(item.method for item in items):
-        own = [item for item in items if item.method == method]
-        shared = [name for name in own[0].figures if all(name in item.figures for item in own)]
-        figures = {name: float(np.mean([item.figures[name] for item in own])) for name in shared}
-        means.append(MethodMean(method, len(own), figures))
-    return means
+        """Return everything but the series for a JSON document."""
+        return {
+            "case": self.case,
+            "seed": self.seed,
+            "method": self.method,
+            "kind": self.kind,
+            "figures": dict(self.figures),
+        }
 
 
 def map_figures(error: MapError) -> dict[str, float]:

@@ -20,8 +20,11 @@ __all__ = [
     "MeasuredItemJson",
     "MethodMeanJson",
     "PairedDifferenceJson",
+    "PlacedJson",
     "RelationErrorsAtScansJson",
     "RelationErrorsJson",
+    "RepetitionsJson",
+    "SummariesJson",
     "SummaryJson",
     "TrajectoryAlignmentJson",
     "TrajectoryErrorsJson",
@@ -299,19 +302,28 @@ class DensePosesJson(TypedDict):
     """Poses of the trajectory that have none."""
 
 
-class MeasuredItemJson(TypedDict):
-    """What was measured of one map or path."""
+class PlacedJson(TypedDict):
+    """The names of one of several maps or paths."""
 
     case: str
-    """What it was measured against: a place, a log or a truth."""
+    """What it was measured against: a place, a log or a truth, by name."""
     method: str
-    """What made it."""
+    """What made it: what its file's name says besides case and seed."""
+    seed: str
+    """Number of the repetition of this method in this case; empty for a single one."""
+
+
+class MeasuredItemJson(PlacedJson):
+    """What was measured of one map or path."""
+
+    kind: str
+    """map, path, or run of an experiment."""
     figures: Mapping[str, float]
     """Figures by name; what is not defined is missing."""
 
 
 class MethodMeanJson(TypedDict):
-    """The means of a method's figures over its cases."""
+    """The means of a method's figures over its cases; of seeds, those of each case come first."""
 
     method: str
     """The method."""
@@ -319,3 +331,27 @@ class MethodMeanJson(TypedDict):
     """Cases that it was measured in."""
     figures: Mapping[str, float]
     """Means of the figures that are defined in each of these cases, by name."""
+
+
+class RepetitionsJson(TypedDict):
+    """The figures of a method in one case over several seeds."""
+
+    case: str
+    """The case."""
+    method: str
+    """The method."""
+    seeds: int
+    """Repetitions."""
+    figures: Mapping[str, float]
+    """Means of the figures that are defined in each of these, by name."""
+    std: Mapping[str, float]
+    """Their sample standard deviations (divided by N - 1)."""
+
+
+class SummariesJson(TypedDict):
+    """Figures of several maps or paths as means."""
+
+    means: Sequence[MethodMeanJson]
+    """The figures of each method over its cases."""
+    repetitions: Sequence[RepetitionsJson]
+    """The figures of each method over the seeds of one case; empty where none has several."""

@@ -141,8 +141,8 @@ class RelationErrors:
         """Return the figures, and the intervals that hold the means with 95 %."""
         return {
             **self.to_json(),
-            "translation_mean_95": mean_interval(self.translation_m).to_json(),
-            "rotation_deg_mean_95": mean_interval(np.rad2deg(self.rotation_rad)).to_json(),
+            "translation_mean_95": mean_interval(self.translation_m),
+            "rotation_deg_mean_95": mean_interval(np.rad2deg(self.rotation_rad)),
         }
 
 

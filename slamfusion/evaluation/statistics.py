@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +18,7 @@ from slamfusion.evaluation.records import (
 )
 
 __all__ = [
-    "Difference",
     "ErrorStatistics",
-    "Interval",
-    "Moments",
-    "PairedDifference",
     "Summary",
     "compare_pairs",
     "compare_samples",
@@ -80,14 +77,7 @@ class ErrorStatistics:
 
     def to_json(self) -> ErrorStatisticsJson:
         """Return the figures by name."""
-        return {
-            "mean": self.mean,
-            "std": self.std,
-            "rmse": self.rmse,
-            "median": self.median,
-            "min": self.min,
-            "max": self.max,
-        }
+        return cast("ErrorStatisticsJson", asdict(self))
 
 
 @dataclass(frozen=True)
@@ -126,35 +116,14 @@ class Summary:
 
     def to_json(self) -> SummaryJson:
         """Return the figures by name."""
-        return {
-            "count": self.count,
-            "mean": self.mean,
-            "std": self.std,
-            "median": self.median,
-            "worst": self.worst,
-        }
+        return cast("SummaryJson", asdict(self))
 
 
-@dataclass(frozen=True)
-class Difference:
-    """How likely two methods are to differ this much by chance alone; two-sided p-values.
+def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> DifferenceJson | None:
+    """Test whether the repetitions of two methods differ: Welch's t-test and Mann-Whitney's U test.
 
-    Attributes:
-        welch: of Welch's t-test: do the means differ?
-        mann_whitney: of the Mann-Whitney U test: does one tend to larger values? Needs no
-            normal distribution, but with few repetitions it cannot be small (4 and 4: 0.029).
-    """
-
-    welch: float
-    mann_whitney: float
-
-    def to_json(self) -> DifferenceJson:
-        """Return both p-values by name."""
-        return {"welch": self.welch, "mann_whitney": self.mann_whitney}
-
-
-def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> Difference | None:
-    """Test whether the repetitions of two methods differ.
+    The U test needs no normal distribution, but with few repetitions its p-value cannot be small (4
+    and 4: 0.029).
 
     Args:
         first: (N,) one figure of each repetition of one method.
@@ -171,35 +140,40 @@ def compare_samples(first: npt.ArrayLike, second: npt.ArrayLike) -> Difference |
     if min(len(a), len(b)) < 2:
         return None
     u_test = scipy.stats.mannwhitneyu(a, b, alternative="two-sided")
+    moments = [(float(x.mean()), float(x.std(ddof=1)), len(x)) for x in (a, b)]
     if np.ptp(a) == 0.0 and np.ptp(b) == 0.0:
-        # Without any spread the t statistic is 0 / 0 or infinite.
-        welch = 1.0 if a[0] == b[0] else 0.0
-    else:
-        # From the moments: a method that does not vary is no reason for a warning here.
-        moments = (a.mean(), a.std(ddof=1), len(a), b.mean(), b.std(ddof=1), len(b))
-        welch = float(scipy.stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
-    return Difference(welch, float(u_test.pvalue))
+        moments = [(float(x[0]), 0.0, len(x)) for x in (a, b)]
+    return {"welch": _t_test(*moments, equal_var=False), "mann_whitney": float(u_test.pvalue)}
 
 
-@dataclass(frozen=True)
-class Interval:
-    """Where the mean lies of which some values are a sample.
+def pooled_p_value(first: tuple[float, float, int], second: tuple[float, float, int]) -> float:
+    """Return the two-sided p-value of Student's t-test with one variance for both methods.
 
-    Attributes:
-        low: the mean is below this in half of the cases that the interval leaves out.
-        high: and above this in the other half.
+    It is the test of [F16]: its Table I with 3 repetitions gives all of its 12 p-values, the
+    printed deviations taken for sample deviations.
+
+    Args:
+        first: mean, sample standard deviation (divided by N - 1) and number of repetitions.
+        second: the same of the other method.
+
+    Source: Student, The Probable Error of a Mean, Biometrika 6(1), 1908.
     """
-
-    low: float
-    high: float
-
-    def to_json(self) -> tuple[float, float]:
-        """Return both ends."""
-        return self.low, self.high
+    return _t_test(first, second, equal_var=True)
 
 
-def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> Interval:
-    """Return the interval that holds the mean error, by the percentile bootstrap.
+def _t_test(
+    first: tuple[float, float, int], second: tuple[float, float, int], *, equal_var: bool
+) -> float:
+    """Return the p-value of a t-test from mean, deviation and count of two samples."""
+    if first[1] == 0.0 and second[1] == 0.0:
+        # Without any spread the t statistic is 0 / 0 or infinite.
+        return 1.0 if first[0] == second[0] else 0.0
+    test = scipy.stats.ttest_ind_from_stats(*first, *second, equal_var=equal_var)
+    return float(test.pvalue)
+
+
+def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> tuple[float, float]:
+    """Return both ends of the interval that holds the mean error, by the percentile bootstrap.
 
     The errors are resampled with replacement; the same errors always give the same interval. It
     takes them for independent. Those of one path are not quite: neighbours share their causes.
@@ -216,8 +190,8 @@ def mean_interval(errors: npt.ArrayLike, share: float = 0.95) -> Interval:
     return _bootstrap(np.abs(_checked(errors)), share)
 
 
-def t_interval(values: npt.ArrayLike, share: float = 0.95) -> Interval | None:
-    """Return the interval that holds the mean of a normal distribution, by Student's t.
+def t_interval(values: npt.ArrayLike, share: float = 0.95) -> tuple[float, float] | None:
+    """Return both ends of the interval that holds the mean of a normal distribution (Student's t).
 
     Args:
         values: (N,) a sample; the sign counts.
@@ -235,82 +209,22 @@ def t_interval(values: npt.ArrayLike, share: float = 0.95) -> Interval | None:
     # Scaled here: where the values do not vary, SciPy's own scale of 0 gives NaN.
     mean, error = float(known.mean()), float(scipy.stats.sem(known))
     low, high = scipy.stats.t.interval(share, len(known) - 1)
-    return Interval(mean + error * float(low), mean + error * float(high))
+    return mean + error * float(low), mean + error * float(high)
 
 
-@dataclass(frozen=True)
-class Moments:
-    """What a published table says of repetitions.
+def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifferenceJson | None:
+    """Test whether two methods differ on the same cases: paired t-test and Wilcoxon's.
 
-    Attributes:
-        mean: their mean.
-        std: their sample standard deviation (divided by N - 1).
-        count: how many there were, at least 2.
-    """
-
-    mean: float
-    std: float
-    count: int
-
-
-def pooled_p_value(first: Moments, second: Moments) -> float:
-    """Return the two-sided p-value of Student's t-test with one variance for both methods.
-
-    It is the test of [F16]: its Table I with 3 repetitions gives all of its 12 p-values, the
-    printed deviations taken for sample deviations.
-
-    Source: Student, The Probable Error of a Mean, Biometrika 6(1), 1908.
-    """
-    if first.std == 0.0 and second.std == 0.0:
-        # Without any spread the t statistic is 0 / 0 or infinite.
-        return 1.0 if first.mean == second.mean else 0.0
-    moments = (first.mean, first.std, first.count, second.mean, second.std, second.count)
-    return float(scipy.stats.ttest_ind_from_stats(*moments, equal_var=True).pvalue)
-
-
-@dataclass(frozen=True)
-class PairedDifference:
-    """How two methods differ that were given the same cases; first minus second.
-
-    Attributes:
-        count: pairs.
-        mean: of the differences; below 0 the first method's figures are the smaller ones.
-        interval: of the mean, 95 %, by Student's t.
-        bootstrap: of the mean, 95 %, by the percentile bootstrap; needs no normal distribution.
-        t_test: two-sided p-value of the paired t-test.
-        wilcoxon: two-sided p-value of Wilcoxon's signed-rank test; pairs without a difference are
-            left out. Needs no normal distribution, but with few pairs it cannot be small (5: 0.06).
-    """
-
-    count: int
-    mean: float
-    interval: Interval
-    bootstrap: Interval
-    t_test: float
-    wilcoxon: float
-
-    def to_json(self) -> PairedDifferenceJson:
-        """Return the figures by name."""
-        return {
-            "count": self.count,
-            "mean": self.mean,
-            "interval": self.interval.to_json(),
-            "bootstrap": self.bootstrap.to_json(),
-            "t_test": self.t_test,
-            "wilcoxon": self.wilcoxon,
-        }
-
-
-def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifference | None:
-    """Test whether two methods differ on the same cases.
+    Wilcoxon's signed-rank test leaves out pairs without a difference. It needs no normal
+    distribution, but with few pairs its p-value cannot be small (5: 0.06).
 
     Args:
         first: (N,) one figure of each case by one method.
         second: (N,) the same by the other, in the same order.
 
     Returns:
-        The difference; None for fewer than two pairs. Differences that do not vary at all have
-        p-values of the t-test of 1 when they are 0, else 0.
+        The difference, first minus second; None for fewer than two pairs. Differences that do not
+        vary at all have p-values of the t-test of 1 when they are 0, else 0.
 
     Raises:
         ValueError: there is no value, one is not finite, or the lengths differ.
@@ -327,15 +241,14 @@ def compare_pairs(first: npt.ArrayLike, second: npt.ArrayLike) -> PairedDifferen
         t_test = 1.0 if np.ptp((a, b), axis=0).max() <= ROUNDING * np.abs(a).max() else 0.0
     else:
         t_test = float(scipy.stats.ttest_rel(a, b).pvalue)
-    rank_test = float(scipy.stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
-    return PairedDifference(
-        len(a),
-        float(differences.mean()),
-        interval,
-        _bootstrap(differences, 0.95),
-        t_test,
-        rank_test,
-    )
+    return {
+        "count": len(a),
+        "mean": float(differences.mean()),
+        "interval": interval,
+        "bootstrap": _bootstrap(differences, 0.95),
+        "t_test": t_test,
+        "wilcoxon": float(scipy.stats.wilcoxon(differences).pvalue) if differences.any() else 1.0,
+    }
 
 
 def correct_by_holm(p_values: Sequence[float]) -> list[float]:
@@ -357,10 +270,10 @@ def correct_by_holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
-def _bootstrap(values: npt.NDArray[np.float64], share: float) -> Interval:
+def _bootstrap(values: npt.NDArray[np.float64], share: float) -> tuple[float, float]:
     """Return the percentile interval of the mean; the same values give the same interval."""
     if len(values) == 1:  # which SciPy refuses to draw from
-        return Interval(float(values[0]), float(values[0]))
+        return float(values[0]), float(values[0])
     drawn = scipy.stats.bootstrap(
         (values,),
         np.mean,
@@ -371,7 +284,7 @@ def _bootstrap(values: npt.NDArray[np.float64], share: float) -> Interval:
         method="percentile",
         random_state=np.random.default_rng(SEED),
     ).confidence_interval
-    return Interval(float(drawn.low), float(drawn.high))
+    return float(drawn.low), float(drawn.high)
 
 
 def _checked(values: npt.ArrayLike) -> npt.NDArray[np.float64]:

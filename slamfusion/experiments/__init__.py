@@ -30,7 +30,7 @@ from slamfusion.experiments.real_logs import (
     other_slams,
 )
 from slamfusion.experiments.sheets import write_error_table
-from slamfusion.experiments.table import Results, Run, repeat, write_results
+from slamfusion.experiments.table import Results, repeat, write_results
 from slamfusion.experiments.trials import Trial, TrialRecord
 
 __all__ = [
@@ -41,7 +41,6 @@ __all__ = [
     "ErrorTable",
     "RealLogTable",
     "Results",
-    "Run",
     "Trial",
     "TrialRecord",
     "compare_failures",

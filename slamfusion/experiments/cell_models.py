@@ -63,7 +63,7 @@ class CellModelRow:
     def item(self) -> MeasuredItem:
         """Return the cell after all observations."""
         case = f"{self.order}, {self.occupied} occupied"
-        return MeasuredItem(case, self.model, {"value": self.value})
+        return MeasuredItem(case, self.model, {"value": self.value}, kind="run")
 
     def to_json(self) -> CellModelJson:
         """Return the row for a JSON document."""

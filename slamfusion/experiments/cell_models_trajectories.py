@@ -12,14 +12,9 @@ from dataclasses import replace
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import CellModel, RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
-from slamfusion.experiments.table import (
-    Comparison,
-    Level,
-    Results,
-    measure_label,
-    p_text,
-    repeat,
-)
+from slamfusion.experiments.records import ComparisonJson
+from slamfusion.experiments.table import Level, Results, measure_label, repeat
+from slamfusion.jobs.documents import p_text
 from slamfusion.slam.common.mapper import Mapper
 from slamfusion.slam.gmapping import Gmapping
 from slamfusion.slam.registry import settings_of
@@ -89,7 +84,8 @@ def compare_models(
         return run_errors(by_name[str(name)], producer, config.trajectory)
 
     return repeat(
-        Results(TITLE, FACTORS, (), 0),
+        TITLE,
+        FACTORS,
         list(itertools.product(by_name, METHODS)),
         range(config.seed, config.seed + settings.seeds),
         once,
@@ -105,16 +101,16 @@ def model_sentences(results: Results) -> list[str]:
     ]
 
 
-def _sentence(item: Comparison) -> str:
-    first, second = item.methods
-    where = f"{item.levels[0]}, {measure_label(item.measure)}"
-    means = f"{item.first.mean:.4f} against {item.second.mean:.4f}"
-    if item.difference is None:
+def _sentence(item: ComparisonJson) -> str:
+    first, second = item["methods"]
+    where = f"{item['levels'][0]}, {measure_label(item['measure'])}"
+    means = "{:.4f} against {:.4f}".format(*item["means"])
+    if item["p_values"] is None:
         return f"{where}: {first} {means} of {second}, a single run each: nothing can be tested."
-    p_value = item.difference.welch
+    p_value = item["p_values"]["welch"]
     if p_value >= SIGNIFICANT:
         found = f"no difference between {first} and {second} can be shown"
     else:
-        better = first if item.first.mean < item.second.mean else second
+        better = first if item["means"][0] < item["means"][1] else second
         found = f"{better} is better"
     return f"{where}: {found} ({means}, p {p_text(p_value)})."

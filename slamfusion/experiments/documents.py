@@ -11,15 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.config import RunConfig
-from slamfusion.experiments import (
-    cell_models,
-    cell_models_trajectories,
-    failures,
-    ground_obstacle,
-    occupancy_estimator,
-    pictures,
-    real_logs,
-)
+from slamfusion.experiments import cell_models, occupancy_estimator, pictures, real_logs
 from slamfusion.experiments.cell_models import CellModelRow
 from slamfusion.experiments.error_table import ErrorTable
 from slamfusion.experiments.examples import Example, example_file
@@ -41,11 +33,10 @@ from slamfusion.jobs.documents import circumstances, plain, versions
 __all__ = [
     "keep_results",
     "save_cell_models",
+    "save_error_table",
     "save_estimator_sweep",
-    "save_failures",
-    "save_model_comparison",
-    "save_obstacle_table",
     "save_real_logs",
+    "save_runs",
 ]
 
 
@@ -109,53 +100,51 @@ def keep_results(
 def save_estimator_sweep(
     folder: Path, results: Results, found: Sequence[Verdict], config: RunConfig, device: str
 ) -> EstimatorSweepDocument:
-    """Write what ``sweep_estimators`` found: tables, verdicts and pictures; all or none.
-
-    Args:
-        folder: made when missing.
-        results: all runs.
-        found: what ``verdicts`` says of them.
-        config: the settings in effect.
-        device: what computed, in words.
-
-    Raises:
-        MapFileError: a file cannot be written.
-    """
+    """Write what ``sweep_estimators`` found, with pictures and verdicts; see ``save_runs``."""
     stem = occupancy_estimator.NAME
-    sentences = [verdict.sentence() for verdict in found]
     answers = [verdict.to_json() for verdict in found]
-    document = plain({"verdicts": answers, "sentences": sentences, **circumstances(config, device)})
     drawn = pictures.draw_sweep(results, stem, config.report.pictures)
-    files = write_results(
-        folder, stem, results, text=_in_words(sentences), document=document, pictures=drawn
-    )
-    return {
-        **results.to_json(),
-        "verdicts": answers,
-        "sentences": sentences,
-        **circumstances(config, device),
-        "files": [str(path) for path in files],
-    }
+    sentences = [verdict.sentence() for verdict in found]
+    more = {"verdicts": answers}
+    document = save_runs(folder, stem, results, sentences, config, device, more=more, drawn=drawn)
+    return {**document, "verdicts": answers}
 
 
-def save_model_comparison(
-    folder: Path, results: Results, sentences: Sequence[str], config: RunConfig, device: str
+def save_runs(
+    folder: Path,
+    stem: str,
+    results: Results,
+    sentences: Sequence[str],
+    config: RunConfig,
+    device: str,
+    *,
+    more: Mapping[str, Any] | None = None,
+    drawn: Mapping[str, bytes] | None = None,
 ) -> RepeatedRunsDocument:
-    """Write what ``compare_models`` found: tables, and what they say; all or none.
+    """Write tables of runs, and what they say; all or none.
 
     Args:
         folder: made when missing.
+        stem: start of the file names.
         results: all runs.
-        sentences: what ``model_sentences`` says of them.
+        sentences: what is said of them.
         config: the settings in effect.
         device: what computed, in words.
+        more: joins the JSON file.
+        drawn: pictures by file name.
 
     Raises:
         MapFileError: a file cannot be written.
     """
-    stem = cell_models_trajectories.NAME
-    document = plain({"sentences": sentences, **circumstances(config, device)})
-    files = write_results(folder, stem, results, text=_in_words(sentences), document=document)
+    told = {"sentences": list(sentences), **circumstances(config, device)}
+    files = write_results(
+        folder,
+        stem,
+        results,
+        text="\n".join(["## In words", "", *(f"- {sentence}" for sentence in sentences)]),
+        document=plain({**(more or {}), **told}),
+        pictures=drawn,
+    )
     return {
         **results.to_json(),
         "sentences": list(sentences),
@@ -164,51 +153,10 @@ def save_model_comparison(
     }
 
 
-def _in_words(sentences: Sequence[str]) -> str:
-    """Return the sentences as a section in Markdown."""
-    return "\n".join(["## In words", "", *(f"- {sentence}" for sentence in sentences)])
-
-
 # --- experiments on fusion -----------------------------------------------------------------------
 
 
-def save_obstacle_table(
-    folder: Path, table: ErrorTable, trials: Sequence[Trial], config: RunConfig, device: str
-) -> ErrorTableDocument:
-    """Write what ``compare_with_obstacle`` found: the tables, then the page; see ``save_failures``.
-
-    Args:
-        folder: with the trials in it.
-        table: their errors.
-        trials: of ``obstacle_trials``.
-        config: the settings in effect.
-        device: what computed, in words.
-
-    Raises:
-        SlamFusionError: a file cannot be written.
-    """
-    return _save_error_table(folder, ground_obstacle.NAME, table, trials, config, device)
-
-
-def save_failures(
-    folder: Path, table: ErrorTable, trials: Sequence[Trial], config: RunConfig, device: str
-) -> ErrorTableDocument:
-    """Write what ``compare_failures`` found: the tables, then the page.
-
-    Args:
-        folder: with the trials in it.
-        table: their errors.
-        trials: of ``failure_trials``.
-        config: the settings in effect.
-        device: what computed, in words.
-
-    Raises:
-        SlamFusionError: a file cannot be written.
-    """
-    return _save_error_table(folder, failures.NAME, table, trials, config, device)
-
-
-def _save_error_table(
+def save_error_table(
     folder: Path,
     stem: str,
     table: ErrorTable,
@@ -216,6 +164,19 @@ def _save_error_table(
     config: RunConfig,
     device: str,
 ) -> ErrorTableDocument:
+    """Write the errors of trials: the tables, then the page.
+
+    Args:
+        folder: with the trials in it.
+        stem: start of the file names.
+        table: their errors.
+        trials: the experiment's.
+        config: the settings in effect.
+        device: what computed, in words.
+
+    Raises:
+        SlamFusionError: a file cannot be written.
+    """
     shown = pictures.trial_differences(folder, trials)
     files = _save_tables(folder, stem, table, shown, config, device)
     return {

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from slamfusion.compute import ComputeDevice
-from slamfusion.config import RunConfig, TrajectoryConfig
+from slamfusion.config import TrajectoryConfig
 from slamfusion.errors import LogError, SlamFusionError
 from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence import (
@@ -205,7 +205,6 @@ def draw_paths(
     scans: Sequence[LogScan],
     weighed: WeighedPaths,
     resolution: float,
-    config: RunConfig,
     device: ComputeDevice,
 ) -> dict[str, OccupancyGrid | None]:
     """Draw the map of all scans at every path, by one sensor model.
@@ -214,7 +213,6 @@ def draw_paths(
         scans: of the drive.
         weighed: its paths.
         resolution: metres per cell.
-        config: ``fusion.vote`` says whether walls are solid.
         device: draws.
 
     Returns:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 from slamfusion.evaluation import Summary, compare_pairs, t_interval
 from slamfusion.experiments import path_sheets
-from slamfusion.experiments.method_pairs import p_value_text
+from slamfusion.experiments.records import AgainstBestInputJson
 from slamfusion.experiments.sheets import Sheet
 from slamfusion.experiments.trials import alone
 from slamfusion.experiments.voting import FUSIONS
+from slamfusion.jobs.documents import p_text
 
 if TYPE_CHECKING:
     from slamfusion.experiments.error_table import ErrorTable
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "harmed_sheet",
     "intervals_sheet",
+    "is_sure",
     "means_sheet",
     "notes_sheet",
     "p_sheets",
@@ -28,6 +30,8 @@ __all__ = [
 ]
 
 NO_TEST = "-"
+# A difference with a smaller p-value counts as one.
+SIGNIFICANT = 0.05
 
 
 def means_sheet(table: ErrorTable) -> Sheet:
@@ -38,7 +42,7 @@ def means_sheet(table: ErrorTable) -> Sheet:
         best = table.best_input(condition)
         cells = [_mean_text(table.errors(condition, method)) for method in methods]
         smallest = Summary.of(table.errors(condition, best)).mean
-        ratios = {item.fusion: item.ratio for item in table.against_best(condition)}
+        ratios = {item["fusion"]: item["ratio"] for item in table.against_best(condition)}
         chosen = min(ratios, key=ratios.__getitem__)
         change = f"{chosen} {100.0 * (ratios[chosen] - 1.0):+.1f} %"
         count = str(len(table.of(condition)))
@@ -107,7 +111,7 @@ def spread_sheet(table: ErrorTable, condition: str) -> Sheet:
         errors = table.errors(condition, method)
         summary, interval = Summary.of(errors), t_interval(errors)
         std = NO_TEST if summary.std is None else f"{summary.std:.2f}"
-        ends = NO_TEST if interval is None else f"{interval.low:.2f} to {interval.high:.2f}"
+        ends = NO_TEST if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}"
         numbers = (f"{summary.mean:.2f}", std, ends)
         rows.append((method, *numbers, f"{summary.median:.2f}", f"{summary.worst:.2f}"))
     return Sheet(
@@ -119,17 +123,17 @@ def spread_sheet(table: ErrorTable, condition: str) -> Sheet:
 
 def p_sheets(table: ErrorTable, condition: str) -> list[Sheet]:
     """Return the p-values between every two methods: as [F16] tests, and by pairs."""
-    pairs = {(pair.first, pair.second): pair for pair in table.pairs(condition)}
+    pairs = {tuple(pair["methods"]): pair for pair in table.pairs(condition)}
     if not pairs:
         return []
     methods = table.methods(condition)
 
-    def sheet(title: str, note: str, values: Mapping[tuple[str, str], float]) -> Sheet:
+    def sheet(title: str, note: str, values: Mapping[tuple[str, ...], float]) -> Sheet:
         rows = [
             (
                 first,
                 *(
-                    p_value_text(values[first, second]) if (first, second) in values else ""
+                    p_text(values[first, second]) if (first, second) in values else ""
                     for second in methods[1:]
                 ),
             )
@@ -141,17 +145,17 @@ def p_sheets(table: ErrorTable, condition: str) -> list[Sheet]:
         sheet(
             "p-values as in [F16]",
             "Pooled two-sided t-test, the drives taken for unpaired.",
-            {names: pair.pooled for names, pair in pairs.items()},
+            {names: pair["p_pooled_t"] for names, pair in pairs.items()},
         ),
         sheet(
             "p-values of pairs",
             "Paired two-sided t-test, corrected for all pairs of this table by Holm.",
-            {names: pair.holm for names, pair in pairs.items()},
+            {names: pair["p_paired_t_holm"] for names, pair in pairs.items()},
         ),
         sheet(
             "p-values of ranks",
             "Wilcoxon's signed-rank test of the pairs, not corrected.",
-            {names: pair.paired.wilcoxon for names, pair in pairs.items()},
+            {names: pair["paired"]["wilcoxon"] for names, pair in pairs.items()},
         ),
     ]
 
@@ -177,7 +181,9 @@ def notes_sheet(table: ErrorTable) -> Sheet:
 
 def sentences(table: ErrorTable) -> list[str]:
     """Return each way to vote against the best input, and over all conditions."""
-    lines = [item.sentence() for name in table.conditions() for item in table.against_best(name)]
+    lines = [
+        _against_best(item) for name in table.conditions() for item in table.against_best(name)
+    ]
     for name in table.conditions():
         lines += [
             f"{name}: {fusion} {100.0 * (ratio - 1.0):+.1f} % against fusing the others alone."
@@ -192,6 +198,26 @@ def sentences(table: ErrorTable) -> list[str]:
             f"conditions ({of_sums:+.1f} % of the sums), {worst:+.1f} % where it stands worst."
         )
     return lines
+
+
+def is_sure(p_value: float | None) -> bool:
+    """Return whether a difference was tested, and is hardly chance."""
+    return p_value is not None and p_value < SIGNIFICANT
+
+
+def _against_best(item: AgainstBestInputJson) -> str:
+    """Say whether a fusion is better than the best input."""
+    percent = 100.0 * (item["ratio"] - 1.0)
+    where = f"{item['condition']}: {item['fusion']} is {abs(percent):.1f} %"
+    where += f" {'below' if percent < 0.0 else 'above'} {item['best_input']}, the best input"
+    if item["interval"] is None:
+        return f"{where} (a single drive: nothing can be tested)."
+    low, high = (100.0 * (end - 1.0) for end in item["interval"])
+    doubt = "" if is_sure(item["p_value"]) else "; may be chance"
+    return (
+        f"{where} (95 % interval {low:+.1f} to {high:+.1f} %, "
+        f"p {p_text(item['p_value'])} after Holm{doubt})."
+    )
 
 
 def sheets(table: ErrorTable, *, details: bool) -> list[Sheet]:
@@ -210,7 +236,8 @@ def _difference_text(errors: Sequence[float], base: Sequence[float]) -> str:
     paired = compare_pairs(errors, base)
     if paired is None:
         return f"{mean:+.2f}"
-    return f"{mean:+.2f} ({paired.interval.low:+.2f} to {paired.interval.high:+.2f})"
+    low, high = paired["interval"]
+    return f"{mean:+.2f} ({low:+.2f} to {high:+.2f})"
 
 
 def _mean_text(errors: Sequence[float]) -> str:

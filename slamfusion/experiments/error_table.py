@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from slamfusion.evaluation import (
-    Interval,
     MeasuredItem,
-    Moments,
     Summary,
     compare_pairs,
     correct_by_holm,
@@ -20,8 +16,13 @@ from slamfusion.evaluation import (
     t_interval,
 )
 from slamfusion.experiments import error_sheets, path_sheets
-from slamfusion.experiments.method_pairs import Against, MethodPair
-from slamfusion.experiments.records import ErrorTableJson, MethodSummaryJson, OverallRatioJson
+from slamfusion.experiments.records import (
+    AgainstBestInputJson,
+    ErrorTableJson,
+    MethodPairJson,
+    MethodSummaryJson,
+    OverallRatioJson,
+)
 from slamfusion.experiments.sheets import Sheet
 from slamfusion.experiments.trials import TrialRecord, alone
 from slamfusion.experiments.voting import FUSIONS
@@ -72,47 +73,64 @@ class ErrorTable:
         }
         return min(means, key=means.__getitem__)
 
-    def pairs(self, condition: str) -> list[MethodPair]:
+    def pairs(self, condition: str) -> list[MethodPairJson]:
         """Return every two methods of a condition, tested; none for a single drive."""
         return self._tested[condition]
 
     @cached_property
-    def _tested(self) -> dict[str, list[MethodPair]]:
+    def _tested(self) -> dict[str, list[MethodPairJson]]:
         """The pairs of every condition: they take long, and many tables want them."""
         return {condition: self._test(condition) for condition in self.conditions()}
 
-    def _test(self, condition: str) -> list[MethodPair]:
+    def _test(self, condition: str) -> list[MethodPairJson]:
         """Test every two methods of a condition."""
-        tested = []
+        tested: list[MethodPairJson] = []
         for first, second in itertools.combinations(self.methods(condition), 2):
             a, b = self.errors(condition, first), self.errors(condition, second)
             paired = compare_pairs(a, b)
             if paired is None:
                 return []
-            tested.append((first, second, pooled_p_value(_moments(a), _moments(b)), paired))
-        corrected = correct_by_holm([paired.t_test for *_, paired in tested])
-        return [
-            MethodPair(condition, first, second, pooled, paired, holm)
-            for (first, second, pooled, paired), holm in zip(tested, corrected, strict=True)
-        ]
+            tested.append(
+                {
+                    "condition": condition,
+                    "methods": [first, second],
+                    "p_pooled_t": pooled_p_value(_moments(a), _moments(b)),
+                    "p_paired_t_holm": paired["t_test"],
+                    "paired": paired,
+                }
+            )
+        corrected = correct_by_holm([pair["p_paired_t_holm"] for pair in tested])
+        for pair, p_value in zip(tested, corrected, strict=True):
+            pair["p_paired_t_holm"] = p_value
+        return tested
 
-    def against_best(self, condition: str) -> list[Against]:
-        """Return how every way to vote stands against the best input."""
+    def against_best(self, condition: str) -> list[AgainstBestInputJson]:
+        """Return how every way to vote stands against the best input.
+
+        The interval takes the best input's mean for known.
+        """
         best = self.best_input(condition)
         base = Summary.of(self.errors(condition, best)).mean
-        tested = {frozenset((pair.first, pair.second)): pair for pair in self.pairs(condition)}
-        found = []
+        tested = {frozenset(pair["methods"]): pair for pair in self.pairs(condition)}
+        found: list[AgainstBestInputJson] = []
         for fusion in FUSIONS:
-            ratio = Summary.of(self.errors(condition, fusion)).mean / base
             pair = tested.get(frozenset((fusion, best)))
             interval, p_value = None, None
             if pair is not None:
-                ends = pair.paired.interval
-                low, high = (
-                    (ends.low, ends.high) if pair.first == fusion else (-ends.high, -ends.low)
-                )
-                interval, p_value = Interval(1.0 + low / base, 1.0 + high / base), pair.holm
-            found.append(Against(condition, fusion, best, ratio, interval, p_value))
+                low, high = pair["paired"]["interval"]
+                if pair["methods"][0] != fusion:
+                    low, high = -high, -low
+                interval, p_value = (1.0 + low / base, 1.0 + high / base), pair["p_paired_t_holm"]
+            found.append(
+                {
+                    "condition": condition,
+                    "fusion": fusion,
+                    "best_input": best,
+                    "ratio": Summary.of(self.errors(condition, fusion)).mean / base,
+                    "interval": interval,
+                    "p_value": p_value,
+                }
+            )
         return found
 
     def overall(self) -> dict[str, OverallRatioJson]:
@@ -123,7 +141,7 @@ class ErrorTable:
         """
         found: dict[str, OverallRatioJson] = {}
         for number, fusion in enumerate(FUSIONS):
-            ratios = [self.against_best(name)[number].ratio for name in self.conditions()]
+            ratios = [self.against_best(name)[number]["ratio"] for name in self.conditions()]
             best = [
                 Summary.of(self.errors(name, self.best_input(name))).mean
                 for name in self.conditions()
@@ -139,7 +157,11 @@ class ErrorTable:
     def borne_out(self) -> frozenset[str]:
         """Return the ways to vote that are better than the best input, by the test, everywhere."""
         compared = [against for name in self.conditions() for against in self.against_best(name)]
-        unsure = {against.fusion for against in compared if not against.is_better}
+        unsure = {
+            against["fusion"]
+            for against in compared
+            if against["ratio"] >= 1.0 or not error_sheets.is_sure(against["p_value"])
+        }
         return frozenset(FUSIONS) - unsure
 
     def against_others(self, condition: str) -> dict[str, float]:
@@ -167,22 +189,24 @@ class ErrorTable:
 
     def to_csv(self) -> str:
         """Return every figure of a map or a path, a line each; empty: it has none."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(["condition", "world", "seed", "method", *FIGURES])
-        for item in self.records:
-            for method, figures in _figures(item).items():
-                values = [figures.get(name, "") for name in FIGURES]
-                writer.writerow([item.condition, item.world, item.seed, method, *values])
-        return buffer.getvalue()
+        import pandas as pd  # noqa: PLC0415  (an extra)
+
+        rows = [
+            (item.condition, item.world, item.seed, method, *map(figures.get, FIGURES))
+            for item in self.records
+            for method, figures in _figures(item).items()
+        ]
+        table = pd.DataFrame(rows, columns=["condition", "world", "seed", "method", *FIGURES])
+        return str(table.to_csv(index=False, lineterminator="\n"))
 
     def items(self) -> list[MeasuredItem]:
         """Return every map and path of every trial."""
         found = []
         for record in self.records:
-            case = f"{record.condition}, world {record.world}, seed {record.seed}"
+            case = f"{record.condition}, world {record.world}"
             found += [
-                MeasuredItem(case, method, figures) for method, figures in _figures(record).items()
+                MeasuredItem(case, method, figures, seed=str(record.seed), kind="run")
+                for method, figures in _figures(record).items()
             ]
         return found
 
@@ -192,23 +216,20 @@ class ErrorTable:
         for condition in self.conditions():
             for method in self.methods(condition):
                 errors = self.errors(condition, method)
-                interval = t_interval(errors)
                 summaries.append(
                     {
                         "condition": condition,
                         "method": method,
                         **Summary.of(errors).to_json(),
-                        "interval": None if interval is None else interval.to_json(),
+                        "interval": t_interval(errors),
                     }
                 )
         names = self.conditions()
         return {
             "title": self.title,
             "summaries": summaries,
-            "pairs": [pair.to_json() for name in names for pair in self.pairs(name)],
-            "against_best_input": [
-                item.to_json() for name in names for item in self.against_best(name)
-            ],
+            "pairs": [pair for name in names for pair in self.pairs(name)],
+            "against_best_input": [item for name in names for item in self.against_best(name)],
             "overall": self.overall(),
             "against_others_alone": {
                 name: ratios for name in names if (ratios := self.against_others(name))
@@ -229,6 +250,6 @@ def _figures(record: TrialRecord) -> dict[str, dict[str, float]]:
     }
 
 
-def _moments(errors: Sequence[float]) -> Moments:
+def _moments(errors: Sequence[float]) -> tuple[float, float, int]:
     summary = Summary.of(errors)
-    return Moments(summary.mean, summary.std or 0.0, summary.count)
+    return summary.mean, summary.std or 0.0, summary.count

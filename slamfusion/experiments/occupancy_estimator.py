@@ -22,7 +22,8 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import OccupancyEstimator, RunConfig
 from slamfusion.experiments.drives import ATE, RELATIONS, Drive, run_errors
 from slamfusion.experiments.records import VerdictJson
-from slamfusion.experiments.table import Level, Results, measure_label, p_text, repeat
+from slamfusion.experiments.table import Level, Results, measure_label, repeat
+from slamfusion.jobs.documents import p_text
 from slamfusion.slam.registry import settings_of
 from slamfusion.slam.tinyslam import TinySlam
 
@@ -129,7 +130,8 @@ def sweep_estimators(
         return run_errors(by_name[str(name)], producer, config.trajectory)
 
     return repeat(
-        Results(TITLE, FACTORS, (), 0),
+        TITLE,
+        FACTORS,
         list(itertools.product(by_name, settings.resolutions, ESTIMATORS)),
         range(config.seed, config.seed + settings.seeds),
         once,

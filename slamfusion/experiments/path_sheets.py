@@ -10,10 +10,10 @@ import numpy as np
 
 from slamfusion.evaluation import compare_pairs, correct_by_holm
 from slamfusion.experiments.drive_paths import CHOICE, DRAWN, FUSED_PATH, drawn_at
-from slamfusion.experiments.method_pairs import p_value_text
 from slamfusion.experiments.records import MeasurePairJson
 from slamfusion.experiments.sheets import Sheet
 from slamfusion.jobs.defaults import RUN_VOTE
+from slamfusion.jobs.documents import p_text
 from slamfusion.slam.registry import BUILT_IN
 
 if TYPE_CHECKING:
@@ -135,8 +135,8 @@ def _pairs(table: ErrorTable, kind: _Kind) -> list[MeasurePairJson]:
                     "drives": len(both),
                     "mean": float(np.mean(a)),
                     "against_mean": float(np.mean(b)),
-                    "p_paired_t_holm": None if tested is None else tested.t_test,
-                    "p_wilcoxon": None if tested is None else tested.wilcoxon,
+                    "p_paired_t_holm": None if tested is None else tested["t_test"],
+                    "p_wilcoxon": None if tested is None else tested["wilcoxon"],
                 }
             )
         given = [pair["p_paired_t_holm"] for pair in part]
@@ -162,7 +162,7 @@ def _sheet(table: ErrorTable, kind: _Kind) -> Sheet:
             cells.append(kind.form.format(float(np.mean(own))) if own else NO_NUMBER)
             pair = tested.get((condition, name))
             p_value = None if pair is None else pair["p_paired_t_holm"]
-            tests.append("" if p_value is None else f"p {p_value_text(p_value)}")
+            tests.append("" if p_value is None else f"p {p_text(p_value)}")
         rows.append((condition, str(len(values)), *cells))
         if any(tests):
             rows.append((f"{ours} against it", "", *tests))

@@ -263,7 +263,7 @@ class RealLogTable:
             if row.method != REFERENCE:
                 numbers: dict[str, Any] = {**row.numbers()}
                 known = {name: value for name, value in numbers.items() if value is not None}
-                found.append(MeasuredItem(row.log, row.method, known))
+                found.append(MeasuredItem(row.log, row.method, known, kind="run"))
         return found
 
     def to_json(self) -> RealLogTableJson:
@@ -421,7 +421,7 @@ def _compare_on_log(
     errors = path_errors(weighed, trajectory, SAME_TIME_S)
     if FUSED_PATH in errors:
         errors[DRAWN] = errors[FUSED_PATH]
-    drawn = draw_paths(scans, weighed, reference.resolution, config, device)
+    drawn = draw_paths(scans, weighed, reference.resolution, device)
 
     rows = []
     maps = {**made.maps, **{grid.name: grid for grid in others}}

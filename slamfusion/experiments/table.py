@@ -6,30 +6,22 @@ the one that is compared: tables have a column for each of its levels, and p-val
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from slamfusion.evaluation import Difference, MeasuredItem, Summary, compare_samples
+from slamfusion.evaluation import MeasuredItem, Summary, compare_samples
 from slamfusion.experiments.records import ComparisonJson, RepeatedRunsJson
 from slamfusion.io import AtomicFiles
+from slamfusion.jobs.documents import p_text
 
-__all__ = [
-    "Comparison",
-    "Level",
-    "Results",
-    "Run",
-    "markdown_table",
-    "measure_label",
-    "p_text",
-    "repeat",
-    "write_results",
-]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Level", "Results", "markdown_table", "measure_label", "repeat", "write_results"]
 
 Level = str | float
 Progress = Callable[[str, int, int], None]
@@ -38,66 +30,21 @@ Progress = Callable[[str, int, int], None]
 DIGITS = {"m": 4, "deg": 3, "ms": 2}
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run.
-
-    Attributes:
-        levels: the condition: a level of each factor.
-        seed: of the run.
-        values: what was measured, by name; the name ends in the unit.
-    """
-
-    levels: tuple[Level, ...]
-    seed: int
-    values: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Two methods under the same other levels.
-
-    Attributes:
-        levels: of every factor but the last.
-        methods: both levels of the last factor.
-        measure: what is compared.
-        first: summary of the first method; smaller is better.
-        second: summary of the second.
-        difference: p-values; None where a method has a single run.
-    """
-
-    levels: tuple[Level, ...]
-    methods: tuple[Level, Level]
-    measure: str
-    first: Summary
-    second: Summary
-    difference: Difference | None
-
-    def to_json(self) -> ComparisonJson:
-        """Return the comparison for a JSON document."""
-        return {
-            "levels": list(self.levels),
-            "methods": list(self.methods),
-            "measure": self.measure,
-            "means": [self.first.mean, self.second.mean],
-            "p_values": None if self.difference is None else self.difference.to_json(),
-        }
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Results:
     """All runs of an experiment.
 
     Attributes:
         title: of its tables.
         factors: names of the factors; the last one is compared.
-        runs: in the order in which they were made.
+        runs: a row for each run: a level of each factor, the seed, and what was measured (NaN where
+            it was not); the names of measures end in the unit.
         planned: how many runs there are to be.
     """
 
     title: str
     factors: tuple[str, ...]
-    runs: tuple[Run, ...]
+    runs: pd.DataFrame
     planned: int
 
     @property
@@ -107,52 +54,52 @@ class Results:
 
     def levels(self, factor: int) -> list[Level]:
         """Return the levels of a factor (by its number, from 0) in order."""
-        return list(dict.fromkeys(run.levels[factor] for run in self.runs))
-
-    def conditions(self) -> list[tuple[Level, ...]]:
-        """Return the conditions that have a run, in order."""
-        return list(dict.fromkeys(run.levels for run in self.runs))
+        return list(self.runs[self.factors[factor]].unique())
 
     def groups(self) -> list[tuple[Level, ...]]:
         """Return the conditions without the factor that is compared, in order."""
-        return list(dict.fromkeys(run.levels[:-1] for run in self.runs))
+        return self._distinct(self.factors[:-1])
 
     def measures(self) -> list[str]:
         """Return the names of what was measured: in order, but errors before times."""
-        names = dict.fromkeys(name for run in self.runs for name in run.values)
+        names = [name for name in self.runs.columns if name not in {*self.factors, "seed"}]
         return sorted(names, key=lambda name: name.endswith("_ms"))
 
     def values(self, levels: tuple[Level, ...], measure: str) -> list[float]:
         """Return a measure of every run of a condition; empty where it was not measured."""
-        return [
-            run.values[measure]
-            for run in self.runs
-            if run.levels == levels and measure in run.values
-        ]
+        if measure not in self.runs:
+            return []
+        is_own = (self.runs[list(self.factors)] == list(levels)).all(axis="columns")
+        values = self.runs.loc[is_own, measure].dropna()
+        return [float(value) for value in values]
 
     def summary(self, levels: tuple[Level, ...], measure: str) -> Summary | None:
         """Return mean, deviation and worst of a condition; None where there is no value."""
         values = self.values(levels, measure)
         return Summary.of(values) if values else None
 
-    def comparisons(self, measure: str) -> list[Comparison]:
+    def comparisons(self, measure: str) -> list[ComparisonJson]:
         """Return every two methods under each group that has values of both."""
-        found = []
+        found: list[ComparisonJson] = []
         for group in self.groups():
             for pair in itertools.combinations(self.levels(-1), 2):
                 first, second = (self.values((*group, method), measure) for method in pair)
                 if first and second:
                     found.append(
-                        Comparison(
-                            group,
-                            pair,
-                            measure,
-                            Summary.of(first),
-                            Summary.of(second),
-                            compare_samples(first, second),
-                        )
+                        {
+                            "levels": list(group),
+                            "methods": list(pair),
+                            "measure": measure,
+                            "means": [Summary.of(own).mean for own in (first, second)],
+                            "p_values": compare_samples(first, second),
+                        }
                     )
         return found
+
+    def _distinct(self, names: Sequence[str]) -> list[tuple[Level, ...]]:
+        """Return the distinct rows of some columns, in order."""
+        rows = self.runs[list(names)].drop_duplicates()
+        return list(rows.itertuples(index=False, name=None))
 
     def rows(self, measure: str) -> tuple[list[str], list[list[str]]]:
         """Return a measure as a table: heading, and a row a group.
@@ -166,7 +113,10 @@ class Results:
         for method in methods:
             heading += [str(method), "worst"]
         heading += [f"p {a} / {b}" if len(pairs) > 1 else "p" for a, b in pairs]
-        compared = {(item.levels, item.methods): item for item in self.comparisons(measure)}
+        compared = {
+            (*item["levels"], *item["methods"]): item["p_values"]
+            for item in self.comparisons(measure)
+        }
         rows = []
         for group in self.groups():
             summaries = [self.summary((*group, method), measure) for method in methods]
@@ -176,32 +126,30 @@ class Results:
             row = [*(_shown(level) for level in group), " to ".join(map(str, counts))]
             for summary in summaries:
                 row += _cells(summary, measure)
-            row += [_p_cell(compared.get((group, pair))) for pair in pairs]
+            tests = [compared.get((*group, *pair)) for pair in pairs]
+            row += [p_text(None if test is None else test["welch"]) for test in tests]
             rows.append(row)
         return heading, rows
 
     def items(self) -> list[MeasuredItem]:
-        """Return every single run as a method in a case: of its other levels, and its seed."""
+        """Return every single run as a method in a case (its other levels), with its seed."""
         return [
             MeasuredItem(
-                ", ".join([*map(_shown, run.levels[:-1]), f"seed {run.seed}"]),
-                _shown(run.levels[-1]),
-                run.values,
+                ", ".join(_shown(run[name]) for name in self.factors[:-1]),
+                _shown(run[self.factors[-1]]),
+                {name: run[name] for name in self.measures() if name in run},
+                seed=str(run["seed"]),
+                kind="run",
             )
-            for run in self.runs
+            for run in self._records()
         ]
 
-    def to_csv(self) -> str:
-        """Return every single run, a line each; a measure that a run lacks is empty."""
-        measures = self.measures()
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow([*self.factors, "seed", *measures])
-        for run in self.runs:
-            writer.writerow(
-                [*run.levels, run.seed, *(run.values.get(name, "") for name in measures)]
-            )
-        return buffer.getvalue()
+    def _records(self) -> list[dict[str, Any]]:
+        """Return every single run by name, without what was not measured."""
+        return [
+            {name: value for name, value in run.items() if value == value}  # noqa: PLR0124  NaN
+            for run in self.runs.to_dict("records")
+        ]
 
     def to_markdown(self) -> str:
         """Return the tables of all measures."""
@@ -238,24 +186,16 @@ class Results:
                         if (summary := self.summary(levels, measure)) is not None
                     },
                 }
-                for levels in self.conditions()
+                for levels in self._distinct(self.factors)
             ],
-            "comparisons": [
-                item.to_json() for measure in measures for item in self.comparisons(measure)
-            ],
-            "runs": [
-                {
-                    **dict(zip(self.factors, run.levels, strict=True)),
-                    "seed": run.seed,
-                    **run.values,
-                }
-                for run in self.runs
-            ],
+            "comparisons": [item for measure in measures for item in self.comparisons(measure)],
+            "runs": self._records(),
         }
 
 
 def repeat(
-    plan: Results,
+    title: str,
+    factors: tuple[str, ...],
     conditions: Sequence[tuple[Level, ...]],
     seeds: Sequence[int],
     once: Callable[[tuple[Level, ...], int], Mapping[str, float]],
@@ -266,30 +206,32 @@ def repeat(
     """Run every condition with every seed, one after the other.
 
     Args:
-        plan: title and factors; its runs come first.
+        title, factors: see ``Results``.
         conditions: a level of each factor.
         seeds: of each condition's runs.
         once: makes one run of a condition with a seed, and returns what it measured.
-        keep: given the results so far after each condition, to save them from an interruption.
+        keep: receives the results so far after each condition, to save them from an interruption.
         progress: told the runs that are done.
 
     Returns:
         The results of all runs.
     """
+    import pandas as pd  # noqa: PLC0415  (an extra)
+
     total = len(conditions) * len(seeds)
-    results = replace(plan, planned=len(plan.runs) + total)
-    done = 0
+    results = Results(title, factors, pd.DataFrame(columns=[*factors, "seed"]), total)
+    rows: list[dict[str, Any]] = []
     for levels in conditions:
         for seed in seeds:
             if progress is not None:
-                progress("runs", done, total)
-            run = Run(levels, seed, dict(once(levels, seed)))
-            results = replace(results, runs=(*results.runs, run))
-            done += 1
+                progress("runs", len(rows), total)
+            row = {**dict(zip(factors, levels, strict=True)), "seed": seed}
+            rows.append(row | dict(once(levels, seed)))
+        results = replace(results, runs=pd.DataFrame(rows))
         if keep is not None:
             keep(results)
     if progress is not None:
-        progress("runs", done, total)
+        progress("runs", len(rows), total)
     return results
 
 
@@ -323,7 +265,7 @@ def write_results(
     markdown = results.to_markdown() + (f"\n{text}\n" if text else "") + shown
     json_text = json.dumps({**results.to_json(), **(document or {})}, indent=2, allow_nan=False)
     contents = {
-        f"{stem}.csv": results.to_csv().encode(),
+        f"{stem}.csv": results.runs.to_csv(index=False, lineterminator="\n").encode(),
         f"{stem}.md": markdown.encode(),
         f"{stem}.json": f"{json_text}\n".encode(),
         **(pictures or {}),
@@ -363,14 +305,3 @@ def _cells(summary: Summary | None, measure: str) -> list[str]:
     digits = DIGITS.get(measure.rsplit("_", 1)[-1], 3)
     spread = "" if summary.std is None else f" ± {summary.std:.{digits}f}"
     return [f"{summary.mean:.{digits}f}{spread}", f"{summary.worst:.{digits}f}"]
-
-
-def _p_cell(comparison: Comparison | None) -> str:
-    if comparison is None or comparison.difference is None:
-        return "-"
-    return p_text(comparison.difference.welch)
-
-
-def p_text(p_value: float) -> str:
-    """Return a p-value with three decimals; what is smaller is said to be."""
-    return "<0.001" if p_value < 0.001 else f"{p_value:.3f}"

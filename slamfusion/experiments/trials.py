@@ -176,7 +176,7 @@ def measure_trial(
     weighed = weigh_paths(judge_scans(seen, notes), made.paths, device, notes)
     fused = _fuse(trial, made.grids, weighed, seen, fed, config, device, notes)
     if trial.draws:
-        fused |= draw_paths(seen, weighed, recording.world.grid.resolution, config, device)
+        fused |= draw_paths(seen, weighed, recording.world.grid.resolution, device)
     truth = recording.world.grid
     found = {
         name: against_truth(grid, truth, config, device, same_heading=True)

@@ -1,7 +1,8 @@
 """Normalise, align, vote: several occupancy grids of one place become one.
 
 ``fuse_grids`` is the whole pipeline, ``align_grids`` one alignment; the modules are its steps in
-order: ``normalize``, ``features``, ``search``, ``proof``, ``accept``, ``consistency``; the vote is ``slamfusion.vote``.
+order: ``normalize``, ``features``, ``search``, ``proof``, ``accept``, ``consistency``. The vote
+is ``slamfusion.vote``.
 """
 
 from __future__ import annotations

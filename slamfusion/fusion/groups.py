@@ -356,8 +356,10 @@ def _whole(members: Sequence[str], in_part: Collection[str]) -> Sequence[str]:
 
 
 def _most_agreeing(members: Sequence[str], pairs: Sequence[Alignment]) -> str:
-    """Return the member whose walls agree most with those of the others: the sum of the squares of
-    the shares of the common walls that agree. A bent map must not be what all others are aligned to.
+    """Return the member whose walls agree most with those of the others.
+
+    That is the greatest sum of squares of the shares of common walls that agree: a bent map must
+    not be what all others are aligned to.
     """
     agreement = dict.fromkeys(members, 0.0)
     for pair in pairs:

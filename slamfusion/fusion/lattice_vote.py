@@ -22,7 +22,7 @@ from slamfusion.io.memory import check_memory
 from slamfusion.vote.agreement import AGREEING, Trust
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice
-from slamfusion.vote.tiles import OUTVOTED, SMALL_TILE, TILE, GridLayer, TileVoter, sum_counts
+from slamfusion.vote.tiles import SMALL_TILE, TILE, GridLayer, TileVoter, sum_counts
 
 __all__ = [
     "Lattices",
@@ -173,26 +173,25 @@ def vote_on_lattice(
         phantom_cells += decided.phantom_cells
         worst.append(decided.worst)
         for name, is_outvoted in decided.outvoted():
-            own = overlap(layers[name].box, tile)
-            if own is not None:
-                codes = layers[name].codes[
-                    slices(own, layers[name].box.row0, layers[name].box.col0)
-                ]
-                codes[is_outvoted[slices(own, tile.row0, tile.col0)]] += OUTVOTED
+            layers[name].note(tile, is_outvoted)
     origin = box_origin(lattice.origin, lattice.resolution, box)
     fused[fused == 1] = OCCUPIED
     # What is read-only is not copied once more.
     fused.flags.writeable = agreement.flags.writeable = False
     fused_grid = OccupancyGrid(fused, lattice.resolution, origin, "fused")
     bent = bent_maps(voter.trust, worst, Lattice(lattice.resolution, origin))
-    records = []
-    for given in grids:
-        pair = group.alignments.get(given.name)
-        if pair is None:
-            records.append(others[given.name])
-        else:
-            layer = layers[given.name]
-            records.append(InputRecord(given, pair, True, pair.reason, layer))
+    records = [
+        InputRecord(
+            given,
+            group.alignments[given.name],
+            True,
+            group.alignments[given.name].reason,
+            layers[given.name],
+        )
+        if given.name in layers
+        else others[given.name]
+        for given in grids
+    ]
     trust = voter.trust
     return FusionResult(
         reference=group.reference,

@@ -261,8 +261,7 @@ def count_tile(voter: TileVoter, tile: CellBox, inputs: Sequence[Voter], device:
     """Count how the walls of inputs agree in a tile; see ``TileVoter.count``."""
     opened = worker_device(device)
     return sum_counts(
-        voter.count(part, _shown(voter, part, inputs, opened))
-        for part in _parts(tile, voter, inputs)
+        voter.count(part, _shown(voter, part, inputs, opened)) for part in _parts(tile, inputs)
     )
 
 
@@ -276,7 +275,7 @@ def decide_tile(
     phantom_cells = 0
     worst: dict[str, tuple[int, int, int]] = {}
     is_known = False
-    for part in _parts(tile, voter, inputs):
+    for part in _parts(tile, inputs):
         decided = voter.decide(part, _shown(voter, part, inputs, opened), opened)
         if decided is not None:
             window = slices(part, tile.row0, tile.col0)
@@ -291,7 +290,7 @@ def decide_tile(
     return DecidedTile(fused, agreement, phantom_cells, worst=worst) if is_known else None
 
 
-def _parts(tile: CellBox, voter: TileVoter, inputs: Sequence[Voter]) -> Iterator[CellBox]:
+def _parts(tile: CellBox, inputs: Sequence[Voter]) -> Iterator[CellBox]:
     """Yield the tile, or smaller ones where not all inputs that know something may vote at once."""
     side = TILE if len(inputs) <= MOST_INPUTS else SMALL_TILE
     yield from tiles_of(tile, side)

@@ -2,7 +2,8 @@
 
 A case is named by its truth or log. A file belongs to the case whose name stands in its own name,
 or in that of a folder above it, as words of their own: ``graph/intel.tum``, ``intel_graph.tum`` and
-``intel/graph.tum`` all belong to ``intel``, and what is left names the method: ``graph``.
+``intel/graph.tum`` all belong to ``intel``, and the words that are left name the method: ``graph``.
+The word ``seed3`` or ``s3`` names neither: the file is repetition 3 of its method in its case.
 """
 
 from __future__ import annotations
@@ -12,8 +13,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slamfusion.errors import ConfigError
+
+if TYPE_CHECKING:
+    from slamfusion.evaluation.records import PlacedJson
 
 __all__ = [
     "CaseFile",
@@ -26,6 +31,9 @@ __all__ = [
 
 # What parts words in a file name.
 _BETWEEN = r"[-_. ]+"
+# The method of files whose names say nothing but case and seed.
+ONLY_SEED = "run"
+_SEED = re.compile(rf"(?:^|{_BETWEEN})(?:seed[-_. ]?|s)(\d+)(?=$|{_BETWEEN})", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -55,13 +63,24 @@ class Placed:
 
     Attributes:
         case: its name.
-        method: what made it: what its name says beside the case.
+        method: what made it: the words of its name besides the case and the seed.
         path: of the file.
+        seed: number of the repetition, as it is written; empty for a single one.
     """
 
     case: str
     method: str
     path: Path
+    seed: str = ""
+
+    @property
+    def name(self) -> str:
+        """What tells it from the other files of its case."""
+        return f"{self.method} seed {self.seed}" if self.seed else self.method
+
+    def to_json(self) -> PlacedJson:
+        """Return case, method and seed for a JSON document."""
+        return {"case": self.case, "method": self.method, "seed": self.seed}
 
 
 def case_names(files: Sequence[CaseFile]) -> list[str]:
@@ -126,8 +145,8 @@ def files_by_case(cases: Sequence[str], files: Sequence[CaseFile], what: str) ->
 def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]:
     """Return of each map or path its case and its method, in the order given.
 
-    Methods are named alike in all cases: by the file's name without the case, and by as many of its
-    folders as tell the files of a case apart.
+    Methods are named alike in all cases: by the file's name without case and seed, and by as many
+    of its folders as tell the files of a case apart.
 
     Args:
         cases: their names; one alone has every file.
@@ -137,17 +156,19 @@ def place_files(cases: Sequence[str], files: Sequence[CaseFile]) -> list[Placed]
         ConfigError: a file belongs to none of the cases, or to several.
     """
     own = [_case_of(cases, file) for file in files]
-    rests = [_rest(case, file.path) for case, file in zip(own, files, strict=True)]
-    for depth in range(1, max(map(len, rests), default=1) + 1):
-        methods = ["/".join(reversed(rest[:depth])) for rest in rests]
-        if len(set(zip(own, methods, strict=True))) == len(files):
+    parted = [_rest(case, file.path) for case, file in zip(own, files, strict=True)]
+    seeds = [seed for _, seed in parted]
+    for depth in range(1, max((len(rest) for rest, _ in parted), default=1) + 1):
+        methods = ["/".join(reversed(rest[:depth])) for rest, _ in parted]
+        if len(set(zip(own, methods, seeds, strict=True))) == len(files):
             break
-    seen: Counter[tuple[str, str]] = Counter()
+    seen: Counter[tuple[str, str, str]] = Counter()
     placed = []
-    for case, method, file in zip(own, methods, files, strict=True):
-        seen[case, method] += 1
-        again = seen[case, method]
-        placed.append(Placed(case, method if again == 1 else f"{method}#{again}", file.path))
+    for case, method, seed, file in zip(own, methods, seeds, files, strict=True):
+        seen[case, method, seed] += 1
+        again = seen[case, method, seed]
+        name = method if again == 1 else f"{method}#{again}"
+        placed.append(Placed(case, name, file.path, seed))
     return placed
 
 
@@ -190,10 +211,16 @@ def _has_all_words(path: Path, case: str) -> bool:
     return all(any(_word(piece).search(part) for part in parts) for piece in case.split("/"))
 
 
-def _rest(case: str, path: Path) -> list[str]:
-    """Return what the parts of a path say beside the case, the file's name first."""
-    rests = [_word(case).sub("-", part).strip("-_. ") for part in _parts(path)]
-    return [rest for rest in rests if rest] or [_stem(path)]
+def _rest(case: str, path: Path) -> tuple[list[str], str]:
+    """Return the words of a path besides case and seed, the file's name first, and the seed."""
+    rests, seed = [], ""
+    for part in _parts(path):
+        rest = _word(case).sub("-", part)
+        found = _SEED.search(rest)
+        if found and not seed:
+            seed, rest = found[1], _SEED.sub("", rest, count=1)
+        rests.append(rest.strip("-_. "))
+    return [rest for rest in rests if rest] or [ONLY_SEED if seed else _stem(path)], seed
 
 
 def _parts(path: Path) -> list[str]:

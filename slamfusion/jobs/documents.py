@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "circumstances",
     "number",
+    "p_text",
     "path_text",
     "plain",
     "record_bytes",
@@ -44,6 +45,11 @@ def number(value: float | None, digits: int = 3) -> str:
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.{digits}f}"
+
+
+def p_text(p_value: float | None) -> str:
+    """Return a p-value for a table: three decimals, or ``<0.001``; a dash where there is none."""
+    return "<0.001" if p_value is not None and p_value < 0.001 else number(p_value)
 
 
 def versions() -> dict[str, str | None]:

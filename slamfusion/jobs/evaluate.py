@@ -22,7 +22,7 @@ from slamfusion.fusion import align_grids
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
-from slamfusion.jobs.cases import Placed
+from slamfusion.jobs.cases import CaseFile, Placed, place_files
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
 from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
@@ -58,9 +58,10 @@ class Evaluation:
             "alignment": None if self.alignment is None else self.alignment.to_json(),
         }
 
-    def item(self, case: str, method: str) -> MeasuredItem:
-        """Return the errors under names of a case and a method."""
-        return MeasuredItem(case, method, map_figures(self.error))
+    def item(self, placed: Placed) -> MeasuredItem:
+        """Return the errors under the names of case, method and seed."""
+        figures = map_figures(self.error)
+        return MeasuredItem(placed.case, placed.method, figures, seed=placed.seed, kind="map")
 
 
 def evaluate_maps(
@@ -152,18 +153,28 @@ def evaluated_items(
         placed: the maps' cases and methods.
         evaluations: of these, in the same order.
     """
-    return [
-        found.item(item.case, item.method) for item, found in zip(placed, evaluations, strict=True)
-    ]
+    return [found.item(item) for item, found in zip(placed, evaluations, strict=True)]
 
 
-def distance_items(distances: Sequence[DistanceComparison]) -> list[MeasuredItem]:
-    """Return the figures of maps against measured distances, a case of their own."""
+def distance_items(
+    maps: Sequence[CaseFile], distances: Sequence[DistanceComparison]
+) -> list[MeasuredItem]:
+    """Return the figures of maps against measured distances, a case of their own.
+
+    Args:
+        maps: their files.
+        distances: of these, in the same order; empty where none were measured.
+    """
+    placed = place_files(["measured distances"], [CaseFile(file.path) for file in maps])
     return [
         MeasuredItem(
-            "measured distances", found.name, {"distance_error_mean_m": found.mean_absolute_error_m}
+            item.case,
+            item.method,
+            {"distance_error_mean_m": found.mean_absolute_error_m},
+            seed=item.seed,
+            kind="map",
         )
-        for found in distances
+        for item, found in zip(placed, distances, strict=bool(distances))
         if found.mean_absolute_error_m is not None
     ]
 

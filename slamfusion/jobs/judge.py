@@ -22,6 +22,7 @@ from slamfusion.evidence import (
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.io import open_log, read_trajectory, write_tum
 from slamfusion.io.atomic import AtomicFiles
+from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import circumstances, path_text
 from slamfusion.jobs.fused_path import DrivePath, fuse_weighed_paths
 from slamfusion.jobs.inputs import Warn, as_path, device_for, distinct_names
@@ -143,13 +144,20 @@ class JudgedPaths:
             "truth": path_text(files.truth),
         }
 
-    def items(self, case: str) -> list[MeasuredItem]:
-        """Return the figures and single scores of each path, the best first; see ``Measures``."""
+    def items(self, case: str, placed: Sequence[Placed]) -> list[MeasuredItem]:
+        """Return the figures and single scores of each path, the best first; see ``Measures``.
+
+        Args:
+            case: of the log.
+            placed: the paths' files, of other cases too.
+        """
         evidence = self.verdict.evidence
+        by_name = {item.name: item for item in placed if item.case == case}
         found = []
         for path in self.verdict.paths:
             score = evidence.scores[path.name]
-            known = self.measures.get(path.name, Measures()).item(case, path.name)
+            own = by_name.get(path.name, Placed(case, path.name, Path()))
+            known = self.measures.get(path.name, Measures()).item(case, own.method, own.seed)
             is_judged = score.beams > 0
             likelihoods = ErrorSeries(
                 evidence.scans.stamps_s[is_judged, None],
@@ -157,11 +165,10 @@ class JudgedPaths:
             )
             figures = {"consistency": score.consistency, "seen_share": score.seen_share}
             found.append(
-                MeasuredItem(
-                    case,
-                    path.name,
-                    {**figures, **known.figures},
-                    {"consistency": likelihoods, **known.series},
+                replace(
+                    known,
+                    figures={**figures, **known.figures},
+                    series={"consistency": likelihoods, **known.series},
                 )
             )
         return found

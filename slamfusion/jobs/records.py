@@ -21,8 +21,9 @@ from slamfusion.evaluation.records import (
     DistanceComparisonJson,
     ErrorStatisticsJson,
     MapErrorJson,
-    MethodMeanJson,
+    PlacedJson,
     RelationErrorsAtScansJson,
+    SummariesJson,
     TrajectoryAlignmentJson,
 )
 from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson, RefinementJson
@@ -247,22 +248,15 @@ class EvaluateDocument(SettingsJson):
     """Seed of every random number."""
 
 
-class CaseEvaluationJson(EvaluationJson):
+class CaseEvaluationJson(PlacedJson, EvaluationJson):
     """One of several maps, against one of several truths."""
 
-    case: str
-    """The truth, by name."""
-    method: str
-    """What made the map: what its file's name says beside the case."""
 
-
-class CasesEvaluationDocument(CircumstancesJson):
+class CasesEvaluationDocument(SummariesJson, CircumstancesJson):
     """``slamfusion evaluate`` with several truths."""
 
     maps: Sequence[CaseEvaluationJson]
     """The maps in the order given, each against the truth of its case."""
-    means: Sequence[MethodMeanJson]
-    """The figures of each method over its cases."""
     distances: Sequence[DistanceComparisonJson]
     """The maps against measured distances; empty without --distances."""
     truths: Mapping[str, str]
@@ -353,22 +347,15 @@ class TrajectoryDocument(TrajectoryRecordJson, SettingsJson):
     """``slamfusion trajectory`` of one trajectory."""
 
 
-class CaseTrajectoryJson(TrajectoryRecordJson):
+class CaseTrajectoryJson(PlacedJson, TrajectoryRecordJson):
     """One of several trajectories."""
 
-    case: str
-    """What it was measured against, by name."""
-    method: str
-    """What made it: what its file's name says beside the case."""
 
-
-class TrajectoriesDocument(SettingsJson):
+class TrajectoriesDocument(SummariesJson, SettingsJson):
     """``slamfusion trajectory`` of several; exit code 1 where something is ``not_measured``."""
 
     trajectories: Sequence[CaseTrajectoryJson]
     """The trajectories in the order given."""
-    means: Sequence[MethodMeanJson]
-    """The figures of each method over its cases."""
     not_measured: Sequence[str]
     """What could not be measured, a sentence each."""
 
@@ -440,13 +427,11 @@ class CaseJudgementJson(JudgeRecordJson):
     """Its name."""
 
 
-class JudgementsDocument(CircumstancesJson):
+class JudgementsDocument(SummariesJson, CircumstancesJson):
     """``slamfusion judge`` of several logs; exit code 1 where something is ``not_measured``."""
 
     logs: Sequence[CaseJudgementJson]
     """The logs in the order given; paths are named by what made them."""
-    means: Sequence[MethodMeanJson]
-    """The figures of each method over its logs."""
 
 
 # --- the schema -------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from slamfusion.compute import ComputeDevice
@@ -17,7 +17,6 @@ from slamfusion.evaluation import (
     DistanceComparison,
     MeasuredItem,
     load_distances,
-    method_means,
 )
 from slamfusion.io import AtomicFiles, read_trajectory
 from slamfusion.jobs.cases import Placed
@@ -45,17 +44,16 @@ from slamfusion.jobs.records import (
     JudgementsDocument,
     TrajectoriesDocument,
 )
-from slamfusion.jobs.results_file import InputFile
+from slamfusion.jobs.results import summaries
 from slamfusion.jobs.trajectory import (
+    CaseFiles,
     MeasuredTrajectory,
-    TrajectoryFiles,
     Yardsticks,
     write_trajectory,
 )
 
 __all__ = [
     "CaseEvaluations",
-    "CaseFiles",
     "CaseTrajectories",
     "JudgedLogs",
     "evaluate_cases",
@@ -67,48 +65,6 @@ __all__ = [
 ]
 
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class CaseFiles:
-    """What paths of several cases are held against: of each kind the file of a case, by its name.
-
-    Attributes:
-        relations: known motions between pairs of times.
-        odometry: raw odometry of the whole run.
-        logs: what the paths were made from.
-        truths: the true poses.
-        scan_odometry: what gives the scans of a log their odometry.
-    """
-
-    relations: Mapping[str, Path] = field(default_factory=dict)
-    odometry: Mapping[str, Path] = field(default_factory=dict)
-    logs: Mapping[str, Path] = field(default_factory=dict)
-    truths: Mapping[str, Path] = field(default_factory=dict)
-    scan_odometry: Mapping[str, Path] = field(default_factory=dict)
-
-    def of(self, case: str, estimate: Path) -> TrajectoryFiles:
-        """Return a path's files."""
-        return TrajectoryFiles(
-            estimate,
-            self.relations.get(case),
-            self.odometry.get(case),
-            self.logs.get(case),
-            self.truths.get(case),
-        )
-
-    def inputs(self, placed: Sequence[Placed]) -> list[InputFile]:
-        """Return these files, and the paths that were held against them."""
-        found = [InputFile("path", item.case, item.path) for item in placed]
-        for role, files in (
-            ("relations", self.relations),
-            ("odometry", self.odometry),
-            ("log", self.logs),
-            ("truth", self.truths),
-            ("scan odometry", self.scan_odometry),
-        ):
-            found += [InputFile(role, case, path) for case, path in files.items()]
-        return found
 
 
 # --- maps -------------------------------------------------------------------------------------
@@ -141,12 +97,12 @@ class CaseEvaluations:
     def to_json(self) -> CasesEvaluationDocument:
         """Return what ``slamfusion evaluate`` prints as JSON."""
         maps: list[CaseEvaluationJson] = [
-            {**evaluation.to_json(), "case": placed.case, "method": placed.method}
+            {**evaluation.to_json(), **placed.to_json()}
             for placed, evaluation in zip(self.placed, self.evaluations, strict=True)
         ]
         return {
             "maps": maps,
-            "means": [mean.to_json() for mean in method_means(self.items())],
+            **summaries(self.items()),
             "distances": [comparison.to_json() for comparison in self.distances],
             "truths": {case: str(path) for case, path in self.truths.items()},
             **circumstances(self.config, self.device),
@@ -194,7 +150,7 @@ def evaluate_cases(
             progress("evaluate", done, len(placed))
         (grid,) = load_maps([item.path], resolution, config.map_files, warn)
         evaluations += evaluate_maps(
-            [grid.with_name(item.method)], true_grids[item.case], config, device, align=align
+            [grid.with_name(item.name)], true_grids[item.case], config, device, align=align
         )
         if rows:
             compared += measure_distances([grid.with_name(name)], rows, config)
@@ -259,19 +215,19 @@ class CaseTrajectories:
     def items(self) -> list[MeasuredItem]:
         """Return the figures and single errors of each path."""
         return [
-            measured.item(placed.case, placed.method)
+            measured.item(placed)
             for placed, measured in zip(self.placed, self.measured, strict=True)
         ]
 
     def to_json(self) -> TrajectoriesDocument:
         """Return what ``slamfusion trajectory`` prints of several as JSON."""
         paths: list[CaseTrajectoryJson] = [
-            {**measured.record_to_json(), "case": placed.case, "method": placed.method}
+            {**measured.record_to_json(), **placed.to_json()}
             for placed, measured in zip(self.placed, self.measured, strict=True)
         ]
         return {
             "trajectories": paths,
-            "means": [mean.to_json() for mean in method_means(self.items())],
+            **summaries(self.items()),
             "not_measured": self.not_measured,
             **settings_used(self.config),
         }
@@ -352,7 +308,7 @@ def write_trajectories(found: CaseTrajectories, directory: Path) -> None:
 
 def report_folder(directory: Path, placed: Placed) -> Path:
     """Return the folder of the report of one of several paths."""
-    return directory / placed.case / placed.method.replace("/", "_")
+    return directory / placed.case / placed.name.replace("/", "_")
 
 
 # --- paths of several logs ----------------------------------------------------------------------
@@ -363,11 +319,13 @@ class JudgedLogs:
     """What the scans of several logs say of their paths.
 
     Attributes:
-        logs: by case, its paths named by their methods.
+        logs: by case, its paths named by their methods and seeds.
+        placed: the paths' files.
         config: the settings in effect.
     """
 
     logs: Mapping[str, JudgedPaths]
+    placed: tuple[Placed, ...]
     config: RunConfig
 
     @property
@@ -386,13 +344,15 @@ class JudgedLogs:
 
     def items(self) -> list[MeasuredItem]:
         """Return the figures and single scores of each path of each log."""
-        return [item for case, found in self.logs.items() for item in found.items(case)]
+        return [
+            item for case, found in self.logs.items() for item in found.items(case, self.placed)
+        ]
 
     def to_json(self) -> JudgementsDocument:
         """Return what ``slamfusion judge`` prints of several logs as JSON."""
         return {
             "logs": [{**found.record_to_json(), "case": case} for case, found in self.logs.items()],
-            "means": [mean.to_json() for mean in method_means(self.items())],
+            **summaries(self.items()),
             **circumstances(self.config, self.device),
         }
 
@@ -425,7 +385,7 @@ def judge_logs(
     for done, (case, log) in enumerate(held.logs.items()):
         if progress is not None:
             progress("judge", done, len(held.logs))
-        paths = {item.method: item.path for item in placed if item.case == case}
+        paths = {item.name: item.path for item in placed if item.case == case}
         found[case] = judge_paths(
             log,
             paths,
@@ -439,7 +399,7 @@ def judge_logs(
         )
     if progress is not None:
         progress("judge", len(held.logs), len(held.logs))
-    return JudgedLogs(found, config)
+    return JudgedLogs(found, tuple(placed), config)
 
 
 def write_judgements(found: JudgedLogs, directory: Path) -> None:

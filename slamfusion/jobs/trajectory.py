@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamfusion.config import RunConfig, TrajectoryConfig
@@ -24,12 +25,14 @@ from slamfusion.evaluation import (
 )
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import AtomicFiles, read_trajectory
+from slamfusion.jobs.cases import Placed
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import MapInput, Warn, as_grids, as_path
 from slamfusion.jobs.records import MeasuresJson, TrajectoryDocument, TrajectoryRecordJson
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
+    "CaseFiles",
     "MeasuredTrajectory",
     "Measures",
     "TrajectoryFiles",
@@ -75,10 +78,10 @@ class Measures:
             document["as_first_reported"] = self.online.to_json()
         return document
 
-    def item(self, case: str, method: str) -> MeasuredItem:
-        """Return figures and single errors under names of a case and a method."""
+    def item(self, case: str, method: str, seed: str = "") -> MeasuredItem:
+        """Return figures and single errors under the names of case, method and seed."""
         held = (self.truth, self.relations)
-        return MeasuredItem(case, method, path_figures(*held), path_series(*held))
+        return MeasuredItem(case, method, path_figures(*held), path_series(*held), seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +215,48 @@ class TrajectoryFiles:
     truth: Path | None = None
 
 
+@dataclass(frozen=True)
+class CaseFiles:
+    """What paths of several cases are held against: of each kind the file of a case, by its name.
+
+    Attributes:
+        relations: known motions between pairs of times.
+        odometry: raw odometry of the whole run.
+        logs: what the paths were made from.
+        truths: the true poses.
+        scan_odometry: what gives the scans of a log their odometry.
+    """
+
+    relations: Mapping[str, Path] = field(default_factory=dict)
+    odometry: Mapping[str, Path] = field(default_factory=dict)
+    logs: Mapping[str, Path] = field(default_factory=dict)
+    truths: Mapping[str, Path] = field(default_factory=dict)
+    scan_odometry: Mapping[str, Path] = field(default_factory=dict)
+
+    def of(self, case: str, estimate: Path) -> TrajectoryFiles:
+        """Return a path's files."""
+        return TrajectoryFiles(
+            estimate,
+            self.relations.get(case),
+            self.odometry.get(case),
+            self.logs.get(case),
+            self.truths.get(case),
+        )
+
+    def inputs(self, placed: Sequence[Placed]) -> list[tuple[str, str, Path]]:
+        """Return role, case and path of these files, and of the paths compared with them."""
+        found = [("path", item.case, item.path) for item in placed]
+        for role, files in (
+            ("relations", self.relations),
+            ("odometry", self.odometry),
+            ("log", self.logs),
+            ("truth", self.truths),
+            ("scan odometry", self.scan_odometry),
+        ):
+            found += [(role, case, path) for case, path in files.items()]
+        return found
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuredTrajectory:
     """A trajectory with its errors.
@@ -254,9 +299,9 @@ class MeasuredTrajectory:
             "truth": path_text(files.truth),
         }
 
-    def item(self, case: str, method: str) -> MeasuredItem:
-        """Return the errors under names of a case and a method."""
-        return self.measures.item(case, method)
+    def item(self, placed: Placed) -> MeasuredItem:
+        """Return the errors under the names of case, method and seed."""
+        return self.measures.item(placed.case, placed.method, placed.seed)
 
 
 def measure_trajectory_file(

@@ -36,8 +36,8 @@ def comparison_plot(sets: Sets, form: str) -> bytes:
 
     The first rows show single errors, a row for each kind of error of each case: along the path on
     the left, and the share of the errors below each value on the right. The rows below show the
-    figures, a point for each map or path, those of one case and method joined by a line; where
-    each file has a single path, its errors say more.
+    figures, a point for each map or path, those of one case, seed and method joined by a line;
+    where each file has a single path, its errors say more.
 
     Args:
         sets: the maps or paths of each file of results, by its name.
@@ -116,8 +116,9 @@ def _draw_series(
     start = min(float(series.at[:, 0].min()) for series in every)
     scale = _scale(every)
     for label, items in shown.items():
-        for nth, item in enumerate(items):
-            series = item.series[name]
+        methods = list(dict.fromkeys(item.method for item in items))
+        for item in items:
+            nth, series = methods.index(item.method), item.series[name]
             order = np.argsort(series.at[:, 0], kind="stable")
             step = -(-len(order) // POINTS)
             look: dict[str, Any] = {
@@ -131,7 +132,7 @@ def _draw_series(
                 look |= {"ls": "", "marker": MARKERS[nth % len(MARKERS)], "ms": 1.5}
             kept = order[::step]
             (drawn,) = along.plot(series.at[kept, 0] - start, series.errors[kept], **look)
-            handles.setdefault(label if len(items) == 1 else f"{label}: {item.method}", drawn)
+            handles.setdefault(label if len(methods) == 1 else f"{label}: {item.method}", drawn)
     error = figure_of(name).label
     travelled = name.startswith("rpe")
     _finish(along, case, "metres travelled" if travelled else "seconds", error)
@@ -153,7 +154,7 @@ def _draw_figure(axes: Axes, sets: Sets, name: str, handles: dict[str, Artist]) 
 
     What is drawn is added to ``handles``, of each name the first.
     """
-    joined: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    joined: dict[tuple[str, str, str], list[tuple[int, float]]] = {}
     for number, (label, items) in enumerate(sets.items()):
         known = [item for item in items if name in item.figures]
         values = [item.figures[name] for item in known]
@@ -164,9 +165,9 @@ def _draw_figure(axes: Axes, sets: Sets, name: str, handles: dict[str, Artist]) 
         handles.setdefault(label, drawn)
         mean = float(np.mean(values))
         axes.plot([number - 0.18, number + 0.18], [mean, mean], color=colour, lw=2.0)
-        cases = {item.case for item in known}
+        cases = {(item.case, item.seed) for item in known}
         for item in known:
-            key = (item.case, "" if len(cases) == len(known) else item.method)
+            key = (item.case, item.seed, "" if len(cases) == len(known) else item.method)
             joined.setdefault(key, []).append((number, item.figures[name]))
     for points in joined.values():
         axes.plot(*zip(*points, strict=True), color="0.6", lw=0.7, zorder=1)

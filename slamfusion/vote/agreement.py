@@ -125,7 +125,9 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
         Counts of (N, N, rows of blocks, columns of blocks).
     """
     (height, width), count = codes[0].shape, len(codes)
-    shape = tuple((side + first - 1 >> shift) + 1 for side, first in zip((height, width), phase))
+    shape = tuple(
+        (side + first - 1 >> shift) + 1 for side, first in zip((height, width), phase, strict=True)
+    )
     blocks = shape[0] * shape[1]
     seen = np.zeros((count, count, blocks), dtype=np.int64)
     met, same = np.zeros_like(seen), np.zeros_like(seen)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
@@ -93,6 +94,13 @@ class GridLayer:
             part = self.codes[slices(own, self.box.row0, self.box.col0)]
             out[slices(own, box.row0, box.col0)] = _plain(part)
         return out
+
+    def note(self, tile: CellBox, is_outvoted: Mask) -> None:
+        """Note where the input was outvoted in a tile; (h, w) of the tile."""
+        own = overlap(self.box, tile)
+        if own is not None:
+            codes = self.codes[slices(own, self.box.row0, self.box.col0)]
+            codes[is_outvoted[slices(own, tile.row0, tile.col0)]] += OUTVOTED
 
     def aligned(self) -> I8:
         """Return what it shows on all cells, (H, W) int8 in {-1, 0, 1}."""
@@ -394,8 +402,8 @@ def tiles_of(whole: CellBox, side: int, first: tuple[int, int] = (0, 0)) -> Iter
             (whole.row0, whole.col0), (whole.row1, whole.col1), first, strict=True
         )
     )
-    for row0, row1 in zip(rows, rows[1:], strict=False):
-        for col0, col1 in zip(cols, cols[1:], strict=False):
+    for row0, row1 in pairwise(rows):
+        for col0, col1 in pairwise(cols):
             if row1 > row0 and col1 > col0:
                 yield CellBox(row0, col0, row1, col1)
 

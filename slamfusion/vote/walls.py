@@ -85,7 +85,7 @@ def _same_wall_cells(resolution: float) -> int:
 
 
 def _fronts(codes: U8, points: Points) -> U8:
-    """Return the ways that wall cells face, (N,) bits: free cells lie there, and no wall between."""
+    """Return the ways that wall cells face, (N,) bits: free cells lie there, behind no wall."""
     padded = np.pad(codes, FRONT_CELLS)
     rows, cols = (at + FRONT_CELLS for at in points)
     ways = np.zeros(len(rows), dtype=np.uint8)

@@ -8,7 +8,9 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,10 +26,10 @@ from slamfusion.cli import (
     evaluate,
     experiment,
     fused,
-    item_tables,
     judge,
     run,
 )
+from slamfusion.cli import results as result_tables
 from slamfusion.cli import trajectory as trajectories
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import ErrorSeries, MeasuredItem, compare_to_truth
@@ -37,9 +39,9 @@ from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
 from slamfusion.evidence.verdict import PathVerdict
 from slamfusion.experiments.sheets import Sheet
-from slamfusion.jobs.compare import ComparedResults, compare_pair
+from slamfusion.jobs.compare import compare_results
 from slamfusion.jobs.evaluate import Evaluation
-from slamfusion.jobs.results_file import SavedResults
+from slamfusion.jobs.results import write_results_file
 from slamfusion.jobs.tool_records import BenchEntryJson
 from tests.report.drawn import alignment, fusion, room
 
@@ -168,17 +170,28 @@ def _items() -> list[MeasuredItem]:
 
 
 def _several() -> None:
-    item_tables.print_items(_items(), "path", ("ate_rmse_m",))
+    result_tables.print_items(_items(), "path", ("ate_rmse_m",))
 
 
 def _compare() -> None:
-    items = tuple(_items())
-    files = [
-        SavedResults(name, "trajectory", "0.1.0", own, {})
-        for name, own in (("graph", items[:2]), ("slam_toolbox", items[2:]))
+    _print_compared([_items()])
+
+
+def _compare_seeds() -> None:
+    items = [
+        replace(item, seed=str(seed), figures={"error": (1 + 0.01 * seed**2) * n})
+        for n, item in enumerate(_items(), start=20)
+        for seed in range(3)
     ]
-    pair = compare_pair(*files)
-    compare.print_comparison(ComparedResults(tuple(files), (), (pair,)))
+    _print_compared([items[:6], items[6:], items[6:]])
+
+
+def _print_compared(sets: Sequence[Sequence[MeasuredItem]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / f"{name}.zip" for name in ("graph", "slam_toolbox", "karto")]
+        for file, items in zip(files, sets, strict=False):
+            write_results_file(file, command="", arguments=(), document={}, items=items)
+        compare.print_comparison(compare_results(files[: len(sets)]))
 
 
 def _experiment() -> None:
@@ -188,7 +201,7 @@ def _experiment() -> None:
     sheet = Sheet("Error against the truth: mean (deviation)", heading, tuple(rows))
     table: Any = SimpleNamespace(title="Ground obstacle", sheets=lambda **_: [sheet])
     document: Any = {"sentences": ["The vote is below each input."], "files": ["out/table.md"]}
-    experiment._print_tables(table, document)
+    experiment._show(document, as_json=False, print_tables=lambda: experiment._print_tables(table))
 
 
 DEVICE: Any = {
@@ -248,6 +261,7 @@ SHOWN: dict[str, Callable[[], None]] = {
     "trajectory": _trajectory,
     "trajectory, several": _several,
     "compare": _compare,
+    "compare, seeds": _compare_seeds,
     "experiment": _experiment,
     "devices": _devices,
     "doctor": lambda: _doctor(passed=True),

@@ -7,53 +7,52 @@ from pathlib import Path
 
 import pytest
 
-from slamfusion.cli.table_files import as_csv, as_latex, as_markdown
+from slamfusion.cli import table_files
 from slamfusion.cli.tables import Table
 from tests.cli.command import MAPS, TRUTH, run
 
 pytestmark = pytest.mark.once
 
-PATH = Path("out.csv")
 TABLE = Table(
-    ("map ", "error m", "gap"),
-    (("a|b", "-0.25", "-"), ("=1+1", "1e-3", "0.1"), ("c_d & 50%", "+2", "@x")),
+    ("map ", "error m", "error m"),
+    (("a|b", "-0.25", "-"), ("=1+1", "1e-3", "0.1"), ("c_d & 50% \\input{x} #$", "+2", "@x")),
     ("fits", "", "=no"),
     "Errors_1",
 )
 
 
-def test_csv_has_no_formula_and_nothing_for_what_is_unknown() -> None:
-    ((_, text),) = as_csv(PATH, [TABLE]).items()
-    assert list(csv.reader(text.splitlines())) == [
-        ["map", "error m", "gap", "reason"],
+def written(path: Path, *tables: Table) -> list[str]:
+    table_files._write(path, list(tables))
+    return path.read_text(encoding="utf-8").splitlines()
+
+
+def test_csv_has_no_formula_and_nothing_for_what_is_unknown(tmp_path: Path) -> None:
+    lines = written(tmp_path / "out.csv", TABLE, TABLE, TABLE)
+    assert list(csv.reader(lines)) == [
+        ["map", "error m", "error m", "reason"],
         ["a|b", "-0.25", "", "fits"],
         ["'=1+1", "1e-3", "0.1", ""],
-        ["c_d & 50%", "+2", "'@x", "'=no"],
+        ["c_d & 50% \\input{x} #$", "+2", "'@x", "'=no"],
     ]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["out-2.csv", "out-3.csv", "out.csv"]
 
 
-def test_each_table_is_a_csv_file_of_its_own() -> None:
-    names = list(as_csv(Path("x/out.csv"), [TABLE, TABLE, TABLE]))
-    assert names == [Path("x/out.csv"), Path("x/out-2.csv"), Path("x/out-3.csv")]
-
-
-def test_markdown() -> None:
-    text = as_markdown(PATH, [TABLE])[PATH]
-    assert text.splitlines()[:4] == [
+def test_markdown(tmp_path: Path) -> None:
+    lines = written(tmp_path / "out.md", TABLE)
+    assert lines[:4] == [
         "## Errors_1",
         "",
-        "| map | error m | gap | reason |",
+        "| map | error m | error m | reason |",
         "| --- | ---: | ---: | --- |",
     ]
-    assert "| a\\|b | -0.25 | - | fits |" in text
+    assert "| a\\|b | -0.25 | - | fits |" in lines
 
 
-def test_latex_escapes_what_would_be_a_command() -> None:
-    text = as_latex(PATH, [TABLE])[PATH]
-    assert r"\begin{tabular}{lrrl}" in text
-    assert r"c\_d \& 50\% & +2 & @x & =no \\" in text
-    odd = as_latex(PATH, [Table(("a ",), (("\\input{x} ~^#$",),))])[PATH]
-    assert r"\textbackslash{}input\{x\} \textasciitilde{}\textasciicircum{}\#\$" in odd
+def test_latex_escapes_what_would_be_a_command(tmp_path: Path) -> None:
+    lines = written(tmp_path / "out.tex", TABLE, TABLE)
+    assert lines.count(r"\begin{tabular}{lrrl}") == 2
+    assert r"c\_d \& 50\% \textbackslash input\{x\} \#\$ & +2 & @x & =no \\" in lines
 
 
 def test_a_command_writes_what_it_prints(tmp_path: Path) -> None:

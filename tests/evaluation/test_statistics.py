@@ -10,7 +10,6 @@ from scipy import stats
 
 from slamfusion.evaluation import (
     ErrorStatistics,
-    Moments,
     Summary,
     compare_pairs,
     compare_samples,
@@ -81,70 +80,45 @@ def test_p_values_of_a_worked_example() -> None:
     # No value of one exceeds the other's: 2 of the C(10, 5) = 252 orders are as extreme.
     found = compare_samples([1.0, 2.0, 3.0, 4.0, 5.0], [11.0, 12.0, 13.0, 14.0, 15.5])
     assert found is not None
-    assert found.mann_whitney == pytest.approx(2 / 252)
+    assert found["mann_whitney"] == pytest.approx(2 / 252)
     # Welch: t = 10.1 / sqrt(2.5 / 5 + 3.05 / 5) = 9.59 at 7.92 degrees of freedom.
-    assert found.welch == pytest.approx(2.0 * stats.t.sf(10.1 / np.sqrt(1.11), 7.9219), rel=1e-3)
+    p_value = 2.0 * stats.t.sf(10.1 / np.sqrt(1.11), 7.9219)
+    assert found["welch"] == pytest.approx(p_value, rel=1e-3)
+    assert compare_samples([1.0], [2.0, 3.0]) is None
 
 
 @given(st.lists(STEPS, min_size=2, max_size=8), st.lists(STEPS, min_size=2, max_size=8))
 def test_p_values_are_symmetric_probabilities(first: list[float], second: list[float]) -> None:
     found, swapped = compare_samples(first, second), compare_samples(second, first)
     assert found is not None
-    assert swapped is not None
-    assert found.to_json() == pytest.approx(swapped.to_json(), nan_ok=False)
-    assert all(0.0 <= value <= 1.0 for value in found.to_json().values())
+    assert found == pytest.approx(swapped, nan_ok=False)
+    assert all(0.0 <= value <= 1.0 for value in (found["welch"], found["mann_whitney"]))
 
 
 def test_methods_that_never_vary_are_equal_or_not() -> None:
     same, other = compare_samples([2.0] * 4, [2.0] * 3), compare_samples([2.0] * 4, [3.0] * 4)
-    assert same is not None
+    assert same == {"welch": 1.0, "mann_whitney": 1.0}
     assert other is not None
-    assert (same.welch, same.mann_whitney) == (1.0, 1.0)
-    assert other.welch == 0.0
-    assert other.mann_whitney < 0.05
-
-
-def test_one_repetition_cannot_be_compared() -> None:
-    assert compare_samples([1.0], [2.0, 3.0]) is None
+    assert other["welch"] == 0.0
+    assert other["mann_whitney"] < 0.05
 
 
 def test_the_interval_of_a_mean_is_that_of_theory_where_errors_are_normal() -> None:
     errors = np.random.default_rng(1).normal(5.0, 1.0, 400)
     found = mean_interval(errors)
     spread = stats.t.ppf(0.975, 399) * errors.std(ddof=1) / np.sqrt(400)
-    assert found.low == pytest.approx(errors.mean() - spread, abs=0.01)
-    assert found.high == pytest.approx(errors.mean() + spread, abs=0.01)
-    assert found == mean_interval(errors)
-    assert found == mean_interval(-errors)
-    assert found.to_json() == (found.low, found.high)
-
-
-def test_the_interval_holds_the_mean_about_as_often_as_it_says() -> None:
-    # Lengths of errors are never negative and have a long tail.
-    rng = np.random.default_rng(2)
-    drawn = [mean_interval(rng.exponential(0.05, 100)) for _ in range(200)]
-    held = np.mean([found.low <= 0.05 <= found.high for found in drawn])
-    assert 0.88 <= held <= 0.98
-
-
-def test_a_wider_interval_holds_the_mean_more_often() -> None:
-    errors = np.random.default_rng(3).exponential(1.0, 50)
-    half, most = mean_interval(errors, 0.5), mean_interval(errors, 0.99)
-    assert most.low < half.low < errors.mean() < half.high < most.high
+    assert found == pytest.approx((errors.mean() - spread, errors.mean() + spread), abs=0.01)
+    assert found == mean_interval(errors) == mean_interval(-errors)
+    half = mean_interval(errors, 0.5)
+    assert found[0] < half[0] < errors.mean() < half[1] < found[1]
+    # What the draws of seed 0 give, on every machine.
+    found = mean_interval([0.03, 0.07, 0.011, 0.045, 0.09, 0.2])
+    assert found == pytest.approx((0.032825, 0.1275), rel=1e-12)
 
 
 def test_errors_that_do_not_vary_have_an_interval_without_width() -> None:
-    assert mean_interval([0.25]).to_json() == (0.25, 0.25)
-    assert mean_interval([0.5, -0.5, 0.5]).to_json() == (0.5, 0.5)
-
-
-def test_the_interval_is_the_same_on_every_machine() -> None:
-    # What the draws of seed 0 gave while they were not drawn by SciPy.
-    found = mean_interval([0.03, 0.07, 0.011, 0.045, 0.09, 0.2])
-    assert found.to_json() == pytest.approx((0.032825, 0.1275), rel=1e-12)
-
-
-def test_no_error_has_no_interval() -> None:
+    assert mean_interval([0.25]) == (0.25, 0.25)
+    assert mean_interval([0.5, -0.5, 0.5]) == (0.5, 0.5)
     with pytest.raises(ValueError, match="at least one value"):
         mean_interval([])
 
@@ -187,41 +161,23 @@ def test_published_p_values_are_the_pooled_test_of_sample_deviations(
     condition: str, first: str, second: str, printed: str
 ) -> None:
     a, b = (PUBLISHED[condition][name] for name in (first, second))
-    assert f"{pooled_p_value(Moments(*a, 3), Moments(*b, 3)):.1e}" == printed
+    assert f"{pooled_p_value((*a, 3), (*b, 3)):.1e}" == printed
     # Taken for population deviations (divided by N) they would give other values.
-    wider = [Moments(mean, std * 1.5**0.5, 3) for mean, std in (a, b)]
+    wider = [(mean, std * 1.5**0.5, 3) for mean, std in (a, b)]
     assert f"{pooled_p_value(*wider):.1e}" != printed
 
 
 def test_pooled_test_without_any_spread() -> None:
-    assert pooled_p_value(Moments(1.0, 0.0, 3), Moments(1.0, 0.0, 3)) == 1.0
-    assert pooled_p_value(Moments(1.0, 0.0, 3), Moments(2.0, 0.0, 3)) == 0.0
+    assert pooled_p_value((1.0, 0.0, 3), (1.0, 0.0, 3)) == 1.0
+    assert pooled_p_value((1.0, 0.0, 3), (2.0, 0.0, 3)) == 0.0
 
 
 def test_t_interval_of_a_worked_example() -> None:
-    # Mean 2, deviation 1, three values; the quantile for 2 degrees of freedom is 4.303.
-    found = t_interval([1.0, 2.0, 3.0])
-    assert found is not None
-    assert found.low == pytest.approx(2.0 - 4.303 / 3**0.5, abs=1e-3)
-    assert found.high == pytest.approx(2.0 + 4.303 / 3**0.5, abs=1e-3)
-    narrow = t_interval([1.0, 2.0, 3.0], 0.5)
-    assert narrow is not None
-    assert narrow.high < found.high
+    # Mean -2, deviation 1, three values; the quantile for 2 degrees of freedom is 4.303.
+    margin = 4.303 / 3**0.5
+    found = t_interval([-1.0, -2.0, -3.0])
+    assert found == pytest.approx((-2.0 - margin, -2.0 + margin), abs=1e-3)
     assert t_interval([4.0]) is None
-
-
-def test_t_interval_keeps_the_sign() -> None:
-    found = t_interval([-1.0, -3.0])
-    assert found is not None
-    assert (found.low + found.high) / 2.0 == pytest.approx(-2.0)
-
-
-def test_t_interval_holds_the_mean_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(3)
-    found = [t_interval(rng.normal(5.0, 2.0, 6)) for _ in range(1000)]
-    held = sum(item is not None and item.low < 5.0 < item.high for item in found)
-    # 950 are expected; four deviations are 28.
-    assert 922 <= held <= 978
 
 
 def test_pairs_show_what_samples_hide() -> None:
@@ -230,15 +186,14 @@ def test_pairs_show_what_samples_hide() -> None:
     found, apart = compare_pairs(cases - gains, cases), compare_samples(cases - gains, cases)
     assert found is not None
     assert apart is not None
-    assert found.mean == pytest.approx(-1.0)
-    assert found.t_test < 1e-4
-    assert apart.welch > 0.9
+    assert found["mean"] == pytest.approx(-1.0)
+    assert found["t_test"] == pytest.approx(stats.ttest_1samp(-gains, 0.0).pvalue)
+    assert found["t_test"] < 1e-4
+    assert apart["welch"] > 0.9
     # All six of one sign: two of 2^6 outcomes are as extreme.
-    assert found.wilcoxon == pytest.approx(2 / 64)
-    assert found.interval.low < found.bootstrap.low < -1.0 < found.bootstrap.high
-    assert found.bootstrap.high < found.interval.high < 0.0
-    assert found.t_test == pytest.approx(stats.ttest_1samp(-gains, 0.0).pvalue)
-    assert found.to_json()["interval"] == (found.interval.low, found.interval.high)
+    assert found["wilcoxon"] == pytest.approx(2 / 64)
+    interval, bootstrap = found["interval"], found["bootstrap"]
+    assert interval[0] < bootstrap[0] < -1.0 < bootstrap[1] < interval[1] < 0.0
 
 
 def test_pairs_that_differ_by_one_value_or_nothing() -> None:
@@ -247,9 +202,8 @@ def test_pairs_that_differ_by_one_value_or_nothing() -> None:
     )
     assert same is not None
     assert shifted is not None
-    assert (same.t_test, same.wilcoxon) == (1.0, 1.0)
-    assert shifted.t_test == 0.0
-    assert shifted.mean == -1.0
+    assert (same["t_test"], same["wilcoxon"]) == (1.0, 1.0)
+    assert (shifted["t_test"], shifted["mean"]) == (0.0, -1.0)
 
 
 def test_single_pairs_and_odd_ones() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from slamfusion.compute import open_device
@@ -19,7 +20,6 @@ from slamfusion.errors import ConfigError
 from slamfusion.evaluation import compare_samples
 from slamfusion.experiments import (
     Results,
-    Run,
     compare_models,
     model_sentences,
     sweep_estimators,
@@ -81,10 +81,9 @@ def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:
     assert results.levels(0) == ["room", "hall"]
     assert results.levels(1) == [0.1, 0.4]
     assert results.levels(2) == ["constant", "area"]
-    assert {run.seed for run in results.runs} == {5, 6}
+    assert set(results.runs["seed"]) == {5, 6}
     # The settings reach the producer: a condition differs from every other one.
-    means = [results.values(levels, ATE)[0] for levels in results.conditions()[:4]]
-    assert len(set(means)) == 4
+    assert len(set(results.runs[ATE][:8:2])) == 4
     assert {(item.drive, item.measure) for item in verdicts(results)} == {
         ("room", RELATIONS),
         ("room", ATE),
@@ -94,7 +93,7 @@ def test_estimators_are_swept_over_cell_sizes_and_drives() -> None:
 
 def test_one_seed_gives_one_result() -> None:
     first, again = (sweep_estimators([room(drift=0.3)], CONFIG, open_device()) for _ in range(2))
-    assert [run.values[ATE] for run in first.runs] == [run.values[ATE] for run in again.runs]
+    assert list(first.runs[ATE]) == list(again.runs[ATE])
 
 
 def drawn(factor: float, spread: float = 0.05, runs: int = 10, seed: int = 1) -> Results:
@@ -106,8 +105,9 @@ def drawn(factor: float, spread: float = 0.05, runs: int = 10, seed: int = 1) ->
             share = factor if method == "area" and size >= 0.4 else 1.0
             for number in range(runs):
                 value = error * share * (1.0 + spread * rng.standard_normal())
-                made.append(Run(("hall", size, method), number, {ATE: value}))
-    return Results("drawn", FACTORS, tuple(made), len(made))
+                made.append(("hall", size, method, number, value))
+    runs_made = pd.DataFrame(made, columns=[*FACTORS, "seed", ATE])
+    return Results("drawn", FACTORS, runs_made, len(made))
 
 
 @pytest.mark.parametrize(
@@ -129,12 +129,12 @@ def test_the_verdict_is_of_the_coarse_cells(factor: float, answer: str, words: s
 
 def test_on_one_coarse_size_the_test_is_welch_s() -> None:
     results = drawn(0.9, spread=0.2)
-    runs = tuple(run for run in results.runs if run.levels[1] != 0.6)
+    runs = results.runs[results.runs["cell size m"] != 0.6]
     (verdict,) = verdicts(replace(results, runs=runs))
     samples = [results.values(("hall", 0.4, method), ATE) for method in ("constant", "area")]
     difference = compare_samples(*samples)
     assert difference is not None
-    assert verdict.p_value == pytest.approx(difference.welch)
+    assert verdict.p_value == pytest.approx(difference["welch"])
 
 
 def test_runs_that_never_vary_are_equal_or_not() -> None:
@@ -150,7 +150,7 @@ def test_chance_alone_seldom_makes_a_verdict() -> None:
 
 def test_an_error_of_nothing_gives_no_verdict() -> None:
     results = drawn(1.0)
-    runs = tuple(replace(run, values={ATE: 0.0}) for run in results.runs)
+    runs = results.runs.assign(**{ATE: 0.0})
     assert verdicts(replace(results, runs=runs)) == []
 
 
@@ -162,7 +162,7 @@ def test_a_single_run_proves_nothing() -> None:
 
 def test_without_coarse_cells_there_is_no_verdict() -> None:
     results = drawn(0.5)
-    fine = tuple(run for run in results.runs if run.levels[1] == 0.1)
+    fine = results.runs[results.runs["cell size m"] == 0.1]
     assert verdicts(replace(results, runs=fine)) == []
 
 
@@ -182,11 +182,12 @@ def test_cell_models_are_compared_on_every_drive() -> None:
 
 def test_the_better_model_is_named_with_its_p_value() -> None:
     runs = [
-        Run(("hall", method), seed, {ATE: error + 0.001 * seed})
+        ("hall", method, seed, error + 0.001 * seed)
         for method, error in (("tinyslam base", 0.5), ("tinyslam mean", 0.2))
         for seed in range(4)
     ]
-    results = Results("drawn", ("drive", "method"), tuple(runs), len(runs))
+    table = pd.DataFrame(runs, columns=["drive", "method", "seed", ATE])
+    results = Results("drawn", ("drive", "method"), table, len(runs))
     (sentence,) = model_sentences(results)
     assert sentence == (
         "hall, ate rmse in m: tinyslam mean is better (0.5015 against 0.2015, p <0.001)."

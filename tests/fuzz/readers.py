@@ -24,7 +24,7 @@ from slamfusion.geometry import Pose2
 from slamfusion.io import load_map, open_log, read_trajectory
 from slamfusion.io.images import encode_image
 from slamfusion.io.scan_odometry import read_scan_odometry
-from slamfusion.jobs.results_file import read_results, write_results_file
+from slamfusion.jobs.results import read_results, write_results_file
 from slamfusion.pose_graph.g2o import read_g2o
 from slamfusion.sim.courses import load_course
 from slamfusion.slam.gmapping.slam import Gmapping
@@ -276,9 +276,7 @@ def seeds(folder: Path) -> list[Seed]:
     ]
     saved = results(folder)
     found.append(Seed("results", "a.zip", saved, read_results, is_text=False))
-    found += [
-        part_of_results(saved, name) for name in ("manifest.json", "items.json", "series/0001.csv")
-    ]
+    found += [part_of_results(saved, name) for name in ("manifest.json", "table.csv", "series.csv")]
     for name, (data, read) in states(folder).items():
         found.append(Seed("state", f"{name}.state", data, read, is_text=False))
     for name, data in bags(folder).items():

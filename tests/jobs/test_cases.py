@@ -42,6 +42,22 @@ def test_a_name_tells_case_and_method(name: str, case: str, method: str) -> None
     assert placed(name) == [(case, method)]
 
 
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ("graph/seed0/intel.tum graph/seed12/intel.tum", [("graph", "0"), ("graph", "12")]),
+        ("graph_intel_s0.tum intel-s1_graph.tum", [("graph", "0"), ("graph", "1")]),
+        ("Seed_3/a/intel.tum seed_3/b/intel.tum", [("a", "3"), ("b", "3")]),
+        ("intel_s0.tum intel_s1.tum", [("run", "0"), ("run", "1")]),
+        ("intel_s.tum intel_seeds2.tum intel_7.tum", [("s", ""), ("seeds2", ""), ("7", "")]),
+    ],
+)
+def test_a_name_tells_the_seed(names: str, told: list[tuple[str, str]]) -> None:
+    found = place_files(CASES, list(map(given, names.split())))
+    assert [(item.method, item.seed) for item in found] == told
+    assert len({item.name for item in found}) == len(found)
+
+
 @pytest.mark.parametrize("name", ["graph.tum", "intelligent.tum", "intel_mit-csail.tum"])
 def test_a_name_that_tells_none_or_two_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=f"write CASE={name}"):

@@ -28,7 +28,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from slamfusion.evaluation.records import RelationErrorsJson, TrajectoryErrorsJson
 from slamfusion.experiments import records as experiments
-from slamfusion.jobs import compare_records as comparisons
+from slamfusion.jobs import compare as comparisons
 from slamfusion.jobs import records as jobs
 from slamfusion.jobs import run_records as runs
 from slamfusion.jobs import tool_records as tools

@@ -62,13 +62,13 @@ def vote_walls(
 ) -> Votes:
     """Let inputs vote for walls with a tolerance, by weight; each wall is drawn by one input.
 
-    At a cell the inputs with a wall within the tolerance are for a wall. Those that know the cell as
-    free are against it, and those that have the same wall elsewhere: facing a way that the wall of
-    the input which draws here faces. Of the inputs for it the one of the highest rank draws: the
-    cell is what this one shows. A tie is for the wall. But where an input of weight 1/2 or more has
-    the same wall elsewhere, the wall stands at one of two places: there the weights must differ by
-    half, or the rank decides. A wall, or a free cell, that inputs show whose trust together is less
-    than 1/2 is left out, and the cell is unknown.
+    The inputs with a wall within the tolerance of a cell are for a wall. Those that know the cell
+    as free are against it, and those that have the same wall elsewhere: one that faces a way that
+    the drawn wall faces. Of the inputs for it the one of the highest rank draws: the cell is what
+    this one shows. A tie is for the wall. But where an input of weight 1/2 or more has the same
+    wall elsewhere, the wall stands at one of two places: there the weights must differ by half, or
+    the rank decides. A wall, or a free cell, of inputs whose trust together is less than 1/2 is
+    left out, and the cell is unknown.
 
     Args:
         codes: 1 to 32 of (H, W) uint8, see ``vote.walls.wall_codes``.

@@ -148,7 +148,7 @@ def _at_scans(drive: Drive, paths: list[Trajectory]) -> tuple[int, list[str]]:
     if not each.size:
         return 0, ["-", "-", "-"]
     errors = each.mean(axis=0)
-    figures = (float(errors.mean()), *mean_interval(errors).to_json())
+    figures = (float(errors.mean()), *mean_interval(errors))
     return len(errors), [shown(value, 4) for value in figures]
 
 
