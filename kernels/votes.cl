@@ -270,8 +270,8 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
     }
     const bool stands = highest >= 0 && 2 * supported >= VOTE_ONE &&
                         (rival < 0         ? support >= against
-                         : rival > highest ? 2 * support >= 3 * against
-                                           : 3 * support >= 2 * against);
+                         : rival > highest ? support >= 2 * against
+                                           : 2 * support >= against);
     int winner = freeing > 0 && 2 * freed >= VOTE_ONE ? FREE : UNKNOWN;
     if (stands) winner = (shown & WALL_OCCUPIED) ? OCCUPIED : (shown & WALL_FREE) ? FREE : UNKNOWN;
     fused[i] = (char)winner;

@@ -7,6 +7,7 @@ Maps in memory, packed maps of a store and the layers of the live fusion are all
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -191,7 +192,7 @@ class TileVoter:
     @property
     def shift(self) -> int:
         """Blocks are this power of two cells on a side."""
-        return max(0, round(np.log2(BLOCK_M / self.resolution)))
+        return max(0, round(math.log2(BLOCK_M / self.resolution)))
 
     def aligned(self, box: CellBox) -> CellBox:
         """Return the smallest box of whole blocks that holds a box, inside of the fused cells."""

@@ -29,15 +29,13 @@ TOLERANCE_M = 0.08
 SAME_WALL_M = 0.4
 # A wall faces free cells up to this many cells away; the cells between may be unknown.
 FRONT_CELLS = 3
-# Cells behind a face that belong to it: walls are drawn several cells thick.
-THICK_CELLS = 3
 # Steps in rows and columns to what a wall may face.
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
 def margin_cells(resolution: float) -> int:
     """Return how far, in cells of a size in metres, a cell has a say in the codes of others."""
-    return max(_same_wall_cells(resolution), THICK_CELLS) + FRONT_CELLS
+    return _same_wall_cells(resolution) + FRONT_CELLS
 
 
 def wall_codes(cells: I8, resolution: float) -> U8:
@@ -75,7 +73,7 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         front = np.zeros_like(own)
         front[points] = fronts & bit
         elsewhere |= cv2.dilate(front, _band(side, same))
-    elsewhere[points] = _thick(fronts, points, own.shape)
+    elsewhere[points] = _thick(fronts, points, own.shape, same)
     own |= elsewhere << np.uint8(WALL_SIDES)
     return codes
 
@@ -97,14 +95,16 @@ def _fronts(codes: U8, points: Points) -> U8:
     return ways
 
 
-def _thick(fronts: U8, points: Points, shape: tuple[int, int]) -> U8:
-    """Return the ways that wall cells face, (N,) bits; those behind a face take its ways."""
+def _thick(fronts: U8, points: Points, shape: tuple[int, int], reach: int) -> U8:
+    """Return the ways that wall cells face, (N,) bits; cells behind a face take its ways."""
     height, width = shape
     ways = np.zeros((height + 2, width + 2), dtype=np.uint8)
     rows, cols = (at + 1 for at in points)
     ways[rows, cols] = fronts
-    for _ in range(THICK_CELLS):
+    for _ in range(reach):
         rest = np.flatnonzero(ways[rows, cols] == 0)
+        if not len(rest):
+            break
         row, col = rows[rest], cols[rest]
         around = [ways[row + down, col + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
         ways[row, col] = np.bitwise_or.reduce(around)
@@ -116,7 +116,7 @@ def _disc(radius: float) -> U8:
     radius = max(radius, math.sqrt(2.0))
     reach = math.floor(radius)
     row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return (row**2 + col**2 <= radius**2 + 1e-6).astype(np.uint8)
+    return np.asarray(row**2 + col**2 <= radius**2 + 1e-6, dtype=np.uint8)
 
 
 def _band(side: tuple[int, int], reach: int) -> U8:

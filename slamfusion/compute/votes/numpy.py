@@ -103,7 +103,7 @@ def vote_walls(
     stands = np.where(
         rival < 0,
         support >= contra,
-        np.where(rival > highest, 2 * support >= 3 * contra, 3 * support >= 2 * contra),
+        np.where(rival > highest, support >= 2 * contra, 2 * support >= contra),
     )
     stands &= (highest >= 0) & (2 * (trust * near).sum(axis=0) >= VOTE_ONE)
 
