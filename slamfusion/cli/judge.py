@@ -1,4 +1,4 @@
-"""``slamfusion judge``: which path of a log its scans bear out best, with no truth to go by."""
+"""``slamfusion judge``: which path of a log to use, with no truth to go by."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ from slamfusion.cli.options import (
     report_option,
     with_config,
 )
-from slamfusion.cli.output import notice, number, print_json, print_table, progress_bar
+from slamfusion.cli.output import (
+    fitted,
+    notice,
+    number,
+    print_json,
+    print_table,
+    progress_bar,
+)
 from slamfusion.cli.paths import CASE_FILE
 from slamfusion.cli.results import (
     print_items,
@@ -33,11 +40,11 @@ from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, p
 from slamfusion.jobs.documents import p_text
 
 if TYPE_CHECKING:
-    from slamfusion.evidence.verdict import PathVerdict, Verdict
+    from slamfusion.evidence import RankedPath, Recommendation
     from slamfusion.jobs.judge import JudgedPaths
     from slamfusion.jobs.trajectory import CaseFiles
 
-__all__ = ["command", "print_verdict"]
+__all__ = ["command", "print_reasons", "print_recommendation"]
 
 
 @dataclass(frozen=True)
@@ -115,8 +122,8 @@ def command(config: RunConfig, **asked: Any) -> int:
 
     LOG is a CARMEN or tinySLAM log, or a ROS bag; each PATH a file of poses that any SLAM made of
     it: TUM, 't x y theta' or CSV. No truth is needed. A path may be sparse: odometry fills it.
-    With --fused all scans are laid on each other along one path made of them, and the verdict also
-    says which PATH is nearest to that.
+    With --fused all scans are aligned along one path made of them. That is the path to use unless
+    the scans support another one more, and the PATH nearest to it is the SLAM to take alone.
 
     With several logs (--log) a PATH belongs to the one whose name its own name or folder says as a
     word (graph/intel.tum and intel_graph.tum to intel.log), or that it is given: CASE=PATH; so do
@@ -184,22 +191,23 @@ def _judge_logs(request: _Request, config: RunConfig) -> int:
         leading = ("consistency", "ate_rmse_m", "relations_mean_m")
         print_items(found.items(), "path", leading)
         for case, judged in found.logs.items():
-            print(f"{case}: {judged.verdict.sentence}")
+            print(f"{case}: {judged.recommendation.headline}")
     if found.not_measured:
         raise SlamFusionError("; ".join(found.not_measured))
     return 0
 
 
 def _print(found: JudgedPaths) -> None:
-    """Print the ranking, where paths part, the rankings by what is known, and the verdict."""
-    rows = []
+    """Print the paths, the rankings by what is known, and which one to use."""
+    answer = found.recommendation
     by_truth, by_relations = found.ranking_by_truth(), found.ranking_by_relations()
-    columns = _columns(found.verdict)
+    columns = _columns(answer)
     columns += ["ATE m", "rank"] if by_truth else []
     columns += ["relations m", "rank"] if by_relations else []
-    for path in found.verdict.paths:
+    rows = []
+    for path in answer.paths:
         measures = found.measures.get(path.name)
-        row = _path_row(found.verdict, path)
+        row = _path_row(answer, path)
         if by_truth:
             errors = None if measures is None else measures.truth
             row += [number(None if errors is None else errors.ate.rmse, 4), _rank(path, by_truth)]
@@ -210,54 +218,52 @@ def _print(found: JudgedPaths) -> None:
                 _rank(path, by_relations),
             ]
         rows.append(row)
-    print_table(columns, rows, title=f"Paths of {found.files.log}, best first")
-    print(f"verdict: {found.verdict.sentence}")
+    print_table(columns, rows, title=f"Paths of {found.files.log}, the recommended one first")
     if found.files.fused is not None:
         print(f"fused path: {found.files.fused}")
+    print_recommendation(answer)
 
 
-def print_verdict(verdict: Verdict) -> None:
-    """Print a row for each path, the best first, and the verdict in words."""
-    rows = [_path_row(verdict, path) for path in verdict.paths]
-    print_table(_columns(verdict), rows, title="What the scans say of the paths, best first")
-    print(f"verdict: {verdict.sentence}")
+def print_reasons(answer: Recommendation) -> None:
+    """Print how well the scans support each path, if they could be asked."""
+    if answer.paths:
+        rows = [_path_row(answer, path) for path in answer.paths]
+        print_table(_columns(answer), rows, title="How well the scans support each path")
 
 
-_COLUMNS = (
-    *("path ", "log-likelihood a hit", "behind best", "95 % interval", "p", "tied "),
-    *("hits judged", "seen again %", "own poses %", "left best s", "by m"),
-)
+def print_recommendation(answer: Recommendation) -> None:
+    """Print what to use and what to check; green, amber or red on a terminal."""
+    colour = {"good": "green", "warn": "yellow", "bad": "red"}.get(answer.tone)
+    click.secho(fitted(f"{answer.headline}."), fg=colour, bold=True)
+    for subject, text in answer.lines():
+        click.echo(fitted(f"{subject:<13}{text}", indent=13))
 
 
-def _columns(verdict: Verdict) -> list[str]:
+def _columns(answer: Recommendation) -> list[str]:
     """Return the names of the figures of a path."""
-    return [*_COLUMNS, "from fused m"] if _has_fused(verdict) else [*_COLUMNS]
+    columns = ["path ", "log-likelihood a hit", "behind", "95 % interval", "apart s", "by m"]
+    return [*columns, "from fused m"] if _has_fused(answer) else columns
 
 
-def _has_fused(verdict: Verdict) -> bool:
-    """Return whether there is a fused path that tells which of the others is right."""
-    return verdict.producer is not None and bool(verdict.producer.from_fused_m)
+def _has_fused(answer: Recommendation) -> bool:
+    """Return whether paths are compared with a fused one."""
+    return any(path.from_fused_m is not None for path in answer.paths)
 
 
-def _path_row(verdict: Verdict, path: PathVerdict) -> list[str]:
+def _path_row(answer: Recommendation, path: RankedPath) -> list[str]:
     """Return the figures of a path."""
-    score, against = verdict.evidence.scores[path.name], path.against_best
+    behind = path.behind
     apart = [span for span in path.spans if not span.agrees]
     row = [
         path.name,
         number(path.consistency, 4),
-        number(None if against is None else against.difference, 4),
-        "-" if against is None else f"{against.low:.4f} to {against.high:.4f}",
-        p_text(None if against is None else against.p_value),
-        "yes" if path.tied else "no",
-        str(score.beams_judged),
-        number(100.0 * score.seen_share, 0),
-        number(100.0 * score.path.own_share, 0),
+        number(None if behind is None else behind.difference, 4),
+        "-" if behind is None else f"{behind.low:.4f} to {behind.high:.4f}",
         number(sum(span.to_s - span.from_s for span in apart), 0),
         number(max((span.gap_m for span in apart), default=None), 2),
     ]
-    return [*row, number(verdict.from_fused_m(path.name), 3)] if _has_fused(verdict) else row
+    return [*row, number(path.from_fused_m, 3)] if _has_fused(answer) else row
 
 
-def _rank(path: PathVerdict, ranking: tuple[str, ...]) -> str:
+def _rank(path: RankedPath, ranking: tuple[str, ...]) -> str:
     return str(ranking.index(path.name) + 1) if path.name in ranking else "-"

@@ -6,6 +6,7 @@ import contextlib
 import json
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from slamfusion.jobs.inputs import Progress
 
 __all__ = [
     "Settings",
+    "fitted",
     "notice",
     "number",
     "one_line",
@@ -84,6 +86,14 @@ def print_table(
     else:
         lines = table.fitted(max(LEAST_WIDTH, shutil.get_terminal_size().columns))
     print("\n".join([*lines, ""]))
+
+
+def fitted(text: str, indent: int = 0) -> str:
+    """Break a line where the terminal ends, further lines indented; unchanged for a file."""
+    if not sys.stdout.isatty():
+        return text
+    width = max(LEAST_WIDTH, shutil.get_terminal_size().columns)
+    return textwrap.fill(text, width, subsequent_indent=" " * indent)
 
 
 @contextlib.contextmanager

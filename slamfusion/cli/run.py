@@ -14,7 +14,7 @@ import click
 from slamfusion.cli.evaluate import print_evaluations
 from slamfusion.cli.fleet import scheduler_option
 from slamfusion.cli.fused import print_alignments, print_pairs
-from slamfusion.cli.judge import print_verdict
+from slamfusion.cli.judge import print_reasons, print_recommendation
 from slamfusion.cli.next_steps import print_next_steps
 from slamfusion.cli.options import (
     common_options,
@@ -272,11 +272,13 @@ def _tell(run: LogRun, *, debug: bool) -> None:
 
 
 def _print(run: LogRun, saved: SavedRun) -> None:
-    """Print the producers, the alignment, the errors, and where everything lies."""
+    """Print the producers, the alignment, the errors, the files, and last what to use."""
     _print_producers(run)
     _print_alignments(run)
     if run.evaluations:
         print_evaluations(run.evaluations)
+    if run.recommendation is not None:
+        print_reasons(run.recommendation)
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in saved.stages.items())
     print(f"time:      {saved.document['time_s']:.1f} s ({stages})")
     if run.usable is not None:
@@ -287,13 +289,16 @@ def _print(run: LogRun, saved: SavedRun) -> None:
     if run.drawn is not None:
         print(f"drawn map: {saved.folder / DRAWN}.yaml")
     print(f"report:    {saved.folder / REPORT / PAGE}")
-    if run.verdict is not None:
-        print()
-        print_verdict(run.verdict)
-    if run.usable is not None:
+    answer = run.recommendation
+    if run.usable is not None and answer is not None:
         page = saved.folder / REPORT / PAGE
         steps = [f"open {page} in a browser", f"slamfusion show {saved.folder}"]
-        print_next_steps(saved.folder / f"{FUSED}.yaml", steps)
+        # The map of another SLAM lies elsewhere.
+        name = answer.use if answer.use in run.results else FUSED
+        print_next_steps(saved.folder / f"{name}.yaml", steps)
+    if answer is not None:
+        print()
+        print_recommendation(answer)
 
 
 def _print_alignments(run: LogRun) -> None:

@@ -84,12 +84,12 @@ def _refuse_files_of_one_log(config: RunConfig, asked: Mapping[str, Any]) -> Non
 def _print(runs: Sequence[RunOfLog]) -> None:
     """Print a row for each log, and where the reports lie."""
     print_table(
-        ("log ", "fused", "best path ", "s", "fused map "),
+        ("log ", "fused", "use ", "s", "fused map "),
         [
             [
                 run.log.name,
                 str(run.fused) if run.fused else "-",
-                run.best or "-",
+                (run.recommendation and run.recommendation.use) or "-",
                 number(run.time_s, 1),
                 f"{run.folder / FUSED}.yaml" if run.folder and run.error is None else "-",
             ]

@@ -1,9 +1,10 @@
-"""What the scans say of paths without a truth: predictive consistency, comparisons, the verdict.
+"""What the scans say of paths without a truth, and what to use: the recommendation.
 
 ``score_paths`` scores each path by how well what was seen at other times predicts what was seen
 now, with beams, chunks and stamps that no path has a say in; ``with_path`` scores one more path
-beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart, and
-``reach_verdict`` puts it into words; ``choose_producer`` names the SLAM whose own path to take.
+beside those. ``PathEvidence.compare`` tells better paths from those that cannot be told apart,
+``find_displacements`` says where the walls of a path stand beside themselves, and ``recommend``
+gives the one answer: which map and path, which SLAM alone, what to check.
 ``fuse_paths`` makes one path of several, each believed as far as the scans bear it out,
 ``refine_path`` lays all scans of the drive on each other along it, and ``refine_borne_out`` does so
 where the scans do not speak against what comes of it.
@@ -13,7 +14,7 @@ where the scans do not speak against what comes of it.
 from __future__ import annotations
 
 from slamfusion.evidence.beams import JudgedScans, judged_scans
-from slamfusion.evidence.choice import ProducerChoice, choose_producer
+from slamfusion.evidence.displacement import Displacement, find_displacements
 from slamfusion.evidence.exclusion import (
     ExcludedSpan,
     Exclusions,
@@ -28,30 +29,39 @@ from slamfusion.evidence.predictive import (
     score_paths,
     with_path,
 )
+from slamfusion.evidence.recommendation import (
+    Check,
+    RankedPath,
+    Recommendation,
+    choose_path,
+    recommend,
+)
 from slamfusion.evidence.refined_path import refine_path
 from slamfusion.evidence.refinement import RefinedPath, refine_borne_out
 from slamfusion.evidence.stamps import CoveredPath, cover_stamps
-from slamfusion.evidence.verdict import Verdict, reach_verdict
 
 __all__ = [
+    "Check",
     "Comparison",
     "CoveredPath",
+    "Displacement",
     "ExcludedSpan",
     "Exclusions",
     "FusedPath",
     "JudgedScans",
     "PathEvidence",
     "PathScore",
-    "ProducerChoice",
+    "RankedPath",
+    "Recommendation",
     "RefinedPath",
     "UndecidedSpan",
-    "Verdict",
-    "choose_producer",
+    "choose_path",
     "cover_stamps",
+    "find_displacements",
     "find_exclusions",
     "fuse_paths",
     "judged_scans",
-    "reach_verdict",
+    "recommend",
     "refine_borne_out",
     "refine_path",
     "score_paths",

@@ -1,19 +1,17 @@
 """Where one path of a drive leaves another: spans of time, and how far they lie apart in them.
 
 Two paths are laid on each other where they agree best, so that one that broke away near its end
-does not turn the rest. What the scans say of such a span is asked of its scans alone.
+does not turn the rest. Who is right in such a span, ``find_exclusions`` decides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from slamfusion.evidence.comparison import compare_sums
 from slamfusion.evidence.predictive import PathEvidence
 from slamfusion.geometry import fit_motion, moved_poses, with_levers
 from slamfusion.trajectory import flag_runs
@@ -34,55 +32,46 @@ FITS = 20
 
 @dataclass(frozen=True)
 class Span:
-    """A part of a drive in which a path goes with the best one, or does not.
+    """A part of a drive in which a path goes with another one, or does not.
 
     Attributes:
         from_s, to_s: seconds since the first scan.
-        agrees: whether the path is near the best one.
+        agrees: whether the two are near each other.
         gap_m: how far they are apart at most, metres.
-        verdict: what the scans of the span say of the path against the best one; None where the
-            two agree.
     """
 
     from_s: float
     to_s: float
     agrees: bool
     gap_m: float
-    verdict: Literal["better", "worse", "cannot tell"] | None = None
 
 
-def path_spans(evidence: PathEvidence, name: str, best: str) -> tuple[Span, ...]:
-    """Return the spans of a drive in which a path agrees with the best one, and in which not.
+def path_spans(evidence: PathEvidence, name: str, other: str) -> tuple[Span, ...]:
+    """Return the spans of a drive in which a path agrees with another one, and in which not.
 
     Args:
         evidence: of both paths.
         name: the path.
-        best: what it is held against; the same name gives one span that agrees.
+        other: what it is compared with; the same name gives one span that agrees.
 
     Returns:
         Spans in the order of time that together cover the judged part of the drive.
     """
     judged = np.flatnonzero(evidence.is_judged)
     since_s = evidence.scans.stamps_s[judged] - evidence.scans.stamps_s[0]
-    gap_m = path_gap_m(evidence, name, best)
+    gap_m = path_gap_m(evidence, name, other)
     apart = _parted(gap_m, since_s)
     cuts = np.flatnonzero(np.diff(apart.astype(np.int8))) + 1
     first, last = np.r_[0, cuts], np.r_[cuts, len(apart)]
     spans = []
     for start, stop in zip(first.tolist(), last.tolist(), strict=True):
-        verdict = None
-        if apart[start]:
-            inside = np.zeros(len(evidence.scans), dtype=np.bool_)
-            inside[judged[start:stop]] = True
-            a, b = evidence.scores[name], evidence.scores[best]
-            verdict = compare_sums(a.sums, b.sums, a.beams, inside).verdict
         end_s = float(since_s[stop] if stop < len(since_s) else since_s[-1])
         widest_m = float(gap_m[start:stop].max())
-        spans.append(Span(float(since_s[start]), end_s, not apart[start], widest_m, verdict))
+        spans.append(Span(float(since_s[start]), end_s, not bool(apart[start]), widest_m))
     return tuple(spans)
 
 
-def path_gap_m(evidence: PathEvidence, name: str, best: str) -> F64:
+def path_gap_m(evidence: PathEvidence, name: str, other: str) -> F64:
     """Return how far a path lies from another at each judged scan, metres.
 
     The paths are laid on each other where the better half of their poses fits: least trimmed
@@ -92,7 +81,7 @@ def path_gap_m(evidence: PathEvidence, name: str, best: str) -> F64:
     and Knowledge Discovery 12, 2006 (concentration steps).
     """
     moving = evidence.scores[name].path.poses[evidence.is_judged]
-    still = evidence.scores[best].path.poses[evidence.is_judged]
+    still = evidence.scores[other].path.poses[evidence.is_judged]
     count = len(moving)
     thirds = [
         slice(k * count // 3, max(k * count // 3 + 1, (k + 1) * count // 3)) for k in (0, 1, 2)

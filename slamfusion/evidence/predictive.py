@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamfusion.compute import ComputeDevice
+from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.layout import BEAM_ONE, FACINGS, TILE
 from slamfusion.errors import TrajectoryError
 from slamfusion.evidence.beams import CHUNKS, JudgedScans
@@ -32,7 +33,10 @@ from slamfusion.geometry import compose_poses, invert_poses, transform_points
 from slamfusion.trajectory import Trajectory
 
 __all__ = [
+    "NEIGHBOURS",
+    "OTHERS",
     "Comparison",
+    "DrawnChunks",
     "HitModel",
     "PathEvidence",
     "PathScore",
@@ -45,10 +49,18 @@ __all__ = [
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]
+U32 = npt.NDArray[np.uint32]
 
 # The lattice is turned against the first pose, radians: most walls are square to it, and a wall
 # along the cells is drawn thinner than one across them.
 LATTICE_YAW_RAD = 0.5
+_CHUNK_BITS = np.uint32(1) << np.arange(CHUNKS, dtype=np.uint32)
+_APART = np.abs(np.subtract.outer(np.arange(CHUNKS), np.arange(CHUNKS)))
+# For each chunk the bits of the chunks next to it, and of those that are neither it nor next to it.
+NEIGHBOURS, OTHERS = (
+    np.where(are_asked, _CHUNK_BITS, 0).sum(axis=1).astype(np.uint32)
+    for are_asked in (_APART == 1, _APART > 1)
+)
 # Pages of a map at most; 2^24 are a square of 6.5 km of cells of 0.05 m.
 MOST_PAGES = 1 << 24
 
@@ -335,39 +347,104 @@ def _score(
     model: HitModel,
 ) -> PathScore:
     """Draw the map of a path and look up every judged hit in what the other chunks drew."""
-    kept = is_judged[scans.hit_scans]
-    hit_scans = scans.hit_scans[kept]
-    beams, facings, pages = _placed_beams(name, path.poses, scans, is_judged, kept, model)
-    bits = np.uint32(1) << np.arange(CHUNKS, dtype=np.uint32)
-    chunks = scans.chunks[hit_scans]
-    table = device.upload(pages)
-    tiles = int(pages.max()) + 1
-    hits, seen = (
-        device.extend(device.upload(np.zeros((1, *cells), dtype=np.uint32)), tiles, 0)
-        for cells in ((FACINGS, TILE, TILE), (TILE, TILE))
-    )
-    ends, faces = device.upload(beams), device.upload(facings)
-    device.mark_chunks(hits, seen, table, ends, faces, device.upload(bits[chunks]))
-    left_out = device.upload(_with_neighbours(bits)[chunks])
-    found = device.nearest_marks(hits, seen, table, ends, faces, left_out, model.reach_cells)
-    likelihoods, is_seen = log_likelihoods(found, model)
+    drawn = DrawnChunks.of(name, path, scans, is_judged, device, model)
+    likelihoods, is_seen = drawn.look_up()
     count = len(scans)
     return PathScore(
         name=name,
         path=path,
-        sums=np.bincount(hit_scans, likelihoods, count).astype(np.float64),
-        beams=np.bincount(hit_scans, minlength=count).astype(np.int64),
-        seen=np.bincount(hit_scans[is_seen], minlength=count).astype(np.int64),
+        sums=np.bincount(drawn.hit_scans, likelihoods, count).astype(np.float64),
+        beams=np.bincount(drawn.hit_scans, minlength=count).astype(np.int64),
+        seen=np.bincount(drawn.hit_scans[is_seen], minlength=count).astype(np.int64),
         model=model,
     )
 
 
-def _with_neighbours(bits: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
-    """Return for each chunk its bit and those of the chunks before and after it."""
-    around = bits.copy()
-    around[1:] |= bits[:-1]
-    around[:-1] |= bits[1:]
-    return around
+@dataclass(frozen=True, eq=False)
+class DrawnChunks:
+    """The map that a path draws, of which each chunk of the drive can be left out.
+
+    Attributes:
+        device: holds the map.
+        model: how likely a hit is.
+        hit_scans: (B,) int64, the scan of each judged hit.
+        chunks: (B,) int64, the chunk of each.
+        beams, facings: of the judged hits, see ``chunk_marks``.
+        table, hits, seen: the map, on the device.
+    """
+
+    device: ComputeDevice
+    model: HitModel
+    hit_scans: I64
+    chunks: I64
+    beams: npt.NDArray[np.int32]
+    facings: npt.NDArray[np.int32]
+    table: DeviceArray[np.int32]
+    hits: DeviceArray[np.uint32]
+    seen: DeviceArray[np.uint32]
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        path: CoveredPath,
+        scans: JudgedScans,
+        is_judged: B8,
+        device: ComputeDevice,
+        model: HitModel,
+    ) -> DrawnChunks:
+        """Draw the judged hits of a drive at the poses of a path."""
+        kept = is_judged[scans.hit_scans]
+        hit_scans = scans.hit_scans[kept]
+        beams, facings, pages = _placed_beams(name, path.poses, scans, is_judged, kept, model)
+        chunks = scans.chunks[hit_scans]
+        table = device.upload(pages)
+        tiles = int(pages.max()) + 1
+        hits, seen = (
+            device.extend(device.upload(np.zeros((1, *cells), dtype=np.uint32)), tiles, 0)
+            for cells in ((FACINGS, TILE, TILE), (TILE, TILE))
+        )
+        ends, faces = device.upload(beams), device.upload(facings)
+        device.mark_chunks(hits, seen, table, ends, faces, device.upload(_CHUNK_BITS[chunks]))
+        return cls(device, model, hit_scans, chunks, beams, facings, table, hits, seen)
+
+    def look_up(
+        self,
+        picked: I64 | slice = np.s_[:],
+        moved_m: tuple[float, float] = (0.0, 0.0),
+        among: U32 = OTHERS,
+    ) -> tuple[F64, B8]:
+        """Return how likely hits are under what other chunks drew.
+
+        Args:
+            picked: the hits that are asked.
+            moved_m: the hits are moved by this first, metres along the lattice of the map.
+            among: (CHUNKS,) uint32, for each chunk the bits of those that are asked; default: all
+                that are neither it nor next to it.
+
+        Returns:
+            (P,) float64 log-likelihoods, and (P,) bool, whether others have seen the place.
+        """
+        beams = self.beams[picked]
+        if any(moved_m):
+            beams = beams.copy()
+            beams[:, :2] += np.rint(np.array(moved_m) * BEAM_ONE / self.model.cell_m).astype(
+                np.int32
+            )
+        left_out = ~among[self.chunks[picked]]
+        upload = self.device.upload
+        return log_likelihoods(
+            self.device.nearest_marks(
+                self.hits,
+                self.seen,
+                self.table,
+                upload(beams),
+                upload(self.facings[picked]),
+                upload(left_out),
+                self.model.reach_cells,
+            ),
+            self.model,
+        )
 
 
 def log_likelihoods(found: npt.NDArray[np.int32], model: HitModel) -> tuple[F64, B8]:

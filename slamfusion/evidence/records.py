@@ -6,32 +6,34 @@ from collections.abc import Sequence
 from typing import Literal, TypeAlias, TypedDict
 
 __all__ = [
+    "CheckJson",
+    "Confidence",
     "PathEvidenceJson",
     "PathSpanJson",
     "PathTimeJson",
-    "PathVerdictJson",
+    "RecommendationJson",
     "RefinementJson",
     "RefinementStart",
-    "UntoldSpanJson",
 ]
+
+# How far a recommended path can be trusted.
+Confidence: TypeAlias = Literal["high", "medium", "low"]
 
 # What the scans of a drive were laid on each other along, at first.
 RefinementStart: TypeAlias = Literal["paths", "odometry"]
 
 
 class PathSpanJson(TypedDict):
-    """A part of a drive in which a path goes with the best one, or does not."""
+    """A part of a drive in which a path goes with the recommended one, or does not."""
 
     from_s: float
     """Where it begins, seconds since the first scan."""
     to_s: float
     """Where it ends, seconds since the first scan."""
     agrees: bool
-    """Whether the path is near the best one."""
+    """Whether the path is near the recommended one."""
     gap_m: float
     """How far the two are apart at most, metres."""
-    verdict: Literal["better", "worse", "cannot tell"] | None
-    """What the scans of the span say of the path against the best one; null where they agree."""
 
 
 class PathTimeJson(TypedDict):
@@ -55,16 +57,16 @@ class PathEvidenceJson(TypedDict):
     consistency: float
     """Mean log-likelihood of a hit under what other scans drew by the path; larger is better."""
     tied: bool
-    """Whether it is the best path, or cannot be told from it."""
-    behind_best: float
-    """Score of the best path less this one's."""
-    behind_best_95: tuple[float, float] | None
-    """Interval of that, 95 %; null for the best."""
+    """Whether it is the recommended path, or cannot be told from it."""
+    behind: float
+    """Score of the recommended path less this one's."""
+    behind_95: tuple[float, float] | None
+    """Interval of that, 95 %; null for the recommended path."""
     p_value: float | None
-    """Two-sided, of no difference to the best; null for the best."""
+    """Two-sided, of no difference to the recommended path; null for that."""
     from_fused_m: float | None
-    """How far a SLAM's own path is from the fused one, root mean square, metres, laid on each
-    other; null for others, and where there is no fused path or the scans speak against it."""
+    """How far a SLAM's own path is from the fused one, root mean square, metres, after the two are
+    aligned; null for others, and if the fused path is not the recommended one."""
     beams_judged: int
     """Hits that the score rests on, the same for all paths."""
     scans_judged: int
@@ -80,34 +82,38 @@ class PathEvidenceJson(TypedDict):
     over_time: Sequence[PathTimeJson]
     """The score in equal parts of the drive, in the order of time."""
     spans: Sequence[PathSpanJson]
-    """Where the path goes with the best one, and where it does not."""
+    """Where the path goes with the recommended one, and where it does not."""
 
 
-class UntoldSpanJson(TypedDict):
-    """A part of a drive of which the scans tell nothing."""
+class CheckJson(TypedDict):
+    """A place to look at before the map is used."""
 
     from_s: float
-    """Where it begins, seconds since the first scan."""
+    """When the robot came there, seconds since the first scan."""
     to_s: float
-    """Where it ends, seconds since the first scan."""
+    """When it left, seconds since the first scan."""
+    x: float
+    """Where it was then, metres, in the frame of the recommended map, or of the path."""
+    y: float
+    """The same along y."""
+    what: str
+    """What may be wrong."""
 
 
-class PathVerdictJson(TypedDict):
-    """Which path the scans bear out best."""
+class RecommendationJson(TypedDict):
+    """The one answer: what to use, and what to check first."""
 
-    best: str
-    """The path that the scans bear out best."""
-    best_producer: str | None
-    """Which SLAM's own path to take: the one nearest to the fused path; where there is none, or the
-    scans speak against it, the one that they bear out best. Null where no path is a SLAM's own."""
-    sentence: str
-    """The verdict in words."""
-    sure: bool
-    """Whether every other path is worse beyond chance."""
-    contradicted: bool
-    """Whether the scans contradict even the best path: what it draws is not what is there."""
-    untold: Sequence[UntoldSpanJson]
-    """Parts of the drive that hardly saw what any other part saw, by the best path."""
+    use: str | None
+    """Name of the map to use: ``fused``, or a SLAM's; null if the job has no maps."""
+    path: str | None
+    """Name of the path to use: ``fused``, or a SLAM's; null if there is none."""
+    best_single: str | None
+    """The SLAM to take if one alone has to do; null if there is none."""
+    confidence: Confidence | None
+    """``high``: no scan contradicts the path; ``medium``: look at ``check`` first; ``low``: the
+    scans contradict the path; null: the scans could not be asked."""
+    check: Sequence[CheckJson]
+    """What to look at, at most three places, in the order of time."""
 
 
 class RefinementJson(TypedDict):

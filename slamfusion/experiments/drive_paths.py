@@ -14,7 +14,7 @@ from slamfusion.evidence import (
     Exclusions,
     JudgedScans,
     PathEvidence,
-    choose_producer,
+    choose_path,
     find_exclusions,
     judged_scans,
     score_paths,
@@ -42,7 +42,7 @@ __all__ = [
     "weigh_paths",
 ]
 
-# The producer whose path is taken (``choose_producer``), in tables.
+# The producer whose path is taken (``choose_path``), in tables.
 CHOICE = "evidence choice"
 # The path that is made of all of them; the map that all scans draw at it is called as in ``run``.
 FUSED_PATH = "fused path"
@@ -59,7 +59,7 @@ class WeighedPaths:
 
     Attributes:
         paths: of the producers, and the fused one where there is one, by name.
-        choice: the producer whose path to take, see ``choose_producer``; empty where the scans
+        choice: the producer whose path to take, see ``choose_path``; empty where the scans
             cannot tell.
         evidence: what they say of the producers' paths; None where they cannot tell.
         exclusions: when producers have no vote; None where they cannot tell.
@@ -150,8 +150,7 @@ def _weigh(
 
 def _choice(evidence: PathEvidence | None, paths: Collection[str], fused: str | None = None) -> str:
     """Return the name of the producer whose path to take; empty where the scans cannot tell."""
-    found = None if evidence is None else choose_producer(evidence, paths, fused)
-    return "" if found is None else found.name
+    return "" if evidence is None else choose_path(evidence, paths, fused)[1]
 
 
 def drive_layers(

@@ -162,7 +162,7 @@ class RealLogTable:
         rows: of each drive the producers, the ways to vote, and the reference map.
         notes: what went wrong, by drive and method.
         references: what the reference map of each drive was drawn from.
-        choices: the SLAM of each drive whose path is taken, see ``choose_producer``, where the
+        choices: the SLAM of each drive whose path is taken, see ``choose_path``, where the
             scans can tell.
         others: SLAMs whose saved maps took part beside the producers, by drive.
     """

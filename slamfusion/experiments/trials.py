@@ -105,7 +105,7 @@ class TrialRecord:
             a map.
         ate_m: absolute error of the path of each producer that has one, and of the fused path, by
             name; metres.
-        choice: the producer whose path is taken, see ``choose_producer``; empty where the scans
+        choice: the producer whose path is taken, see ``choose_path``; empty where the scans
             cannot tell.
     """
 

@@ -1,4 +1,4 @@
-"""Which path of a drive the scans bear out best, with no truth to go by."""
+"""Which path of a drive to use, with no truth to go by."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError, TrajectoryError
 from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.evidence import (
+    Exclusions,
     PathEvidence,
-    Verdict,
+    Recommendation,
     find_exclusions,
     judged_scans,
-    reach_verdict,
+    recommend,
     score_paths,
 )
 from slamfusion.fusion.groups import LEAST_FUSED
@@ -81,7 +82,8 @@ class JudgedPaths:
         config: the settings in effect.
         paths: the poses, by name, as they were given.
         fused: the path that was made of them; None where none was asked for.
-        verdict: what the scans say, of the fused path, too.
+        recommendation: which of them to use, the fused path among them.
+        evidence: what the scans say of them.
         measures: errors of each path by name, where there was something to measure by.
         not_measured: what could not be measured, a sentence each.
         device: what computed, in words.
@@ -91,7 +93,8 @@ class JudgedPaths:
     config: RunConfig
     paths: Mapping[str, Trajectory]
     fused: DrivePath | None
-    verdict: Verdict
+    recommendation: Recommendation
+    evidence: PathEvidence
     measures: Mapping[str, Measures]
     not_measured: tuple[str, ...]
     device: str
@@ -130,8 +133,8 @@ class JudgedPaths:
         """Return what is said of the paths and the files that it rests on, for a JSON document."""
         files = self.files
         return {
-            "path_evidence": self.verdict.paths_to_json(),
-            "verdict": self.verdict.to_json(),
+            "recommendation": self.recommendation.to_json(),
+            "path_evidence": self.recommendation.paths_to_json(self.evidence),
             "paths": [self._path_to_json(name) for name in self.paths],
             "fused_path": self._fused_to_json(),
             "ranking_by_truth": self.ranking_by_truth(),
@@ -145,22 +148,23 @@ class JudgedPaths:
         }
 
     def items(self, case: str, placed: Sequence[Placed]) -> list[MeasuredItem]:
-        """Return the figures and single scores of each path, the best first; see ``Measures``.
+        """Return the figures and single scores of each path; see ``Measures``.
+
+        The recommended path comes first.
 
         Args:
             case: of the log.
             placed: the paths' files, of other cases too.
         """
-        evidence = self.verdict.evidence
         by_name = {item.name: item for item in placed if item.case == case}
         found = []
-        for path in self.verdict.paths:
-            score = evidence.scores[path.name]
+        for path in self.recommendation.paths:
+            score = self.evidence.scores[path.name]
             own = by_name.get(path.name, Placed(case, path.name, Path()))
             known = self.measures.get(path.name, Measures()).item(case, own.method, own.seed)
             is_judged = score.beams > 0
             likelihoods = ErrorSeries(
-                evidence.scans.stamps_s[is_judged, None],
+                self.evidence.scans.stamps_s[is_judged, None],
                 score.sums[is_judged] / score.beams[is_judged],
             )
             figures = {"consistency": score.consistency, "seen_share": score.seen_share}
@@ -247,14 +251,13 @@ def judge_paths(
     )
     device = device_for(config) if device is None else device
     evidence = score_log_paths(files.log, read, config, device, files.scan_odometry, warn=warn)
-    made = None
-    if files.fused is None:
-        verdict = reach_verdict(evidence)
-    else:
-        made = _fuse(read, evidence, device)
+    made, fused = None, None
+    exclusions = find_exclusions(evidence, device)
+    if files.fused is not None:
+        made, fused = _fuse(read, evidence, exclusions, device), FUSED
         if made.refined is not None:
             evidence = made.refined.evidence
-        verdict = reach_verdict(evidence, tuple(read), FUSED)
+    found = recommend(evidence, tuple(read), exclusions, device, fused=fused)
     scans = evidence.scans.odometry_path()
     measures, not_measured = {}, []
     for name, path in (read if made is None else {**read, FUSED: made.trajectory}).items():
@@ -265,7 +268,7 @@ def judge_paths(
     if made is not None:
         made = replace(made, measures=measures.get(FUSED, Measures()))
     return JudgedPaths(
-        files, config, read, made, verdict, measures, tuple(not_measured), device.name
+        files, config, read, made, found, evidence, measures, tuple(not_measured), device.name
     )
 
 
@@ -302,7 +305,8 @@ def write_judgement(
     from slamfusion.report import write_judge_report  # noqa: PLC0415  (an extra)
 
     return write_judge_report(
-        found.verdict,
+        found.recommendation,
+        found.evidence,
         directory,
         log=str(found.files.log),
         config=found.config,
@@ -327,7 +331,10 @@ def _check_fused(files: JudgeFiles) -> None:
 
 
 def _fuse(
-    paths: Mapping[str, Trajectory], evidence: PathEvidence, device: ComputeDevice
+    paths: Mapping[str, Trajectory],
+    evidence: PathEvidence,
+    exclusions: Exclusions,
+    device: ComputeDevice,
 ) -> DrivePath:
     """Make one path of several, each at the scans that it has a pose for or odometry gives one."""
     at_scans = {}
@@ -337,7 +344,6 @@ def _fuse(
         except TrajectoryError as error:
             message = f"{name}: {error}"
             raise TrajectoryError(message) from error
-    exclusions = find_exclusions(evidence, device)
     return fuse_weighed_paths(at_scans, evidence, exclusions, device)
 
 

@@ -119,7 +119,8 @@ class Layers:
         if self.undecided:
             times = _and([_times(span) for span in self.undecided])
             words.append(
-                f"The paths have parted {times}; of those that vote nothing tells who is right."
+                f"The paths have parted {times}; the scans of that time alone do not tell which is "
+                "right, and all of them vote."
             )
         return tuple(words)
 

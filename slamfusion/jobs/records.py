@@ -26,7 +26,7 @@ from slamfusion.evaluation.records import (
     SummariesJson,
     TrajectoryAlignmentJson,
 )
-from slamfusion.evidence.records import PathEvidenceJson, PathVerdictJson, RefinementJson
+from slamfusion.evidence.records import PathEvidenceJson, RecommendationJson, RefinementJson
 from slamfusion.fusion.records import AlignmentJson
 
 __all__ = [
@@ -390,10 +390,10 @@ class FusedPathJson(MeasuresJson):
 class JudgeRecordJson(TypedDict):
     """What the scans of one log say of its paths."""
 
+    recommendation: RecommendationJson
+    """Which path to use, and what to check first."""
     path_evidence: Sequence[PathEvidenceJson]
-    """What the scans say of each path, the best first."""
-    verdict: PathVerdictJson
-    """What the scans say of all paths."""
+    """What the scans say of each path, the recommended one first."""
     paths: Sequence[JudgedPathJson]
     """The paths as they were given."""
     fused_path: FusedPathJson | None

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from slamfusion.config import FusionMode, RunConfig
 from slamfusion.errors import SlamFusionError
-from slamfusion.evidence import Verdict, find_exclusions
+from slamfusion.evidence import PathEvidence, Recommendation, find_exclusions
 from slamfusion.fusion.records import FusionResult
 from slamfusion.fusion.start import place_starts
 from slamfusion.grid import OccupancyGrid
@@ -40,12 +40,14 @@ from slamfusion.jobs.run_stages import (
     evaluate_drive_maps,
     fuse_drive_paths,
     fuse_maps,
-    judge_drive_paths,
+    fused_evidence,
     measure_fused_path,
     measure_producers,
     measure_saved_paths,
+    recommend_for_drive,
     score_drive_paths,
     stage_timer,
+    with_fallback,
 )
 from slamfusion.jobs.saved_maps import SavedMaps, SavedPath
 from slamfusion.jobs.trajectory import Yardsticks
@@ -80,7 +82,8 @@ class LogRun:
         results: the producers that made a map, by name, with their errors.
         doubled: the doubled walls of the fusion; None where nothing was fused.
         evaluations: errors of the inputs and of the fused map; empty without a true map.
-        verdict: what the scans say of the producers' paths and of the fused one; None where they
+        recommendation: which map and path to use; None if no map was made.
+        evidence: what the scans say of the producers' paths and of the fused one; None where they
             could not be asked.
         no_verdict: why they could not; None where they were.
         failure: why there is no fused map that may be used; None where there is one.
@@ -105,7 +108,8 @@ class LogRun:
     results: Mapping[str, ProducerResult]
     doubled: DoubledWalls | None
     evaluations: tuple[Evaluation, ...]
-    verdict: Verdict | None
+    recommendation: Recommendation | None
+    evidence: PathEvidence | None
     no_verdict: str | None
     failure: SlamFusionError | None
     not_measured: tuple[str, ...]
@@ -150,7 +154,7 @@ class LogRun:
                 by_sentence.setdefault(sentence, []).append(name)
         found += [f"{', '.join(names)}: {text}" for text, names in by_sentence.items()]
         if self.no_verdict is not None:
-            found.append(f"no verdict on the paths: {self.no_verdict}")
+            found.append(f"the scans could not be asked about the paths: {self.no_verdict}")
         if self.why_voted is not None:
             why = f"the maps vote ({self.fused_mode}): {self.why_voted}"
             found.append(f"the fused map is not drawn, {why}")
@@ -251,12 +255,17 @@ def run_log(
         fusion, failure = fuse_maps(drive, layers, len(maps), starts)
     usable = fusion.result if failure is None else None
     with timed("path"):
-        if usable is None or fused_path is None:
-            fused_path = None
-        else:
-            fused_path = measure_fused_path(drive, fused_path, usable)
+        fused_path = (
+            None
+            if usable is None or fused_path is None
+            else measure_fused_path(drive, fused_path, usable)
+        )
     with timed("evidence"):
-        verdict = None if evidence is None else judge_drive_paths(drive, evidence, fused_path)
+        evidence = fused_evidence(evidence, fused_path)
+        recommendation = recommend_for_drive(
+            drive, evidence, exclusions, fused_path, fusion, is_fused=usable is not None
+        )
+    failure = with_fallback(failure, fusion, recommendation)
     drawn = DrawnRun(fusion)
     if usable is not None and is_drawn(config):
         with timed("drawing"):
@@ -287,7 +296,8 @@ def run_log(
         results=results,
         doubled=doubled,
         evaluations=evaluations,
-        verdict=verdict,
+        recommendation=recommendation,
+        evidence=evidence,
         no_verdict=no_verdict,
         failure=failure,
         not_measured=tuple(drive.troubles),

@@ -193,7 +193,8 @@ def _reported(run: LogRun) -> RunReport:
             ReportedPath(saved.path, saved.measures.relations, saved.measures.truth)
             for saved in run.saved_paths.values()
         ],
-        verdict=run.verdict,
+        recommendation=run.recommendation,
+        evidence=run.evidence,
         evaluations=[item.error for item in run.evaluations],
         evaluation_alignments=[item.alignment for item in run.evaluations],
         truth=run.truth,
@@ -220,7 +221,7 @@ def run_document(
         stages: wall time of each stage, seconds.
         time_s: wall time of all, seconds.
     """
-    usable, failure, best = run.usable, run.failure, run.fusion.fallback
+    usable, failure, found = run.usable, run.failure, run.recommendation
     path = run.fused_path
     fusion = (
         failure_document(run.grids, run.fusion.pairs, str(failure))
@@ -236,11 +237,13 @@ def run_document(
         "fused_mode": run.fused_mode,
         "why_voted": run.why_voted,
         "agreement": None if usable is None else str(files[AGREEMENT][0]),
-        "best_founded": None if best is None else best.name,
+        "best_founded": None if usable is not None or found is None else found.use,
         "partial_votes": [vote.to_json() for vote in run.layers.partial],
         "path_gaps": [gap.to_json() for gap in run.fusion.gaps],
-        "path_evidence": [] if run.verdict is None else run.verdict.paths_to_json(),
-        "verdict": None if run.verdict is None else run.verdict.to_json(),
+        "recommendation": None if found is None else found.to_json(),
+        "path_evidence": []
+        if found is None or run.evidence is None
+        else found.paths_to_json(run.evidence),
         "no_verdict": run.no_verdict,
         "fused_path": None if path is None else path.to_json(files[FUSED_PATH][0]),
         "drawn_map": None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from slamfusion.config import RunConfig
 from slamfusion.errors import FleetError, SlamFusionError
+from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fleet import InProcess, Scheduler
 from slamfusion.jobs.documents import path_text, settings_used
 from slamfusion.jobs.inputs import Progress, distinct_names
@@ -51,7 +52,7 @@ class RunOfLog:
         folder: where its files lie: the folder of the task, or ``failed`` in it, see ``save_run``;
             None: there are none.
         fused: inputs that voted; 0: there is no fused map.
-        best: the path that the scans bear out best; None where they could not be asked.
+        recommendation: which map and path to use; None if no map was made.
         error: why there is no fused map; None where there is one.
         warnings: what is doubtful, a sentence each.
         time_s: wall time.
@@ -61,7 +62,7 @@ class RunOfLog:
     log: Path
     folder: Path | None
     fused: int
-    best: str | None
+    recommendation: Recommendation | None
     error: str | None
     warnings: tuple[str, ...]
     time_s: float | None
@@ -81,7 +82,7 @@ class RunOfLog:
             log,
             saved.folder,
             0 if run.usable is None else len(run.usable.accepted),
-            None if run.verdict is None else run.verdict.best,
+            run.recommendation,
             None if run.failure is None else str(run.failure),
             (*warnings, *run.sentences()),
             saved.document["time_s"],
@@ -98,7 +99,9 @@ class RunOfLog:
             "record": str(self.folder / RUN_RECORD) if self.folder and is_fused else None,
             "report": str(self.folder / REPORT) if self.folder else None,
             "fused_count": self.fused,
-            "best": self.best,
+            "recommendation": None
+            if self.recommendation is None
+            else self.recommendation.to_json(),
             "error": self.error,
             "warnings": self.warnings,
             "not_measured": self.not_measured,

@@ -11,7 +11,7 @@ from slamfusion.evaluation.records import (
 )
 from slamfusion.evidence.records import (
     PathEvidenceJson,
-    PathVerdictJson,
+    RecommendationJson,
 )
 from slamfusion.fusion.records import (
     PathGapJson,
@@ -196,15 +196,16 @@ class RunDocument(FusionJson, RunFilesJson, CircumstancesJson):
     agreement: str | None
     """YAML file of the agreement map; null where nothing was fused."""
     best_founded: str | None
-    """Where nothing was fused, the map whose walls the others' fit best; else null."""
+    """Where nothing was fused, the map of ``recommendation``; else null."""
     partial_votes: Sequence[PartialVoteJson]
     """Producers that have no vote for the time in which they left the others."""
     path_gaps: Sequence[PathGapJson]
     """Between every two producers' paths in the fused frame."""
     path_evidence: Sequence[PathEvidenceJson]
-    """What the scans say of each path, the best first; empty where they could not be asked."""
-    verdict: PathVerdictJson | None
-    """What the scans say of all paths; null where they could not be asked."""
+    """What the scans say of each path, the recommended one first; empty where they could not be
+    asked."""
+    recommendation: RecommendationJson | None
+    """What to use, and what to check first; null if no map was made."""
     no_verdict: str | None
     """Why the scans could not be asked; null where they were."""
     fused_path: FusedPathJson | None
@@ -242,8 +243,8 @@ class RunOfLogJson(TypedDict):
     """Folder of the report; null where none was written."""
     fused_count: int
     """Inputs that voted."""
-    best: str | None
-    """The path that the scans bear out best; null where they could not be asked."""
+    recommendation: RecommendationJson | None
+    """What to use, and what to check first; null if no map was made."""
     error: str | None
     """Why nothing was fused; null where it was."""
     warnings: Sequence[str]

@@ -15,7 +15,7 @@ from functools import cached_property
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.errors import AlignmentError, SlamFusionError
-from slamfusion.evidence import Exclusions, PathEvidence, Verdict, reach_verdict, with_path
+from slamfusion.evidence import Exclusions, PathEvidence, Recommendation, recommend, with_path
 from slamfusion.evidence.drawn_map import DrawnScan, drawn_scans
 from slamfusion.fusion.groups import LEAST_FUSED
 from slamfusion.fusion.records import FusionResult
@@ -45,12 +45,14 @@ __all__ = [
     "evaluate_drive_maps",
     "fuse_drive_paths",
     "fuse_maps",
-    "judge_drive_paths",
+    "fused_evidence",
     "measure_fused_path",
     "measure_producers",
     "measure_saved_paths",
+    "recommend_for_drive",
     "score_drive_paths",
     "stage_timer",
+    "with_fallback",
 ]
 
 
@@ -145,9 +147,8 @@ def fuse_maps(
         return fusion, SlamFusionError(
             f"{message}, at least {LEAST_FUSED} are needed for a vote{reasons and f' ({reasons})'}"
         )
-    if fusion.failure is not None and fusion.fallback is not None:
-        words = f"the fallback map is that of {fusion.fallback.name}"
-        return fusion, AlignmentError(f"{fusion.failure}; {words}", fusion.pairs)
+    if fusion.failure is not None:
+        return fusion, fusion.failure
     if config.fusion.require_all and fusion.result is not None:
         if fusion.result.rejected:
             return fusion, AllRequiredError(fusion.result)
@@ -268,13 +269,60 @@ def measure_fused_path(drive: Drive, path: DrivePath, fusion: FusionResult) -> D
     return replace(found, measures=measures)
 
 
-def judge_drive_paths(
-    drive: Drive, evidence: PathEvidence, fused_path: DrivePath | None
-) -> Verdict:
-    """Say which path the scans bear out: of the SLAMs' paths and the fused one, if any."""
-    if fused_path is not None and fused_path.refined is not None:
-        evidence = fused_path.refined.evidence
-    return reach_verdict(evidence, tuple(drive.paths), FUSED)
+def fused_evidence(
+    evidence: PathEvidence | None, fused_path: DrivePath | None
+) -> PathEvidence | None:
+    """Return what the scans say of the producers' paths, and of the fused one, if any."""
+    if fused_path is None or fused_path.refined is None:
+        return evidence
+    return fused_path.refined.evidence
+
+
+def with_fallback(
+    failure: SlamFusionError | None, fusion: DriveFusion, answer: Recommendation | None
+) -> SlamFusionError | None:
+    """Name the map to use instead if the maps could not be fused."""
+    if answer is None or failure is None or failure is not fusion.failure:
+        return failure
+    words = f"{failure}; the fallback map is that of {answer.use}"
+    return AlignmentError(words, fusion.pairs)
+
+
+def recommend_for_drive(
+    drive: Drive,
+    evidence: PathEvidence | None,
+    exclusions: Exclusions | None,
+    fused_path: DrivePath | None,
+    fusion: DriveFusion,
+    *,
+    is_fused: bool,
+) -> Recommendation | None:
+    """Say which map and path to use; None if there is no map.
+
+    Args:
+        drive: what the producers made.
+        evidence: what the scans say of their paths and of the fused one; None: they could not be
+            asked.
+        exclusions: who votes; None: that is not known.
+        fused_path: the fused path in the frame of the fused map; None: there is none.
+        fusion: of the maps.
+        is_fused: whether the fused map may be used.
+    """
+    fallback = None if fusion.fallback is None else fusion.fallback.name
+    if evidence is None or exclusions is None:
+        path = FUSED if fused_path is not None else fallback if fallback in drive.paths else None
+        use = FUSED if is_fused else fallback
+        return None if use is None else Recommendation(use, path, fallback)
+    found = recommend(
+        evidence,
+        tuple(drive.paths),
+        exclusions,
+        drive.device,
+        fused=FUSED,
+        frames=drive.paths if fused_path is None else {**drive.paths, FUSED: fused_path.trajectory},
+    )
+    is_one_map = found.path == FUSED or (is_fused and fused_path is None)
+    return replace(found, use=FUSED if is_one_map else found.path)
 
 
 def evaluate_drive_maps(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from slamfusion.errors import MapFileError, SlamFusionError
+from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.io.trajectories import read_trajectory
@@ -154,7 +155,6 @@ def _read_record(path: Path) -> Finished:
         # The map that is drawn at the fused path lies in the fused frame.
         found.maps.append(ShownMap(DRAWN, "input", drawn))
         told.append(unlaid(DRAWN, "drawn at the fused path"))
-    verdict = record.get("verdict") or {}
     figures = {
         "reference": str(record.get("reference")),
         "fused by": str(record.get("fused_mode") or "vote"),
@@ -164,9 +164,15 @@ def _read_record(path: Path) -> Finished:
     others = len(record.get("groups") or ()) - 1
     if others > 0:
         figures["further groups, not shown"] = str(others)
-    sentence = verdict.get("sentence") or f"{record.get('fused_count')} maps were fused"
-    level = "good" if verdict.get("sure") else "plain"
-    found.scene.put_status(told, headline=sentence, level=level, figures=figures)
+    headline, level = f"{record.get('fused_count')} maps were fused", "plain"
+    if record.get("recommendation"):
+        answer = Recommendation.from_json(record["recommendation"])
+        headline, level = answer.headline, answer.tone
+        for place in answer.check:
+            found.scene.put_event("warn", f"check {place}")
+        if answer.best_single:
+            figures = {"single SLAM": answer.best_single, **figures}
+    found.scene.put_status(told, headline=headline, level=level, figures=figures)
     if path.name == RUN_RECORD and "producers" in record:
         for name, file in _paths_of(stem, record, inputs):
             _put_path(found.scene, name, file)

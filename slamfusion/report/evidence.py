@@ -1,4 +1,4 @@
-"""What the scans say of the paths on the page of the main job: over the drive, and in words."""
+"""What the scans say of the paths on the page of the main job: over the drive, and in numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure  # noqa: TID251
 
 from slamfusion.evidence.parting import PART_M, path_gap_m
-from slamfusion.evidence.verdict import PathVerdict, Verdict
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.palette import NAMED, Rgb, colours_of
 from slamfusion.report.canvas import DPI, INK, WIDTH_IN, style_axes, to_png, unit_rgb, write_note
 from slamfusion.report.page import Cell, LegendEntry, Picture, Section, Table, number
@@ -23,53 +24,56 @@ _APART_OPACITY = 0.12
 _LEAST_GAP_M = 0.01
 
 
-def evidence_section(verdict: Verdict, page: Mapping[str, Rgb] | None = None) -> Section:
-    """Return the verdict, the score of each path over the drive, and its figures.
+def evidence_section(
+    answer: Recommendation, evidence: PathEvidence, page: Mapping[str, Rgb] | None = None
+) -> Section:
+    """Return the reasons of a recommendation: each path's score over the drive, and its figures.
 
     Args:
-        verdict: of one path or more.
+        answer: of one path or more.
+        evidence: that it rests on.
         page: the colours of the paths elsewhere on the page, by name; default: there are none.
     """
-    colours = _colours(verdict, page or {})
+    colours = _colours(answer, evidence, page or {})
     picture = Picture(
         "evidence",
-        evidence_picture(verdict, colours),
+        evidence_picture(answer, evidence, colours),
         "How well each path predicts what the scans saw, over the drive",
         "Above: mean log-likelihood of a hit under what other parts of the drive drew by the same "
-        "path; higher is better. Below: distance from the best path, on which the others are laid "
-        "where they agree most. Tinted: a path has left the best one.",
+        "path; higher is better. Below: distance from the recommended path, after each path is "
+        "aligned with it where they agree most. Tinted: a path has left the recommended one.",
         legend=tuple(LegendEntry(name, colour) for name, colour in colours.items()),
     )
     columns = (
-        *("path", "log-likelihood of a hit", "behind the best", "95 %", "p", "tied with the best"),
+        *("path", "log-likelihood of a hit", "behind the recommended path", "95 %", "p"),
         *("hits judged", "seen again %", "own poses %", "from the fused path m"),
-        "where it left the best path",
+        "where it left the recommended path",
     )
-    rows = [_row(verdict, path) for path in verdict.paths]
+    rows = [_row(path, evidence) for path in answer.paths]
     note = (
         "Each hit is looked up in the map that all other parts of the drive draw by the path that "
         "is scored; what they have not seen has a fixed price. All paths are scored on the same "
         "hits, and compared by drawing parts of the drive anew. No truth is used: a fault that "
         "all paths share, or a bend that is never seen twice, does not show."
     )
-    table = Table("The evidence", columns, rows, note)
-    return Section(
-        "Which path the scans bear out", "evidence", verdict.sentence, [picture], [table]
-    )
+    table = Table("The scores", columns, rows, note, folded=True)
+    return Section("Why this path", "evidence", answer.headline + ".", [picture], [table])
 
 
-def evidence_picture(verdict: Verdict, rgb: Mapping[str, Rgb]) -> bytes:
-    """Draw the score of each path over the drive, and below it how far it is from the best.
+def evidence_picture(
+    answer: Recommendation, evidence: PathEvidence, rgb: Mapping[str, Rgb]
+) -> bytes:
+    """Draw the score of each path over the drive, and below how far it is from the recommended.
 
     Args:
-        verdict: of one path or more.
+        answer: of one path or more.
+        evidence: that it rests on.
         rgb: the colour of each path, by name.
 
     Returns:
         The bytes of a PNG file.
     """
-    evidence = verdict.evidence
-    others = [path for path in verdict.paths if path.name != verdict.best]
+    best, *others = answer.paths
     gap_in = _HEAD_IN + _GAP_IN if others else 0.0
     tall_in = _HEAD_IN + _SCORE_IN + gap_in + _FOOT_IN
     figure = Figure(figsize=(WIDTH_IN, tall_in), dpi=DPI)
@@ -92,46 +96,48 @@ def evidence_picture(verdict: Verdict, rgb: Mapping[str, Rgb]) -> bytes:
         last = figure.add_axes((0.155, _FOOT_IN / tall_in, 0.825, _GAP_IN / tall_in), sharex=scores)
         since_s = evidence.scans.stamps_s[evidence.is_judged] - start_s
         for path in others:
-            gap_m = np.maximum(path_gap_m(evidence, path.name, verdict.best), _LEAST_GAP_M)
+            gap_m = np.maximum(path_gap_m(evidence, path.name, best.name), _LEAST_GAP_M)
             last.plot(since_s, gap_m, color=colours[path.name], lw=0.9)
         last.axhline(PART_M, color=INK, lw=0.8, ls=":")
         write_note(last, f"parted from {PART_M:g} m on")
         style_axes(last)
         last.set_yscale("log")
         last.tick_params(which="minor", colors=INK, width=0.5, length=2)
-        last.set_title("from the best path", loc="left", color=INK, fontsize=7.5, pad=3)
+        last.set_title("from the recommended path", loc="left", color=INK, fontsize=7.5, pad=3)
         last.set_ylabel("m", color=INK, fontsize=7.5)
         scores.tick_params(labelbottom=False)
     last.set_xlabel("seconds since the start", color=INK, fontsize=7.5)
     return to_png(figure)
 
 
-def _colours(verdict: Verdict, page: Mapping[str, Rgb]) -> dict[str, Rgb]:
+def _colours(
+    answer: Recommendation, evidence: PathEvidence, page: Mapping[str, Rgb]
+) -> dict[str, Rgb]:
     """Return the colour of each path, as elsewhere on the page."""
-    names = verdict.evidence.scores
-    colours = {**colours_of(names), **page}
-    return {name: NAMED["fused"] if name == verdict.fused else colours[name] for name in names}
+    colours = {**colours_of(evidence.scores), **page}
+    is_fused = any(path.from_fused_m is not None for path in answer.paths)
+    fused = answer.paths[0].name if is_fused else None
+    return {name: NAMED["fused"] if name == fused else colours[name] for name in evidence.scores}
 
 
-def _row(verdict: Verdict, path: PathVerdict) -> list[Cell]:
+def _row(path: RankedPath, evidence: PathEvidence) -> list[Cell]:
     """Return the figures of a path."""
-    score, against = verdict.evidence.scores[path.name], path.against_best
-    apart = [span for span in path.spans if not span.agrees]
+    score, behind = evidence.scores[path.name], path.behind
     where = "; ".join(
-        f"{span.from_s:.0f} to {span.to_s:.0f} s by {span.gap_m:.2f} m (the scans: {span.verdict})"
-        for span in apart
+        f"{span.from_s:.0f} to {span.to_s:.0f} s by {span.gap_m:.2f} m"
+        for span in path.spans
+        if not span.agrees
     )
-    interval = "-" if against is None else f"{against.low:.4f} to {against.high:.4f}"
+    interval = "-" if behind is None else f"{behind.low:.4f} to {behind.high:.4f}"
     return [
-        Cell(path.name),
+        Cell(path.name, "best" if behind is None else "plain"),
         number(path.consistency, 4),
-        number(None if against is None else against.difference, 4),
+        number(None if behind is None else behind.difference, 4),
         Cell(interval, is_number=True),
-        number(None if against is None else against.p_value),
-        Cell("yes" if path.tied else "no", "good" if path.tied else "bad"),
+        number(None if behind is None else behind.p_value),
         Cell(str(score.beams_judged), is_number=True),
         number(100.0 * score.seen_share, 0),
         number(100.0 * score.path.own_share, 0),
-        number(verdict.from_fused_m(path.name), 3),
+        number(path.from_fused_m, 3),
         Cell(where or "nowhere"),
     ]

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from slamfusion.config import RunConfig
-from slamfusion.evidence.verdict import Verdict
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.io.atomic import AtomicFiles
 from slamfusion.report.evidence import evidence_section
 from slamfusion.report.page import (
@@ -25,7 +26,8 @@ __all__ = ["write_judge_report"]
 
 
 def write_judge_report(
-    verdict: Verdict,
+    answer: Recommendation,
+    evidence: PathEvidence,
     directory: str | Path,
     *,
     log: str,
@@ -35,10 +37,11 @@ def write_judge_report(
     device: str = "",
     files: AtomicFiles | None = None,
 ) -> Path:
-    """Write which path the scans bear out as one self-contained page with its pictures beside it.
+    """Write which path to use as one self-contained page with its pictures beside it.
 
     Args:
-        verdict: what the scans say.
+        answer: which path to use.
+        evidence: what the scans say of all.
         directory: for ``report.html`` and the PNG files; made when missing.
         log: that the scans are of.
         config: the effective configuration, written out in full.
@@ -54,56 +57,47 @@ def write_judge_report(
     Raises:
         SlamFusionError: the directory cannot be written.
     """
-    sections = [evidence_section(verdict)]
+    sections = [evidence_section(answer, evidence)]
     known = {name: errors for name, errors in (errors_m or {}).items() if errors}
     if known:
-        sections.append(_errors_section(verdict, known))
+        sections.append(_errors_section(answer, known))
     sections.append(circumstances(config, device))
-    page = Page("SLAMfusion judge", _banner(verdict, log, not_measured), _facts(verdict), sections)
+    page = Page("SLAMfusion judge", _banner(answer, log, not_measured), _facts(answer), sections)
     return write_page(page, directory, files, forms=config.report.pictures)
 
 
-def _banner(verdict: Verdict, log: str, not_measured: Sequence[str]) -> Banner:
-    """Say which path is best, and how sure that is."""
-    lines = [("Verdict:", verdict.sentence)]
+def _banner(answer: Recommendation, log: str, not_measured: Sequence[str]) -> Banner:
+    """Say which path to use, and what to check."""
+    lines = answer.lines()
     lines += [("Not measured:", sentence) for sentence in not_measured]
     lines.append(("Log:", log))
-    if verdict.contradicted:
-        return Banner("bad", "The scans contradict every path", lines)
-    if len(verdict.paths) == 1:
-        return Banner("good", f"What the scans say of {verdict.best}", lines)
-    if not verdict.sure:
-        tied = sum(path.tied for path in verdict.paths)
-        return Banner("warn", f"{tied} of {len(verdict.paths)} paths cannot be told apart", lines)
-    return Banner("warn" if not_measured else "good", f"{verdict.best} is borne out best", lines)
+    return Banner(answer.tone, answer.headline, lines)
 
 
-def _facts(verdict: Verdict) -> list[Fact]:
-    """Return the score of each path, the best marked."""
-    facts = [
+def _facts(answer: Recommendation) -> list[Fact]:
+    """Return the score of each path, the recommended one marked."""
+    return [
         Fact(
             f"{path.consistency:.3f}",
             f"log-likelihood of a hit, {path.name}",
-            "good" if path.tied and len(verdict.paths) > 1 else "plain",
+            "good" if path.behind is None else "plain",
         )
-        for path in verdict.paths
+        for path in answer.paths
     ]
-    score = verdict.evidence.scores[verdict.best]
-    return [*facts, Fact(f"{score.seen_share:.0%}", f"of the hits seen again, by {verdict.best}")]
 
 
-def _errors_section(verdict: Verdict, errors_m: Mapping[str, Mapping[str, float]]) -> Section:
+def _errors_section(answer: Recommendation, errors_m: Mapping[str, Mapping[str, float]]) -> Section:
     """Return the errors of the paths, in the order that the scans put them in."""
     ranks = {name: sorted(errors, key=errors.__getitem__) for name, errors in errors_m.items()}
     columns = ["path", *(word for name in errors_m for word in (f"{name}, m", "rank"))]
     rows = []
-    for path in verdict.paths:
+    for path in answer.paths:
         row = [Cell(path.name)]
         for name, errors in errors_m.items():
             row.append(number(errors.get(path.name), 4))
             rank = ranks[name].index(path.name) + 1 if path.name in errors else None
             row.append(number(rank, 0))
         rows.append(row)
-    table = Table("Errors of the paths", columns, rows, "Best first, as the scans say.")
+    table = Table("Errors of the paths", columns, rows, "The recommended path first.")
     what = "What the scans say beside errors by a truth or by known relations."
     return Section("Held against what is known", "errors", what, tables=[table])

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from slamfusion.evaluation import MapError, RelationErrors, TrajectoryErrors
-from slamfusion.evidence.verdict import Verdict
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.recommendation import Recommendation
 from slamfusion.fusion.path_check import PathGap
 from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.grid import OccupancyGrid
@@ -72,7 +73,8 @@ class RunReport:
         doubled: shares of doubled walls by name, that of the fused map as ``fused map``.
         fused_path: made of those of the producers, in the fused frame; None where there is none.
         saved_paths: those of saved maps.
-        verdict: what the scans say of the paths; None where they could not be asked.
+        recommendation: what to use; None if no map was made.
+        evidence: what the scans say of the paths; None if they could not be asked.
         evaluations: errors of maps against the truth.
         evaluation_alignments: what each of them rests on.
         truth: the true path.
@@ -93,7 +95,8 @@ class RunReport:
     doubled: Mapping[str, float] | None = None
     fused_path: ReportedPath | None = None
     saved_paths: Sequence[ReportedPath] = ()
-    verdict: Verdict | None = None
+    recommendation: Recommendation | None = None
+    evidence: PathEvidence | None = None
     evaluations: Sequence[MapError] = ()
     evaluation_alignments: Sequence[Alignment | None] = ()
     truth: Trajectory | None = None

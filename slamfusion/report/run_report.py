@@ -72,8 +72,8 @@ def write_run_report(
         SlamFusionError: the directory cannot be written.
     """
     sections = [_maps_section(report, config)]
-    if report.verdict is not None:
-        sections.append(evidence_section(report.verdict, report.colours))
+    if report.recommendation is not None and report.evidence is not None:
+        sections.append(evidence_section(report.recommendation, report.evidence, report.colours))
     if report.runs:
         sections += [paths_section(report, config), *_health_section(report)]
     if report.result is not None:
@@ -100,14 +100,13 @@ def write_run_report(
 
 
 def _banner(report: RunReport) -> Banner:
-    """Say first what was fused, and loudest what was not."""
-    lines = [(f"{name} made no map:", reason) for name, reason in report.failed]
-    result = report.result
+    """Say first what to use, then what to check, then what was fused and what was not."""
+    answer, result = report.recommendation, report.result
+    lines = [] if answer is None else answer.lines()
+    lines += [(f"{name} made no map:", reason) for name, reason in report.failed]
     if result is not None:
         lines += doubtful_lines(result)
     lines += list(report.warnings)
-    if report.verdict is not None:
-        lines.append(("Verdict:", report.verdict.sentence))
     if result is None or report.failure:
         headline = "Do not use this map" if result is not None else "Nothing was fused"
         return Banner("bad", headline, [("", report.failure), *lines])
@@ -115,19 +114,13 @@ def _banner(report: RunReport) -> Banner:
     lines.append(("Fused:", f"{accepted}{_how(report.mode)}; in the frame of {result.reference}."))
     total = len(result.inputs) - len(result.copies) + len(report.failed)
     fused = len(result.accepted)
-    if fused < total:
-        return Banner("warn", f"Only {fused} of {total} maps were fused", lines)
-    headline = f"{'Both' if total == 2 else f'All {total}'} maps were fused"
-    verdict = report.verdict
-    if verdict is not None and verdict.contradicted:
-        return Banner("warn", f"{headline}, but the scans contradict even the best path", lines)
-    tied = {} if verdict is None else {path.name: path.tied for path in verdict.paths}
-    if verdict is None or FUSED_PATH not in tied:
-        return Banner("warn" if report.warnings else "plain", headline, lines)
-    if not tied[FUSED_PATH]:
-        return Banner("warn", f"{headline}, but the scans bear out {verdict.best} better", lines)
-    judged = f"{headline}; the scans bear out their fused path as well as any"
-    return Banner("warn" if report.warnings else "good", judged, lines)
+    how_many = (
+        f"Only {fused} of {total}" if fused < total else ("Both" if total == 2 else f"All {total}")
+    )
+    if answer is None:
+        return Banner("warn" if fused < total else "plain", f"{how_many} maps were fused", lines)
+    lines.append(("", f"{how_many} maps were fused."))
+    return Banner(answer.tone, answer.headline, lines)
 
 
 def _how(mode: str) -> str:

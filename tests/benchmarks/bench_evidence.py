@@ -5,7 +5,7 @@
 
 Validity: the true path, made wrong in a known way, must score below the true path; and the true
 path should be the best of all, or not to be told from it. Choice: ATE of the producer whose path is
-taken (``choose_producer``) over that of the best one in hindsight, beside the one whose path scores
+taken (``choose_path``) over that of the best one in hindsight, beside the one whose path scores
 best and always the same one; then with the fused path as one more candidate, and one more to be
 best. Intervals are 95 % of a bootstrap that draws whole courses of a world. A kidnapping is cut at
 the place where the robot was carried away, and each segment is a drive of its own.
@@ -29,12 +29,13 @@ from rich.table import Table
 from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.evaluation import trajectory_errors
 from slamfusion.evidence import (
-    choose_producer,
+    choose_path,
+    find_displacements,
     find_exclusions,
     judged_scans,
-    reach_verdict,
     score_paths,
 )
+from slamfusion.evidence.parting import PART_M
 from slamfusion.evidence.predictive import HitModel
 from slamfusion.geometry import compose_poses, invert_poses
 from slamfusion.io import LogScan
@@ -160,8 +161,7 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
         fused = {FUSED: fuse_weighed_paths(parts, alone, exclusions, device).trajectory}
         evidence = score_paths(judged, {TRUTH: truth, **parts, **fused, **wrong}, device, model)
         contest = evidence.of_paths((TRUTH, *parts))
-        taken = choose_producer(evidence.of_paths((*parts, FUSED)), parts, FUSED)
-        assert taken is not None
+        _, taken, _ = choose_path(evidence.of_paths((*parts, FUSED)), parts, FUSED)
         ate_m = {
             name: trajectory_errors(path, truth).ate.rmse for name, path in (parts | fused).items()
         }
@@ -176,11 +176,11 @@ def judge_drive(folder: Path, device: ComputeDevice, model: HitModel) -> Iterato
             tuple(
                 name
                 for name in evidence.scores
-                if reach_verdict(evidence.of_paths((name,))).contradicted
+                if any(part.away_m >= PART_M for part in find_displacements(evidence, name, device))
             ),
             contest.tied(),
             ate_m,
-            taken.name,
+            taken,
             time_s=time_s,
         )
         names = list(parts)

@@ -34,10 +34,9 @@ from slamfusion.cli import trajectory as trajectories
 from slamfusion.config import NormalizeConfig
 from slamfusion.evaluation import ErrorSeries, MeasuredItem, compare_to_truth
 from slamfusion.evaluation.statistics import ErrorStatistics
-from slamfusion.evidence import ProducerChoice
 from slamfusion.evidence.comparison import Comparison
 from slamfusion.evidence.parting import Span
-from slamfusion.evidence.verdict import PathVerdict
+from slamfusion.evidence.recommendation import RankedPath, Recommendation
 from slamfusion.experiments.sheets import Sheet
 from slamfusion.jobs.compare import compare_results
 from slamfusion.jobs.evaluate import Evaluation
@@ -113,30 +112,20 @@ def _run() -> None:
 
 
 def _judge() -> None:
-    names = ("graph", "gmapping", "fused")
     against = Comparison("better", 0.0132, 0.0041, 0.0212, 0.004)
+    away_m = {"fused": None, "graph": 0.0131, "gmapping": 1.27}
     paths = tuple(
-        PathVerdict(
+        RankedPath(
             name,
             -1.2034 - 0.0132 * index,
-            index < 1,
             against if index else None,
+            from_m,
             (Span(0.0, 30.0, True, 0.02), Span(30.0, 62.5, False, 0.41)) if index else (),
         )
-        for index, name in enumerate(names)
+        for index, (name, from_m) in enumerate(away_m.items())
     )
-    score = SimpleNamespace(
-        beams_judged=128_411, seen_share=0.87, path=SimpleNamespace(own_share=1.0)
-    )
-    away_m = {"graph": 0.0131, "gmapping": 1.27}
-    verdict: Any = SimpleNamespace(
-        evidence=SimpleNamespace(scores=dict.fromkeys(names, score)),
-        paths=paths,
-        sentence="The scans bear out graph best.",
-        producer=ProducerChoice("graph", away_m),
-        from_fused_m=away_m.get,
-    )
-    judge.print_verdict(verdict)
+    answer = Recommendation("fused", "fused", "graph", "high", paths=paths)
+    judge.print_reasons(answer)
 
 
 def _trajectory() -> None:

@@ -26,7 +26,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_table_and_the_verdict_are_printed(drive: Path) -> None:
+def test_the_table_and_the_recommendation_are_printed(drive: Path) -> None:
     files = (drive / "drive.log", drive / "bent.tum", drive / "good.tum")
     done = run("judge", *files, "--truth", drive / "good.tum")
     assert done.returncode == 0, done.stderr
@@ -35,8 +35,8 @@ def test_the_table_and_the_verdict_are_printed(drive: Path) -> None:
     assert [row[0] for row in ranked] == ["good", "bent"]
     # Both rankings: by the scans, and by the truth.
     assert [row[-1] for row in ranked] == ["1", "2"]
-    assert "verdict: The scans bear out good best: by bent a hit is " in done.stdout
-    assert "bent leaves good from " in done.stdout
+    answer = done.stdout.splitlines()[-2:]
+    assert answer == ["Use the good path: no scan contradicts it.", "Single SLAM: good"]
 
 
 def test_json_has_the_promised_keys(drive: Path) -> None:
@@ -44,8 +44,14 @@ def test_json_has_the_promised_keys(drive: Path) -> None:
     report = drive / "report"
     document = json_of(run("judge", *files, "--json", "--report", report))
     assert (report / "report.html").exists()
-    assert document["verdict"]["best"] == "good"
-    assert document["verdict"]["sure"] is True
+    assert document["recommendation"] == {
+        "use": None,
+        "path": "good",
+        "best_single": "good",
+        "confidence": "high",
+        "check": [],
+    }
+    assert "verdict" not in document
     assert [item["name"] for item in document["path_evidence"]] == ["good", "bent"]
     keys = {"name", "consistency", "tied", "beams_judged", "spans"}
     assert all(keys <= set(item) for item in document["path_evidence"])
@@ -57,11 +63,11 @@ def test_a_fused_path_is_written_and_told(drive: Path, tmp_path: Path) -> None:
     done = run("judge", *files, "--fused", out, "--report", tmp_path / "report")
     assert done.returncode == 0, done.stderr
     assert "from fused m" in done.stdout
-    assert "Of the SLAM paths good is nearest to the fused one, 0.0" in done.stdout
-    assert done.stdout.endswith(f"\nfused path: {out}\n")
+    assert f"\nfused path: {out}\n" in done.stdout
+    assert done.stdout.endswith("\nSingle SLAM: good\n")
     assert len(read_trajectory(out)) == len(TRUTH)
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
-    assert "nearest to the fused one" in page
+    assert "<h1>Use the fused path" in page
     done = run("judge", *files, "--fused", out, "--log", drive / "drive.log")
     assert done.returncode == 2
     assert "with several (--log) call judge for each" in done.stderr

@@ -61,14 +61,17 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     assert saved.folder == tmp_path / "out"
     wanted = ["producers", "evidence", "path", "fusion", "drawing", "errors", "report"]
     assert list(saved.stages) == wanted
-    assert run.verdict is not None
-    assert saved.document["verdict"] is not None
-    assert saved.document["verdict"]["best"] == run.verdict.best
-    assert run.verdict.best_producer in {"tinyslam", "graph"}
+    answer = run.recommendation
+    assert answer is not None
+    assert saved.document["recommendation"] == answer.to_json()
+    assert (answer.use, answer.path) == ("fused", "fused")
+    assert answer.best_single in {"tinyslam", "graph"}
+    assert "verdict" not in saved.document
     evidence = saved.document["path_evidence"]
     assert {item["name"] for item in evidence} == {"tinyslam", "graph", "fused"}
     page = (tmp_path / "out" / "report" / "report.html").read_text(encoding="utf-8")
-    assert run.verdict.sentence in page
+    assert f"<h1>{answer.headline}</h1>" in page
+    assert page.index("<strong>Single SLAM:</strong>") < page.index("maps were fused")
     assert list((tmp_path / "out" / "report").glob("*-evidence.png"))
     assert load_map(tmp_path / "out" / "fused.yaml").cells.tolist() == run.grid.cells.tolist()
     assert_path_and_drawing_lie_on_the_fused_map(run, saved, tmp_path / "out")
@@ -84,6 +87,8 @@ def test_the_main_job_from_a_log_to_files(place: Path, tmp_path: Path) -> None:
     check_document(plain(failed.document), "run")
     assert failed.folder == tmp_path / "out" / "failed"
     assert failed.document["best_founded"] == "tinyslam"
+    assert alone.recommendation is not None
+    assert (alone.recommendation.use, alone.recommendation.path) == ("tinyslam", "tinyslam")
     assert failed.document["fused_path"] is None
     assert failed.document["drawn_map"] is None
     after = tree(tmp_path / "out")
@@ -116,8 +121,7 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
     )
     found = RunOfLog.of(Path("flat.log"), less, saved, ["flat.yaml: it is odd"])
     assert found.not_measured == less.not_measured
-    assert run.verdict is not None
-    assert (found.best, found.error) == (run.verdict.best, None)
+    assert (found.recommendation, found.error) == (run.recommendation, None)
     (stopped,) = [text for text in found.warnings if "stopped at the deadline" in text]
     assert stopped.startswith("tinyslam, graph: ")
     assert [text for text in found.warnings if text != stopped] == [
@@ -126,7 +130,7 @@ def assert_all_that_is_doubtful_is_told(run: LogRun, saved: SavedRun) -> None:
         f"rejected: {first.name}: it fits nothing",
         f"{second.name}: a copy; --keep-duplicates counts each",
         *less.layers.sentences(),
-        "no verdict on the paths: no scan saw a wall twice",
+        "the scans could not be asked about the paths: no scan saw a wall twice",
         "the fused map is not drawn, the maps vote (consensus): there is no path",
     ]
 
@@ -239,9 +243,9 @@ def test_a_saved_map_brings_its_path(place: Path, tmp_path: Path) -> None:
         saved_paths=[CaseFile(tmp_path / "karto" / "poses.tum")],
     )  # fmt: skip
     assert run.not_measured == ()
-    assert run.verdict is not None
-    assert {path.name for path in run.verdict.paths} == {"graph", "map", "fused"}
-    assert run.verdict.best_producer in {"graph", "map"}
+    assert run.recommendation is not None
+    assert {path.name for path in run.recommendation.paths} == {"graph", "map", "fused"}
+    assert run.recommendation.best_single in {"graph", "map"}
     # With one producer alone there would be no fused path, and nothing to draw at.
     assert run.fused_path is not None
     assert set(run.fused_path.trust) == {"graph", "map"}

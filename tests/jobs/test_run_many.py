@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from slamfusion.cli.program import run_program
+from slamfusion.evidence import Recommendation
 from slamfusion.io import write_carmen
 from slamfusion.jobs import run_many
 from slamfusion.jobs.defaults import RUN_DEFAULTS
@@ -70,7 +71,7 @@ def test_a_log_that_fails_is_told_and_the_others_go_on(
     assert (bad["folder"], bad["fused"], bad["fused_count"]) == (None, None, 0)
     assert "there is no laser in it" in bad["error"]
     assert (good["error"], good["fused_count"]) == (None, 2)
-    assert good["best"] in {"tinyslam", "graph", "fused"}
+    assert good["recommendation"]["use"] in {"tinyslam", "graph", "fused"}
     record = json.loads(Path(good["record"]).read_text(encoding="utf-8"))
     assert record["fused"] == good["fused"] == str(tmp_path / "out" / "good" / "fused.yaml")
     assert Path(good["report"], "report.html").is_file()
@@ -125,7 +126,8 @@ def test_what_could_not_be_measured_is_told_by_the_code_as_of_one_log(
 ) -> None:
     def mapped(task: run_many.LogTask, _: object) -> tuple[RunOfLog, str]:
         troubles = ("the fused path: no pose in time",) if task.log.stem == "a" else ()
-        done = RunOfLog(task.log, task.folder, 3, "graph", None, (), 1.0, troubles)
+        answer = Recommendation("graph", "graph", "graph")
+        done = RunOfLog(task.log, task.folder, 3, answer, None, (), 1.0, troubles)
         return done, socket.gethostname()
 
     monkeypatch.setattr(run_many, "run_one", mapped)

@@ -69,7 +69,13 @@ def write_run(folder: Path, **changes: Any) -> None:
         "producers": [],
         "reference": "a",
         "fused_count": 2,
-        "verdict": {"sentence": "The scans bear out a best.", "sure": True},
+        "recommendation": {
+            "use": "fused",
+            "path": "fused",
+            "best_single": "a",
+            "confidence": "medium",
+            "check": [{"from_s": 1, "to_s": 3.0, "x": 2.0, "y": -1.0, "what": "walls stand twice"}],
+        },
         "saved_maps": [],
         **changes,
     }
@@ -90,7 +96,10 @@ def test_a_run_is_shown_as_its_record_says(tmp_path: Path) -> None:
     assert [name for name, (_, _, is_shown) in fed(found).items() if not is_shown] == ["c"]
     messages, _ = found.scene.since(0)
     (status,) = texts(messages, "status")
-    assert status["headline"] == "The scans bear out a best."
+    assert status["headline"] == "Use the fused map and its path, but check 1 place first"
+    assert (status["level"], status["figures"]["single SLAM"]) == ("warn", "a")
+    events = [item["text"] for item in texts(messages, "event")]
+    assert "check 1 to 3 s, near (2.0, -1.0) m: walls stand twice" in events
     places = {item["name"]: item["transform"] for item in status["inputs"]}
     assert places == {"a": [0, 0, 0], "b": [1, 2, 0.5], "c": None, "drawn": [0, 0, 0]}
     assert texts(messages, "trail") == [

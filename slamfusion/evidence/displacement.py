@@ -1,0 +1,170 @@
+"""``find_displacements``: where a path draws walls beside where it has drawn them before.
+
+A map that is bent shows what the robot saw on one visit beside what it saw on another one. So the
+hits of each chunk of the drive are moved together over the map that the path draws of the chunks
+before some time, or after it. If they fit another place better than their own, the path is wrong
+there, and the distance says by how much. People, glass, vegetation and a noisy laser make hits
+unlikely wherever they are moved to: they are no displacement.
+
+The place is chosen on one half of the chunk and tested on the other one, and the other way round,
+so that the best of many places is no better by chance. The test is a t-test over blocks of
+neighbouring scans, whose significance is divided by the number of tests: of drives that are right,
+one in a hundred has a chunk that is called displaced.
+
+Source: Stone, Cross-validatory choice and assessment of statistical predictions, Journal of the
+Royal Statistical Society B 36(2), 1974 (choose on one part, test on the other).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.evidence.beams import CHUNKS
+from slamfusion.evidence.comparison import SURE
+from slamfusion.evidence.parting import PART_M
+from slamfusion.evidence.predictive import NEIGHBOURS, OTHERS, DrawnChunks, PathEvidence
+
+__all__ = ["Displacement", "contradicted_share", "find_displacements"]
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U32 = npt.NDArray[np.uint32]
+
+# How far hits are moved at most, and in which steps, metres: a step of twice the deviation of a hit
+# about its wall misses no place.
+REACH_M, STEP_M = 0.8, 0.1
+# Paths that are at most this far apart have met again; walls that are, metres, are one.
+LEAST_M = 0.5 * PART_M
+# A wall farther from a hit than this, cells, explains nothing: twice the deviation again.
+REACH_CELLS = 2
+# Blocks of neighbouring scans of a chunk; places are chosen on every second one.
+BLOCKS = 8
+# Hits that are moved at most: 200 a chunk.
+MOST_HITS = 200 * CHUNKS
+# What was seen before these shares of the drive is held against what was seen after them.
+SPLITS = (0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A part of the drive in which walls stand beside where other parts of the drive saw them.
+
+    Attributes:
+        from_s, to_s: seconds since the first scan.
+        away_m: how far beside, metres.
+        p_value: one-sided, that the hits fit the other place no better than their own.
+    """
+
+    from_s: float
+    to_s: float
+    away_m: float
+    p_value: float
+
+
+def find_displacements(
+    evidence: PathEvidence, name: str, device: ComputeDevice
+) -> tuple[Displacement, ...]:
+    """Return the chunks of a drive that are surely displaced, in the order of time.
+
+    Args:
+        evidence: of the path and maybe of others.
+        name: of the path.
+        device: looks up.
+    """
+    scans, score = evidence.scans, evidence.scores[name]
+    model = replace(score.model, reach_cells=REACH_CELLS)
+    drawn = DrawnChunks.of(name, score.path, scans, evidence.is_judged, device, model)
+    some = np.arange(0, len(drawn.hit_scans), -(-len(drawn.hit_scans) // MOST_HITS))
+    price = np.log(model.unknown)
+    moves = _moves()
+    p_values, away_m = np.ones(CHUNKS), np.zeros(CHUNKS)
+    for split in SPLITS:
+        among = _other_side(split)
+        # What the other side has not seen contradicts nothing, wherever else it would fit.
+        likelihoods, is_seen = drawn.look_up(some, among=among)
+        if not is_seen.any():
+            continue
+        picked, own = some[is_seen], np.maximum(likelihoods[is_seen], price)
+        block = drawn.hit_scans[picked] * (CHUNKS * BLOCKS) // len(scans)
+        hits = np.maximum(np.bincount(block, minlength=CHUNKS * BLOCKS), 1)
+        gains = np.empty((len(moves), CHUNKS, BLOCKS))
+        for number, move in enumerate(moves):
+            likelihoods, _ = drawn.look_up(picked, (float(move[0]), float(move[1])), among)
+            gain = np.maximum(likelihoods, price) - own
+            sums = np.bincount(block, gain, CHUNKS * BLOCKS)
+            gains[number] = (sums / hits).reshape(CHUNKS, BLOCKS)
+        found = _p_values(gains)
+        is_surer = found < p_values
+        p_values[is_surer] = found[is_surer]
+        best = moves[gains.sum(axis=2).argmax(axis=0)]
+        away_m[is_surer] = np.hypot(*best.T)[is_surer]
+    since_s = scans.stamps_s - scans.stamps_s[0]
+    displaced = []
+    is_sure = (p_values < SURE / (CHUNKS * len(SPLITS))) & (away_m > LEAST_M)
+    for chunk in np.flatnonzero(is_sure).tolist():
+        here = np.flatnonzero(scans.chunks == chunk)
+        end = min(int(here[-1]) + 1, len(scans) - 1)
+        times_s = float(since_s[here[0]]), float(since_s[end])
+        displaced.append(Displacement(*times_s, float(away_m[chunk]), float(p_values[chunk])))
+    return tuple(displaced)
+
+
+def contradicted_share(evidence: PathEvidence, name: str, device: ComputeDevice) -> float:
+    """Return how much of what the robot saw was free when it came there at another time.
+
+    What the laser and the place allow is what the scans of just before and after explain; of these
+    hits those count in places that were seen at other times.
+
+    Args:
+        evidence: of the path and maybe of others.
+        name: of the path.
+        device: looks up.
+
+    Returns:
+        Share of hits, 0 to 1; 0 if nothing was seen at another time.
+    """
+    score = evidence.scores[name]
+    drawn = DrawnChunks.of(
+        name, score.path, evidence.scans, evidence.is_judged, device, score.model
+    )
+    price = np.log(score.model.unknown)
+    (now, _), (then, is_seen) = (drawn.look_up(among=bits) for bits in (NEIGHBOURS, OTHERS))
+    is_asked = is_seen & (now > price)
+    return float(np.mean(then[is_asked] < price)) if is_asked.any() else 0.0
+
+
+def _moves() -> F64:
+    """Return motions within ``REACH_M``, (S, 2) metres."""
+    steps = np.arange(-round(REACH_M / STEP_M), round(REACH_M / STEP_M) + 1) * STEP_M
+    moves = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    return np.asarray(moves[np.hypot(*moves.T) <= REACH_M + 0.5 * STEP_M])
+
+
+def _other_side(split: float) -> U32:
+    """Return for each chunk the bits of those on the other side of a share of the drive."""
+    number = np.arange(CHUNKS)
+    is_late = number >= split * CHUNKS
+    bits = np.uint32(1) << number.astype(np.uint32)
+    return OTHERS & np.where(is_late, bits[~is_late].sum(), bits[is_late].sum()).astype(np.uint32)
+
+
+def _p_values(gains: F64) -> F64:
+    """Return of each chunk how likely its gain is where no place is better than its own, (CHUNKS,).
+
+    Args:
+        gains: (S, CHUNKS, BLOCKS) what each motion gains, log-likelihood of a hit.
+    """
+    tested = np.empty(gains.shape[1:])
+    for half in (0, 1):
+        chosen = gains[:, :, half::2].sum(axis=2).argmax(axis=0)
+        tested[:, 1 - half :: 2] = gains[chosen, np.arange(CHUNKS), 1 - half :: 2]
+    p_values = np.ones(CHUNKS)
+    differ = np.ptp(tested, axis=1) > 0.0
+    found = scipy.stats.ttest_1samp(tested[differ], 0.0, axis=1, alternative="greater")
+    p_values[differ] = found.pvalue
+    return p_values

@@ -1,0 +1,356 @@
+"""``recommend``: which map and path of a drive to use, which SLAM alone, and what to check first.
+
+By its score a path that is off by decimetres is known from one that is off by centimetres; between
+two that are off by centimetres noise decides. The fused path, along which all scans are aligned, is
+nearer to the truth than either. So it is the answer unless the scans surely support a SLAM's own
+path more, and of the SLAMs the one nearest to it is the one to take alone.
+
+A place is one to check if walls there stand beside where they were seen at another time
+(``find_displacements``), or if a path that cannot be told from the answer has parted from it there
+and nothing tells which one is right (``find_exclusions``, which also decides who votes). If walls
+stand as far apart as paths that have parted in a quarter of the drive, or if most of what the robot
+saw was free space at other times, the map is not to be trusted.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.evidence.beams import CHUNKS
+from slamfusion.evidence.comparison import Comparison
+from slamfusion.evidence.displacement import contradicted_share, find_displacements
+from slamfusion.evidence.exclusion import Exclusions
+from slamfusion.evidence.parting import PART_M, Span, path_gap_m, path_spans
+from slamfusion.evidence.predictive import PathEvidence
+from slamfusion.evidence.records import Confidence, PathEvidenceJson, RecommendationJson
+from slamfusion.geometry import fit_motion, moved_poses
+from slamfusion.trajectory import Trajectory, nearest_stamps
+
+__all__ = ["Check", "RankedPath", "Recommendation", "choose_path", "distance_m", "recommend"]
+
+# Places that are named at most.
+MOST_CHECKS = 3
+# If most of what the robot saw was free space at other times, it was elsewhere; if more than the
+# second share was, the map is worth a look: people and moved furniture make up to a quarter.
+CONTRADICTED, DOUBTED = 0.5, 0.25
+# If walls are displaced in more of the drive than this share, the map is wrong as a whole.
+BENT = 0.25
+# If fewer of the hits were seen at another time than this share, nothing confirms the path.
+LITTLE_SEEN = 0.25
+
+Tone = Literal["good", "warn", "bad", "plain"]
+TONES: Mapping[Confidence | None, Tone] = {
+    "high": "good",
+    "medium": "warn",
+    "low": "bad",
+    None: "plain",
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """A place to look at before the map is used.
+
+    Attributes:
+        from_s, to_s: when the robot was there, seconds since the first scan.
+        x, y: where it was then, metres, in the frame of the recommended map or path.
+        what: what may be wrong.
+    """
+
+    from_s: float
+    to_s: float
+    x: float
+    y: float
+    what: str
+
+    def __str__(self) -> str:
+        times = f"{self.from_s:.0f} to {self.to_s:.0f} s"
+        return f"{times}, near ({self.x:.1f}, {self.y:.1f}) m: {self.what}"
+
+
+@dataclass(frozen=True)
+class RankedPath:
+    """A path beside the recommended one.
+
+    Attributes:
+        name: of the path.
+        consistency: its score, mean log-likelihood of a hit.
+        behind: how the recommended path compares with it; None for that one.
+        from_fused_m: how far a SLAM's own path is from the fused one, root mean square, metres;
+            None for others, and if there is no fused path or it is not the recommended one.
+        spans: where it agrees with the recommended path, and where not.
+    """
+
+    name: str
+    consistency: float
+    behind: Comparison | None
+    from_fused_m: float | None
+    spans: tuple[Span, ...]
+
+    @property
+    def tied(self) -> bool:
+        """Whether it cannot be told from the recommended path."""
+        return self.behind is None or self.behind.verdict != "better"
+
+
+@dataclass(frozen=True, eq=False)
+class Recommendation:
+    """The one answer of a job.
+
+    Attributes:
+        use: name of the map to use; None if the job has no maps.
+        path: name of the path to use; None if there is none.
+        best_single: the SLAM to take if one alone has to do; None if there is none.
+        confidence: ``high``: nothing contradicts the path; ``medium``: look at ``check`` first;
+            ``low``: the scans contradict the path; None: the scans could not be asked.
+        check: what to look at, at most three places.
+        paths: the reasons: the recommended path, the SLAM to take alone, then the others, the
+            best first; empty if the scans could not be asked.
+    """
+
+    use: str | None
+    path: str | None
+    best_single: str | None
+    confidence: Confidence | None = None
+    check: tuple[Check, ...] = ()
+    paths: tuple[RankedPath, ...] = ()
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> Recommendation:
+        """Read what ``to_json`` gave, without the reasons."""
+        return cls(**{**record, "check": tuple(Check(**place) for place in record["check"])})
+
+    def to_json(self) -> RecommendationJson:
+        """Return the answer for a JSON document."""
+        return {
+            "use": self.use,
+            "path": self.path,
+            "best_single": self.best_single,
+            "confidence": self.confidence,
+            "check": [asdict(place) for place in self.check],  # type: ignore[misc]
+        }
+
+    @property
+    def tone(self) -> Tone:
+        """How it is coloured: green, amber, red, or not."""
+        return TONES[self.confidence]
+
+    @property
+    def headline(self) -> str:
+        """The answer in a sentence."""
+        what = f"the {self.path} path" if self.use is None else f"the {self.use} map"
+        if self.use is not None and self.path is not None:
+            what += " and its path" if self.path == self.use else f" and the {self.path} path"
+        if self.confidence == "low":
+            return f"Do not trust {what}: the scans contradict it"
+        if self.confidence == "medium":
+            return f"Use {what}, but check {_places(len(self.check))} first"
+        if self.confidence == "high":
+            return f"Use {what}: no scan contradicts it"
+        return f"Use {what}; the scans could not confirm it"
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return what stands below the headline, each a subject and its text."""
+        alone = [("Single SLAM:", self.best_single)] if self.best_single else []
+        return alone + [("Check:", str(place)) for place in self.check]
+
+    def paths_to_json(self, evidence: PathEvidence) -> list[PathEvidenceJson]:
+        """Return the reasons for a JSON document, the recommended path first.
+
+        Args:
+            evidence: that the answer rests on.
+        """
+        return [_path_to_json(evidence, path) for path in self.paths]
+
+
+def recommend(
+    evidence: PathEvidence,
+    slams: Collection[str],
+    exclusions: Exclusions,
+    device: ComputeDevice,
+    *,
+    fused: str | None = None,
+    frames: Mapping[str, Trajectory] | None = None,
+) -> Recommendation:
+    """Choose the path to use and the SLAM to take alone, and find what to check.
+
+    Args:
+        evidence: of the paths of the SLAMs, and of the one fused of them, if any.
+        slams: names of the paths that are a SLAM's own.
+        exclusions: when the paths have parted, and who votes.
+        device: looks up where walls are displaced.
+        fused: name of the path that was fused of them; None, or unknown: there is none.
+        frames: paths by name in the frames that places are given in; default: their own.
+    """
+    path, alone, from_fused_m = choose_path(evidence, slams, fused)
+    frame = (frames or {}).get(path)
+    paths = tuple(
+        RankedPath(
+            name,
+            evidence.scores[name].consistency,
+            None if name == path else evidence.compare(path, name),
+            from_fused_m.get(name),
+            path_spans(evidence, name, path),
+        )
+        for name in dict.fromkeys((path, alone, *evidence.ranking()))
+    )
+    rivals = [item.name for item in paths if item.tied and item.name in exclusions.excluded]
+    check, confidence = _checks(evidence, path, rivals, exclusions, frame, device)
+    return Recommendation(None, path, alone, confidence, check, paths)
+
+
+def choose_path(
+    evidence: PathEvidence, slams: Collection[str], fused: str | None = None
+) -> tuple[str, str, Mapping[str, float]]:
+    """Return the path to use, the SLAM to take alone, and how far each SLAM is from the fused path.
+
+    Args:
+        evidence: of the paths of the SLAMs, of one at least, and of the fused one, if any.
+        slams: names of the paths that are a SLAM's own; others are left out.
+        fused: name of the path that was fused of them; None, or unknown: there is none.
+
+    Returns:
+        Two names, and metres by name; empty if the fused path is not the one to use.
+    """
+    ranking = [name for name in evidence.ranking() if name in slams]
+    best = ranking[0]
+    if fused is None or fused not in evidence.scores:
+        return best, best, {}
+    if evidence.compare(best, fused).verdict == "better":
+        return best, best, {}
+    from_fused_m = {name: distance_m(evidence, name, fused) for name in ranking}
+    return fused, min(ranking, key=from_fused_m.__getitem__), from_fused_m
+
+
+def distance_m(evidence: PathEvidence, name: str, other: str) -> float:
+    """Return the root mean square distance between two aligned paths, metres.
+
+    Args:
+        evidence: of both; judged are scans at which both have a pose.
+        name, other: of the paths.
+    """
+    poses, still = (evidence.scores[one].path.poses[evidence.is_judged] for one in (name, other))
+    aligned = moved_poses(fit_motion(poses, still), poses)
+    return float(np.sqrt(np.mean(np.sum((aligned[:, :2] - still[:, :2]) ** 2, axis=1))))
+
+
+# --- what to check ------------------------------------------------------------------------------
+
+
+def _checks(
+    evidence: PathEvidence,
+    path: str,
+    rivals: Collection[str],
+    exclusions: Exclusions,
+    frame: Trajectory | None,
+    device: ComputeDevice,
+) -> tuple[tuple[Check, ...], Confidence]:
+    """Return the places of a path to look at, in the order of time, and what they mean for it.
+
+    Args:
+        evidence: of the path and the others.
+        path: the recommended one.
+        rivals: of the paths that vote those that cannot be told from it.
+        exclusions: say where paths have parted and nothing tells which one is right.
+        frame: of the places; None: that of the path.
+        device: looks up.
+    """
+    displaced = find_displacements(evidence, path, device)
+    found: list[tuple[float, Check]] = []
+
+    def add(from_s: float, to_s: float, at_s: float, weight: float, what: str) -> None:
+        x, y = _place(evidence, path, frame, at_s)
+        found.append((weight, Check(from_s, to_s, x, y, what)))
+
+    for part in displaced:
+        what = f"walls stand {part.away_m:.1f} m beside where they were seen at other times"
+        # What is sure comes before what is open.
+        add(part.from_s, part.to_s, 0.5 * (part.from_s + part.to_s), 1e3 + part.away_m, what)
+    since_s = evidence.scans.stamps_s[evidence.is_judged] - evidence.scans.stamps_s[0]
+    for span, name in itertools.product(exclusions.undecided, rivals):
+        here = (since_s >= span.from_s) & (since_s <= span.to_s)
+        gap_m = np.where(here, path_gap_m(evidence, name, path), 0.0)
+        if gap_m.max() > PART_M:
+            what = f"{name} is {gap_m.max():.1f} m beside {path}, and no scan tells which is right"
+            add(span.from_s, span.to_s, float(since_s[gap_m.argmax()]), float(gap_m.max()), what)
+    if evidence.scores[path].seen_share < LITTLE_SEEN:
+        what = "little was seen a second time, so nothing confirms the path"
+        add(0.0, float(since_s[-1]), float(since_s[-1]), 0.0, what)
+    contradicted = contradicted_share(evidence, path, device)
+    if contradicted > DOUBTED:
+        what = f"{contradicted:.0%} of what the robot saw was free space at other times"
+        add(0.0, float(since_s[-1]), float(since_s[-1]), contradicted, what)
+    first = sorted(found, key=lambda item: -item[0])[:MOST_CHECKS]
+    check = tuple(sorted((place for _, place in first), key=lambda place: place.from_s))
+    parted = sum(part.away_m >= PART_M for part in displaced)
+    if contradicted > CONTRADICTED or parted > BENT * CHUNKS:
+        return check, "low"
+    return check, "medium" if check else "high"
+
+
+def _place(
+    evidence: PathEvidence, path: str, frame: Trajectory | None, at_s: float
+) -> tuple[float, float]:
+    """Return where the robot was at a time, seconds since the first scan."""
+    stamps_s, poses = evidence.scans.stamps_s, evidence.scores[path].path.poses
+    judged = np.flatnonzero(evidence.is_judged)
+    if frame is not None:
+        stamps, poses, judged = frame.stamps_s, frame.poses, np.arange(len(frame))
+    else:
+        stamps = stamps_s
+    (nearest,) = nearest_stamps(stamps[judged], np.array([stamps_s[0] + at_s]))
+    x, y, _ = poses[judged[nearest]]
+    return float(x), float(y)
+
+
+def _places(count: int) -> str:
+    return "1 place" if count == 1 else f"{count} places"
+
+
+# --- for JSON -----------------------------------------------------------------------------------
+
+
+def _path_to_json(evidence: PathEvidence, path: RankedPath) -> PathEvidenceJson:
+    score, found = evidence.scores[path.name], path.behind
+    times_s, mean, beams = evidence.over_time(path.name)
+    seen = evidence.seen_over_time(path.name)
+    start_s = float(evidence.scans.stamps_s[0])
+    return {
+        "name": path.name,
+        "consistency": path.consistency,
+        "tied": path.tied,
+        "behind": 0.0 if found is None else found.difference,
+        "behind_95": None if found is None else (found.low, found.high),
+        "p_value": None if found is None else found.p_value,
+        "from_fused_m": path.from_fused_m,
+        "beams_judged": score.beams_judged,
+        "scans_judged": int(evidence.is_judged.sum()),
+        "seen_share": score.seen_share,
+        "seen_consistency": score.seen_consistency if score.seen.any() else None,
+        "own_poses_share": score.path.own_share,
+        "covered_share": score.path.covered_share,
+        "over_time": [
+            {
+                "time_s": float(time_s) - start_s,
+                "consistency": float(value) if count else None,
+                "beams": int(count),
+                "seen_share": float(share) if count else None,
+            }
+            for time_s, value, count, share in zip(times_s, mean, beams, seen, strict=True)
+        ],
+        "spans": [
+            {
+                "from_s": span.from_s,
+                "to_s": span.to_s,
+                "agrees": span.agrees,
+                "gap_m": span.gap_m,
+            }
+            for span in path.spans
+        ],
+    }

@@ -1,0 +1,257 @@
+"""The recommendation names one path, one SLAM, how far both can be trusted, and what to check."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from slamfusion.compute import ComputeDevice
+from slamfusion.evidence import (
+    JudgedScans,
+    PathEvidence,
+    Recommendation,
+    find_displacements,
+    find_exclusions,
+    judged_scans,
+    recommend,
+    score_paths,
+)
+from slamfusion.evidence.beams import CHUNKS
+from slamfusion.evidence.parting import PART_M
+from slamfusion.evidence.recommendation import MOST_CHECKS, distance_m
+from slamfusion.geometry import compose_poses
+from slamfusion.trajectory import Trajectory
+from tests.evidence.rooms import ROOM, bent, box, circuit, moved, recorded
+
+TRUTH = circuit()
+# Both are off by centimetres, the second one by twice as many, on each fourth scan.
+OFF = np.zeros((len(TRUTH), 3))
+OFF[::4, 0] = 0.01
+CLOSE = Trajectory(TRUTH.stamps_s, TRUTH.poses + OFF)
+LESS = Trajectory(TRUTH.stamps_s, TRUTH.poses + 2.0 * OFF)
+BENT = bent(TRUTH, math.radians(15.0), 60)
+PATHS = {"bent": BENT, "less": LESS, "close": CLOSE, "fused": TRUTH}
+SLAMS = ("bent", "less", "close")
+# Several rounds of the room: each part of the drive sees what others saw.
+ROUNDS = circuit(288, 6.0)
+
+
+def answer_of(
+    evidence: PathEvidence, device: ComputeDevice, fused: str | None = None
+) -> Recommendation:
+    slams = [name for name in evidence.scores if name != fused]
+    exclusions = find_exclusions(evidence.of_paths(slams), device)
+    return recommend(evidence, slams, exclusions, device, fused=fused)
+
+
+def place_at(path: Trajectory, at_s: float) -> tuple[float, float]:
+    """Return where a path is at a time."""
+    x, y, _ = path.poses[int(np.abs(path.stamps_s - path.stamps_s[0] - at_s).argmin())]
+    return float(x), float(y)
+
+
+def test_the_fused_path_is_the_answer_and_the_slam_nearest_to_it(
+    device: ComputeDevice, scans: JudgedScans
+):
+    answer = answer_of(score_paths(scans, PATHS, device), device, "fused")
+    assert (answer.path, answer.best_single) == ("fused", "close")
+    assert [path.name for path in answer.paths][:2] == ["fused", "close"]
+    away_m = {path.name: path.from_fused_m for path in answer.paths}
+    # A quarter of the poses moved by 0.02 m, but for their mean that is aligned away.
+    assert away_m["less"] == pytest.approx(0.02 * math.sqrt(3) / 4, rel=0.02)
+    assert away_m["close"] == pytest.approx(0.01 * math.sqrt(3) / 4, rel=0.02)
+    assert away_m["fused"] is None
+    # All are compared with the path that is recommended, not with the one that scores best.
+    assert [path.name for path in answer.paths if path.behind is None] == ["fused"]
+    assert answer.paths[-1].name == "bent"
+    assert not answer.paths[-1].tied
+
+
+@pytest.mark.parametrize("fused", [None, "unknown"])
+def test_without_a_fused_path_the_scans_choose(
+    device: ComputeDevice, scans: JudgedScans, fused: str | None
+):
+    evidence = score_paths(scans, {"bent": BENT, "close": CLOSE}, device)
+    answer = answer_of(evidence, device, fused)
+    assert (answer.path, answer.best_single) == ("close", "close")
+    assert {path.from_fused_m for path in answer.paths} == {None}
+
+
+def test_a_fused_path_that_the_scans_contradict_is_not_the_answer(
+    device: ComputeDevice, scans: JudgedScans
+):
+    near_the_wrong = Trajectory(BENT.stamps_s, BENT.poses + np.array([0.01, 0.0, 0.0]))
+    paths = {"bent": BENT, "right": TRUTH, "fused": near_the_wrong}
+    answer = answer_of(score_paths(scans, paths, device), device, "fused")
+    assert (answer.path, answer.best_single) == ("right", "right")
+
+
+def test_the_frame_of_a_path_is_no_distance(device: ComputeDevice, scans: JudgedScans):
+    elsewhere = Trajectory(TRUTH.stamps_s, compose_poses(np.array([7.0, -3.0, 2.0]), TRUTH.poses))
+    late = moved(TRUTH, (0.9, 1.2, 0.0), 108)
+    evidence = score_paths(scans, {"a": TRUTH, "b": elsewhere, "late": late}, device)
+    assert distance_m(evidence, "a", "b") == pytest.approx(0.0, abs=1e-9)
+    assert distance_m(evidence, "b", "late") == pytest.approx(distance_m(evidence, "late", "a"))
+
+
+def test_a_right_path_is_green_whatever_stands_in_the_way(device: ComputeDevice):
+    """What stands elsewhere each time makes hits unlikely, and displaces no wall."""
+    rng = np.random.default_rng(3)
+    crowded = []
+    for part in np.array_split(np.arange(len(ROUNDS)), CHUNKS):
+        crates: list[tuple[float, ...]] = []
+        while len(crates) < 4 * 14:
+            x, y = rng.uniform((0.5, 0.5), (8.2, 5.2))
+            if np.hypot(*(ROUNDS.poses[part, :2] - (x, y)).T).min() > 0.6:
+                crates += box(x, y, 0.4, 0.4)
+        path = Trajectory(ROUNDS.stamps_s[part], ROUNDS.poses[part])
+        walls = np.concatenate((ROOM, np.array(crates)))
+        crowded += recorded(path, odometry=False, walls=walls)
+    evidence = score_paths(judged_scans(crowded), {"a": ROUNDS}, device)
+    alone = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": ROUNDS}, device)
+    # A hit is less likely by far than in an empty room.
+    assert evidence.scores["a"].seen_consistency < 3.0 * alone.scores["a"].seen_consistency
+    answer = answer_of(evidence, device)
+    assert (answer.confidence, answer.tone, answer.check) == ("high", "good", ())
+    assert answer.headline == "Use the a path: no scan contradicts it"
+
+
+def test_a_path_whose_map_is_elsewhere_each_time_is_red(device: ComputeDevice):
+    """Every part of the drive lies elsewhere, so that its walls stand in what others saw free."""
+    off = np.random.default_rng(0).normal(0.0, 2.0, (CHUNKS, 3))
+    off[:, 2] *= 0.1
+    scans = judged_scans(recorded(ROUNDS, odometry=False))
+    lost = Trajectory(ROUNDS.stamps_s, ROUNDS.poses + off[scans.chunks])
+    evidence = score_paths(scans, {"lost": lost, "right": ROUNDS}, device)
+    assert answer_of(evidence.of_paths(("lost",)), device).confidence == "low"
+    # With a right one among them that is the answer.
+    answer = answer_of(evidence, device)
+    assert (answer.path, answer.confidence) == ("right", "high")
+
+
+@pytest.mark.parametrize("away_m", [0.5, 0.7])
+def test_a_map_that_shows_its_walls_twice_is_red(device: ComputeDevice, away_m: float):
+    torn = moved(ROUNDS, (0.6 * away_m, 0.8 * away_m, 0.0), 144)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
+    displaced = find_displacements(evidence, "a", device)
+    assert len(displaced) > MOST_CHECKS
+    assert {round(part.away_m, 1) for part in displaced} <= {away_m, away_m - 0.1, away_m + 0.1}
+    answer = answer_of(evidence, device)
+    assert (answer.confidence, answer.tone) == ("low", "bad")
+    assert answer.headline == "Do not trust the a path: the scans contradict it"
+    assert len(answer.check) == MOST_CHECKS
+    assert list(answer.check) == sorted(answer.check, key=lambda place: place.from_s)
+    for place in answer.check:
+        near = place_at(torn, 0.5 * (place.from_s + place.to_s))
+        assert (place.x, place.y) == pytest.approx(near, abs=0.3)
+        assert "beside where they were seen at other times" in place.what
+
+
+def test_walls_displaced_in_one_part_alone_are_amber(device: ComputeDevice):
+    part = moved(moved(ROUNDS, (0.3, 0.4, 0.0), 120), (-0.3, -0.4, 0.0), 150)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": part}, device)
+    answer = answer_of(evidence, device)
+    assert (answer.confidence, answer.tone) == ("medium", "warn")
+    assert answer.check
+    assert all(28.0 < place.from_s < 38.0 for place in answer.check)
+
+
+def test_walls_less_than_a_parting_beside_are_amber(device: ComputeDevice):
+    torn = moved(ROUNDS, (0.2, 0.0, 0.0), 144)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
+    displaced = find_displacements(evidence, "a", device)
+    assert displaced
+    assert all(part.away_m < PART_M for part in displaced)
+    answer = answer_of(evidence, device)
+    assert (answer.confidence, answer.tone) == ("medium", "warn")
+    assert "but check 3 places first" in answer.headline
+
+
+def test_places_are_told_in_the_frame_that_is_asked_for(device: ComputeDevice):
+    torn = moved(ROUNDS, (0.3, 0.4, 0.0), 144)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
+    exclusions = find_exclusions(evidence, device)
+    frames = {"a": Trajectory(torn.stamps_s, torn.poses + np.array([100.0, 0.0, 0.0]))}
+    own = recommend(evidence, ("a",), exclusions, device)
+    there = recommend(evidence, ("a",), exclusions, device, frames=frames)
+    assert [place.x + 100.0 for place in own.check] == pytest.approx(
+        [place.x for place in there.check]
+    )
+
+
+def test_where_two_paths_part_and_no_scan_tells_is_a_place_to_check(device: ComputeDevice):
+    """In the room, then off through a place that is seen once, each its own way, and back."""
+    poses = circuit(144, 3.0).poses.copy()
+    poses[60:84, 0] += 20.0 * np.arange(1, 25)
+    other = poses.copy()
+    other[60:84, 1] += 2.0
+    stamps_s = 0.25 * np.arange(144)
+    scans = judged_scans(recorded(circuit(144, 3.0), odometry=False))
+    paths = {"a": Trajectory(stamps_s, poses), "b": Trajectory(stamps_s, other)}
+    answer = answer_of(score_paths(scans, paths, device), device)
+    assert answer.confidence == "medium"
+    (place,) = answer.check
+    assert 14.0 < place.from_s < 16.0
+    assert 20.0 < place.to_s < 22.0
+    assert place.what.endswith("and no scan tells which is right")
+
+
+def test_a_drive_that_sees_nothing_twice_is_not_confirmed(device: ComputeDevice):
+    away = np.outer(20.0 * np.arange(144), [1.0, 0.0, 0.0])
+    lost = Trajectory(TRUTH.stamps_s, TRUTH.poses + away)
+    answer = answer_of(score_paths(judged_scans(recorded(TRUTH)), {"a": lost}, device), device)
+    assert answer.confidence == "medium"
+    (place,) = answer.check
+    assert "nothing confirms the path" in place.what
+
+
+def test_the_vote_and_the_answer_never_contradict_each_other(
+    device: ComputeDevice, scans: JudgedScans
+):
+    """Who is right where paths part is decided by the vote alone; the answer quotes it."""
+    evidence = score_paths(scans, PATHS, device)
+    answer = answer_of(evidence, device, "fused")
+    for path in answer.paths_to_json(evidence):
+        for span in path["spans"]:
+            assert set(span) == {"from_s", "to_s", "agrees", "gap_m"}
+    undecided = find_exclusions(evidence.of_paths(SLAMS), device).undecided
+    assert not undecided
+    assert answer.check == ()
+
+
+def test_the_answer_is_read_as_it_was_written(device: ComputeDevice):
+    torn = moved(ROUNDS, (0.3, 0.4, 0.0), 144)
+    evidence = score_paths(judged_scans(recorded(ROUNDS, odometry=False)), {"a": torn}, device)
+    answer = answer_of(evidence, device)
+    again = Recommendation.from_json(answer.to_json())
+    assert (again.headline, again.lines()) == (answer.headline, answer.lines())
+    assert again.to_json() == answer.to_json()
+
+
+def test_the_reasons_have_their_intervals(device: ComputeDevice, scans: JudgedScans):
+    evidence = score_paths(scans, {"bent": BENT, "truth": TRUTH}, device)
+    best, other = answer_of(evidence, device).paths_to_json(evidence)
+    assert (best["name"], best["tied"], best["behind"]) == ("truth", True, 0.0)
+    assert best["behind_95"] is None
+    assert not other["tied"]
+    low, high = other["behind_95"] or (0.0, 0.0)
+    assert 0.0 < low < other["behind"] < high
+    assert other["behind"] == pytest.approx(best["consistency"] - other["consistency"])
+    assert sum(part["beams"] for part in other["over_time"]) == other["beams_judged"]
+
+
+def test_what_is_seen_twice_is_scored_whatever_is_seen_once(device: ComputeDevice):
+    # The same drive, and one that then goes where it never comes again.
+    scores = []
+    for off in (0.0, 40.0):
+        poses = circuit(192, 2.0).poses.copy()
+        poses[144:, 0] += off
+        walls = np.concatenate((ROOM, ROOM + np.array([40.0, 0.0, 40.0, 0.0])))
+        path = Trajectory(0.25 * np.arange(192), poses)
+        scans = judged_scans(recorded(path, odometry=False, walls=walls))
+        scores.append(score_paths(scans, {"a": path}, device).scores["a"])
+    near, off = scores
+    assert off.consistency < near.consistency - 0.02
+    assert off.seen_consistency == pytest.approx(near.seen_consistency, abs=0.03)
