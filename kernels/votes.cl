@@ -226,9 +226,10 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
 
     /* Who draws here, and what is for a wall and for free. */
     int highest = -1, support = 0, supported = 0, freeing = 0, freed = 0, walls = 0;
-    uchar shown = 0;
+    uchar shown = 0, any = 0;
     for (int n = 0; n < count; n++) {
       const uchar code = grids[n][i];
+      any |= code;
       if (code & WALL_NEAR) {
         support += weight[n];
         supported += trust[n];
@@ -243,7 +244,7 @@ __kernel void vote_walls(GRIDS, const int count, const int cells, __global const
       }
       if (code & WALL_OCCUPIED) walls += weight[n];
     }
-    if (highest < 0 && supported == 0) {
+    if (!(any & WALL_NEAR)) {
       /* The usual case: no wall anywhere near. */
       const bool is_free = freeing > 0 && 2 * freed >= VOTE_ONE;
       fused[i] = is_free ? FREE : UNKNOWN;

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamfusion.cli.fused import tell_left_out
 from slamfusion.cli.options import (
     case_option,
     check_picture,
@@ -59,10 +60,18 @@ class _Request:
         """The maps' files."""
         return [item.path for item in self.maps]
 
+    @property
+    def is_mutual(self) -> bool:
+        """Whether the maps are compared with each other alone."""
+        return not self.truths and self.distances_path is None
+
     def check(self) -> None:
         """Refuse what cannot be done before any work."""
-        if not self.truths and self.distances_path is None:
-            message = "give --truth MAP, --distances FILE, or both"
+        if self.is_mutual and len(self.maps) < 2:
+            message = "give --truth MAP, --distances FILE, or more maps to compare with each other"
+            raise click.UsageError(message)
+        if self.is_mutual and self.results_path:
+            message = "--save-results holds errors; give --truth MAP or --distances FILE"
             raise click.UsageError(message)
         if not self.truths and (self.report_dir or self.image_path):
             message = "--report and --image show the difference to a truth; give --truth MAP"
@@ -118,12 +127,16 @@ def _image_files(image: Path, given: Mapping[str, Any]) -> list[Path]:
 def command(config: RunConfig, **asked: Any) -> int:
     """Measure the error of each MAP against the truth, or against measured distances.
 
+    Without both the maps are compared with each other: those whose walls agree are right.
+
     With several truths a map belongs to the one whose name its own name or folder says as a word
     (graph/office.yaml and office_graph.yaml to office.yaml), or that it is given: CASE=MAP. All
     maps then stand in one table with the means of each method; a report is written for each truth.
     """
     request = _Request(**asked)
     request.check()
+    if request.is_mutual:
+        return _compare(request, config)
     return (
         _evaluate_one(request, config)
         if len(request.truths) < 2
@@ -182,6 +195,45 @@ def _evaluate_one(request: _Request, config: RunConfig) -> int:
             print_repetitions(evaluated_items(placed, evaluations), "map")
         for comparison in distances:
             _print_distances(comparison)
+    return 0
+
+
+def _compare(request: _Request, config: RunConfig) -> int:
+    """Compare maps with each other."""
+    from slamfusion.jobs.evaluate import (  # noqa: PLC0415
+        agreement_items,
+        compare_maps,
+        evaluate_document,
+    )
+
+    grids = load_maps(request.paths, request.resolution, config.map_files, notice)
+    device = device_for(config)
+    with progress_bar() as progress:
+        result = compare_maps(grids, config, device, progress=progress)
+    tell_left_out(result)
+    items = agreement_items(result)
+    if request.as_json:
+        document = evaluate_document(
+            [], [], config, agreement=items, truth=None, device=device.name
+        )
+        print_json(document)
+        return 0
+    rows = [
+        [
+            item["name"],
+            number(None if item["agreement"] is None else 100.0 * item["agreement"], 1),
+            "-" if item["agreement"] is None else "no" if item["bent"] is None else "BENT",
+            number(None if item["bent"] is None else item["bent"]["x"], 1),
+            number(None if item["bent"] is None else item["bent"]["y"], 1),
+        ]
+        for item in items
+    ]
+    print_table(
+        ("map ", "walls that agree %", "bent ", "worst at x m", "y m"),
+        rows,
+        notes=[item["reason"] for item in items],
+        title=f"Agreement of the maps with each other, in the frame of {result.reference}",
+    )
     return 0
 
 

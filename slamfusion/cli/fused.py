@@ -94,7 +94,7 @@ def _transform_words(pair: Alignment) -> str:
 
 
 def tell_left_out(result: FusionResult | StoredFusion) -> None:
-    """Name on stderr the inputs that have no vote, and what the fused map was cut off from."""
+    """Name on stderr the inputs without a vote, bent ones, and what the map was cut off from."""
     from slamfusion.jobs.fuse_documents import left_out_sentences  # noqa: PLC0415  (loads slowly)
 
     for sentence in left_out_sentences(result):

@@ -37,7 +37,6 @@ from slamfusion.cli.table_files import table_option
 from slamfusion.config import RunConfig
 from slamfusion.errors import SlamFusionError
 from slamfusion.jobs.cases import CaseFile, Placed, case_names, files_by_case, place_files
-from slamfusion.jobs.documents import p_text
 
 if TYPE_CHECKING:
     from slamfusion.evidence import RankedPath, Recommendation

@@ -107,7 +107,7 @@ def fuse_with_drawn(
         agreement=OccupancyGrid(agreement, frame.resolution, frame.origin, result.agreement.name),
         phantom_cells=0,
         weights=weights_of(voter.names, voter.trust),
-        wall_agreement=wall_agreement_of(voter.trust),
+        wall_agreement=result.wall_agreement | wall_agreement_of(voter.trust),
         left_out_m2={},
     )
 

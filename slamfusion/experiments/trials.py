@@ -159,8 +159,7 @@ def measure_trial(
         device: computes.
 
     Returns:
-        The record, and each map's error with its difference to the truth, but for those whose walls
-        were given backs.
+        The record, and each map's error with its difference to the truth.
 
     Raises:
         SimulationError: the course cannot be driven.

@@ -22,7 +22,14 @@ from slamfusion.io.memory import check_memory
 from slamfusion.vote.agreement import AGREEING, Trust
 from slamfusion.vote.boxes import hull, moved, overlap, padded, slices
 from slamfusion.vote.lattice import Extent, Lattice
-from slamfusion.vote.tiles import SMALL_TILE, TILE, GridLayer, TileVoter, sum_counts
+from slamfusion.vote.tiles import (
+    SMALL_TILE,
+    TILE,
+    GridLayer,
+    TileVoter,
+    sum_counts,
+    worst_place,
+)
 
 __all__ = [
     "Lattices",
@@ -142,7 +149,8 @@ def vote_on_lattice(
     )
     lattice = base.extent.lattice
     whole = CellBox(0, 0, box.height, box.width)
-    voter = TileVoter(whole, config.vote, lattice.resolution, names)
+    first = (box.row0, box.col0)
+    voter = TileVoter(whole, config.vote, lattice.resolution, names, first)
     layers = {name: _layer(normalized(name), group, lattice, box, voter, device) for name in names}
     tiles = list(voter.tiles(TILE if len(names) <= MOST_INPUTS else SMALL_TILE))
 
@@ -270,8 +278,9 @@ def bent_maps(
     bent = {}
     for name, share in zip(trust.names, trust.agreement.tolist(), strict=True):
         places = [tile[name] for tile in worst if name in tile]
-        if share < AGREEING and places:
-            _, row, col = max(places, key=lambda place: place[0])
+        missed, row, col = worst_place([(0, 0, 0), *places])
+        # Maps that share no walls do not disagree either.
+        if share < AGREEING and missed > 0:
             corner = grid.corner(row, col)
             bent[name] = Bent(share, corner.x, corner.y)
     return bent

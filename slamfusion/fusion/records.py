@@ -18,6 +18,7 @@ __all__ = [
     "Alignment",
     "AlignmentJson",
     "Bent",
+    "BentJson",
     "Fusion",
     "FusionResult",
     "InputRecord",
@@ -116,6 +117,17 @@ class AlignmentJson(TypedDict):
     strength: Strength | None
     """How good an accepted match is: by the share of the common walls that it explains, strong from
     0.85 on, fair from 0.7 on, else weak; null: not accepted, or nothing was searched."""
+
+
+class BentJson(TypedDict):
+    """A map whose walls do not agree with those of the others."""
+
+    share: float
+    """Share of its walls that agree, 0 to 1."""
+    x: float
+    """Where it agrees least, in the frame of the fused map, metres."""
+    y: float
+    """Its y, metres."""
 
 
 class PathGapJson(TypedDict):
@@ -304,6 +316,15 @@ class Bent:
     x: float
     y: float
 
+    @property
+    def place(self) -> str:
+        """Where it agrees least, in words."""
+        return f"x {self.x:.1f}, y {self.y:.1f} m"
+
+    def to_json(self) -> BentJson:
+        """Return the keys that other programs rely on."""
+        return {"share": self.share, "x": self.x, "y": self.y}
+
 
 @dataclass(frozen=True)
 class InputRecord:
@@ -388,6 +409,24 @@ class Fusion:
     def copies(self) -> tuple[InputRecord, ...]:
         """The inputs for which another votes that is the same map."""
         return tuple(record for record in self.inputs if record.copy_of is not None)
+
+    @property
+    def bent_sentences(self) -> tuple[str, ...]:
+        """One sentence for each bent map; one for both where there are two."""
+        if len(self.bent) == len(self.accepted) == 2:
+            (first, found), (second, _) = self.bent.items()
+            return (
+                (
+                    f"{first} and {second} agree on only {100.0 * found.share:.0f} % of their "
+                    f"walls, worst at {found.place}: one of them is bent"
+                ),
+            )
+        return tuple(
+            f"{name}: bent, agrees with the others on {100.0 * found.share:.0f} % of its walls; "
+            f"worst at {found.place}"
+            + ("; it votes only where it agrees" if name in self.weights else "")
+            for name, found in self.bent.items()
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

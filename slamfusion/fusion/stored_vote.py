@@ -38,6 +38,7 @@ from slamfusion.vote.tiles import (
     TileVoter,
     sum_counts,
     tiles_of,
+    worst_place,
 )
 
 __all__ = ["StoredVote", "Voter", "prepare_stored_vote"]
@@ -200,7 +201,7 @@ class StoredVote:
         progress: Progress | None,
     ) -> Iterator[tuple[CellBox, Result]]:
         """Yield what a task makes of each tile."""
-        tiles = _along_a_curve(self.voter.tiles())
+        tiles = _along_a_curve(self.voter.tiles(TILE))
         waiting: OrderedDict[CellBox, Task[Result]] = OrderedDict()
         rest = iter(tiles)
         for done in range(len(tiles)):
@@ -232,7 +233,8 @@ def prepare_stored_vote(group: Members, lattices: Lattices, config: FusionConfig
     lattice = extents[group.reference].lattice
     box = fused_box(group, extents.__getitem__, config)
     whole = CellBox(0, 0, box.height, box.width)
-    voter = TileVoter(whole, config.vote, lattice.resolution, tuple(extents))
+    first = (box.row0, box.col0)
+    voter = TileVoter(whole, config.vote, lattice.resolution, tuple(extents), first)
     inputs = []
     for name, cells in packed.items():
         own = own_box(extents[name], name, group, lattice, box, voter)
@@ -282,9 +284,8 @@ def decide_tile(
             fused[window], agreement[window] = decided.fused, decided.agreement
             phantom_cells += decided.phantom_cells
             worst |= {
-                name: place
+                name: worst_place([place, worst.get(name, place)])
                 for name, place in decided.worst.items()
-                if place > worst.get(name, (-1, 0, 0))
             }
             is_known = True
     return DecidedTile(fused, agreement, phantom_cells, worst=worst) if is_known else None

@@ -18,17 +18,25 @@ from slamfusion.evaluation import (
     load_distances,
     map_figures,
 )
-from slamfusion.fusion import align_grids
-from slamfusion.fusion.records import Alignment
+from slamfusion.fusion import align_grids, fuse_grids
+from slamfusion.fusion.records import Alignment, FusionResult
 from slamfusion.geometry import Pose2
 from slamfusion.io import AtomicFiles
 from slamfusion.jobs.cases import CaseFile, Placed, place_files
 from slamfusion.jobs.documents import path_text, settings_used
+from slamfusion.jobs.fuse_documents import input_document
 from slamfusion.jobs.inputs import MapInput, Progress, as_grids, device_for
-from slamfusion.jobs.records import EvaluateDocument, EvaluationJson
+from slamfusion.jobs.records import (
+    EvaluateDocument,
+    EvaluationJson,
+    FusedInputJson,
+    UnalignedInputJson,
+)
 
 __all__ = [
     "Evaluation",
+    "agreement_items",
+    "compare_maps",
     "distance_items",
     "evaluate_document",
     "evaluate_maps",
@@ -118,6 +126,38 @@ def evaluate_maps(
     return tuple(evaluations)
 
 
+def compare_maps(
+    maps: Sequence[MapInput],
+    config: RunConfig | None = None,
+    device: ComputeDevice | None = None,
+    *,
+    resolution: float | None = None,
+    progress: Progress | None = None,
+) -> FusionResult:
+    """Compare maps of one place with each other: without a truth, those that agree are right.
+
+    Args:
+        maps, config, device, resolution, progress: see ``evaluate_maps``.
+
+    Returns:
+        Their fusion by ``consensus``; ``wall_agreement`` and ``bent`` are what is asked for.
+
+    Raises:
+        AlignmentError: no two of them fit.
+        MapFileError, DeviceError: as there.
+    """
+    config = config or RunConfig()
+    grids = as_grids(maps, config, resolution=resolution)
+    fusion = replace(config.fusion, vote=replace(config.fusion.vote, mode="consensus"))
+    return fuse_grids(grids, fusion, device_for(config, device), progress)
+
+
+def agreement_items(result: FusionResult) -> list[FusedInputJson | UnalignedInputJson]:
+    """Return how each map agrees with the others of its group, in the order given."""
+    groups = {name: group for group in (*result.others, result) for name in group.weights}
+    return [input_document(item, groups.get(item.name, result)) for item in result.inputs]
+
+
 def measure_distances(
     maps: Sequence[MapInput],
     distances: str | Path | Sequence[MeasuredDistance],
@@ -184,6 +224,7 @@ def evaluate_document(
     distances: Sequence[DistanceComparison],
     config: RunConfig,
     *,
+    agreement: Sequence[FusedInputJson | UnalignedInputJson] = (),
     truth: Path | None,
     device: str | None,
 ) -> EvaluateDocument:
@@ -193,12 +234,14 @@ def evaluate_document(
         evaluations: of the maps against the truth; empty without one.
         distances: of the maps against measured distances; empty without them.
         config: the settings in effect.
+        agreement: of the maps with each other.
         truth: the true map's file; None without one.
-        device: what computed the alignments, in words; None without a truth.
+        device: what computed the alignments, in words; None where none was.
     """
     return {
         "maps": [evaluation.to_json() for evaluation in evaluations],
         "distances": [comparison.to_json() for comparison in distances],
+        "agreement": agreement,
         "truth": path_text(truth),
         "device": device,
         "seed": config.seed,

@@ -12,7 +12,6 @@ from slamfusion.errors import AlignmentError
 from slamfusion.evaluation import doubled_wall_share, fused_doubled_shares
 from slamfusion.fusion.records import (
     Alignment,
-    AlignmentJson,
     Fusion,
     FusionResult,
     InputRecord,
@@ -26,7 +25,9 @@ from slamfusion.jobs.records import (
     DoubledWallsJson,
     FailedFuseDocument,
     FusedGroupJson,
+    FusedInputJson,
     FusionJson,
+    InputVoteJson,
     NoAlignmentJson,
     UnalignedInputJson,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "fusion_document",
     "fusion_sentences",
     "group_document",
+    "input_document",
     "left_out_sentences",
 ]
 
@@ -56,6 +58,7 @@ NO_ALIGNMENT: NoAlignmentJson = {
     "time_s": None,
     "strength": None,
 }
+NO_VOTE: InputVoteJson = {"agreement": None, "weight": 0.0, "bent": None}
 
 
 @dataclass(frozen=True)
@@ -149,7 +152,7 @@ def fusion_document(
 ) -> FusionJson:
     """Return what a JSON document says of a fusion; doubled walls where they were measured."""
     return {
-        "inputs": [_input(record, result.reference) for record in result.inputs],
+        "inputs": [input_document(record, result) for record in result.inputs],
         "reference": result.reference,
         "fused_count": len(result.accepted),
         "phantom_cells": result.phantom_cells,
@@ -177,6 +180,7 @@ def failure_document(
         "inputs": [
             {
                 **NO_ALIGNMENT,
+                **NO_VOTE,
                 "name": grid.name,
                 "reference": None,
                 "accepted": False,
@@ -213,7 +217,7 @@ def fusion_sentences(
 
 
 def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
-    """Name the inputs that have no vote, and what the fused map was cut off from."""
+    """Name the inputs that have no vote or are bent, and what the fused map was cut off from."""
     rejected = [f"rejected: {record.name}: {record.reason}" for record in result.rejected]
     copies = [
         f"{record.name}: {record.reason}; --keep-duplicates counts each" for record in result.copies
@@ -224,7 +228,8 @@ def left_out_sentences(result: FusionResult | StoredFusion) -> list[str]:
         for group in (result, *result.others)
         for name, area in group.left_out_m2.items()
     ]
-    return rejected + copies + cuts
+    bent = [words for group in (result, *result.others) for words in group.bent_sentences]
+    return rejected + copies + bent + cuts
 
 
 def frame_words(result: Fusion, wanted: str | None) -> str:
@@ -270,18 +275,26 @@ def group_document(result: Fusion, stem: Path | None, store: Path | None = None)
     }
 
 
-def _input(record: InputRecord, reference: str | None) -> AlignmentJson | UnalignedInputJson:
-    """Return one input's record: its alignment, and what became of it."""
+def input_document(record: InputRecord, result: Fusion) -> FusedInputJson | UnalignedInputJson:
+    """Return one input's record: its alignment, its vote, and what became of it."""
+    bent = result.bent.get(record.name)
+    vote: InputVoteJson = {
+        "agreement": result.wall_agreement.get(record.name),
+        "weight": result.weights.get(record.name, 0.0),
+        "bent": None if bent is None else bent.to_json(),
+    }
     if record.alignment is None:
         return {
             **NO_ALIGNMENT,
+            **vote,
             "name": record.name,
-            "reference": reference,
+            "reference": result.reference,
             "accepted": record.accepted,
             "reason": record.reason,
         }
     return {
         **record.alignment.to_json(),
+        **vote,
         "name": record.name,
         "accepted": record.accepted,
         "strength": record.alignment.strength if record.accepted else None,

@@ -27,7 +27,7 @@ from slamfusion.evaluation.records import (
     TrajectoryAlignmentJson,
 )
 from slamfusion.evidence.records import PathEvidenceJson, RecommendationJson, RefinementJson
-from slamfusion.fusion.records import AlignmentJson
+from slamfusion.fusion.records import AlignmentJson, BentJson
 
 __all__ = [
     "AlignDocument",
@@ -43,6 +43,7 @@ __all__ = [
     "FailureDocument",
     "FuseDocument",
     "FusedGroupJson",
+    "FusedInputJson",
     "FusedPathJson",
     "FusionJson",
     "GivenMapsJson",
@@ -127,7 +128,22 @@ class NoAlignmentJson(TypedDict):
     """Null: it was not aligned."""
 
 
-class UnalignedInputJson(NoAlignmentJson):
+class InputVoteJson(TypedDict):
+    """How an input votes, and how well its walls agree with those of the others."""
+
+    agreement: float | None
+    """Share of its walls that agree with the other maps, 0 to 1; null: nothing to compare."""
+    weight: float
+    """Of its vote in all, 0 to 1; less or more where its walls agree less or more."""
+    bent: BentJson | None
+    """Where it agrees least, if it is bent; null: it agrees with the others."""
+
+
+class FusedInputJson(AlignmentJson, InputVoteJson):
+    """An input of a fusion that was aligned with the reference."""
+
+
+class UnalignedInputJson(NoAlignmentJson, InputVoteJson):
     """An input of a fusion that was not aligned with the reference."""
 
     name: str
@@ -154,7 +170,7 @@ class DoubledWallsJson(TypedDict):
 class FusionJson(TypedDict):
     """What came of a fusion; null and empty values where nothing was fused."""
 
-    inputs: Sequence[AlignmentJson | UnalignedInputJson]
+    inputs: Sequence[FusedInputJson | UnalignedInputJson]
     """The inputs, in the order given."""
     reference: str | None
     """The input whose frame and lattice the fused map has."""
@@ -167,7 +183,7 @@ class FusionJson(TypedDict):
     doubled_wall_share: DoubledWallsJson | None
     """Shares of the wall cells that have a parallel wall close by."""
     weights: Mapping[str, float]
-    """Weight of each vote, by input."""
+    """Weight of each voter, 0 to 1, by name; a drawn map votes and is no input."""
     pairs: Sequence[AlignmentJson]
     """Every pair that was aligned, also between rejected inputs."""
     copies: Mapping[str, str]
@@ -240,10 +256,12 @@ class EvaluateDocument(SettingsJson):
     """The maps against the truth; empty without --truth."""
     distances: Sequence[DistanceComparisonJson]
     """The maps against measured distances; empty without --distances."""
+    agreement: Sequence[FusedInputJson | UnalignedInputJson]
+    """The maps against each other; empty with --truth or --distances."""
     truth: str | None
     """The true map's file; null without --truth."""
     device: str | None
-    """What computed the alignments, in words; null without --truth."""
+    """What computed the alignments, in words; null where none was."""
     seed: int
     """Seed of every random number."""
 

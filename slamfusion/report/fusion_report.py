@@ -176,11 +176,12 @@ def fusion_banner(result: FusionResult, failure: str | None) -> Banner:
 
 
 def doubtful_lines(result: FusionResult) -> list[tuple[str, str]]:
-    """Return which inputs have no vote or are weak matches, and what the fused map leaves out."""
+    """Return which inputs are left out, weak matches or bent, and what the fused map leaves out."""
     return [
         *((f"{record.name} was rejected:", record.reason) for record in result.rejected),
         *((f"{record.name} is a copy:", record.reason) for record in result.copies),
         *((f"{name} may not belong here:", reason) for name, reason in _weak(result)),
+        *(("", words) for group in (result, *result.others) for words in group.bent_sentences),
         *(
             (f"Left out, outside the box of {group.reference}:", f"{area:.1f} m² of {name}.")
             for group in (result, *result.others)
@@ -297,7 +298,7 @@ def group_sections(result: FusionResult) -> list[Section]:
                 f"{names}; in the frame of {other.reference}.",
             )
         )
-    text = "Maps that share ground with each other, and none that could be found with the others."
+    text = "Maps that fit each other, and share no ground with the others or contradict them."
     return [Section("Further groups", "groups", text, pictures)]
 
 
@@ -412,7 +413,7 @@ def alignment_section(result: FusionResult, *, only_doubtful: bool = False) -> S
 def statistics_section(
     result: FusionResult, config: RunConfig, doubled: Mapping[str, float] | None = None
 ) -> Section:
-    """Return who voted with which weight, and the maps in numbers.
+    """Return who voted with which weight, whose walls agree, and the maps in numbers.
 
     Args:
         result: the fusion.
@@ -426,12 +427,13 @@ def statistics_section(
             Cell(record.name),
             roles[record.accepted] if record.copy_of is None else Cell("copy"),
             number(result.weights.get(record.name)),
+            number(result.wall_agreement.get(record.name)),
             Cell(_outvoted(record) if record.accepted else "-"),
             Cell(record.reason),
         ]
         for record in result.inputs
     ]
-    votes = Table("Votes", ("map", "", "weight", "outvoted in", "reason"), rows)
+    votes = Table("Votes", ("map", "", "weight", "walls that agree", "outvoted in", "reason"), rows)
     grids = [record.grid for record in result.inputs]
     shown = [*grids, result.fused.with_name("fused map")]
     table = statistics_table(shown, config.fusion.normalize, doubled)

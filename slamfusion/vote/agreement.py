@@ -3,8 +3,9 @@
 Two maps agree in a wall cell where the other has a wall within the tolerance; it counts where the
 other knows the cell, or has the same wall elsewhere (``walls``). The best map is the one with the
 greatest agreement with all others. A map is as right as its agreement with the best one says, or
-with maps that agree with that one; independent voters that are right with probability p are best
-weighed by the log-odds of p (Nitzan and Paroush, International Economic Review 1982).
+the weakest agreement in a chain of maps from there. Independent voters that are right with
+probability p are best weighed by the log-odds of p (Nitzan and Paroush, International Economic
+Review 1982).
 """
 
 from __future__ import annotations
@@ -161,7 +162,7 @@ def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
     agreement = np.zeros(len(names))
     agreement[best] = 1.0
     for _ in names[1:]:
-        agreement = np.maximum(agreement, (agreement[:, None] * pairs).max(axis=0))
+        agreement = np.maximum(agreement, np.minimum(agreement[:, None], pairs).max(axis=0))
     agreement[best] = pairs[best].max() if len(names) > 1 else 1.0
     odds = _log_odds(agreement)
     weights = _levels(odds / odds.max()) if odds.max() > 0.0 else np.full(len(names), VOTE_ONE)

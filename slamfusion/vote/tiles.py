@@ -44,6 +44,7 @@ __all__ = [
     "tiles_of",
     "unknown_votes",
     "vote_grids",
+    "worst_place",
 ]
 
 I8 = npt.NDArray[np.int8]
@@ -54,7 +55,7 @@ Cell = npt.NDArray[Any]
 # Added to the cell of an input where it voted and was outvoted.
 OUTVOTED = np.int8(4)
 # Cells on a side that are decided at once; fewer where so many maps vote that not all may vote in
-# one place. Multiples of a block.
+# one place.
 TILE, SMALL_TILE = 2048, 256
 # Maps are weighed in windows of three by three blocks of about this many metres.
 BLOCK_M = 1.5
@@ -211,14 +212,14 @@ class TileVoter:
         return overlap(grown, self.whole) or box
 
     def tiles(self, side: int = TILE) -> Iterator[CellBox]:
-        """Yield tiles that together are the fused cells, whole blocks each but at the edges."""
-        return tiles_of(self.whole, side, self.first)
+        """Yield tiles that together are the fused cells."""
+        return tiles_of(self.whole, side)
 
     def around(self, tile: CellBox) -> CellBox:
-        """Return the cells that have a say in a tile: with ``consensus`` a block more."""
+        """Return the cells that decide a tile; with ``consensus`` its blocks and the next."""
         if not self.weighs:
             return tile
-        return grown_inside(tile, 1 << self.shift, self.whole)
+        return self.aligned(grown_inside(tile, 1 << self.shift, self.whole))
 
     def reading(self, tile: CellBox) -> CellBox:
         """Return the cells of the inputs that have a say in a tile."""
@@ -244,7 +245,7 @@ class TileVoter:
         """Count how the walls in a tile agree, (N, N) in the order of ``names``.
 
         Args:
-            tile: of whole blocks.
+            tile: cells.
             shown: by name, prepared on ``around(tile)``, of those that know a cell there.
         """
         count = len(self.names)
@@ -268,7 +269,7 @@ class TileVoter:
         """Decide the cells of a tile; None where no input shows anything.
 
         Args:
-            tile: of whole blocks.
+            tile: cells.
             shown: by name, prepared on ``around(tile)``, of those that know a cell there.
             device: computes.
 
@@ -343,6 +344,11 @@ def sum_counts(counts: Iterable[WallCounts]) -> WallCounts:
     return WallCounts(*(np.sum(table, axis=0) for table in tables))
 
 
+def worst_place(places: Iterable[tuple[int, int, int]]) -> tuple[int, int, int]:
+    """Return the place of tiles in which most wall cells disagree; the first one of equals."""
+    return max(places, key=lambda place: (place[0], -place[1], -place[2]))
+
+
 def vote_grids(grids: list[I8], device: VoteDevice, *, unknown_votes: bool) -> Votes:
     """Let each cell be what most grids say; a tie for first place is occupied ([F16]).
 
@@ -389,19 +395,16 @@ def unknown_votes(rule: str, voters: int) -> bool:
     return voters == 3 if rule == "auto" else rule == "value"
 
 
-def tiles_of(whole: CellBox, side: int, first: tuple[int, int] = (0, 0)) -> Iterator[CellBox]:
+def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
     """Yield boxes that together are the whole, cut where rows and columns are multiples of a side.
 
     Args:
         whole: cells.
         side: cells.
-        first: row and column that cell [0, 0] counts as.
     """
     rows, cols = (
-        [start, *range(start + side - (start + at) % side, stop, side), stop]
-        for start, stop, at in zip(
-            (whole.row0, whole.col0), (whole.row1, whole.col1), first, strict=True
-        )
+        [start, *range(start + side - start % side, stop, side), stop]
+        for start, stop in ((whole.row0, whole.row1), (whole.col0, whole.col1))
     )
     for row0, row1 in pairwise(rows):
         for col0, col1 in pairwise(cols):

@@ -73,8 +73,10 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         front = np.zeros_like(own)
         front[points] = fronts & bit
         elsewhere |= cv2.dilate(front, _band(side, same))
-    elsewhere[points] = _thick(fronts, points, own.shape, same)
+    ways = _thick(fronts, points, own.shape, same)
+    elsewhere[points] = ways
     own |= elsewhere << np.uint8(WALL_SIDES)
+    own &= ~(np.uint8(WALL_NEAR) * ~_is_shown(own, points, ways, resolution))
     return codes
 
 
@@ -111,6 +113,21 @@ def _thick(fronts: U8, points: Points, shape: tuple[int, int], reach: int) -> U8
     return ways[rows, cols]
 
 
+def _is_shown(codes: U8, points: Points, ways: U8, resolution: float) -> npt.NDArray[np.bool_]:
+    """Return the cells of which a map says something: known ones, and those at a wall's faces.
+
+    Before and behind its wall a map says that the wall stands here; beyond its end, as where the
+    map was cropped, it says nothing.
+    """
+    shown = codes & np.uint8(WALL_OCCUPIED | WALL_FREE)
+    near = max(1, math.floor(TOLERANCE_M / resolution))
+    for number, side in enumerate(SIDES):
+        faces = np.zeros_like(codes)
+        faces[points] = ways & np.uint8(1 << number)
+        shown |= cv2.dilate(faces, _band(side, near, 1))
+    return np.asarray(shown != 0)
+
+
 def _disc(radius: float) -> U8:
     """Return a structuring element of the cells within a radius, at least of the next ones."""
     radius = max(radius, math.sqrt(2.0))
@@ -119,7 +136,7 @@ def _disc(radius: float) -> U8:
     return np.asarray(row**2 + col**2 <= radius**2 + 1e-6, dtype=np.uint8)
 
 
-def _band(side: tuple[int, int], reach: int) -> U8:
-    """Return a structuring element along a way, ``reach`` cells to both ends, three cells wide."""
-    shape = (3, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, 3)
+def _band(side: tuple[int, int], reach: int, width: int = 3) -> U8:
+    """Return a structuring element along a way, ``reach`` cells to both ends."""
+    shape = (width, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, width)
     return np.ones(shape, dtype=np.uint8)

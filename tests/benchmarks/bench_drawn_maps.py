@@ -3,8 +3,8 @@
     python -m tests.benchmarks.bench_drawn_maps --drives DIR --worlds 1,101 --lidars rplidar,hokuyo
 
 Drives are those of ``bench_evidence``, which makes them, but kidnappings. Each producer's map, its
-own path drawn by the sensor model of the drawn map, the consensus with backs and bare, and the map
-that ``run --mode drawn`` gives, each laid on the truth where it fits best. Means over the drives;
+own path drawn by the sensor model of the drawn map, the consensus, and the map that ``run --mode
+drawn`` gives, each laid on the truth where it fits best. Means over the drives;
 *best* is that of each drive in hindsight. Nothing here depends on the machine's load.
 """
 
@@ -33,7 +33,7 @@ from slamfusion.experiments.drive_paths import (
     path_errors,
     weigh_paths,
 )
-from slamfusion.experiments.voting import BARE, against_truth, vote_every_way
+from slamfusion.experiments.voting import against_truth, vote_every_way
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
 from slamfusion.jobs.defaults import RUN_VOTE
@@ -45,7 +45,7 @@ BEST, BEST_DRAWN = "best map", "best drawn"
 COLUMNS = (
     *(*BUILT_IN, BEST),
     *(*map(drawn_at, BUILT_IN), BEST_DRAWN),
-    *(BARE, RUN_VOTE, DRAWN),
+    *(RUN_VOTE, DRAWN),
 )
 FACES_M = 0.1
 
@@ -78,7 +78,7 @@ def measure(folder: Path, device: ComputeDevice) -> tuple[dict[str, MapError], d
     weighed = weigh_paths(judge_scans(drive.scans, {}), drive.paths, device, {})
     layers = drive_layers(made, weighed, drive.scans, drive.fed(), device)
     votes = vote_every_way(layers, config, device, {})
-    maps |= {name: votes[name] for name in (BARE, RUN_VOTE)}
+    maps[RUN_VOTE] = votes[RUN_VOTE]
     maps |= draw_paths(drive.scans, weighed, truth.resolution, config, device)
     errors = {
         name: against_truth(grid, truth, config, device, same_heading=True)

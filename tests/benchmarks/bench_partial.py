@@ -45,7 +45,6 @@ from slamfusion.evidence.drawn_map import DrawnScan, draw_map, drawn_scans
 from slamfusion.evidence.exclusion import parted
 from slamfusion.evidence.path_frames import fit_frame, fit_onto, pose_distances
 from slamfusion.fusion.path_check import moved_path
-from slamfusion.fusion.surfaces import with_backs
 from slamfusion.geometry import compose_poses
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io import load_map
@@ -181,8 +180,7 @@ def drawn_at(
     """Return the map that scans draw at the fused path, on the lattice of a producer's map."""
     motion = fit_onto(fused, [path])
     assert motion is not None
-    grid = draw_like(scans, moved_path(fused, motion), device, own)
-    return with_backs(grid, RUN_DEFAULTS.fusion.normalize)
+    return draw_like(scans, moved_path(fused, motion), device, own)
 
 
 def read_place(folder: Path, device: ComputeDevice) -> Place:

@@ -184,7 +184,7 @@ def _print_compared(sets: Sequence[Sequence[MeasuredItem]]) -> None:
 
 
 def _experiment() -> None:
-    heading = ("course, lidar", "tinyslam", "gmapping", "graph", "vote of the three", "weighted")
+    heading = ("course, lidar", "tinyslam", "gmapping", "graph", "vote of the three", "majority")
     figures = ("68.11 (4.02)", "71.60 (3.87)", "66.95 (12.40)", "60.32 (2.77)", "61.03 (2.91)")
     rows = ((f"obstacle, {lidar}", *figures) for lidar in ("rplidar", "hokuyo utm-30lx"))
     sheet = Sheet("Error against the truth: mean (deviation)", heading, tuple(rows))

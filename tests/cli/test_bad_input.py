@@ -307,7 +307,7 @@ BAD_VALUES = {
     "--deadline-s soon": "'--deadline-s': 'soon' is not a valid float.",
     "--fused-resolution 0": "'--fused-resolution': must lie in [0.0001, inf] m, found 0.0",
     "--free-percent 80": "free_percent (80) must be below occupied_percent (65); swap them",
-    "--mode loudest": "'majority', 'consensus', 'weighted', 'log-odds', 'drawn'.",
+    "--mode loudest": "'consensus', 'majority', 'drawn'.",
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from slamfusion.experiments.drive_paths import DRAWN, drawn_at
 from slamfusion.experiments.examples import example_maps
-from slamfusion.experiments.voting import BARE, FUSIONS
+from slamfusion.experiments.voting import FUSIONS
 from slamfusion.io import write_carmen, write_tum
 from slamfusion.slam.registry import BUILT_IN
 from tests.cli.command import assert_one_line_failure, json_of, run, tree
@@ -128,7 +128,7 @@ def test_ground_obstacle_small(tmp_path: Path) -> None:
     assert document["config"]["experiment"]["ground_obstacle"]["repetitions"] == 2
     files = tree(tmp_path)
     assert {f"ground-obstacle.{kind}" for kind in ("csv", "md", "json")} < set(files)
-    shown = [*methods, BARE]
+    shown = methods
     assert len([name for name in files if name.endswith(".png")]) == 2 * len(shown)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "p-values as in [F16], obstacle" in page

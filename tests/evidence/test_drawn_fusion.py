@@ -14,11 +14,10 @@ from slamfusion.errors import GridError
 from slamfusion.evidence.drawn_fusion import fuse_with_drawn
 from slamfusion.fusion.records import FusionResult, InputRecord
 from slamfusion.geometry import Pose2
-from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slamfusion.grid import UNKNOWN, OccupancyGrid
 from tests.support.written_maps import CELL, MEANING, fits, written_map
 
-BARE = FusionConfig(vote=VoteConfig(mode="drawn", double_reach_m=0.0, solid_walls=False))
-SOLID = FusionConfig(vote=VoteConfig(mode="drawn"))
+DRAW = FusionConfig(vote=VoteConfig(mode="drawn"))
 
 
 def cells(made: OccupancyGrid) -> list[str]:
@@ -38,10 +37,10 @@ DRAWN = written_map("drawn", "|#..#|\n|#..#|\n|####|")
 def test_without_saved_maps_it_is_the_drawn_map_and_the_others_are_held_against_it() -> None:
     a = written_map("a", "|#..#|\n|##.#|\n|####|")
     b = written_map("b", "|#.. |\n|#.. |\n|    |")
-    made = fuse_with_drawn(fits(a, b), DRAWN, (), BARE, NumpyDevice())
+    made = fuse_with_drawn(fits(a, b), DRAWN, (), DRAW, NumpyDevice())
     assert cells(made.fused) == cells(DRAWN)
     assert made.fused.origin == DRAWN.origin
-    assert (made.phantom_cells, made.wall_backs, made.weights) == (0, 0, {"drawn": 1.0})
+    assert (made.phantom_cells, made.weights) == (0, {"drawn": 1.0})
     # Of the three that know the cell a has it otherwise; where b knows nothing two are asked.
     assert made.agreement.cells.tolist() == [[100] * 4, [100, 67, 100, 100], [100] * 4]
     assert np.argwhere(dissent(made, "a")).tolist() == [[1, 1]]
@@ -51,23 +50,9 @@ def test_without_saved_maps_it_is_the_drawn_map_and_the_others_are_held_against_
         assert record.aligned.shape == made.fused.cells.shape
 
 
-def test_a_wall_gets_a_back_that_nobody_voted_for() -> None:
-    made = fuse_with_drawn(fits(DRAWN.with_name("a")), DRAWN, (), SOLID, NumpyDevice())
-    inner = made.fused.cells[1:-1, 1:-1]
-    assert (inner == DRAWN.cells).all()
-    assert made.wall_backs == int((made.fused.cells == OCCUPIED).sum() - (inner == OCCUPIED).sum())
-    assert made.wall_backs > 0
-    assert made.fused.origin.transform((CELL, CELL)) == pytest.approx((0.0, 0.0))
-    # No back is beside a free cell, so the faces are those of the drawn map.
-    row, col = np.nonzero((made.fused.cells == OCCUPIED) & (made.agreement.cells < 0))
-    for r, c in zip(row, col, strict=True):
-        around = made.fused.cells[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
-        assert not (around == FREE).any()
-
-
 def test_saved_maps_vote_beside_it_and_widen_it() -> None:
     saved = written_map("lab", "|#...##|\n|#..#..|")
-    made = fuse_with_drawn(fits(DRAWN.with_name("a"), saved), DRAWN, {"lab"}, BARE, NumpyDevice())
+    made = fuse_with_drawn(fits(DRAWN.with_name("a"), saved), DRAWN, {"lab"}, DRAW, NumpyDevice())
     # A tie of the two is occupied; where the drawn map knows nothing the saved one decides.
     assert cells(made.fused) == ["#..###", "#..#..", "####  "]
     assert made.weights == {"drawn": 1.0, "lab": 1.0}
@@ -80,9 +65,9 @@ def test_saved_maps_vote_beside_it_and_widen_it() -> None:
 def test_one_map_that_knows_better_outvotes_nobody_but_two_do() -> None:
     first = written_map("first", "|#..#|\n|#.##|\n|####|")
     maps = (first, first.with_name("second"))
-    alone = fuse_with_drawn(fits(*maps), DRAWN, {"nobody"}, BARE, NumpyDevice())
+    alone = fuse_with_drawn(fits(*maps), DRAWN, {"nobody"}, DRAW, NumpyDevice())
     assert cells(alone.fused) == cells(DRAWN)
-    both = fuse_with_drawn(fits(*maps), DRAWN, {"first", "second"}, BARE, NumpyDevice())
+    both = fuse_with_drawn(fits(*maps), DRAWN, {"first", "second"}, DRAW, NumpyDevice())
     assert cells(both.fused) == cells(first)
 
 
@@ -91,7 +76,7 @@ def test_a_saved_map_is_laid_where_its_alignment_says() -> None:
     at = Pose2(0.4, 0.0, np.pi / 2)
     saved = written_map("lab", "|#.|\n|..|\n|##|")
     made = fuse_with_drawn(
-        fits(DRAWN.with_name("a"), saved, lab=at), DRAWN, {"lab"}, BARE, NumpyDevice()
+        fits(DRAWN.with_name("a"), saved, lab=at), DRAWN, {"lab"}, DRAW, NumpyDevice()
     )
     record = made.inputs[1]
     assert record.aligned is not None
@@ -103,7 +88,7 @@ def test_rejected_inputs_stay_as_they_were() -> None:
     result = fits(DRAWN.with_name("a"))
     lone = InputRecord(written_map("lone", "|#.|"), None, False, "fits nowhere")
     with_lone = replace(result, inputs=(*result.inputs, lone))
-    made = fuse_with_drawn(with_lone, DRAWN, {"lone"}, BARE, NumpyDevice())
+    made = fuse_with_drawn(with_lone, DRAWN, {"lone"}, DRAW, NumpyDevice())
     assert made.inputs[1] is lone
     assert made.weights == {"drawn": 1.0}
 
@@ -111,4 +96,4 @@ def test_rejected_inputs_stay_as_they_were() -> None:
 def test_a_drawing_of_nothing_is_refused() -> None:
     nothing = OccupancyGrid(np.full((3, 3), UNKNOWN, dtype=np.int8), CELL, Pose2(), "drawn")
     with pytest.raises(GridError, match="drawn: all 3 x 3 cells are unknown"):
-        fuse_with_drawn(fits(DRAWN), nothing, (), BARE, NumpyDevice())
+        fuse_with_drawn(fits(DRAWN), nothing, (), DRAW, NumpyDevice())

@@ -13,7 +13,7 @@ from scipy import stats
 
 from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord, write_error_table
-from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at, thick
+from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at
 from slamfusion.experiments.error_sheets import (
     harmed_sheet,
     intervals_sheet,
@@ -22,7 +22,7 @@ from slamfusion.experiments.error_sheets import (
 )
 from slamfusion.experiments.path_sheets import measure_pairs
 from slamfusion.experiments.trials import alone
-from slamfusion.experiments.voting import BARE, FUSIONS
+from slamfusion.experiments.voting import FUSIONS
 from slamfusion.jobs.defaults import RUN_VOTE
 from slamfusion.jobs.documents import circumstances, plain
 from tests.support.documents import check_document
@@ -107,13 +107,13 @@ def test_overall_counts_each_condition_once_and_tells_the_worst() -> None:
 
 def test_a_harmed_producer_is_held_against_the_others_alone() -> None:
     others = {alone(fusion): 80.0 for fusion in FUSIONS}
-    table = ErrorTable("t", (record("a", 0, {}), record("b", 0, {"weighted": 84.0, **others})))
+    table = ErrorTable("t", (record("a", 0, {}), record("b", 0, {"consensus": 84.0, **others})))
     assert table.methods() == [*PRODUCERS, *FUSIONS]
     assert table.against_others("a") == {}
-    assert table.against_others("b")["weighted"] == pytest.approx(1.05)
-    (row,) = (row for row in harmed_sheet(table).rows if "weighted" in row)
-    assert row == ("b", "weighted", "84.00", "80.00", "+5.0 %")
-    assert "b: weighted +5.0 % against fusing the others alone." in table.sentences()
+    assert table.against_others("b")["consensus"] == pytest.approx(1.05)
+    (row,) = (row for row in harmed_sheet(table).rows if "consensus" in row)
+    assert row == ("b", "consensus", "84.00", "80.00", "+5.0 %")
+    assert "b: consensus +5.0 % against fusing the others alone." in table.sentences()
     assert list(table.to_json()["against_others_alone"]) == ["b"]
     told = {"sentences": table.sentences(), "files": [], **circumstances(RunConfig(), "numpy")}
     check_document(plain({**table.to_json(), **told}), "experiment failures")
@@ -157,8 +157,8 @@ def weighed(gain: float, count: int = 10) -> ErrorTable:
         ate[FUSED_PATH] = hard - gain + 0.001 * float(rng.normal())
         faces = {name: 1.0 - 2.0 * value for name, value in ate.items() if name in PRODUCERS}
         faces |= {drawn_at(name): value + 0.01 for name, value in faces.items()}
-        faces |= {RUN_VOTE: 0.8, BARE: 0.8, DRAWN: 1.0 - 2.0 * ate[FUSED_PATH]}
-        kept = record("hall", seed, {BARE: 120.0, thick("tinyslam"): 95.0, DRAWN: 90.0})
+        faces |= {RUN_VOTE: 0.8, DRAWN: 1.0 - 2.0 * ate[FUSED_PATH]}
+        kept = record("hall", seed, {DRAWN: 90.0})
         choice = "graph" if seed % 3 else ""
         records.append(replace(kept, faces_f1=faces, ate_m=ate, choice=choice))
     return ErrorTable("t", tuple(records))
@@ -184,10 +184,10 @@ def test_the_fused_path_and_the_drawn_map_are_held_against_each_and_the_best() -
     faces = {name: pair for (measure, name), pair in pairs.items() if measure == "faces_f1"}
     assert {pair["method"] for pair in faces.values()} == {DRAWN}
     assert "best in hindsight, drawn" in faces
-    assert {BARE, RUN_VOTE, *map(drawn_at, PRODUCERS)} < set(faces)
+    assert {RUN_VOTE, *map(drawn_at, PRODUCERS)} < set(faces)
 
 
-def test_paths_faces_and_thickness_have_tables_of_their_own() -> None:
+def test_paths_and_faces_have_tables_of_their_own() -> None:
     sheets = {sheet.title: sheet for sheet in weighed(0.03).sheets(details=False)}
     paths = sheets["Paths"]
     means, tests = paths.rows
@@ -196,8 +196,6 @@ def test_paths_faces_and_thickness_have_tables_of_their_own() -> None:
     assert tests[0] == "fused path against it"
     assert tests[paths.heading.index("gmapping")].startswith("p ")
     assert tests[-1] == ""
-    thickness = sheets["What thickness is worth"].rows
-    assert thickness == (("hall", "tinyslam", "100.00", "95.00", "120.00", "100.00", "90.00"),)
     # Records of another kind have none of these; a single drive has means alone.
     assert "Paths" not in {sheet.title for sheet in drawn(3.0).sheets(details=False)}
     assert measure_pairs(drawn(3.0)) == []

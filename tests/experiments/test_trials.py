@@ -21,11 +21,11 @@ from slamfusion.config import (
 from slamfusion.errors import ConfigError, FleetError, SlamFusionError
 from slamfusion.experiments import failure_trials, obstacle_trials, read_example
 from slamfusion.experiments import trials as module
-from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at, thick
+from slamfusion.experiments.drive_paths import DRAWN, FUSED_PATH, drawn_at
 from slamfusion.experiments.failures import FAILURES
 from slamfusion.experiments.faults import FAULTS
 from slamfusion.experiments.trials import Trial, TrialRecord, alone, run_trials
-from slamfusion.experiments.voting import BARE, FUSIONS, against_truth, vote_every_way
+from slamfusion.experiments.voting import FUSIONS, against_truth, vote_every_way
 from slamfusion.fleet import open_scheduler
 from slamfusion.grid import OccupancyGrid
 from slamfusion.jobs.partial import Layers
@@ -75,9 +75,9 @@ def test_every_method_has_an_error(
     done: tuple[Path, list[Trial], list[TrialRecord]],
 ) -> None:
     _, _, (plain, harmed) = done
-    backs, drawn = [*map(thick, BUILT_IN)], [*map(drawn_at, BUILT_IN), DRAWN]
-    assert list(plain.errors) == [*BUILT_IN, *FUSIONS, BARE, *drawn, *backs]
-    assert list(harmed.errors) == [*BUILT_IN, *FUSIONS, BARE, *map(alone, FUSIONS), *backs]
+    drawn = [*map(drawn_at, BUILT_IN), DRAWN]
+    assert list(plain.errors) == [*BUILT_IN, *FUSIONS, *drawn]
+    assert list(harmed.errors) == [*BUILT_IN, *FUSIONS, *map(alone, FUSIONS)]
     assert all(0.0 < error < 200.0 for item in (plain, harmed) for error in item.errors.values())
     assert (plain.condition, harmed.condition) == ("no obstacle", "obstacle")
     assert min(plain.wall_f1.values()) > 0.1
@@ -87,10 +87,6 @@ def test_every_method_has_an_error(
         assert item.choice in BUILT_IN
     # Nobody was lost: every path is right within a cell or two, and the fused one no worse.
     assert plain.ate_m[FUSED_PATH] < 1.5 * max(plain.ate_m[name] for name in BUILT_IN) < 0.3
-    # A back lowers the error of any map, and moves no face.
-    for name in BUILT_IN:
-        assert plain.errors[thick(name)] < plain.errors[name]
-        assert plain.faces_f1[thick(name)] == pytest.approx(plain.faces_f1[name], abs=0.03)
     assert harmed.choice != "gmapping"
 
 
@@ -175,8 +171,7 @@ def test_other_settings_are_run_anew(
 def test_an_example_keeps_its_maps(done: tuple[Path, list[Trial], list[TrialRecord]]) -> None:
     folder, trials, records = done
     example = read_example(folder, trials[0].key)
-    backs = set(map(thick, BUILT_IN))
-    assert list(example.differences) == [name for name in records[0].errors if name not in backs]
+    assert list(example.differences) == list(records[0].errors)
     assert example.resolution == trials[0].course.world.resolution
     squares = np.array([0, 0, 0, 1, 1, 1, 1])  # at least, for each code of a difference
     for method, codes in example.differences.items():
@@ -231,7 +226,7 @@ def test_where_no_two_maps_agree_the_fallback_map_counts_alone() -> None:
     assert grid is not None
     assert notes["majority"].startswith(f"{grid.name} alone: no two of the inputs")
     nobody = Layers.as_made([], {})
-    assert vote_every_way(nobody, config, device, notes) == dict.fromkeys((*FUSIONS, BARE))
+    assert vote_every_way(nobody, config, device, notes) == dict.fromkeys(FUSIONS)
 
 
 def test_drives_are_paired_and_worlds_are_numbered() -> None:

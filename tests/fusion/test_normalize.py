@@ -13,7 +13,6 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
 from slamfusion.errors import GridError
 from slamfusion.fusion import normalize
-from slamfusion.vote.lattice import Extent, Lattice
 from slamfusion.fusion.normalize import (
     NormalizedGrid,
     common_resolution,
@@ -22,6 +21,7 @@ from slamfusion.fusion.normalize import (
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid, trinary_cells
+from slamfusion.vote.lattice import Extent, Lattice
 from tests.fusion.drawings import building, draw, padded, picture_of, random_grid
 from tests.support.examples import examples
 

@@ -18,7 +18,6 @@ from slamfusion.evaluation import ErrorSeries, MeasuredItem
 from slamfusion.evaluation.distances import load_distances
 from slamfusion.evaluation.odometry import read_odometry
 from slamfusion.evaluation.relations import read_relations
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.io import load_map, open_log, read_trajectory
@@ -30,6 +29,7 @@ from slamfusion.sim.courses import load_course
 from slamfusion.slam.gmapping.slam import Gmapping
 from slamfusion.slam.graph.slam import GraphSlam
 from slamfusion.slam.registry import load_config
+from slamfusion.vote.lattice import Lattice
 from tests.slam.drives import drive
 
 __all__ = ["Seed", "seeds"]

@@ -137,7 +137,7 @@ def test_one_map_alone_is_no_fusion(maps: list[OccupancyGrid]) -> None:
 
 def test_maps_alone_are_not_drawn() -> None:
     drawn = replace(CONFIG.fusion, vote=VoteConfig(mode="drawn"))
-    with pytest.raises(ConfigError, match=r"here are maps alone; take majority, .* or log-odds"):
+    with pytest.raises(ConfigError, match=r"here are only maps; use consensus or majority"):
         fuse_maps([building(3), building(4)], replace(CONFIG, fusion=drawn), device())
 
 

@@ -80,7 +80,7 @@ def test_the_store_holds_what_fuse_makes(
             assert np.array_equal(found.cells, grid.cells)
             assert (found.origin, found.resolution) == (grid.origin, grid.resolution)
         assert result.phantom_cells == whole.phantom_cells
-        assert result.wall_backs == whole.wall_backs
+        assert (result.weights, result.bent) == (whole.weights, whole.bent)
         assert [(r.name, r.accepted, r.reason) for r in result.inputs] == [
             (r.name, r.accepted, r.reason) for r in whole.inputs
         ]

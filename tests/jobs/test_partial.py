@@ -215,8 +215,10 @@ def test_where_nothing_tells_who_is_right_all_vote_and_it_is_said(device: Comput
     layers = draw_layers(maps, paths, found, lambda _: drawn_scans(scans), device)
     assert layers.grids == tuple(maps)
     assert layers.sentences() == (
-        "The paths have parted from 18 to 19 s; the scans of that time alone do not tell which is "
-        "right, and all of them vote.",
+        (
+            "The paths have parted from 18 to 19 s; the scans of that time alone do not tell which "
+            "is right, and all of them vote."
+        ),
     )
 
 

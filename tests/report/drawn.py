@@ -14,10 +14,10 @@ from slamfusion.fusion.records import (
     InputRecord,
     MatchEvidence,
     RunnerUp,
-    VotedLayer,
 )
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.tiles import GridLayer
 
 NASTY = "<script>alert('$x_1$')</script>/../../é机"
 REASON = "its runner-up at 180° scores 0.97 & <b>more</b>"
@@ -86,7 +86,7 @@ def fusion(*, rejected_name: str = NASTY, accepted: int = 3) -> FusionResult:
         found = None if index == 0 else alignment("room 0", grid.name, accepted=True)
         aligned = trinary(grid)
         records.append(
-            InputRecord(grid, found, True, "fits", VotedLayer.of(aligned, aligned != fused))
+            InputRecord(grid, found, True, "fits", GridLayer.of(aligned, aligned != fused))
         )
     lost = room(rejected_name, 99, height=50)
     found = alignment("room 0", rejected_name, accepted=False)

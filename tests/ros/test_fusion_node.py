@@ -383,7 +383,7 @@ def test_settings_are_changed_and_refused_at_run_time(
     assert observer.set_parameter("fusion", "live.jump_m", 0.7).successful
     answer = observer.set_parameter("fusion", "live.search_share", 3.0)
     assert not answer.successful
-    assert not observer.set_parameter("fusion", "fusion.vote.mode", "weighted").successful
+    assert not observer.set_parameter("fusion", "fusion.vote.mode", "majority").successful
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,12 @@ from rclpy.context import Context
 from std_srvs.srv import Trigger
 
 from slamfusion.errors import ConfigError
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.state import LiveState
 from slamfusion.geometry import Pose2
 from slamfusion.ros import messages, qos
 from slamfusion.ros.base import Level, NodeBase
 from slamfusion.ros.state_keeper import StateKeeper
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.maps import assert_same_lattice, share_standing, three, touched
 from tests.ros.fused import Makers, start_fusion
 from tests.ros.live import Observer, Processes, values

@@ -18,13 +18,13 @@ from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import DecisionKind
 from slamfusion.fusion.cancel import CancelToken
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import align
 from slamfusion.fusion.live.align import Aligner
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2
+from slamfusion.vote.lattice import Lattice
 
 # A quarter of a metre is a power of two: limits in cells and in metres are equal to the digit.
 CELL_M = 0.25

@@ -8,11 +8,11 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import align as live_align
 from slamfusion.fusion.live.align import MIRROR_SHARE, Aligner
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.maps import AWAY, littered, moved_frame, three, touched
 
 LIVE = LiveConfig(search_pause_s=5.0, confirm_s=3.0)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import CLASH_MAX
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.align import (
     MIRROR_SHARE,
     Aligner,
@@ -21,6 +20,7 @@ from slamfusion.fusion.live.align import (
 from slamfusion.fusion.live.searched import CLASH_MORE, CLEAR_MATCH, LASTING_SHARE
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.scripted import (
     CELL_M,
     MISFIT,

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import NormalizeConfig
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.lattice import carry
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import padded, random_cells, random_grid
 from tests.fusion.live.maps import layer_of
 from tests.support.examples import examples

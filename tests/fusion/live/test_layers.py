@@ -8,13 +8,13 @@ import pytest
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, VoteConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.layers import FusedLayers
-from slamfusion.fusion.vote import double_reach_cells, vote_grids
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
 from slamfusion.io import memory
+from slamfusion.vote.lattice import Lattice
+from slamfusion.vote.tiles import TileVoter
 from tests.fusion.drawings import random_cells
 
 RULES = NormalizeConfig()
@@ -27,7 +27,6 @@ RULES = NormalizeConfig()
         ("majority", "value"),
         ("majority", "abstain"),
         ("consensus", "auto"),
-        ("log-odds", "auto"),
     ],
 )
 def test_boxes_voted_on_one_by_one_are_one_vote(
@@ -49,9 +48,13 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
         for col in range(0, size[1], 17):
             part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
             layers.vote("abc", part)
-    reach = double_reach_cells(config.vote, 0.1)
-    stack = [trinary_cells(cells, RULES) for cells in full]
-    wanted = vote_grids(stack, config.vote, device, percents=full, reach_cells=reach)
+    voter = TileVoter(box, config.vote, 0.1, ("a", "b", "c"))
+    cells = {name: trinary_cells(own, RULES) for name, own in zip("abc", full, strict=True)}
+    shown = {name: voter.prepare(box, lambda _, own=own: own) for name, own in cells.items()}
+    if voter.weighs:
+        voter = voter.trusting(voter.count(box, shown))
+    wanted = voter.decide(box, shown, device)
+    assert wanted is not None
     fused, agreement = layers.grids()
     assert np.array_equal(trinary_cells(fused.cells, RULES), wanted.fused)
     assert np.array_equal(agreement.cells, wanted.agreement)

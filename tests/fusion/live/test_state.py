@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, NormalizeConfig, RunConfig
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import LiveFusion
 from slamfusion.fusion.live.state import KIND, LiveState, StateError, is_state
 from slamfusion.geometry import Pose2
 from slamfusion.grid import IDENTITY
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import building
 from tests.fusion.live.maps import (
     AWAY,

@@ -11,12 +11,12 @@ import pytest
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.errors import MemoryBudgetError
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.supervisor import InputSupervisor
 from slamfusion.fusion.live.track import Track
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.live.scripted import CELL_M, MISFIT, Script, found, newcomer, voter
 
 # Of 100 walls five may change, and 100 before an input waits no longer.

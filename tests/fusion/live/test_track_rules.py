@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from slamfusion.compute import NumpyDevice
 from slamfusion.config import LiveConfig, NormalizeConfig
 from slamfusion.fusion.features import GridFeatures
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live import track as tracks
 from slamfusion.fusion.live.lattice import Layer
 from slamfusion.fusion.live.track import Change, Track, compare
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import CellBox, OccupancyGrid
+from slamfusion.vote.lattice import Lattice
 from tests.support.examples import examples
 
 RULES = NormalizeConfig()

@@ -7,12 +7,12 @@ import pytest
 
 from slamfusion.compute import ComputeDevice
 from slamfusion.config import FusionConfig, LiveConfig
-from slamfusion.vote.lattice import Lattice
 from slamfusion.fusion.live.track import Track
 from slamfusion.fusion.live.voting import Voting
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, OccupancyGrid
 from slamfusion.io import memory
+from slamfusion.vote.lattice import Lattice
 from tests.fusion.drawings import random_cells
 
 SIZE = 0.1

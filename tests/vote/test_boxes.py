@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamfusion.config import NormalizeConfig
-from slamfusion.fusion import boxes as cell_boxes
-from slamfusion.vote.boxes import joined, overlap
 from slamfusion.grid import CellBox
+from slamfusion.vote import boxes as cell_boxes
+from slamfusion.vote.boxes import joined, overlap
 from tests.support.examples import examples
 
 RULES = NormalizeConfig()

@@ -1,0 +1,72 @@
+"""The part of the golden corpus that takes seconds; see ``tests.golden``."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from tests.golden import corpus
+from tests.golden.corpus import (
+    ENVIRONMENT,
+    EXPECTED,
+    RECORDED,
+    Entry,
+    difference,
+    load_entries,
+    run_entries,
+    this_machine,
+)
+
+pytestmark = pytest.mark.once
+
+ENTRIES = load_entries()
+FAST = [name for name, entry in ENTRIES.items() if entry.is_fast]
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    with mock.patch.dict(os.environ, ENVIRONMENT):
+        return dict(run_entries(FAST, tmp_path_factory.mktemp("golden"), workers=2))
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_the_outcome_is_the_recorded_one(name: str, found: dict[str, str]) -> None:
+    if name in {"help", "failures"} and this_machine()["click"] != _recorded("click"):
+        pytest.skip(f"recorded with click {_recorded('click')}, which breaks lines in its own way")
+    unlike = difference(ENTRIES[name], found[name], to_the_digit=False)
+    hint = f"where it is right: python -m tests.golden --record {name}"
+    assert not unlike, f"{unlike}\n{hint}"
+
+
+def _recorded(key: str) -> str:
+    return str(json.loads(RECORDED.read_text(encoding="utf-8"))[key])
+
+
+def test_every_entry_is_recorded_and_fast_ones_need_no_others() -> None:
+    assert {path.stem for path in EXPECTED.glob("*.txt")} == ENTRIES.keys()
+    assert not any(ENTRIES[name].is_shared or ENTRIES[name].needs - {*FAST} for name in FAST)
+
+
+@pytest.mark.parametrize(
+    ("text", "same", "other"),
+    [
+        ("a 1.50 sha256 ab", True, True),
+        ("a 1.51 sha256 cd", False, True),
+        ("a 1.90 sha256 ab", False, False),
+        ("b 1.50 sha256 ab", False, False),
+        ("a 1.50 1.50 sha256 ab", False, False),
+    ],
+)
+def test_numbers_may_differ_on_another_machine_alone(
+    text: str, same: bool, other: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(corpus, "EXPECTED", tmp_path)
+    (tmp_path / "one.txt").write_text("a 1.50 sha256 ab\n", encoding="utf-8")
+    monkeypatch.setattr(corpus, "is_same_machine", lambda: False)
+    entry = Entry("one", is_fast=True)
+    assert (not difference(entry, f"{text}\n", to_the_digit=True)) == same
+    assert (not difference(entry, f"{text}\n", to_the_digit=False)) == other

@@ -1,0 +1,322 @@
+"""The vote on tiles: [F16]'s majority by hand; how a map is cut into tiles does not matter."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from slamfusion.compute import ComputeDevice, NumpyDevice, open_device
+from slamfusion.compute.layout import VOTE_ONE
+from slamfusion.compute.votes import Votes
+from slamfusion.config import FusionMode, VoteConfig
+from slamfusion.errors import ConfigError, GridError
+from slamfusion.grid import CellBox
+from slamfusion.vote.boxes import slices
+from slamfusion.vote.tiles import (
+    TileVoter,
+    check_votes,
+    sum_counts,
+    tiles_of,
+    unknown_votes,
+    vote_grids,
+)
+from slamfusion.vote.walls import wall_codes
+from tests.support.examples import examples
+from tests.vote.rooms import bent, room, shown_by
+
+U, F, O = -1, 0, 1
+
+# Every triple of one free, one occupied, one unknown and their repetitions, by hand.
+# [F16]: two of three decide, three different values give occupied.
+TRIPLES = {
+    (U, U, U): U,
+    (U, U, F): U, (U, F, U): U, (F, U, U): U,
+    (U, U, O): U, (U, O, U): U, (O, U, U): U,
+    (U, F, F): F, (F, U, F): F, (F, F, U): F,
+    (U, O, O): O, (O, U, O): O, (O, O, U): O,
+    (F, F, F): F,
+    (F, F, O): F, (F, O, F): F, (O, F, F): F,
+    (F, O, O): O, (O, F, O): O, (O, O, F): O,
+    (O, O, O): O,
+    (U, F, O): O, (U, O, F): O, (F, U, O): O, (F, O, U): O, (O, U, F): O, (O, F, U): O,
+}  # fmt: skip
+# The same where unknown abstains: what the known ones say, free against occupied is occupied.
+ABSTAINING = TRIPLES | {
+    (U, U, F): F, (U, F, U): F, (F, U, U): F,
+    (U, U, O): O, (U, O, U): O, (O, U, U): O,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["numpy", "auto"])
+def device(request: pytest.FixtureRequest) -> ComputeDevice:
+    return open_device(request.param)
+
+
+def majority(grids: list[np.ndarray], device: ComputeDevice, unknown: str = "auto") -> Votes:
+    """The majority under a rule for unknown."""
+    return vote_grids(grids, device, unknown_votes=unknown_votes(unknown, len(grids)))
+
+
+def column(cells: tuple[int, ...]) -> list[np.ndarray]:
+    """One grid of one cell for each input."""
+    return [np.array([[cell]], dtype=np.int8) for cell in cells]
+
+
+def table(combos: list[tuple[int, ...]]) -> list[np.ndarray]:
+    """One grid for each input, one cell for each combination."""
+    return list(np.array(combos, dtype=np.int8).T[:, None, :].copy())
+
+
+def plain_vote(cells: tuple[int, ...], *, unknown_is_vote: bool) -> tuple[int, int, int]:
+    """The vote of one cell in plain words: winner, agreement, dissent bits."""
+    cast = [cell for cell in cells if unknown_is_vote or cell != U]
+    if not cast:
+        return U, -1, 0
+    counts = {value: cast.count(value) for value in (U, F, O)}
+    first = [value for value in (U, F, O) if counts[value] == max(counts.values())]
+    winner = first[0] if len(first) == 1 else O
+    percent = int(100 * counts[winner] / len(cast) + 0.5)
+    bits = [n for n, cell in enumerate(cells) if cell != winner and (unknown_is_vote or cell != U)]
+    return winner, percent, sum(1 << n for n in bits)
+
+
+def same(a: Votes, b: Votes) -> bool:
+    """Whether two results are equal in every cell."""
+    return all(np.array_equal(one, other) for one, other in zip(a, b, strict=True))
+
+
+# --- the majority of [F16] -------------------------------------------------------------------
+
+
+def test_all_27_triples(device: ComputeDevice) -> None:
+    assert len(TRIPLES) == 27
+    combos = list(TRIPLES)
+    for unknown, wanted in (("auto", TRIPLES), ("value", TRIPLES), ("abstain", ABSTAINING)):
+        result = majority(table(combos), device, unknown)
+        assert result.fused[0].tolist() == list(wanted.values()), unknown
+        assert result.phantom_cells == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("unknown", ["value", "abstain", "auto"])
+def test_every_combination(device: ComputeDevice, count: int, unknown: str) -> None:
+    combos = list(itertools.product((U, F, O), repeat=count))
+    result = majority(table(combos), device, unknown)
+    votes = unknown == "value" or (unknown == "auto" and count == 3)
+    wanted = [plain_vote(cells, unknown_is_vote=votes) for cells in combos]
+    assert result.fused[0].tolist() == [w[0] for w in wanted]
+    assert result.agreement[0].tolist() == [w[1] for w in wanted]
+    assert result.dissent[0, 0].tolist() == [w[2] for w in wanted]
+    phantoms = sum(w[0] == O and O not in cells for w, cells in zip(wanted, combos, strict=True))
+    assert result.phantom_cells == phantoms
+
+
+@pytest.mark.parametrize("cells", [(F, O), (F, F, O, O), (O, F, F, O, U), (U, O, F), (O, U, F)])
+def test_tie_becomes_occupied(device: ComputeDevice, cells: tuple[int, ...]) -> None:
+    assert majority(column(cells), device).fused.item() == O
+
+
+def test_tie_of_free_and_unknown_is_a_phantom_only_where_unknown_is_a_value(
+    device: ComputeDevice,
+) -> None:
+    grids = column((F, U))
+    assert majority(grids, device, "value").phantom_cells == 1
+    auto = majority(grids, device)
+    assert (auto.fused.item(), auto.agreement.item(), auto.phantom_cells) == (F, 100, 0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 8, 9, 16, 17, 32])
+def test_dissent_has_a_bit_for_every_input(device: ComputeDevice, count: int) -> None:
+    cells = (O,) + (F,) * (count - 1) if count > 2 else (O,) * count
+    for first in range(count):
+        order = cells[-first:] + cells[:-first] if first else cells
+        dissent = majority(column(order), device).dissent
+        bits = int.from_bytes(dissent.tobytes(), "little")
+        assert bits == (1 << first if count > 2 else 0)
+
+
+def test_agreement_rounds_half_up(device: ComputeDevice) -> None:
+    for cells, percent in (((O, O, F), 67), ((O, F, U), 33), ((O,) * 5 + (F,) * 3, 63)):
+        assert majority(column(cells), device, "value").agreement.item() == percent
+
+
+GRIDS = st.tuples(
+    st.integers(1, 9), st.tuples(st.integers(1, 9), st.integers(1, 40)), st.integers(0, 2**32 - 1)
+)
+
+
+def draw(spec: tuple[int, tuple[int, int], int]) -> list[np.ndarray]:
+    """Random trinary grids of (count, shape, seed)."""
+    count, shape, seed = spec
+    rng = np.random.default_rng(seed)
+    return [rng.integers(-1, 2, shape).astype(np.int8) for _ in range(count)]
+
+
+@settings(max_examples=examples(40), deadline=None)
+@given(spec=GRIDS, unknown=st.sampled_from(("auto", "value", "abstain")), seed=st.integers(0, 99))
+def test_order_of_inputs_does_not_matter_to_the_majority(
+    spec: tuple[int, tuple[int, int], int], unknown: str, seed: int
+) -> None:
+    grids = draw(spec)
+    order = np.random.default_rng(seed).permutation(len(grids))
+    one, other = (
+        majority(given_, open_shared(), unknown) for given_ in (grids, [grids[n] for n in order])
+    )
+    assert np.array_equal(one.fused, other.fused)
+    assert np.array_equal(one.agreement, other.agreement)
+
+
+@settings(max_examples=examples(30), deadline=None)
+@given(
+    cells=hnp.arrays(
+        np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(-1, 1)
+    ),
+    count=st.integers(1, 8),
+    unknown=st.sampled_from(("auto", "value", "abstain")),
+)
+def test_the_majority_of_a_grid_and_itself_is_that_grid(
+    cells: np.ndarray, count: int, unknown: str
+) -> None:
+    result = majority([cells] * count, open_shared(), unknown)
+    assert np.array_equal(result.fused, cells)
+    assert not result.dissent.any()
+    assert set(np.unique(result.agreement)) <= {-1, 100}
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(spec=GRIDS)
+def test_auto_makes_no_phantom_cells(spec: tuple[int, tuple[int, int], int]) -> None:
+    grids = draw(spec)
+    result = majority(grids, open_shared())
+    assert result.phantom_cells == 0
+    assert not np.any((result.fused == O) & ~np.any(np.stack(grids) == O, axis=0))
+
+
+def test_inputs_are_not_changed_and_may_be_read_only_or_strided(device: ComputeDevice) -> None:
+    big = np.random.default_rng(0).integers(-1, 2, (40, 81)).astype(np.int8)
+    views = [big[1:30, 3:44], big[2:31, 5:46], big[::-1][:29, 40:]]
+    dense = [np.ascontiguousarray(view) for view in views]
+    for grid in dense:
+        grid.flags.writeable = False
+    odd = np.frombuffer(b"\0" + dense[0].tobytes(), dtype=np.int8, offset=1).reshape(29, 41)
+    before = big.copy()
+    wanted = majority(dense, NumpyDevice())
+    assert same(majority(views, device), wanted)
+    assert same(majority(dense, device), wanted)
+    assert same(majority([odd, *dense[1:]], device), wanted)
+    assert np.array_equal(big, before)
+
+
+def test_what_cannot_vote_is_refused(device: ComputeDevice) -> None:
+    cell, wide = column((F,))[0], np.zeros((1, 2), dtype=np.int8)
+    for wrong, words in (
+        ([], "1 to 32 grids, found 0"),
+        ([cell] * 33, "found 33"),
+        ([cell, wide], "one shape, found"),
+        ([cell.astype(np.int16)], "int16"),
+        ([np.zeros((0, 4), dtype=np.int8)], "found int8"),
+    ):
+        with pytest.raises(GridError, match=words):
+            majority(wrong, device)
+    with pytest.raises(
+        ConfigError, match=r"'drawn' draws the map from .* a log.*consensus or majority"
+    ):
+        check_votes(VoteConfig(mode="drawn"))
+
+
+# --- the kernels are their twins -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 67), (67, 1), (31, 33), (5, 4099)])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 9, 32])
+def test_kernels_equal_their_twins(shape: tuple[int, int], count: int) -> None:
+    rng = np.random.default_rng(count)
+    grids = [rng.integers(-1, 2, shape).astype(np.int8) for _ in range(count)]
+    for unknown in ("value", "abstain"):
+        kernel = majority(grids, open_shared(), unknown)
+        assert same(kernel, majority(grids, NumpyDevice(), unknown))
+    codes = [wall_codes(grid, 0.1) for grid in grids]
+    shift, phase = 3, (5, 2)
+    blocks = tuple((shape[n] + phase[n] - 1 >> shift) + 1 for n in (0, 1))
+    weights = rng.choice([0, 17, 119, VOTE_ONE], (count, *blocks)).astype(np.uint8)
+    ranks = rng.permuted(
+        np.broadcast_to(np.arange(count)[:, None, None], (count, *blocks)), axis=0
+    ).astype(np.uint16)
+    trusted = rng.choice([0, 120, VOTE_ONE], count).astype(np.uint8)
+    one, other = (
+        computes.vote_walls(codes, weights, ranks, trusted, shift=shift, phase=phase)
+        for computes in (open_shared(), NumpyDevice())
+    )
+    assert same(one, other)
+
+
+# --- tiles -----------------------------------------------------------------------------------
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(
+    corner=st.tuples(st.integers(-40, 40), st.integers(-40, 40)),
+    shape=st.tuples(st.integers(1, 70), st.integers(1, 70)),
+    side=st.integers(1, 40),
+)
+def test_tiles_are_the_whole_once_cut_at_multiples_of_their_side(
+    corner: tuple[int, int], shape: tuple[int, int], side: int
+) -> None:
+    whole = CellBox(*corner, corner[0] + shape[0], corner[1] + shape[1])
+    times = np.zeros(shape, dtype=int)
+    for tile in tiles_of(whole, side):
+        times[slices(tile, *corner)] += 1
+        for cell, start in zip((tile.row0, tile.col0), corner, strict=True):
+            assert cell == start or cell % side == 0
+    assert (times == 1).all()
+
+
+@settings(max_examples=examples(25), deadline=None)
+@given(
+    seeds=st.lists(st.integers(0, 99), min_size=2, max_size=4),
+    mode=st.sampled_from(("consensus", "majority")),
+    side=st.integers(11, 60),
+    first=st.tuples(st.integers(0, 40), st.integers(0, 40)),
+)
+def test_tiles_decide_what_the_whole_decides(
+    seeds: list[int], mode: FusionMode, side: int, first: tuple[int, int]
+) -> None:
+    maps = {f"map {n}": room(seed=seed) for n, seed in enumerate(seeds)}
+    maps["bent"] = bent(room())
+    whole = CellBox(0, 0, *room().shape)
+    voter = TileVoter(whole, VoteConfig(mode), 0.1, tuple(maps), first)
+    tiles = list(voter.tiles(side))
+    assert len(tiles) > 1
+    if voter.weighs:
+        at_once = voter.trusting(voter.count(whole, shown_by(voter, whole, maps)))
+        voter = voter.trusting(sum_counts(voter.count(t, shown_by(voter, t, maps)) for t in tiles))
+        assert voter.trust is not None
+        assert voter.trust.decides_like(at_once.trust)
+    wanted = voter.decide(whole, shown_by(voter, whole, maps), NumpyDevice())
+    assert wanted is not None
+    phantom_cells = 0
+    for tile in tiles:
+        found = voter.decide(tile, shown_by(voter, tile, maps), NumpyDevice())
+        assert found is not None
+        window = slices(tile, 0, 0)
+        assert np.array_equal(found.fused, wanted.fused[window])
+        assert np.array_equal(found.agreement, wanted.agreement[window])
+        for name in maps:
+            assert np.array_equal(found.outvoted[name], wanted.outvoted[name][window])
+        phantom_cells += found.phantom_cells
+    assert phantom_cells == wanted.phantom_cells
+
+
+def open_shared() -> ComputeDevice:
+    """The OpenCL device, opened once."""
+    if not _SHARED:
+        _SHARED.append(open_device())
+    return _SHARED[0]
+
+
+_SHARED: list[ComputeDevice] = []
