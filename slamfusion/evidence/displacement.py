@@ -150,7 +150,8 @@ def _other_side(split: float) -> U32:
     number = np.arange(CHUNKS)
     is_late = number >= split * CHUNKS
     bits = np.uint32(1) << number.astype(np.uint32)
-    return OTHERS & np.where(is_late, bits[~is_late].sum(), bits[is_late].sum()).astype(np.uint32)
+    other = np.where(is_late, bits[~is_late].sum(), bits[is_late].sum()).astype(np.uint32)
+    return np.asarray(OTHERS & other)
 
 
 def _p_values(gains: F64) -> F64:
