@@ -279,10 +279,12 @@ class TileVoter:
         if not shown:
             return None
         wide = self.around(tile)
-        part = slices(tile, wide.row0, wide.col0)
-        grids = [np.ascontiguousarray(own[part]) for own in shown.values()]
         worst: dict[str, tuple[int, int, int]] = {}
         if not self.weighs or self.trust is None:
+            grids: list[I8] = [
+                np.ascontiguousarray(own[slices(tile, wide.row0, wide.col0)]).view(np.int8)
+                for own in shown.values()
+            ]
             votes = vote_grids(grids, device, unknown_votes=self.unknown_votes)
         else:
             trust = self.trust.part(list(shown))

@@ -51,7 +51,7 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         ways that this wall faces, elsewhere those of walls up to 0.4 m away.
     """
     walls, free = cells == 1, cells == 0
-    codes = (walls * np.uint8(WALL_OCCUPIED) | free * np.uint8(WALL_FREE)).astype(np.uint8)
+    codes: U8 = (walls * np.uint8(WALL_OCCUPIED) | free * np.uint8(WALL_FREE)).astype(np.uint8)
     rows, cols = np.flatnonzero(walls.any(axis=1)), np.flatnonzero(walls.any(axis=0))
     if not len(rows):
         return codes
@@ -75,7 +75,7 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         elsewhere |= cv2.dilate(front, _band(side, same))
     ways = _thick(fronts, points, own.shape, same)
     elsewhere[points] = ways
-    own |= elsewhere << np.uint8(WALL_SIDES)
+    own |= np.left_shift(elsewhere, np.uint8(WALL_SIDES))
     own &= ~(np.uint8(WALL_NEAR) * ~_is_shown(own, points, ways, resolution))
     return codes
 
@@ -124,7 +124,7 @@ def _is_shown(codes: U8, points: Points, ways: U8, resolution: float) -> npt.NDA
     for number, side in enumerate(SIDES):
         faces = np.zeros_like(codes)
         faces[points] = ways & np.uint8(1 << number)
-        shown |= cv2.dilate(faces, _band(side, near, 1))
+        shown |= np.asarray(cv2.dilate(faces, _band(side, near, 1)), dtype=np.uint8)
     return np.asarray(shown != 0)
 
 

@@ -14,7 +14,7 @@ The same input gives the same bytes on one processor with one OpenCL driver and 
 processor may round the last digit differently. ``recorded.json`` therefore holds the processor, the
 device and the versions of the recording. On the same ones the texts must be equal; on others every
 word must be equal, numbers may differ by 5 %, and digests are not compared. A part that takes
-seconds runs in the test suite (``test_golden.py``), so a change of behaviour is noticed there.
+seconds runs in the test suite (``test_golden.py``), the rest there with ``--full``.
 
 A difference that is wanted is recorded again, and the commit says why it is right.
 """
