@@ -1,4 +1,4 @@
-"""Tables of paths, walls' faces and thickness: what is the path's, the vote's, and neither's."""
+"""Tables of paths and of walls' faces: what is the path's, and what is the vote's."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def measure_pairs(table: ErrorTable) -> list[MeasurePairJson]:
 
 
 def sheets(table: ErrorTable) -> list[Sheet]:
-    """Return the tables of what the records hold: paths, faces, and what thickness is worth."""
+    """Return the tables of what the records hold: paths and faces."""
     found = [_sheet(table, kind) for kind in (PATHS, FACES)]
     return [sheet for sheet in found if sheet.rows]
 

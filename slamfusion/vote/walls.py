@@ -124,7 +124,7 @@ def _is_shown(codes: U8, points: Points, ways: U8, resolution: float) -> npt.NDA
     for number, side in enumerate(SIDES):
         faces = np.zeros_like(codes)
         faces[points] = ways & np.uint8(1 << number)
-        shown |= np.asarray(cv2.dilate(faces, _band(side, near, 1)), dtype=np.uint8)
+        shown |= np.asarray(cv2.dilate(faces, _band(side, near)), dtype=np.uint8)
     return np.asarray(shown != 0)
 
 
@@ -136,7 +136,6 @@ def _disc(radius: float) -> U8:
     return np.asarray(row**2 + col**2 <= radius**2 + 1e-6, dtype=np.uint8)
 
 
-def _band(side: tuple[int, int], reach: int, width: int = 3) -> U8:
+def _band(side: tuple[int, int], reach: int) -> U8:
     """Return a structuring element along a way, ``reach`` cells to both ends."""
-    shape = (width, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, width)
-    return np.ones(shape, dtype=np.uint8)
+    return np.ones((1, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, 1), dtype=np.uint8)

@@ -82,7 +82,7 @@ def test_speed_is_held_against_seconds_or_a_ratio() -> None:
 
 
 def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> None:
-    document = error_table({"log-odds": 9.7}, 2, "no obstacle")
+    document = error_table({"consensus": 9.7}, 2, "no obstacle")
     check_document(document, "experiment ground-obstacle")
     columns, (means, against) = tables.ground_obstacle([document])
     assert columns == ("", "tinySLAM", "gmapping", "graph", *FUSIONS)
@@ -90,11 +90,11 @@ def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> N
     assert found[""] == "no obstacle"
     assert found["tinySLAM"] == "101.0 ± 1.4"
     assert found["graph"] == "97.0 ± 1.4"
-    assert found["log-odds"] == "**87.3 ± 1.4**"
+    assert found["consensus"] == "**87.3 ± 1.4**"
     found = dict(zip(columns, against, strict=True))
     assert found[""] == "against graph, 95 %"
     assert found["tinySLAM"] == ""
-    assert found["log-odds"] == "-10.0 to -10.0 %"
+    assert found["consensus"] == "-10.0 to -10.0 %"
 
 
 def test_what_was_drawn_stands_beside_what_it_is_held_against() -> None:
@@ -135,14 +135,14 @@ def test_worlds_stand_beside_each_other() -> None:
 
 
 def test_of_each_recorded_map_three_figures_are_shown() -> None:
-    figures = {"graph": (299.4, 0.934, 0.059), "log-odds": (372.0, 0.934, None)}
+    figures = {"graph": (299.4, 0.934, 0.059), "consensus": (372.0, 0.934, None)}
     figures["reference"] = (None, None, 0.01)
     maps = [
         {"log": "mit", "map": name, "error": a, "wall_f1": b, "doubled_wall_share": c}
         for name, (a, b, c) in figures.items()
     ]
     assert tables.real_logs([{"maps": maps}]) == (
-        ("log", "", "graph", "log-odds"),
+        ("log", "", "graph", "consensus"),
         (
             ("mit", "error [F16]", "**299**", "372"),
             ("", "wall F1", "0.934", "0.934"),

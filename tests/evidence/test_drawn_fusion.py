@@ -50,24 +50,32 @@ def test_without_saved_maps_it_is_the_drawn_map_and_the_others_are_held_against_
         assert record.aligned.shape == made.fused.cells.shape
 
 
+SIDES, POST, SOUTH = "#............#", "#.....#......#", "##############"
+WIDE = written_map("drawn", "\n".join(f"|{row}|" for row in [*[SIDES] * 9, SOUTH]))
+WITH_A_POST = WIDE.cells.copy()
+WITH_A_POST[2, 6] = 100
+
+
 def test_saved_maps_vote_beside_it_and_widen_it() -> None:
-    saved = written_map("lab", "|#...##|\n|#..#..|")
-    made = fuse_with_drawn(fits(DRAWN.with_name("a"), saved), DRAWN, {"lab"}, DRAW, NumpyDevice())
-    # A tie of the two is occupied; where the drawn map knows nothing the saved one decides.
-    assert cells(made.fused) == ["#..###", "#..#..", "####  "]
+    rows = [SIDES, SIDES, POST, *[SIDES] * 6, SOUTH]
+    saved = written_map("lab", "\n".join(f"|{row}..|" for row in rows))
+    made = fuse_with_drawn(fits(WIDE.with_name("a"), saved), WIDE, {"lab"}, DRAW, NumpyDevice())
+    # A tie of the two is occupied; where the drawn map knows nothing the saved one decides, but
+    # for the cell behind a wall that the drawn map draws.
+    assert cells(made.fused) == [f"{row} ." for row in rows]
     assert made.weights == {"drawn": 1.0, "lab": 1.0}
-    # Of drawn, a and lab, lab alone says that the corner is free.
-    assert made.agreement.cells[0, 3] == 67
-    assert np.argwhere(dissent(made, "lab")).tolist() == [[0, 3]]
+    # Of drawn, a and lab, lab alone says that there is a post.
+    assert made.agreement.cells[2, 6] == 33
+    assert np.argwhere(dissent(made, "a")).tolist() == [[2, 6]]
     assert made.phantom_cells == 0
 
 
 def test_one_map_that_knows_better_outvotes_nobody_but_two_do() -> None:
-    first = written_map("first", "|#..#|\n|#.##|\n|####|")
+    first = replace(WIDE, cells=WITH_A_POST, name="first")
     maps = (first, first.with_name("second"))
-    alone = fuse_with_drawn(fits(*maps), DRAWN, {"nobody"}, DRAW, NumpyDevice())
-    assert cells(alone.fused) == cells(DRAWN)
-    both = fuse_with_drawn(fits(*maps), DRAWN, {"first", "second"}, DRAW, NumpyDevice())
+    alone = fuse_with_drawn(fits(*maps), WIDE, {"nobody"}, DRAW, NumpyDevice())
+    assert cells(alone.fused) == cells(WIDE)
+    both = fuse_with_drawn(fits(*maps), WIDE, {"first", "second"}, DRAW, NumpyDevice())
     assert cells(both.fused) == cells(first)
 
 

@@ -13,6 +13,8 @@ from slamfusion.geometry import Pose2
 from slamfusion.grid import OCCUPIED, OccupancyGrid
 from slamfusion.jobs.documents import plain
 from slamfusion.jobs.evaluate import (
+    agreement_items,
+    compare_maps,
     evaluate_document,
     evaluate_maps,
     measure_distances,
@@ -21,6 +23,7 @@ from slamfusion.jobs.evaluate import (
 from tests.fusion.drawings import fusion_config
 from tests.jobs.maps import CONFIG, device, files, moved
 from tests.support.documents import check_document
+from tests.vote.rooms import bent
 
 
 def test_maps_are_measured_where_they_lie_or_aligned(tmp_path: Path) -> None:
@@ -77,3 +80,22 @@ def test_measured_distances_are_compared(tmp_path: Path) -> None:
     assert found.mean_absolute_error_m == pytest.approx(0.1)
     with pytest.raises(MapFileError, match="absent"):
         measure_distances([corridor], tmp_path / "absent.csv")
+
+
+def test_without_a_truth_maps_are_compared_with_each_other() -> None:
+    truth, grid, _ = moved()
+    cells = np.where(truth.cells == OCCUPIED, 1, truth.cells).astype(np.int8)
+    crooked = np.where(bent(cells, 0.12) == 1, OCCUPIED, bent(cells, 0.12)).astype(np.int8)
+    maps = [replace(truth, cells=crooked, name="crooked"), truth.with_name("a"), grid]
+    result = compare_maps(maps, CONFIG, device())
+    found = {item["name"]: item for item in agreement_items(result)}
+    assert list(found) == ["crooked", "a", grid.name]
+    assert found["crooked"]["bent"] is not None
+    assert found["crooked"]["agreement"] == found["crooked"]["bent"]["share"] < 0.8
+    for name in ("a", grid.name):
+        assert found[name]["bent"] is None
+        assert found[name]["weight"] > 0.8
+    document = evaluate_document(
+        [], [], CONFIG, agreement=list(found.values()), truth=None, device=device().name
+    )
+    check_document(plain(document), "evaluate")

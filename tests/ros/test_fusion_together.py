@@ -96,7 +96,7 @@ def test_the_fused_map_of_a_log_is_that_of_the_offline_run(
         place = record.alignment.transform
         off_m = math.hypot(float(figures["x [m]"]) - place.x, float(figures["y [m]"]) - place.y)
         assert off_m < cell_m, record.name
-    assert share_equal(fused[-1], wanted.fused) >= 0.98
+    assert share_equal(fused[-1], wanted.fused) >= 0.9
 
     # The robot's pose in the fused frame, up to the last scan.
     assert poses

@@ -131,7 +131,7 @@ def test_a_hostile_peer_moves_no_cell_of_the_fused_map(
     makers.send(touched(three()["c"], 1))
     observer.wait(lambda: len(heard) > count, what="a fused map after the flood", timeout_s=60.0)
     observer.wait_status(FUSION, "3 of 4 inputs vote; not: d", timeout_s=60.0)
-    assert share_equal(heard[-1], wanted) > 0.98
+    assert share_equal(heard[-1], wanted) > 0.9
     assert fusion.is_running
     assert resident_mb(fusion) - before_mb < GROWTH_MB
     assert "Traceback" not in fusion.text()

@@ -40,11 +40,11 @@ def moved(cells: I8, rows: int, cols: int) -> I8:
     return np.roll(cells, (rows, cols), (0, 1))
 
 
-def bent(cells: I8) -> I8:
+def bent(cells: I8, steep: float = 0.4) -> I8:
     """Return cells that lie further and further north to the east of column 20."""
     out = np.full_like(cells, -1)
     for col in range(cells.shape[1]):
-        rows = round(0.4 * max(0, col - 20))
+        rows = round(steep * max(0, col - 20))
         out[rows:, col] = cells[: cells.shape[0] - rows, col]
     return out
 

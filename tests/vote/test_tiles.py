@@ -306,8 +306,9 @@ def test_tiles_decide_what_the_whole_decides(
         window = slices(tile, 0, 0)
         assert np.array_equal(found.fused, wanted.fused[window])
         assert np.array_equal(found.agreement, wanted.agreement[window])
+        out, wanted_out = dict(found.outvoted()), dict(wanted.outvoted())
         for name in maps:
-            assert np.array_equal(found.outvoted[name], wanted.outvoted[name][window])
+            assert np.array_equal(out[name], wanted_out[name][window])
         phantom_cells += found.phantom_cells
     assert phantom_cells == wanted.phantom_cells
 
