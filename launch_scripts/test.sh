@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Lint, type check, and run the tests: under the Jazzy constraints (NumPy 1.26), then under NumPy 2.
-# --full adds the tests that are too long for every run, and changes what decides whether a map is
-# believed, one place at a time, to see that a test fails; other options go to pytest: --cov measures
+# --full adds the tests that are too long for every run; other options go to pytest: --cov measures
 # coverage, which takes longer.
 set -euo pipefail
 # shellcheck source=launch_scripts/setup.sh
@@ -79,9 +78,4 @@ if [ ${#failed[@]} -gt 0 ]; then
     say "failed so far: ${failed[*]}"
 fi
 check "tests" suite "$venv" "$workers" "$@"
-for option in "$@"; do
-    if [ "$option" = --full ]; then
-        check "mutants of what decides" "$venv/bin/python" -m tests.mutation --at-least 0.9 --show
-    fi
-done
 [ ${#failed[@]} -eq 0 ]

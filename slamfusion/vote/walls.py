@@ -63,20 +63,22 @@ def wall_codes(cells: I8, resolution: float) -> U8:
     )
     own = codes[window]
     occupied = own & np.uint8(WALL_OCCUPIED)
-    own |= cv2.dilate(occupied, _disc(TOLERANCE_M / resolution)) * np.uint8(WALL_NEAR)
+    near_walls = cv2.dilate(occupied, _disc(TOLERANCE_M / resolution))
+    own |= np.asarray(near_walls * np.uint8(WALL_NEAR), dtype=np.uint8)
     points = np.nonzero(occupied)
     fronts = _fronts(own, points)
     elsewhere = np.zeros_like(own)
-    same = _same_wall_cells(resolution)
+    same, near = _same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
     for number, side in enumerate(SIDES):
         bit = np.uint8(1 << number)
         front = np.zeros_like(own)
         front[points] = fronts & bit
-        elsewhere |= cv2.dilate(front, _band(side, same))
+        elsewhere |= np.asarray(cv2.dilate(front, _band(side, same, 3)), dtype=np.uint8)
     ways = _thick(fronts, points, own.shape, same)
     elsewhere[points] = ways
+    elsewhere[~_is_shown(own, points, ways, same)] = 0
     own |= np.left_shift(elsewhere, np.uint8(WALL_SIDES))
-    own &= ~(np.uint8(WALL_NEAR) * ~_is_shown(own, points, ways, resolution))
+    own &= ~(np.uint8(WALL_NEAR) * ~_is_shown(own, points, ways, near))
     return codes
 
 
@@ -113,18 +115,17 @@ def _thick(fronts: U8, points: Points, shape: tuple[int, int], reach: int) -> U8
     return ways[rows, cols]
 
 
-def _is_shown(codes: U8, points: Points, ways: U8, resolution: float) -> npt.NDArray[np.bool_]:
+def _is_shown(codes: U8, points: Points, ways: U8, reach: int) -> npt.NDArray[np.bool_]:
     """Return the cells of which a map says something: known ones, and those at a wall's faces.
 
     Before and behind its wall a map says that the wall stands here; beyond its end, as where the
     map was cropped, it says nothing.
     """
     shown = codes & np.uint8(WALL_OCCUPIED | WALL_FREE)
-    near = max(1, math.floor(TOLERANCE_M / resolution))
     for number, side in enumerate(SIDES):
         faces = np.zeros_like(codes)
         faces[points] = ways & np.uint8(1 << number)
-        shown |= np.asarray(cv2.dilate(faces, _band(side, near)), dtype=np.uint8)
+        shown |= np.asarray(cv2.dilate(faces, _band(side, reach, 1)), dtype=np.uint8)
     return np.asarray(shown != 0)
 
 
@@ -136,6 +137,7 @@ def _disc(radius: float) -> U8:
     return np.asarray(row**2 + col**2 <= radius**2 + 1e-6, dtype=np.uint8)
 
 
-def _band(side: tuple[int, int], reach: int) -> U8:
+def _band(side: tuple[int, int], reach: int, width: int) -> U8:
     """Return a structuring element along a way, ``reach`` cells to both ends."""
-    return np.ones((1, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, 1), dtype=np.uint8)
+    shape = (width, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, width)
+    return np.ones(shape, dtype=np.uint8)

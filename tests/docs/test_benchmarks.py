@@ -42,6 +42,7 @@ MEASURED = Measurement(
 BENCHMARKS = ROOT / "tests" / "benchmarks"
 # Heads of the tables that a person writes, by page: settings, advice, links. None was measured.
 WORDS = {
+    "docs/concepts/alignment.md": {"| match | share of the common walls | what it means |"},
     "README.md": {"| question | page |", "| where | how |"},
     "CONTRIBUTING.md": {"| after a change of | run |"},
     "SECURITY.md": {"| how far | what |", "| what | how far |"},
@@ -57,7 +58,7 @@ WORDS = {
     "docs/guides/site.md": {"| step | work | on workers | memory |"},
     "docs/guides/troubleshooting.md": {"| what you see | why | what to do |"},
     "docs/guides/two_robots.md": {"| map_merge | fusion node | `slamfusion fuse` |"},
-    "docs/guides/which_slam.md": {"| | tinySLAM | gmapping | graph |"},
+    "docs/guides/which_slam.md": {"| | tinySLAM | gmapping | graph |", "| | |"},
     "docs/index.md": {"| question | page |"},
     "docs/install.md": {"| for | install |", "| what | held | until |"},
     "docs/reference/command_line.md": {"| code | means |", "| command | does |"},
@@ -176,7 +177,7 @@ def test_a_benchmark_keeps_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyP
     bench_vote_time.main()
     kept = measurements(tmp_path / "new")["vote-time"]
     assert kept.columns == ("mode", "inputs", "copy ms", "vote ms", "ratio")
-    assert [row[:2] for row in kept.rows[:2]] == [("majority", "1"), ("majority", "2")]
+    assert [row[:2] for row in kept.rows[:2]] == [("consensus", "1"), ("consensus", "2")]
     assert kept.command.endswith(" 16 --record")
 
 

@@ -400,8 +400,12 @@ def test_union_and_reference_share_one_lattice(device: ComputeDevice) -> None:
     # Two halves of a small place: told apart only by the frame they share.
     align = replace(QUICK.align, shared_frame=True)
     config = replace(QUICK, reference="west", align=align)
-    inner = fuse_grids(parts, replace(config, vote=VoteConfig(extent="reference")), device).fused
-    outer = fuse_grids(parts, replace(config, vote=VoteConfig(extent="union")), device).fused
+    inner = fuse_grids(
+        parts, replace(config, vote=VoteConfig("majority", "abstain", "reference")), device
+    ).fused
+    outer = fuse_grids(
+        parts, replace(config, vote=VoteConfig("majority", "abstain", "union")), device
+    ).fused
     assert outer.width > inner.width
     assert inner.cells.shape == parts[0].cells.shape
     offset = outer.origin.inverse().transform((inner.origin.x, inner.origin.y)) / inner.resolution
