@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -83,7 +82,11 @@ def fuse_with_drawn(
     vote = replace(config.vote, mode="consensus")
     layers = {drawn.name: own, **{name: aligned[name] for name in voters}}
     voter = TileVoter(whole, vote, drawn.resolution, tuple(layers))
-    shown = {name: voter.prepare(whole, partial(_all, cells)) for name, cells in layers.items()}
+    shape = (box.height, box.width)
+    shown = {
+        name: voter.prepare(whole, GridLayer(shape, whole, cells).on)
+        for name, cells in layers.items()
+    }
     if voter.weighs:
         voter = voter.trusting(voter.count(whole, shown))
     voted = voter.decide(whole, shown, device)
@@ -110,11 +113,6 @@ def fuse_with_drawn(
         wall_agreement=result.wall_agreement | wall_agreement_of(voter.trust),
         left_out_m2={},
     )
-
-
-def _all(cells: I8, box: CellBox) -> I8:  # noqa: ARG001
-    """Return cells as they are, whatever box is asked for: all of them."""
-    return cells
 
 
 def _agreement(fused: I8, maps: list[I8]) -> I8:

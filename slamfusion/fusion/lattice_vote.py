@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -231,8 +231,8 @@ def _vote_apart(
         for is_second in (False, True)
     )
     reason = (
-        f"agrees with {_listed(second.alignments)} and contradicts {_listed(first.alignments)}; "
-        "fused apart"
+        f"agrees with {', '.join(second.alignments)} "
+        f"and contradicts {', '.join(first.alignments)}; fused apart"
     )
     theirs = {
         grid.name: InputRecord(grid, group.alignments[grid.name], False, reason)
@@ -243,10 +243,6 @@ def _vote_apart(
     result = vote_on_lattice(grids, first, lattices, {**others, **theirs}, config, device)
     other = vote_on_lattice(own, second, lattices, {}, config, device)
     return replace(result, others=(*result.others, other))
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(names)
 
 
 def weights_of(names: Sequence[str], trust: Trust | None) -> dict[str, float]:
