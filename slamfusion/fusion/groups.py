@@ -430,6 +430,7 @@ def _to_reference(
         features, pairs, device: see ``align_group``.
     """
     direct = {(pair.reference, pair.moving): pair for pair in pairs if pair.accepted}
+    tried = {frozenset((pair.reference, pair.moving)) for pair in pairs}
     out = {}
     for name in group.members:
         pair = direct.get((reference, name))
@@ -439,10 +440,12 @@ def _to_reference(
         elif poses is not None:
             transform = poses[reference].inverse().compose(poses[name])
             own = pair or other
-            if own is None:
-                out[name] = placed(features[reference], features[name], transform, device)
-            else:
+            if own is not None:
                 out[name] = replace(_from_the_side_of(name, own), transform=transform)
+                continue
+            found = placed(features[reference], features[name], transform, device)
+            was_rejected = frozenset((reference, name)) in tried
+            out[name] = replace(found, reason=words_over(name, found)) if was_rejected else found
         elif pair is not None:
             out[name] = pair
         else:

@@ -92,7 +92,7 @@ def placed(
     found = Found(motion, None, None, "tracked")
     began = time.perf_counter()
     measured = judge(reference, moving, AlignConfig(), device, found, transform, 1, began, None)
-    reason = "placed over other maps; all alignments of the group were solved together"
+    reason = "placed over other maps, with which it is aligned"
     return replace(measured, transform=transform, accepted=True, reason=reason, decision="accepted")
 
 

@@ -186,13 +186,13 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
         resolution: metres a cell.
 
     Returns:
-        (N, H, W) uint8, weights from 0 to ``VOTE_ONE``, the greatest of each block is that; and
-        (N, H, W) uint16, ranks: all different; the map with the highest draws a wall that it has.
+        (N, H, W) uint8, weights from 0 to ``VOTE_ONE``; and (N, H, W) uint16, ranks: all different;
+        the map with the highest draws a wall that it has.
     """
     count, prior = len(trust.names), PRIOR_M / resolution
     amount = trust.weights.astype(np.float64) / VOTE_ONE
     shape = counts.seen.shape[2:]
-    odds = np.zeros((count, *shape))
+    odds, most = np.zeros((count, *shape)), np.zeros(shape)
     for j in range(count):
         seen, met, known = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         for i in range(count):
@@ -201,10 +201,13 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
                 seen += amount[i] * there
                 met += amount[i] * _window(counts.met[i, j] + counts.met[j, i])
                 known += amount[i] * (there > 0)
-        known = np.maximum(known, 1e-9)
-        odds[j] = _log_odds((met / known + prior * trust.agreement[j]) / (seen / known + prior))
-    most = odds.max(axis=0)
-    relative = np.where(most > 0.0, odds / np.maximum(most, 1e-9), amount[:, None, None])
+        others = np.maximum(known, 1e-9)
+        odds[j] = _log_odds((met / others + prior * trust.agreement[j]) / (seen / others + prior))
+        # Maps that show no wall of this place do not say how sure the best one is here.
+        most = np.where(known > 0.0, np.maximum(most, odds[j]), most)
+    relative = np.where(
+        most > 0.0, np.minimum(1.0, odds / np.maximum(most, 1e-9)), amount[:, None, None]
+    )
     weights = _levels(relative)
     steady = np.minimum(1.0, 2.0 * weights / VOTE_ONE)
     ranks = np.rint(RANK_ONE * trust.precision[:, None, None] * steady).astype(np.uint16)

@@ -295,8 +295,8 @@ def test_paths_of_several_logs(ask: Ask, tmp_path: Path) -> None:
     code, out, err = ask("judge", *words, "--save-results", "a.zip")
     assert code == 0, err
     assert "3 paths in 2 cases" in out
-    assert "south: The scans bear out good best" in out
-    assert "north: good is the only path" in out
+    assert "south: Use the good path: no scan contradicts it" in out
+    assert "north: Use the good path: no scan contradicts it" in out
     assert "means are of different cases" in err
     found = document(ask("judge", *words, "--json"), "judge")
     assert [log["case"] for log in found["logs"]] == ["north", "south"]

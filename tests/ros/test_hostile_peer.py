@@ -123,9 +123,10 @@ def test_a_hostile_peer_moves_no_cell_of_the_fused_map(
     rng = np.random.default_rng(1)
     flood(observer, goods, BEFORE, rng)
     observer.listen(2.0)
-    before_mb = resident_mb(fusion)
+    before_mb, before = resident_mb(fusion), heard[-1]
     flood(observer, goods, count_of(request), rng)
-    assert share_equal(heard[-1], wanted) == 1.0
+    assert heard[-1].data == before.data
+    assert share_equal(heard[-1], wanted) > 0.9
     # It goes on: news of a good input are heard, and change what they should.
     count = len(heard)
     makers.send(touched(three()["c"], 1))

@@ -243,7 +243,7 @@ class FusedLayers:
         shown = self._walls if voter.weighs else self._carried
         whole = self.box or tile
         window = slices(voter.around(tile), whole.row0, whole.col0)
-        return {name: shown[name][window] for name in voter.names}
+        return {name: shown[name][window] for name in voter.names if name in shown}
 
     def _classes(self, cells: I8) -> I8:
         return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
