@@ -62,9 +62,19 @@ class WallCounts:
     met: I64
     same: I64
 
+    @property
+    def tables(self) -> tuple[I64, I64, I64]:
+        """All three."""
+        return self.seen, self.met, self.same
+
     def total(self) -> WallCounts:
         """Return the sum over all blocks."""
-        return WallCounts(*(part.sum(axis=(2, 3)) for part in (self.seen, self.met, self.same)))
+        return WallCounts(*(table.sum(axis=(2, 3)) for table in self.tables))
+
+    def part(self, blocks: tuple[slice, slice]) -> WallCounts:
+        """Return a view of some rows and columns of blocks."""
+        rows, cols = blocks
+        return WallCounts(*(table[:, :, rows, cols] for table in self.tables))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ Maps in memory, packed maps of a store and the layers of the live fusion are all
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -255,7 +255,7 @@ class TileVoter:
             wide = self.around(tile)
             part = slices(tile, wide.row0, wide.col0)
             found = count_walls([codes[part].view(np.uint8) for codes in shown.values()], 31)
-            for sums, own in zip(_tables(total), _tables(found.total()), strict=True):
+            for sums, own in zip(total.tables, found.total().tables, strict=True):
                 sums[at] = own
         return total
 
@@ -264,7 +264,11 @@ class TileVoter:
         return replace(self, trust=trust_of(self.names, counts))
 
     def decide(
-        self, tile: CellBox, shown: Mapping[str, I8 | U8], device: VoteDevice
+        self,
+        tile: CellBox,
+        shown: Mapping[str, I8 | U8],
+        device: VoteDevice,
+        counts: WallCounts | None = None,
     ) -> DecidedTile | None:
         """Decide the cells of a tile; None where no input shows anything.
 
@@ -272,6 +276,7 @@ class TileVoter:
             tile: cells.
             shown: by name, prepared on ``around(tile)``, of those that know a cell there.
             device: computes.
+            counts: how their walls agree in each block of ``around(tile)``; None: they are counted.
 
         Raises:
             GridError: more inputs than a vote takes know one place.
@@ -288,7 +293,10 @@ class TileVoter:
             votes = vote_grids(grids, device, unknown_votes=self.unknown_votes)
         else:
             trust = self.trust.part(list(shown))
-            votes, worst = self._weighed(tile, wide, shown, trust, device)
+            codes = [own.view(np.uint8) for own in shown.values()]
+            _check_count(codes)
+            counts = counts or count_walls(codes, self.shift, self.phase(wide))
+            votes, worst = self._weighed(tile, wide, codes, trust, counts, device)
         return DecidedTile(
             votes.fused, votes.agreement, votes.phantom_cells, tuple(shown), votes.dissent, worst
         )
@@ -297,31 +305,22 @@ class TileVoter:
         self,
         tile: CellBox,
         wide: CellBox,
-        shown: Mapping[str, I8 | U8],
+        codes: Sequence[U8],
         trust: Trust,
+        counts: WallCounts,
         device: VoteDevice,
     ) -> tuple[Votes, dict[str, tuple[int, int, int]]]:
         """Let walls be voted for by weight."""
-        codes = [own.view(np.uint8) for own in shown.values()]
-        _check_count(codes)
-        phase = self._phase(wide)
-        counts = count_walls(codes, self.shift, phase)
+        phase = self.phase(wide)
         weights, ranks = local_weights(counts, trust, self.resolution)
-        own = self._phase(tile)
-        row, col = (
-            (at + first >> self.shift) - (start + first >> self.shift)
-            for at, start, first in zip(
-                (tile.row0, tile.col0), (wide.row0, wide.col0), self.first, strict=True
-            )
-        )
-        inner = (slice(None), slice(row, None), slice(col, None))
+        inner = (slice(None), *self.blocks(tile, wide))
         votes = device.vote_walls(
             [np.ascontiguousarray(c[slices(tile, wide.row0, wide.col0)]) for c in codes],
             np.ascontiguousarray(weights[inner]),
             np.ascontiguousarray(ranks[inner]),
             trust.weights,
             shift=self.shift,
-            phase=own,
+            phase=self.phase(tile),
         )
         side = 1 << self.shift
         worst = {
@@ -334,7 +333,22 @@ class TileVoter:
         }
         return votes, worst
 
-    def _phase(self, box: CellBox) -> tuple[int, int]:
+    def blocks(self, box: CellBox, outer: CellBox) -> tuple[slice, slice]:
+        """Return which rows and columns of the blocks of an outer box hold a box."""
+        down, right = self.first
+        rows, cols = (
+            (
+                (first + offset >> self.shift) - (start + offset >> self.shift),
+                (last + offset - 1 >> self.shift) - (start + offset >> self.shift) + 1,
+            )
+            for first, last, start, offset in (
+                (box.row0, box.row1, outer.row0, down),
+                (box.col0, box.col1, outer.col0, right),
+            )
+        )
+        return slice(*rows), slice(*cols)
+
+    def phase(self, box: CellBox) -> tuple[int, int]:
         """Return the row and column of the first cell of a box in its block."""
         mask = (1 << self.shift) - 1
         return (box.row0 + self.first[0]) & mask, (box.col0 + self.first[1]) & mask
@@ -342,7 +356,7 @@ class TileVoter:
 
 def sum_counts(counts: Iterable[WallCounts]) -> WallCounts:
     """Return the sum of the counts of tiles."""
-    tables = zip(*(_tables(part) for part in counts), strict=True)
+    tables = zip(*(part.tables for part in counts), strict=True)
     return WallCounts(*(np.sum(table, axis=0) for table in tables))
 
 
@@ -412,10 +426,6 @@ def tiles_of(whole: CellBox, side: int) -> Iterator[CellBox]:
         for col0, col1 in pairwise(cols):
             if row1 > row0 and col1 > col0:
                 yield CellBox(row0, col0, row1, col1)
-
-
-def _tables(counts: WallCounts) -> tuple[npt.NDArray[np.int64], ...]:
-    return counts.seen, counts.met, counts.same
 
 
 def _check_count(grids: list[Any]) -> None:

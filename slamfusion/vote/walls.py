@@ -20,8 +20,6 @@ __all__ = ["margin_cells", "wall_codes"]
 
 I8 = npt.NDArray[np.int8]
 U8 = npt.NDArray[np.uint8]
-# Rows and columns of cells.
-Points = tuple[npt.NDArray[np.intp], ...]
 
 # By how much good maps of one place differ in where they draw a wall, metres.
 TOLERANCE_M = 0.08
@@ -29,8 +27,12 @@ TOLERANCE_M = 0.08
 SAME_WALL_M = 0.4
 # A wall faces free cells up to this many cells away; the cells between may be unknown.
 FRONT_CELLS = 3
-# Steps in rows and columns to what a wall may face.
+# Steps in rows and columns to what a wall may face: the first two along a row, the others along a
+# column. Each has the bit of its place.
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
+ALONG_ROW, ALONG_COL = np.uint8(0b0011), np.uint8(0b1100)
+# Rows that are looked at once: they stay in the processor's cache.
+STRIP_ROWS = 128
 
 
 def margin_cells(resolution: float) -> int:
@@ -50,83 +52,93 @@ def wall_codes(cells: I8, resolution: float) -> U8:
         tolerance), and from ``WALL_SIDES`` on one for each way that walls face: at a wall cell the
         ways that this wall faces, elsewhere those of walls up to 0.4 m away.
     """
-    walls, free = cells == 1, cells == 0
-    codes: U8 = (walls * np.uint8(WALL_OCCUPIED) | free * np.uint8(WALL_FREE)).astype(np.uint8)
-    rows, cols = np.flatnonzero(walls.any(axis=1)), np.flatnonzero(walls.any(axis=0))
-    if not len(rows):
-        return codes
-    reach = margin_cells(resolution)
-    # Cells farther from all walls have no more bits.
-    window = (
-        slice(max(0, int(rows[0]) - reach), int(rows[-1]) + reach + 1),
-        slice(max(0, int(cols[0]) - reach), int(cols[-1]) + reach + 1),
-    )
-    own = codes[window]
-    occupied = own & np.uint8(WALL_OCCUPIED)
-    near_walls = cv2.dilate(occupied, _disc(TOLERANCE_M / resolution))
-    own |= np.asarray(near_walls * np.uint8(WALL_NEAR), dtype=np.uint8)
-    points = np.nonzero(occupied)
-    fronts = _fronts(own, points)
-    elsewhere = np.zeros_like(own)
-    same, near = _same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
-    for number, side in enumerate(SIDES):
-        bit = np.uint8(1 << number)
-        front = np.zeros_like(own)
-        front[points] = fronts & bit
-        elsewhere |= np.asarray(cv2.dilate(front, _band(side, same, 3)), dtype=np.uint8)
-    ways = _thick(fronts, points, own.shape, same)
-    elsewhere[points] = ways
-    elsewhere[~_is_shown(own, points, ways, same)] = 0
-    own |= np.left_shift(elsewhere, np.uint8(WALL_SIDES))
-    own &= ~(np.uint8(WALL_NEAR) * ~_is_shown(own, points, ways, near))
+    height = cells.shape[0]
+    codes = np.empty(cells.shape, dtype=np.uint8)
+    # Cells behind the face of a thick wall take its ways, which are seen from as far again.
+    reach = margin_cells(resolution) + _same_wall_cells(resolution)
+    for row in range(0, height, STRIP_ROWS):
+        first, stop = max(0, row - reach), min(height, row + STRIP_ROWS)
+        strip = _codes_of_strip(cells[first : stop + reach], resolution)
+        codes[row:stop] = strip[row - first : stop - first]
     return codes
+
+
+def _codes_of_strip(cells: I8, resolution: float) -> U8:
+    walls = (cells == 1).view(np.uint8)
+    known: U8 = walls * np.uint8(WALL_OCCUPIED) | (cells == 0) * np.uint8(WALL_FREE)
+    if not walls.any():
+        return known
+    same, near = _same_wall_cells(resolution), max(1, math.floor(TOLERANCE_M / resolution))
+    fronts = _fronts(known)
+    ways = _thick(fronts, walls, same)
+    # Three cells wide: walls of two maps are seldom quite parallel.
+    elsewhere = _spread(_spread(fronts & ALONG_ROW, 0, 1), 1, same)
+    elsewhere |= _spread(_spread(fronts & ALONG_COL, 1, 1), 0, same)
+    elsewhere *= _is_shown(known, ways, same)
+    near_walls = np.asarray(cv2.dilate(walls, _disc(TOLERANCE_M / resolution)), dtype=np.uint8)
+    near_walls *= _is_shown(known, ways, near)
+    sides = np.where(walls != 0, ways, elsewhere) << np.uint8(WALL_SIDES)
+    return np.asarray(known | near_walls * np.uint8(WALL_NEAR) | sides, dtype=np.uint8)
 
 
 def _same_wall_cells(resolution: float) -> int:
     return max(2, round(SAME_WALL_M / resolution))
 
 
-def _fronts(codes: U8, points: Points) -> U8:
-    """Return the ways that wall cells face, (N,) bits: free cells lie there, behind no wall."""
-    padded = np.pad(codes, FRONT_CELLS)
-    rows, cols = (at + FRONT_CELLS for at in points)
-    ways = np.zeros(len(rows), dtype=np.uint8)
+def _fronts(known: U8) -> U8:
+    """Return the ways that wall cells face, (H, W) bits: free cells lie there, behind no wall."""
+    height, width = known.shape
+    walls, free = (np.pad(known & bit != 0, FRONT_CELLS) for bit in (WALL_OCCUPIED, WALL_FREE))
+    ways = np.zeros_like(known)
     for number, (down, right) in enumerate(SIDES):
-        steps = [padded[rows + n * down, cols + n * right] for n in range(1, FRONT_CELLS + 1)]
-        faces = np.bitwise_or.reduce(steps) & WALL_FREE != 0
-        faces &= steps[0] & WALL_OCCUPIED == 0
+
+        def ahead(
+            of: npt.NDArray[np.bool_], cells: int, down: int = down, right: int = right
+        ) -> npt.NDArray[np.bool_]:
+            row, col = FRONT_CELLS + cells * down, FRONT_CELLS + cells * right
+            return of[row : row + height, col : col + width]
+
+        faces = ahead(free, 1)
+        for cells in range(2, FRONT_CELLS + 1):
+            faces = faces | ahead(free, cells)
+        faces = faces & (ahead(walls, 0) > ahead(walls, 1))
         ways |= faces * np.uint8(1 << number)
     return ways
 
 
-def _thick(fronts: U8, points: Points, shape: tuple[int, int], reach: int) -> U8:
-    """Return the ways that wall cells face, (N,) bits; cells behind a face take its ways."""
-    height, width = shape
-    ways = np.zeros((height + 2, width + 2), dtype=np.uint8)
-    rows, cols = (at + 1 for at in points)
-    ways[rows, cols] = fronts
+def _thick(fronts: U8, walls: U8, reach: int) -> U8:
+    """Return the ways that wall cells face, (H, W) bits; cells behind a face take its ways."""
+    ways = fronts.copy()
     for _ in range(reach):
-        rest = np.flatnonzero(ways[rows, cols] == 0)
-        if not len(rest):
+        inside = walls * (ways == 0)
+        taken = _spread(_spread(ways, 0, 1), 1, 1) * inside
+        if not taken.any():
             break
-        row, col = rows[rest], cols[rest]
-        around = [ways[row + down, col + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
-        ways[row, col] = np.bitwise_or.reduce(around)
-    return ways[rows, cols]
+        ways |= taken
+    return ways
 
 
-def _is_shown(codes: U8, points: Points, ways: U8, reach: int) -> npt.NDArray[np.bool_]:
+def _is_shown(known: U8, ways: U8, reach: int) -> npt.NDArray[np.bool_]:
     """Return the cells of which a map says something: known ones, and those at a wall's faces.
 
     Before and behind its wall a map says that the wall stands here; beyond its end, as where the
     map was cropped, it says nothing.
     """
-    shown = codes & np.uint8(WALL_OCCUPIED | WALL_FREE)
-    for number, side in enumerate(SIDES):
-        faces = np.zeros_like(codes)
-        faces[points] = ways & np.uint8(1 << number)
-        shown |= np.asarray(cv2.dilate(faces, _band(side, reach, 1)), dtype=np.uint8)
+    shown = known | _spread(ways & ALONG_ROW, 1, reach) | _spread(ways & ALONG_COL, 0, reach)
     return np.asarray(shown != 0)
+
+
+def _spread(bits: U8, axis: int, reach: int) -> U8:
+    """Return the bits of all cells up to ``reach`` cells away along an axis, in each cell."""
+    margin = [(0, 0), (0, 0)]
+    margin[axis] = (reach, reach)
+    out = np.moveaxis(np.pad(bits, margin), axis, 0)
+    width, wanted = 1, 2 * reach + 1
+    while width < wanted:
+        step = min(width, wanted - width)
+        out = out[:-step] | out[step:]
+        width += step
+    return np.moveaxis(out, 0, axis)
 
 
 def _disc(radius: float) -> U8:
@@ -135,9 +147,3 @@ def _disc(radius: float) -> U8:
     reach = math.floor(radius)
     row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     return np.asarray(row**2 + col**2 <= radius**2 + 1e-6, dtype=np.uint8)
-
-
-def _band(side: tuple[int, int], reach: int, width: int) -> U8:
-    """Return a structuring element along a way, ``reach`` cells to both ends."""
-    shape = (width, 2 * reach + 1) if side[0] == 0 else (2 * reach + 1, width)
-    return np.ones(shape, dtype=np.uint8)

@@ -20,7 +20,7 @@ from slamfusion.fusion.live.lattice import Layer, carry
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 from slamfusion.io.memory import check_memory
-from slamfusion.vote.agreement import Trust
+from slamfusion.vote.agreement import Trust, WallCounts, count_walls
 from slamfusion.vote.boxes import grown_inside, hull, overlap, padded, slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
@@ -60,6 +60,9 @@ class FusedLayers:
         self._carried: dict[str, I8] = {}
         self._walls: dict[str, npt.NDArray[np.uint8]] = {}
         self._trust: Trust | None = None
+        # Walls that agree, of the voters and the cells of the last vote.
+        self._counts: WallCounts | None = None
+        self._counted: tuple[tuple[str, ...], CellBox] | None = None
         self._covered: dict[str, CellBox] = {}
         self._fused = np.zeros((0, 0), dtype=np.int8)
         self._agreement = self._fused
@@ -162,6 +165,7 @@ class FusedLayers:
         before = self._covered.get(name)
         if name not in self._carried:
             self._carried[name] = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
+            self._walls[name] = np.zeros((box.height, box.width), dtype=np.uint8)
         carried = self._carried[name]
         now = overlap(self.lattice.box_of(known, layer.lattice, transform), box)
         if changed is None:
@@ -185,8 +189,6 @@ class FusedLayers:
 
     def _show(self, name: str, touched: CellBox, whole: CellBox) -> None:
         """Find what a layer shows around the cells that changed."""
-        if name not in self._walls:
-            self._walls[name] = np.zeros((whole.height, whole.width), dtype=np.uint8)
         size = self.lattice.resolution
         box, seen = (grown_inside(touched, cells * margin_cells(size), whole) for cells in (1, 2))
         cells = self._carried[name][slices(seen, whole.row0, whole.col0)]
@@ -198,6 +200,7 @@ class FusedLayers:
         """Take an input's layer away; return the cells that it had covered."""
         self._carried.pop(name, None)
         self._walls.pop(name, None)
+        self._counted = None
         return self._covered.pop(name, None)
 
     def vote(self, names: Sequence[str], box: CellBox, *, has_young: bool = False) -> CellBox:
@@ -220,13 +223,16 @@ class FusedLayers:
         if has_young and config.unknown == "auto":
             config = replace(config, unknown="abstain")
         voter = TileVoter(whole, config, self.lattice.resolution, tuple(names))
+        counts = None
         if voter.weighs:
-            voter = voter.trusting(voter.count(whole, self._shown(voter, whole)))
+            all_counts = self._count(voter, box)
+            voter = voter.trusting(all_counts.total())
             is_same = voter.trust is not None and voter.trust.decides_like(self._trust)
             reach = margin_cells(voter.resolution) + (1 << voter.shift)
             box = voter.aligned(grown_inside(box, reach, whole)) if is_same else whole
+            counts = all_counts.part(voter.blocks(voter.around(box), whole))
         self._trust = voter.trust
-        decided = voter.decide(box, self._shown(voter, box), self._device)
+        decided = voter.decide(box, self._shown(voter, box), self._device, counts)
         if decided is None:
             return box
         window = slices(box, whole.row0, whole.col0)
@@ -238,12 +244,30 @@ class FusedLayers:
             self.phantom_cells = self._count_phantoms(names)
         return box
 
+    def _count(self, voter: TileVoter, changed: CellBox) -> WallCounts:
+        """Count the walls of the blocks that changed again; return the counts of all blocks."""
+        whole, key = voter.whole, (voter.names, voter.whole)
+        if self._counts is None or key != self._counted:
+            changed = whole
+        box = voter.aligned(grown_inside(changed, margin_cells(voter.resolution), whole))
+        window = slices(box, whole.row0, whole.col0)
+        codes = [self._walls[name][window] for name in voter.names]
+        found = count_walls(codes, voter.shift, voter.phase(box))
+        if self._counts is None or box == whole:
+            self._counts = found
+        else:
+            kept = self._counts.part(voter.blocks(box, whole))
+            for table, new in zip(kept.tables, found.tables, strict=True):
+                table[:] = new
+        self._counted = key
+        return self._counts
+
     def _shown(self, voter: TileVoter, tile: CellBox) -> dict[str, npt.NDArray[Any]]:
         """Return what the voters show around a tile."""
         shown = self._walls if voter.weighs else self._carried
         whole = self.box or tile
         window = slices(voter.around(tile), whole.row0, whole.col0)
-        return {name: shown[name][window] for name in voter.names if name in shown}
+        return {name: shown[name][window] for name in voter.names}
 
     def _classes(self, cells: I8) -> I8:
         return np.asarray(cv2.LUT(cells.view(np.uint8), self._trinary)).view(np.int8)
