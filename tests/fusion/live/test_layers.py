@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from slamfusion.compute import ComputeDevice
@@ -13,6 +16,7 @@ from slamfusion.fusion.live.layers import FusedLayers
 from slamfusion.geometry import Pose2
 from slamfusion.grid import CellBox, trinary_cells
 from slamfusion.io import memory
+from slamfusion.vote.boxes import slices
 from slamfusion.vote.lattice import Lattice
 from slamfusion.vote.tiles import TileVoter
 from tests.fusion.drawings import random_cells
@@ -48,6 +52,26 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
         for col in range(0, size[1], 17):
             part = CellBox(row, col, min(row + 13, size[0]), min(col + 17, size[1]))
             layers.vote("abc", part)
+    assert_voted_anew(layers, config, full, device)
+    fused, _ = layers.grids()
+    assert fused.origin == Pose2(1.0, 2.0, 0.2)
+    # A part of one map changes, and nothing else is laid or counted again.
+    changed = CellBox(20, 5, 27, 15)
+    full[1][slices(changed, 0, 0)] = random_cells(4, 40, 40)[:7, :10]
+    touched = layers.lay("b", Layer(full[1], layers.lattice), box, Pose2(), changed)
+    assert touched is not None
+    layers.vote("abc", touched)
+    assert_voted_anew(layers, config, full, device)
+
+
+def assert_voted_anew(
+    layers: FusedLayers,
+    config: FusionConfig,
+    full: Sequence[npt.NDArray[np.int8]],
+    device: ComputeDevice,
+) -> None:
+    """Check that the fused cells are those of a vote of all cells at once."""
+    box = CellBox(0, 0, *full[0].shape)
     voter = TileVoter(box, config.vote, 0.1, ("a", "b", "c"))
     cells = {name: trinary_cells(own, RULES) for name, own in zip("abc", full, strict=True)}
     shown = {name: voter.prepare(box, lambda _, own=own: own) for name, own in cells.items()}
@@ -59,7 +83,6 @@ def test_boxes_voted_on_one_by_one_are_one_vote(
     assert np.array_equal(trinary_cells(fused.cells, RULES), wanted.fused)
     assert np.array_equal(agreement.cells, wanted.agreement)
     assert layers.phantom_cells == wanted.phantom_cells
-    assert fused.origin == Pose2(1.0, 2.0, 0.2)
 
 
 def test_fused_layers_grow_by_whole_cells_and_never_beyond_memory(
