@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -34,9 +34,10 @@ from slamfusion.vote.tiles import (
 __all__ = [
     "Lattices",
     "bent_maps",
+    "contradicting",
     "fused_box",
     "own_box",
-    "second_opinion",
+    "parts_of",
     "vote_on_lattice",
     "wall_agreement_of",
     "warp_onto",
@@ -166,9 +167,14 @@ def vote_on_lattice(
     if voter.weighs:
         counts = [voter.count(tile, kept.get(tile) or shown(tile)) for tile in tiles]
         voter = voter.trusting(sum_counts(counts))
-        apart = () if voter.trust is None else second_opinion(voter.trust)
-        if apart:
-            return _vote_apart(grids, group, apart, lattices, others, config, device)
+        parts = parts_of(group, voter.trust)
+        if len(parts) > 1:
+            first, second = parts
+            others = {**others, **contradicting(grids, first, second)}
+            own = [grid for grid in grids if grid.name in second.alignments]
+            other = vote_on_lattice(own, second, lattices, {}, config, device)
+            result = vote_on_lattice(grids, first, lattices, others, config, device)
+            return replace(result, others=(*result.others, other))
     fused = np.full((box.height, box.width), UNKNOWN, dtype=np.int8)
     agreement = np.full_like(fused, UNKNOWN)
     phantom_cells, worst = 0, []
@@ -216,33 +222,27 @@ def vote_on_lattice(
     )
 
 
-def _vote_apart(
-    grids: Sequence[OccupancyGrid],
-    group: Members,
-    apart: Collection[str],
-    lattices: Lattices,
-    others: Mapping[str, InputRecord],
-    config: FusionConfig,
-    device: ComputeDevice,
-) -> FusionResult:
-    """Let two groups of maps that contradict each other vote apart; see ``vote_on_lattice``."""
-    first, second = (
-        group.part([name for name in group.alignments if (name in apart) == is_second])
-        for is_second in (False, True)
-    )
+def parts_of(group: Members, trust: Trust | None) -> tuple[Members, ...]:
+    """Return the group, or two: those that decide, and those that contradict them together."""
+    apart = () if trust is None else second_opinion(trust)
+    if not apart:
+        return (group,)
+    return group.part([name for name in group.alignments if name not in apart]), group.part(apart)
+
+
+def contradicting(
+    grids: Sequence[OccupancyGrid], first: Members, second: Members
+) -> dict[str, InputRecord]:
+    """Return the records of maps that contradict others and are fused apart from them."""
     reason = (
         f"agrees with {', '.join(second.alignments)} "
         f"and contradicts {', '.join(first.alignments)}; fused apart"
     )
-    theirs = {
-        grid.name: InputRecord(grid, group.alignments[grid.name], False, reason)
+    return {
+        grid.name: InputRecord(grid, second.alignments[grid.name], False, reason)
         for grid in grids
-        if grid.name in apart
+        if grid.name in second.alignments
     }
-    own = [grid for grid in grids if grid.name in apart]
-    result = vote_on_lattice(grids, first, lattices, {**others, **theirs}, config, device)
-    other = vote_on_lattice(own, second, lattices, {}, config, device)
-    return replace(result, others=(*result.others, other))
 
 
 def weights_of(names: Sequence[str], trust: Trust | None) -> dict[str, float]:

@@ -251,7 +251,7 @@ def frame_words(result: Fusion, wanted: str | None) -> str:
 def further_groups(result: FusionResult | StoredFusion) -> str:
     """Say which inputs are fused apart from the largest group."""
     groups = [", ".join(record.name for record in other.accepted) for other in result.others]
-    return "fused apart, as they share nothing with these: " + "; ".join(groups)
+    return "fused apart from these: " + "; ".join(groups)
 
 
 def group_document(result: Fusion, stem: Path | None, store: Path | None = None) -> FusedGroupJson:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,11 +15,17 @@ from slamfusion.compute import ComputeDevice
 from slamfusion.config import RunConfig
 from slamfusion.fleet import InProcess, Scheduler
 from slamfusion.fusion.groups import Members
-from slamfusion.fusion.lattice_vote import bent_maps, wall_agreement_of, weights_of
+from slamfusion.fusion.lattice_vote import (
+    bent_maps,
+    contradicting,
+    parts_of,
+    wall_agreement_of,
+    weights_of,
+)
 from slamfusion.fusion.pipeline import AlignedInputs, align_inputs, left_out_areas
 from slamfusion.fusion.records import Fusion, InputRecord, StoredFusion
 from slamfusion.fusion.start import place_starts
-from slamfusion.fusion.stored_vote import prepare_stored_vote
+from slamfusion.fusion.stored_vote import StoredVote, prepare_stored_vote
 from slamfusion.grid import OCCUPIED
 from slamfusion.io import AtomicFiles, save_map
 from slamfusion.io.atomic import write_atomic
@@ -127,13 +133,32 @@ def fuse_into_store(
     if config.fusion.require_all:
         _check_all(aligned, device)
     scheduler = scheduler or InProcess(config.device.device)
-    groups = (aligned.group, *aligned.group.others)
-    stems = group_stems(store.with_suffix(""), len(groups))
-    stores = group_stores(store, len(groups))
+    votes = [
+        vote
+        for members in (aligned.group, *aligned.group.others)
+        for vote in _votes_of(aligned, members, config, scheduler, progress)
+    ]
+    (first, _), *others = votes
+    left_out = aligned.others
+    for members, _ in others:
+        if members.reference in aligned.group.alignments:
+            left_out = {**left_out, **contradicting(grids, first, members)}
+    stems = group_stems(store.with_suffix(""), len(votes))
+    stores = group_stores(store, len(votes))
     with ExitStack() as open_stores:
         results = [
-            _vote_into(open_stores, aligned, members, path, config, device, scheduler, progress)
-            for members, path in zip(groups, stores, strict=True)
+            _vote_into(
+                open_stores,
+                vote,
+                members,
+                _records(aligned, members, left_out if members is first else {}),
+                path,
+                config,
+                device,
+                scheduler,
+                progress,
+            )
+            for (members, vote), path in zip(votes, stores, strict=True)
         ]
     written: list[Path | None] = []
     for result, path, own in zip(results, stores, stems, strict=True):
@@ -191,10 +216,29 @@ def _check_all(aligned: AlignedInputs, device: ComputeDevice) -> None:
         raise AllRequiredError(so_far)
 
 
-def _vote_into(
-    open_stores: ExitStack,
+def _votes_of(
     aligned: AlignedInputs,
     members: Members,
+    config: RunConfig,
+    scheduler: Scheduler,
+    progress: Progress | None,
+) -> Iterator[tuple[Members, StoredVote]]:
+    """Yield the vote of a group, or those of two that contradict each other."""
+    vote = prepare_stored_vote(members, aligned.lattices, config.fusion)
+    vote = vote.trusting(scheduler, progress)
+    parts = parts_of(members, vote.voter.trust)
+    if len(parts) == 1:
+        yield members, vote
+        return
+    for part in parts:
+        yield from _votes_of(aligned, part, config, scheduler, progress)
+
+
+def _vote_into(
+    open_stores: ExitStack,
+    vote: StoredVote,
+    members: Members,
+    inputs: tuple[InputRecord, ...],
     path: Path,
     config: RunConfig,
     device: ComputeDevice,
@@ -202,8 +246,6 @@ def _vote_into(
     progress: Progress | None,
 ) -> StoredFusion:
     """Hold the vote of a group; its store is put in place when all are written."""
-    vote = prepare_stored_vote(members, aligned.lattices, config.fusion)
-    vote = vote.trusting(scheduler, progress)
     opened = open_stores.enter_context(
         MapStore(
             path,
@@ -222,7 +264,6 @@ def _vote_into(
         opened.write(AGREEMENT_ARRAY, box, decided.agreement)
         phantom_cells += decided.phantom_cells
         worst.append(decided.worst)
-    inputs = _records(aligned, members, aligned.others if members is aligned.group else {})
     extent = Extent(Lattice(vote.voter.resolution, vote.origin), vote.shape)
     trust = vote.voter.trust
     return StoredFusion(

@@ -13,6 +13,7 @@ from slamfusion.compute import ComputeDevice, open_device
 from slamfusion.config import FusionConfig, RunConfig, VoteConfig
 from slamfusion.errors import AlignmentError, MapFileError, MemoryBudgetError
 from slamfusion.fusion import stored_vote
+from slamfusion.fusion.groups import AlignedGroup
 from slamfusion.fusion.lattice_vote import vote_on_lattice
 from slamfusion.fusion.pipeline import AlignedInputs, align_inputs
 from slamfusion.geometry import Pose2
@@ -23,8 +24,10 @@ from slamfusion.jobs import fuse_store
 from slamfusion.jobs.documents import record_bytes
 from slamfusion.jobs.fuse import AllRequiredError, fuse_maps
 from slamfusion.jobs.fuse_store import check_stores, fuse_into_store
+from tests.fusion.test_lattice_vote import SIZE, placed
 from tests.support.documents import check_document
 from tests.support.sites import many_maps
+from tests.vote.rooms import moved, room
 
 pytest.importorskip("zarr", reason="Zarr comes with the fleet extra")
 pytestmark = pytest.mark.once
@@ -137,3 +140,26 @@ def test_a_union_that_exceeds_memory_is_told_with_numbers_and_the_way_out(
     monkeypatch.setattr("slamfusion.fusion.lattice_vote.VOTED_BYTES", 1 << 40)
     with pytest.raises(MemoryBudgetError, match=r"needs .* TiB .* is available; .*-o OUT\.zarr"):
         fuse_maps(TWINS, CONFIG, device)
+
+
+def test_groups_that_contradict_each_other_have_a_store_each(
+    tmp_path: Path, device: ComputeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = (
+        OccupancyGrid(np.where(cells == 1, 100, cells).astype(np.int8), SIZE)
+        for cells in (room(), moved(room(), 4, 7))
+    )
+    ready = placed([(one, Pose2())] * 2 + [(other, Pose2())] * 2, device, ("a", "b", "c", "d"))
+    group = AlignedGroup(ready.members.reference, ready.members.alignments, {}, ())
+    aligned = AlignedInputs(tuple(ready.grids), group, ready.normalized.__getitem__, {})
+    monkeypatch.setattr(fuse_store, "align_inputs", lambda *_, **__: aligned)
+    stored = fuse_into_store(ready.grids, tmp_path / "out.zarr", CONFIG, device)
+    assert [path.name for path in stored.stores] == ["out.zarr", "out-2.zarr"]
+    whole = vote_on_lattice(ready.grids, group, aligned.lattices, {}, CONFIG.fusion, device)
+    for result, wanted, path in zip(
+        (stored.result, *stored.result.others), (whole, *whole.others), stored.stores, strict=True
+    ):
+        assert np.array_equal(read_stored_map(path, "fused").cells, wanted.fused.cells)
+        assert [(r.name, r.accepted, r.reason) for r in result.inputs] == [
+            (r.name, r.accepted, r.reason) for r in wanted.inputs
+        ]
