@@ -1,9 +1,13 @@
 """Weigh maps by how well their walls agree: in all, and in windows of a few metres.
 
 Two maps agree in a wall cell where the other has a wall within the tolerance; it counts where the
-other knows the cell, or has the same wall elsewhere (``walls``). The best map is the one with the
-greatest agreement with all others. A map is as right as its agreement with the best one says, or
-the weakest agreement in a chain of maps from there. Independent voters that are right with
+other knows the cell, or has the same wall elsewhere (``walls``). A wall that the other draws
+elsewhere is an error of the map that draws it here: where a map is bent both have such errors, and
+share them; of a thick wall and a thin one only the thick one has. A wall that the other does not
+have is an error of both, for two maps do not say whose.
+
+The best map is the one that the others bear out most. A map is as right as the best one bears it
+out, or the weakest link in a chain of maps from there. Independent voters that are right with
 probability p are best weighed by the log-odds of p (Nitzan and Paroush, International Economic
 Review 1982).
 """
@@ -56,16 +60,24 @@ class WallCounts:
         seen: wall cells of map i that map j knows, or has elsewhere.
         met: of these, the ones with a wall of j within the tolerance.
         same: the ones that are wall cells of j.
+        moved: those that j shows elsewhere: no wall of j is within the tolerance, but one that
+            faces the same way is close by.
     """
 
     seen: I64
     met: I64
     same: I64
+    moved: I64
 
     @property
-    def tables(self) -> tuple[I64, I64, I64]:
-        """All three."""
-        return self.seen, self.met, self.same
+    def tables(self) -> tuple[I64, I64, I64, I64]:
+        """All four."""
+        return self.seen, self.met, self.same, self.moved
+
+    @property
+    def extra(self) -> I64:
+        """Wall cells of map i where map j shows no wall."""
+        return self.seen - self.met - self.moved
 
     def total(self) -> WallCounts:
         """Return the sum over all blocks."""
@@ -87,7 +99,8 @@ class Trust:
         weights: (N,) uint8, 0 (no vote) to ``VOTE_ONE``.
         precision: (N,) float64, the share of its wall cells that are wall cells of the others: of
             maps that agree alike, the one with the thinnest and steadiest walls has most.
-        pairs: (N, N) float64, the agreement of each two; 0.5 where they share no ground.
+        pairs: (N, N) float64, the share of map i's walls that map j bears out; 0.5 where they share
+            no ground.
     """
 
     names: tuple[str, ...]
@@ -140,8 +153,7 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
         (side + first - 1 >> shift) + 1 for side, first in zip((height, width), phase, strict=True)
     )
     blocks = shape[0] * shape[1]
-    seen = np.zeros((count, count, blocks), dtype=np.int64)
-    met, same = np.zeros_like(seen), np.zeros_like(seen)
+    seen, met, same, moved = np.zeros((4, count, count, blocks), dtype=np.int64)
     for i, own in enumerate(codes):
         rows, cols = np.nonzero(own & WALL_OCCUPIED)
         block = (rows + phase[0] >> shift) * shape[1] + (cols + phase[1] >> shift)
@@ -151,11 +163,17 @@ def count_walls(codes: Sequence[U8], shift: int, phase: tuple[int, int] = (0, 0)
                 continue
             there = other[rows, cols]
             is_met = there & WALL_NEAR != 0
-            is_seen = is_met | (there & WALL_FREE != 0) | (there >> WALL_SIDES & ways != 0)
+            is_moved = ~is_met & (there >> WALL_SIDES & ways != 0)
+            is_seen = is_met | is_moved | (there & WALL_FREE != 0)
             is_same = there & WALL_OCCUPIED != 0
-            for table, mask in ((seen, is_seen), (met, is_met), (same, is_same)):
+            for table, mask in (
+                (seen, is_seen),
+                (met, is_met),
+                (same, is_same),
+                (moved, is_moved),
+            ):
                 table[i, j] = np.bincount(block[mask], minlength=blocks)
-    return WallCounts(*(table.reshape(count, count, *shape) for table in (seen, met, same)))
+    return WallCounts(*(table.reshape(count, count, *shape) for table in (seen, met, same, moved)))
 
 
 def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
@@ -165,14 +183,15 @@ def trust_of(names: Sequence[str], counts: WallCounts) -> Trust:
         names: of the maps.
         counts: (N, N), of all their walls.
     """
-    share = (counts.met + 1.0) / (counts.seen + 2.0)
-    pairs = np.minimum(share, share.T)
+    moved = (counts.moved + 0.5) / (counts.seen + 2.0)
+    extra = (counts.extra + 0.5) / (counts.seen + 2.0)
+    pairs = 1.0 - _own_share(moved, moved.T) - np.maximum(extra, extra.T)
     np.fill_diagonal(pairs, 0.0)
     best = int(np.argmax((pairs**2).sum(axis=1)))
     agreement = np.zeros(len(names))
     agreement[best] = 1.0
     for _ in names[1:]:
-        agreement = np.maximum(agreement, np.minimum(agreement[:, None], pairs).max(axis=0))
+        agreement = np.maximum(agreement, np.minimum(agreement, pairs).max(axis=1))
     agreement[best] = pairs[best].max() if len(names) > 1 else 1.0
     odds = _log_odds(agreement)
     weights = _levels(odds / odds.max()) if odds.max() > 0.0 else np.full(len(names), VOTE_ONE)
@@ -207,9 +226,12 @@ def local_weights(counts: WallCounts, trust: Trust, resolution: float) -> tuple[
         seen, met, known = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         for i in range(count):
             if i != j and amount[i] > 0.0:
-                there = _window(counts.seen[i, j] + counts.seen[j, i])
+                there = counts.seen[i, j] + counts.seen[j, i]
+                own, other = _window(counts.moved[j, i]), _window(counts.moved[i, j])
+                wrong = _window(counts.extra[i, j] + counts.extra[j, i])
+                there, wrong = _window(there), wrong + 2.0 * _own_share(own, other)
                 seen += amount[i] * there
-                met += amount[i] * _window(counts.met[i, j] + counts.met[j, i])
+                met += amount[i] * np.maximum(there - wrong, 0.0)
                 known += amount[i] * (there > 0)
         others = np.maximum(known, 1e-9)
         odds[j] = _log_odds((met / others + prior * trust.agreement[j]) / (seen / others + prior))
@@ -238,6 +260,11 @@ def disagreeing(counts: WallCounts, trust: Trust) -> Mapping[str, tuple[int, int
         row, col = np.unravel_index(int(np.argmax(around)), around.shape)
         found[name] = (int(around[row, col]), int(row), int(col))
     return found
+
+
+def _own_share(own: F64, other: F64) -> F64:
+    """Return how far a map errs that draws this much elsewhere, as the other map does beside it."""
+    return np.asarray(np.maximum(own, np.sqrt(own * other)))
 
 
 def _log_odds(share: F64) -> F64:

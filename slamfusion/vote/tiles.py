@@ -249,7 +249,7 @@ class TileVoter:
             shown: by name, prepared on ``around(tile)``, of those that know a cell there.
         """
         count = len(self.names)
-        total = WallCounts(*(np.zeros((count, count), dtype=np.int64) for _ in range(3)))
+        total = WallCounts(*(np.zeros((count, count), dtype=np.int64) for _ in range(4)))
         if len(shown) > 1:
             at = np.ix_(*[[self.names.index(name) for name in shown]] * 2)
             wide = self.around(tile)

@@ -85,7 +85,7 @@ def test_measured_distances_are_compared(tmp_path: Path) -> None:
 def test_without_a_truth_maps_are_compared_with_each_other() -> None:
     truth, grid, _ = moved()
     cells = np.where(truth.cells == OCCUPIED, 1, truth.cells).astype(np.int8)
-    crooked = np.where(bent(cells, 0.14) == 1, OCCUPIED, bent(cells, 0.14)).astype(np.int8)
+    crooked = np.where(bent(cells, 0.15) == 1, OCCUPIED, bent(cells, 0.15)).astype(np.int8)
     maps = [replace(truth, cells=crooked, name="crooked"), truth.with_name("a"), grid]
     result = compare_maps(maps, CONFIG, device())
     found = {item["name"]: item for item in agreement_items(result)}

@@ -149,7 +149,7 @@ def test_groups_that_contradict_each_other_have_a_store_each(
         OccupancyGrid(np.where(cells == 1, 100, cells).astype(np.int8), SIZE)
         for cells in (room(), moved(room(), 4, 7))
     )
-    ready = placed([(one, Pose2())] * 2 + [(other, Pose2())] * 2, device, ("a", "b", "c", "d"))
+    ready = placed([(one, Pose2())] * 3 + [(other, Pose2())] * 2, device, tuple("abcde"))
     group = AlignedGroup(ready.members.reference, ready.members.alignments, {}, ())
     aligned = AlignedInputs(tuple(ready.grids), group, ready.normalized.__getitem__, {})
     monkeypatch.setattr(fuse_store, "align_inputs", lambda *_, **__: aligned)
