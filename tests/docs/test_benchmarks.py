@@ -51,7 +51,7 @@ WORDS = {
     "docs/concepts/graph_slam.md": {"| setting | open_karto | ours | difference |"},
     "docs/concepts/voting.md": {"| you have | take |"},
     "docs/guides/dds.md": {"| where | what |"},
-    "docs/guides/fleet.md": {"| what is said | what to do |"},
+    "docs/guides/fleet.md": {"| message | what to do |"},
     "docs/guides/live_page.md": {"| to | do |"},
     "docs/guides/nav2.md": {"| wanted | from pip alone | with ROS tools |"},
     "docs/guides/ros2.md": {"| you have | start everything with |"},
