@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from slamfusion.version import __version__
+
+# pandas loads it where it is installed, and it says with how many threads it works.
+logging.getLogger("numexpr").setLevel(logging.WARNING)
 
 project = "SLAMfusion"
 author = "The SLAMfusion developers"
