@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamfusion.compute import NumpyDevice
-from slamfusion.config import FusionConfig, LiveConfig
 from slamfusion.fusion.accept import DecisionKind
 from slamfusion.fusion.cancel import CancelToken
 from slamfusion.fusion.live import align
@@ -159,14 +157,6 @@ def _named(name: str) -> SimpleNamespace:
     return SimpleNamespace(grid=SimpleNamespace(name=name))
 
 
-def scripted_aligner(live: LiveConfig) -> Aligner:
-    """Return an aligner after the first fusion, in whose script the clock stands at 100 s."""
-    aligner = Aligner(FusionConfig(), live, NumpyDevice())
-    aligner.lattice = Lattice(CELL_M, Pose2())
-    aligner.now_s = 100.0
-    return aligner
-
-
 def voter(name: str, transform: Pose2 | None = None, **more: Any) -> Track:
     """Return an input that votes; its known box is about the origin of its frame.
 
@@ -183,10 +173,3 @@ def voter(name: str, transform: Pose2 | None = None, **more: Any) -> Track:
         "layer": Layer(np.zeros((10, 10), dtype=np.int8), lattice),
     }
     return Track(name, transform=transform or Pose2(), **{**given, **more})
-
-
-def newcomer(name: str, **more: Any) -> Track:
-    """Return an input that was never aligned."""
-    track = voter(name, **{"is_steady": False, "accepted": False, "reason": "new", **more})
-    track.transform = None
-    return track
