@@ -1,6 +1,6 @@
 """Make data/sample: a drawn building, three faulty maps of it, and their true transforms.
 
-Run as ``python data/make_sample.py [FOLDER]``; the same files come out every time.
+Run as ``python -m data.make_sample [FOLDER]`` here; the same files come out every time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import yaml
 from slamfusion.geometry import Pose2
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import save_map
-from slamfusion.sim import Degradation, degrade_map, draw_building
+from slamfusion.sim import draw_building
+from tests.support.degrade import Degradation, degrade_map
 
 SEED = 1
 SAMPLE = Path(__file__).resolve().parent / "sample"

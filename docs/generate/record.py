@@ -1,9 +1,9 @@
 """Run what a page's table is made of, and keep the table as dated JSON.
 
-    python -m docs.generate.record speed
+    python -m docs.generate.record failures
     python -m docs.generate.record real-logs --datasets DIR
-    python -m docs.generate.record speed --record out -- --quick
-    python -m docs.generate.record speed --document bench.json --commit 0123abc --date 2026-11-22
+    python -m docs.generate.record failures --record out -- --device numpy
+    python -m docs.generate.record real-logs --document r.json --commit 0123abc --date 2026-11-22
 
 The commands of the table are run with ``--json``; words after ``--`` are given to each of them.
 With ``--document`` nothing is run: the table is made of what the commands wrote before, which does
@@ -54,7 +54,6 @@ class Recipe:
 
 # By the name of the table.
 RECIPES = {
-    "speed": Recipe(("bench",), tables.speed),
     "ground-obstacle": Recipe(("experiment ground-obstacle -o {out}",), tables.ground_obstacle),
     "ground-obstacle-drawn": Recipe(
         ("experiment ground-obstacle --draw -o {out}",), tables.paths_and_faces

@@ -1,4 +1,4 @@
-"""The pages' tables of ``slamfusion`` ``bench``, ``experiment`` and ``run``, from their documents.
+"""The pages' tables of ``slamfusion experiment`` and ``run``, from their documents.
 
 A document is what the command prints with ``--json``, or the file of the experiment's name in its
 folder. Each table is its columns and its rows, all texts.
@@ -24,7 +24,6 @@ __all__ = [
     "paths_and_faces",
     "real_logs",
     "repeated_runs",
-    "speed",
 ]
 
 Document = Mapping[str, Any]
@@ -38,16 +37,6 @@ MAP_FIGURES: tuple[tuple[str, str, float, int, Callable[..., float]], ...] = (
     ("wall_f1", "wall F1", 1.0, 3, max),
     ("doubled_wall_share", "doubled walls %", 100.0, 1, min),
 )
-
-
-def speed(documents: Sequence[Document]) -> TableText:
-    """Return the table of ``bench``: seconds, and what they are held against."""
-    document = _only(documents)
-    rows = [
-        (entry["name"], _seconds(entry["seconds"]), _against(entry))
-        for entry in document["entries"]
-    ]
-    return ("work", "time", "against"), tuple(rows)
 
 
 def ground_obstacle(documents: Sequence[Document]) -> TableText:
@@ -233,13 +222,3 @@ def _interval(item: Document) -> str:
     """Return the interval of a ratio, or the ratio of a single drive, per cent."""
     ends = item["interval"] or (item["ratio"],)
     return " to ".join(_change(end, 1) for end in ends) + " %"
-
-
-def _seconds(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds >= 10.0 else f"{seconds:.2g} s"
-
-
-def _against(entry: Document) -> str:
-    if entry["target_of"] == "ratio":
-        return f"{entry['ratio']:.2f} times the {entry['baseline']}"
-    return f"{_seconds(entry['baseline_seconds'])}: {entry['baseline']}"

@@ -22,7 +22,7 @@ __all__ = ["command"]
 @with_config("device")
 @common_options
 def command(config: RunConfig, as_json: bool) -> int:
-    """Check this installation: versions, devices, and a one-second test of the kernels."""
+    """Check this installation: versions, devices, and a test of three kernels."""
     from slamfusion.jobs.doctor import check_installation  # noqa: PLC0415
 
     document = check_installation(config)

@@ -18,7 +18,6 @@ import click
 from slamfusion import __version__
 from slamfusion.cli import (
     align,
-    bench,
     compare,
     devices,
     doctor,
@@ -56,7 +55,6 @@ COMMANDS: tuple[click.Command, ...] = (
     graph.command,
     devices.command,
     doctor.command,
-    bench.command,
     node.command,
     live.command,
 )

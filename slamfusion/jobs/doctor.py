@@ -29,7 +29,7 @@ def devices_document() -> DevicesDocument:
 
 
 def check_installation(config: RunConfig) -> DoctorDocument:
-    """Look at versions and devices, and run the kernels on the chosen device for a second.
+    """Look at versions and devices, and test three kernels of the chosen device.
 
     Args:
         config: names the device.
@@ -83,8 +83,8 @@ def has_two_rclpy() -> bool:
 
 
 def _self_test(wanted: str) -> tuple[str | None, list[tuple[str, bool, str]]]:
-    """Run the kernels on the chosen device; a device that cannot be opened is a failed test."""
-    from slamfusion.compute.self_test import self_test  # noqa: PLC0415  (nobody else needs it)
+    """Test three kernels of the chosen device; a device that cannot be opened is a failed test."""
+    from slamfusion.compute.self_test import self_test  # noqa: PLC0415
 
     try:
         device = open_device(wanted)

@@ -1,6 +1,6 @@
 """What the commands beside the main work print with ``--json``: typed documents.
 
-These are ``graph optimize``, ``simulate``, ``bench``, ``devices`` and ``doctor``.
+These are ``graph optimize``, ``simulate``, ``devices`` and ``doctor``.
 
 The text below a key is its meaning and unit; the published JSON Schema carries it (see
 ``slamfusion.jobs.records``).
@@ -9,15 +9,12 @@ The text below a key is its meaning and unit; the published JSON Schema carries 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypedDict
+from typing import TypedDict
 
 from slamfusion.compute.records import DeviceJson, PoclJson
 from slamfusion.jobs.records import CircumstancesJson, SettingsJson
 
 __all__ = [
-    "BenchDocument",
-    "BenchEntryJson",
-    "BenchResultsJson",
     "DevicesDocument",
     "DoctorDocument",
     "GraphOptimizeDocument",
@@ -128,53 +125,6 @@ class SimulateDocument(SimulatedDriveJson, CircumstancesJson):
     """What was written."""
     time_s: float
     """Wall time, seconds."""
-
-
-class BenchEntryJson(TypedDict):
-    """One measurement of the benchmark."""
-
-    name: str
-    """What was done."""
-    seconds: float
-    """Median wall time over the runs, seconds."""
-    runs: int
-    """How often it was done."""
-    baseline: str
-    """What it is compared with."""
-    baseline_seconds: float
-    """The baseline's median wall time, seconds."""
-    must: float | None
-    """The target; null where there is none."""
-    stretch: float | None
-    """The target beyond it; null where there is none."""
-    target_of: Literal["seconds", "ratio"]
-    """What the targets bound."""
-    detail: Mapping[str, Any]
-    """Whatever else was found."""
-    ratio: float
-    """Seconds over the baseline's; smaller is better."""
-    meets_must: bool | None
-    """Whether the target is met; null where there is none."""
-    meets_stretch: bool | None
-    """Whether the target beyond it is met; null where there is none."""
-
-
-class BenchResultsJson(TypedDict):
-    """All measurements of the benchmark."""
-
-    entries: Sequence[BenchEntryJson]
-    """The measurements."""
-    quick: bool
-    """Whether maps were smaller and runs fewer; targets do not apply then."""
-
-
-class BenchDocument(BenchResultsJson):
-    """``slamfusion bench``."""
-
-    device: str
-    """What was measured, in words."""
-    versions: Mapping[str, str | None]
-    """Versions of Python, of this package and of those it stands on; null: not installed."""
 
 
 class ShowDocument(TypedDict):

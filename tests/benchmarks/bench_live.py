@@ -26,8 +26,9 @@ from slamfusion.config import RunConfig
 from slamfusion.fusion.live import LiveFusion, LiveUpdate
 from slamfusion.geometry import Pose2
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.sim import Degradation, degrade_map, draw_building
+from slamfusion.sim import draw_building
 from tests.benchmarks.record import add_record_option, console_for
+from tests.support.degrade import Degradation, degrade_map
 
 RESOLUTION = 0.05
 WINDOW_M = 20.0

@@ -33,10 +33,11 @@ from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, tri
 from slamfusion.io import save_map
 from slamfusion.io.map_server import load_map
 from slamfusion.jobs.fuse_drive import produce_maps
-from slamfusion.sim import Degradation, degrade_map, named_course, simulate, thin_walls
+from slamfusion.sim import named_course, simulate, thin_walls
 from slamfusion.sim.worlds import draw_floor
 from slamfusion.slam.registry import BUILT_IN
 from tests.support.datasets import DATASETS, MAPS
+from tests.support.degrade import Degradation, degrade_map
 
 I8 = npt.NDArray[np.int8]
 

@@ -19,7 +19,6 @@ from unittest.mock import patch
 import numpy as np
 
 from slamfusion.cli import (
-    bench,
     compare,
     devices,
     doctor,
@@ -41,7 +40,6 @@ from slamfusion.experiments.sheets import Sheet
 from slamfusion.jobs.compare import compare_results
 from slamfusion.jobs.evaluate import Evaluation
 from slamfusion.jobs.results import write_results_file
-from slamfusion.jobs.tool_records import BenchEntryJson
 from tests.report.drawn import alignment, fusion, room
 
 FOLDER = Path(__file__).parent
@@ -223,24 +221,6 @@ def _doctor(*, passed: bool) -> None:
     doctor._print(document)
 
 
-def _bench() -> None:
-    entry: BenchEntryJson = {
-        "name": "align 800 x 800, without proof",
-        "seconds": 0.2893,
-        "runs": 3,
-        "baseline": "the plain search of [F16] at 1 cell and 1 deg",
-        "baseline_seconds": 6.1,
-        "ratio": 0.0474,
-        "detail": {},
-        "target_of": "seconds",
-        "must": 0.15,
-        "stretch": 0.06,
-        "meets_must": False,
-        "meets_stretch": False,
-    }
-    bench.print_entries([entry], "numpy")
-
-
 SHOWN: dict[str, Callable[[], None]] = {
     "fuse": _fuse,
     "fuse, nothing": _nothing_fused,
@@ -255,7 +235,6 @@ SHOWN: dict[str, Callable[[], None]] = {
     "devices": _devices,
     "doctor": lambda: _doctor(passed=True),
     "doctor, failed": lambda: _doctor(passed=False),
-    "bench": _bench,
 }
 
 

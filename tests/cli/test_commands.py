@@ -374,15 +374,9 @@ def test_doctor_tells_of_a_device_that_is_not_there() -> None:
     assert any("abacus" in problem for problem in document["problems"])
 
 
-def test_bench_gives_ratios() -> None:
-    done = run("bench", "--quick", "--json", timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert json_of(done)
-
-
 def test_version_and_help() -> None:
     assert __version__ in run("--version").stdout
     listing = run("--help").stdout
-    for command in ("fuse", "align", "evaluate", "devices", "doctor", "bench"):
+    for command in ("fuse", "align", "evaluate", "devices", "doctor"):
         assert command in listing
         assert run(command, "--help", is_anew=True).returncode == 0

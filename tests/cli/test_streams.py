@@ -33,7 +33,6 @@ NUMPY = ["--device", "numpy"]
 COMMANDS: dict[str, list[str]] = {
     "help": ["--help"],
     "align": ["align", *MAPS[:2]],
-    "bench": ["bench", "--help"],
     "devices": ["devices"],
     "doctor": ["doctor", "--json"],
     "experiment": ["experiment", "failures", "--help"],

@@ -1,4 +1,4 @@
-"""Tables of ``bench`` and ``experiment`` are made of their documents, and kept by one command."""
+"""Tables of ``experiment`` and ``run`` are made of their documents, and kept by one command."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slamfusion.config import RunConfig
 from slamfusion.experiments import ErrorTable, TrialRecord
 from slamfusion.experiments.voting import FUSIONS
 from slamfusion.io import write_carmen, write_tum
-from slamfusion.jobs.documents import circumstances, versions
+from slamfusion.jobs.documents import circumstances
 from slamfusion.slam.registry import BUILT_IN
 from tests.docs.test_pages import parse
 from tests.experiments.drives import room
@@ -29,24 +29,6 @@ pytestmark = pytest.mark.once
 
 HERE = circumstances(RunConfig(), "a device")
 MADE = ("--commit", "0123abc", "--date", "2026-02-28")
-
-
-def entry(name: str, seconds: float, baseline_s: float, target_of: str) -> dict[str, Any]:
-    ratio = seconds / baseline_s
-    nothing = dict.fromkeys(("must", "stretch", "meets_must", "meets_stretch"))
-    return {
-        "name": name, "seconds": seconds, "runs": 5, "baseline": "plain search",
-        "baseline_seconds": baseline_s, "ratio": ratio, "target_of": target_of, "detail": {},
-        **nothing,
-    }  # fmt: skip
-
-
-BENCH = {
-    "entries": [entry("align", 0.0754, 68.7, "seconds"), entry("vote", 0.003, 0.002, "ratio")],
-    "quick": False,
-    "device": "a device",
-    "versions": versions(),
-}
 
 
 def error_table(gains: Mapping[str, float], seeds: int, *conditions: str) -> dict[str, Any]:
@@ -68,17 +50,6 @@ def saved(folder: Path, document: Mapping[str, Any], name: str = "document") -> 
     path = folder / f"{name}.json"
     path.write_text(json.dumps(document), encoding="utf-8")
     return str(path)
-
-
-def test_speed_is_held_against_seconds_or_a_ratio() -> None:
-    check_document(BENCH, "bench")
-    assert tables.speed([BENCH]) == (
-        ("work", "time", "against"),
-        (
-            ("align", "0.075 s", "69 s: plain search"),
-            ("vote", "0.003 s", "1.50 times the plain search"),
-        ),
-    )
 
 
 def test_methods_stand_beside_each_other_and_votes_against_the_best_input() -> None:
@@ -168,11 +139,17 @@ def test_each_run_s_paths_stand_beside_the_fused_one() -> None:
 
 
 def test_a_document_becomes_a_dated_table(tmp_path: Path) -> None:
-    main(["speed", "--document", saved(tmp_path, BENCH), *MADE, "--record", str(tmp_path / "kept")])
-    kept = measurements(tmp_path / "kept")["speed"]
+    document, kept_in = error_table({}, 2, "no obstacle"), tmp_path / "kept"
+    main(
+        [
+            "ground-obstacle", "--document", saved(tmp_path, document), *MADE,
+            "--record", str(kept_in),
+        ]
+    )  # fmt: skip
+    kept = measurements(kept_in)["ground-obstacle"]
     assert (kept.commit, kept.date) == ("0123abc", "2026-02-28")
     assert kept.machine.startswith("a device, Python 3.")
-    assert (kept.columns, kept.rows) == tables.speed([BENCH])
+    assert (kept.columns, kept.rows) == tables.ground_obstacle([document])
 
 
 def test_every_recipe_is_of_a_table_that_stands_on_a_page() -> None:
@@ -235,17 +212,17 @@ def test_an_experiment_is_run_and_its_table_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["speed", "--commit", "0123abc"], "--document, --commit and --date belong together"),
+        (["failures", "--commit", "0123abc"], "--document, --commit and --date belong together"),
         (["real-logs"], "wanted --datasets DIR"),
-        (["speed", "--document", "absent.json", *MADE], "absent.json"),
-        (["speed", "--document", "{made}", "--document", "{made}", *MADE], "found 2"),
+        (["failures", "--document", "absent.json", *MADE], "absent.json"),
+        (["ground-obstacle", "--document", "{made}", "--document", "{made}", *MADE], "found 2"),
         (["failures", "--document", "{made}", *MADE], "no key 'against_best_input'"),
     ],
 )
 def test_what_cannot_be_made_is_refused_in_a_line(
     words: list[str], told: str, tmp_path: Path
 ) -> None:
-    made = saved(tmp_path, BENCH)
+    made = saved(tmp_path, HERE)
     with pytest.raises(SystemExit, match=told) as ended:
         main([*(word.format(made=made) for word in words), "--record", str(tmp_path / "kept")])
     assert "\n" not in str(ended.value)
@@ -254,5 +231,5 @@ def test_what_cannot_be_made_is_refused_in_a_line(
 
 def test_a_command_that_fails_leaves_no_table(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="ended with exit code"):
-        main(["speed", "--record", str(tmp_path / "kept"), "--", "--no-such-option"])
+        main(["failures", "--record", str(tmp_path / "kept"), "--", "--no-such-option"])
     assert not (tmp_path / "kept").exists()

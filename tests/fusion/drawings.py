@@ -16,7 +16,8 @@ from slamfusion.fusion.normalize import normalize_grid
 from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid
-from slamfusion.sim import Degradation, degrade_map, draw_building
+from slamfusion.sim import draw_building
+from tests.support.degrade import Degradation, degrade_map
 
 SIGNS = {"#": OCCUPIED, ".": FREE, " ": UNKNOWN, "?": 50}
 

@@ -208,7 +208,6 @@ FAILURES: dict[str, tuple[str, ...]] = {
     "judge": ("judge", "absent.log", "absent.tum", "--device", "numpy"),
     "compare": ("compare", "absent.zip", "other.zip"),
     "graph optimize": ("graph", "optimize", "absent.g2o"),
-    "bench": ("bench", "--device", "abacus"),
     "show": ("show", "absent"),
     # There is no such node, or no ROS.
     **{f"live {name}": ("live", name, "--timeout", "0.1") for name in LIVE},

@@ -14,7 +14,7 @@ import numpy as np
 import pyopencl as cl  # noqa: TID251 - toy kernels
 
 from slamfusion.compute import open_device
-from slamfusion.compute.self_test import CHECKS, Sample, differences
+from tests.kernels.checks import CHECKS, Sample, differences
 
 SAMPLES = (
     Sample((13, 35), seed=21),

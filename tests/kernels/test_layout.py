@@ -15,7 +15,7 @@ from slamfusion.compute.arrays import ArrayDevice
 from slamfusion.compute.compute_device import FAMILIES, ComputeDevice, NumpyDevice
 from slamfusion.compute.opencl import OpenCLDevice
 from slamfusion.compute.program import kernel_folder
-from slamfusion.compute.self_test import CHECKS
+from tests.kernels.checks import CHECKS
 
 pytestmark = pytest.mark.once
 
@@ -117,7 +117,7 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-def test_production_code_needs_neither_the_twins_nor_the_self_test():
+def test_production_code_does_not_need_the_twins():
     own = PACKAGE / "compute"
     for path in PACKAGE.rglob("*.py"):
         found = imports(path)
@@ -125,4 +125,4 @@ def test_production_code_needs_neither_the_twins_nor_the_self_test():
         if own not in path.parents:
             assert not {n for n in found if re.match(r"slamfusion\.compute\.\w+\.numpy", n)}, path
         if (own / "self_test") not in path.parents and path.name != "doctor.py":
-            assert not {n for n in found if n.startswith("slamfusion.compute.self_test")}, path
+            assert not {n for n in found if n.startswith("tests.kernels.checks")}, path

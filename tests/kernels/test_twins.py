@@ -8,8 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slamfusion.compute import ComputeDevice, NumpyDevice
-from slamfusion.compute.self_test import CHECKS, Sample, differences, self_test
+from slamfusion.compute.self_test import OPERATIONS, self_test
 from slamfusion.errors import DeviceError
+from tests.kernels.checks import CHECKS, Sample, differences
 from tests.support.examples import examples
 
 SMALL = {
@@ -58,21 +59,36 @@ def test_repeated_runs_give_the_same_bytes(pocl: ComputeDevice, fresh: ComputeDe
 
 @pytest.mark.once
 def test_self_test_passes(pocl: ComputeDevice):
-    """It is all operations one after the other; on other devices they run above."""
-    assert [name for name, passed, _ in self_test(pocl) if passed] == list(CHECKS)
+    assert self_test(pocl) == [(name, True, "equals its NumPy twin") for name in OPERATIONS]
 
 
 def test_self_test_names_a_wrong_kernel(monkeypatch: pytest.MonkeyPatch):
+    def fail(*_: object) -> None:
+        message = "no memory"
+        raise DeviceError(message)
+
+    wrong = NumpyDevice()
+    scores = wrong.pose_scores
+    monkeypatch.setattr(wrong, "pose_scores", lambda side: [s + 1 for s in scores(side)])
+    monkeypatch.setattr(wrong, "warp", fail)
+    assert self_test(wrong) == [
+        ("pose_scores", False, "output 0: 3 of 3 values differ"),
+        ("warp", False, "no memory"),
+        ("vote_majority", True, "equals its NumPy twin"),
+    ]
+
+
+def test_a_wrong_kernel_differs_from_its_twin(monkeypatch: pytest.MonkeyPatch):
     wrong = NumpyDevice()
     confusion, surface_walls = wrong.confusion, wrong.surface_walls
     monkeypatch.setattr(
         wrong, "confusion", lambda a, b: confusion(a, b) + np.eye(3, dtype=np.int64)
     )
     monkeypatch.setattr(wrong, "surface_walls", lambda *a: surface_walls(*a).astype(np.int32))
-    failed = {name: words for name, passed, words in self_test(wrong) if not passed}
-    assert failed["confusion"].startswith("output 0: 3 of 9 values differ")
-    assert failed["surface_walls"] == "output 0 is int32 (33, 70), the twin's uint8 (33, 70)"
-    assert set(failed) == {"confusion", "surface_walls"}
+    sample = Sample((33, 70))
+    assert differences("confusion", wrong, sample).startswith("output 0: 3 of 9 values differ")
+    wanted = "output 0 is int32 (33, 70), the twin's uint8 (33, 70)"
+    assert differences("surface_walls", wrong, sample) == wanted
 
 
 def test_tolerance_of_float_kernels_is_not_slack(monkeypatch: pytest.MonkeyPatch):

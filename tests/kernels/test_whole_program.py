@@ -11,7 +11,8 @@ from slamfusion.compute import ComputeDevice, NumpyDevice
 from slamfusion.config import AlignConfig, FusionConfig
 from slamfusion.fusion import align_grids, fuse_grids
 from slamfusion.grid import OccupancyGrid
-from slamfusion.sim import Degradation, degrade_map, draw_building
+from slamfusion.sim import draw_building
+from tests.support.degrade import Degradation, degrade_map
 
 pytestmark = pytest.mark.once
 

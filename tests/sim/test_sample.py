@@ -18,8 +18,8 @@ SAMPLE = DATA / "sample"
 
 
 def test_script_makes_the_same_bytes_again(tmp_path: Path) -> None:
-    command = [sys.executable, str(DATA / "make_sample.py"), str(tmp_path)]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    command = [sys.executable, "-m", "data.make_sample", str(tmp_path)]
+    subprocess.run(command, check=True, capture_output=True, timeout=120, cwd=DATA.parent)
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     kept = {path.name: path.read_bytes() for path in SAMPLE.iterdir()}
     assert made.keys() == kept.keys()

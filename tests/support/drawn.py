@@ -13,8 +13,8 @@ from slamfusion.fusion.records import Alignment
 from slamfusion.geometry import Pose2, wrap_angle
 from slamfusion.grid import OccupancyGrid
 from slamfusion.io.map_server import load_map
-from slamfusion.sim import Degradation, degrade_map, draw_degradation
 from tests.support.datasets import MAPS, load_carpin
+from tests.support.degrade import Degradation, degrade_map, draw_degradation
 
 # Eight recorded places, from one home of 7 m to a floor of 140 m.
 BASES = (

@@ -67,7 +67,6 @@ DOCUMENTS: dict[str, tuple[type, ...]] = {
     "live add": (tools.LiveAnswerDocument,),
     "live remove": (tools.LiveAnswerDocument,),
     "doctor": (tools.DoctorDocument,),
-    "bench": (tools.BenchDocument,),
 }
 # Written to files alone.
 WRITTEN = (runs.RunRecordDocument,)

@@ -20,7 +20,8 @@ import numpy.typing as npt
 
 from slamfusion.geometry import Pose2, fit_motion
 from slamfusion.grid import UNKNOWN, OccupancyGrid
-from slamfusion.sim import Degradation, degrade_map, draw_building
+from slamfusion.sim import draw_building
+from tests.support.degrade import Degradation, degrade_map
 
 __all__ = ["ManyMaps", "draw_site", "many_maps"]
 

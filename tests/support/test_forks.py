@@ -34,12 +34,10 @@ def test_a_fork_says_and_ends_as_a_start_does(
 
 
 def test_each_fork_is_a_process_of_its_own_and_tells_its_signal() -> None:
+    work = ["align", *(str(SAMPLE / f"map_{n}.yaml") for n in "ab"), "--device", "numpy"]
     with Path(os.devnull).open("r+b") as nothing:
         files = 3 * [nothing.fileno()]
-        first, second = (
-            server().start(["bench", "--device", "numpy"], os.environ, None, files)
-            for _ in range(2)
-        )
+        first, second = (server().start(work, os.environ, None, files) for _ in range(2))
     assert len({first.pid, second.pid, os.getpid()}) == 3
     with pytest.raises(subprocess.TimeoutExpired):
         first.wait(0.0)

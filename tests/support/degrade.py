@@ -15,8 +15,6 @@ from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, CellBox, OccupancyGrid, trinary_cells
 
-__all__ = ["Degradation", "degrade_map", "draw_degradation"]
-
 RESOLUTIONS_M = (0.04, 0.05, 0.1)
 # Side of the blocks in which walls gain or lose their cell on the same side.
 THICKNESS_BLOCK = 12

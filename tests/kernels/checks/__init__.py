@@ -1,43 +1,18 @@
-"""Run every operation of a device on small random input against its NumPy twin.
-
-``slamfusion doctor`` runs this in about a second. The kernel tests run the same checks over many
-shapes, and one of them holds that every operation of ``ComputeDevice`` has a check here. Nothing
-else imports it.
-"""
+"""Run any operation of a device on random input and compare it with its NumPy twin."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
-from slamfusion.compute.self_test.grid_checks import GRID_CHECKS
-from slamfusion.compute.self_test.map_checks import MAP_CHECKS
-from slamfusion.compute.self_test.sample import Check, Sample
-from slamfusion.errors import DeviceError
-
-__all__ = ["CHECKS", "Sample", "differences", "self_test"]
+from tests.kernels.checks.grid_checks import GRID_CHECKS
+from tests.kernels.checks.map_checks import MAP_CHECKS
+from tests.kernels.checks.sample import Check, Sample
 
 CHECKS: dict[str, Check] = GRID_CHECKS | MAP_CHECKS
 # Kernels that sum float32 where their twin sums float64 may differ by this share of the largest
 # term of a row; all others not at all.
 RELATIVE = 1e-4
-
-
-def self_test(device: ComputeDevice) -> list[tuple[str, bool, str]]:
-    """Check every operation once.
-
-    Returns:
-        (operation, passed, what was found) each.
-    """
-    sample = Sample((33, 70), seed=1)
-    results = []
-    for name in CHECKS:
-        try:
-            found = differences(name, device, sample)
-        except DeviceError as error:
-            found = str(error)
-        results.append((name, not found, found or "equals its NumPy twin"))
-    return results
 
 
 def differences(name: str, device: ComputeDevice, sample: Sample) -> str:

@@ -14,8 +14,6 @@ from slamfusion.compute.arrays import DeviceArray
 from slamfusion.compute.compute_device import ComputeDevice
 from slamfusion.compute.fields import numpy as fields
 
-__all__ = ["Arrays", "Check", "Sample", "fetch"]
-
 Arrays: TypeAlias = list[npt.NDArray[Any]]
 
 

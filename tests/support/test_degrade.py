@@ -12,7 +12,8 @@ from scipy import ndimage
 from slamfusion.errors import GridError
 from slamfusion.geometry import Pose2
 from slamfusion.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from slamfusion.sim import Degradation, degrade_map, draw_building, draw_degradation
+from slamfusion.sim import draw_building
+from tests.support.degrade import Degradation, degrade_map, draw_degradation
 
 
 @pytest.fixture(scope="module")

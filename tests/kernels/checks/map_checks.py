@@ -20,9 +20,7 @@ from slamfusion.compute.layout import (
     TILE,
     UNSEEN,
 )
-from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
-
-__all__ = ["MAP_CHECKS"]
+from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
 
 
 def _extend(device: ComputeDevice, sample: Sample) -> Arrays:

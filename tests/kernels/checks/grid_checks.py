@@ -26,11 +26,9 @@ from slamfusion.compute.layout import (
     WALL_SIDES,
 )
 from slamfusion.compute.search import FitSide, ScoredSide
-from slamfusion.compute.self_test.sample import Arrays, Check, Sample, fetch
 from slamfusion.compute.shift_spans import shift_spans
 from slamfusion.compute.votes import Votes
-
-__all__ = ["GRID_CHECKS"]
+from tests.kernels.checks.sample import Arrays, Check, Sample, fetch
 
 # Worth of a cell that says nothing, and the value outside a field.
 BASE = 64

@@ -1,0 +1,71 @@
+"""Compare three operations of a device with their NumPy twins, for ``slamfusion doctor``.
+
+The tests of the kernels compare every operation, over many shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slamfusion.compute.compute_device import ComputeDevice, NumpyDevice
+from slamfusion.compute.lattice import fixed_poses
+from slamfusion.compute.search import ScoredSide
+from slamfusion.errors import DeviceError
+
+SHAPE = (33, 70)
+RNG = np.random.default_rng(1)
+GRIDS = list(RNG.choice(np.array([-1, 0, 1], np.int8), (3, *SHAPE), p=(0.3, 0.56, 0.14)))
+FIELD = RNG.integers(0, 256, SHAPE).astype(np.uint8)
+# Cell centres, x and y in half cells, and motions of about the size of the grids.
+POINTS = (2 * RNG.integers(0, SHAPE[::-1], (150, 2)) + 1).astype(np.int32)
+POSES = fixed_poses(RNG.uniform(-0.5, 0.5, (3, 3)) * (70.0, 70.0, 6.0))
+
+
+def _search(device: ComputeDevice) -> list[npt.NDArray[Any]]:
+    return device.pose_scores(ScoredSide(POINTS, POSES, device.upload(FIELD), base=64))
+
+
+def _warp(device: ComputeDevice) -> list[npt.NDArray[Any]]:
+    return [device.download(device.warp(device.upload(GRIDS[0]), POSES, SHAPE, -1))]
+
+
+def _vote(device: ComputeDevice) -> list[npt.NDArray[Any]]:
+    votes = device.vote_majority(GRIDS, unknown_votes=True)
+    return [np.asarray(part) for part in votes]
+
+
+# By the name of the operation.
+OPERATIONS: dict[str, Callable[[ComputeDevice], list[npt.NDArray[Any]]]] = {
+    "pose_scores": _search,
+    "warp": _warp,
+    "vote_majority": _vote,
+}
+
+
+def self_test(device: ComputeDevice) -> list[tuple[str, bool, str]]:
+    """Run the operations once on small random input.
+
+    Returns:
+        For each its name, whether it equals its twin, and what was found.
+    """
+    results = []
+    for name, operation in OPERATIONS.items():
+        try:
+            found = _difference(operation(device), operation(NumpyDevice()))
+        except DeviceError as error:
+            found = str(error)
+        results.append((name, not found, found or "equals its NumPy twin"))
+    return results
+
+
+def _difference(own: list[npt.NDArray[Any]], twin: list[npt.NDArray[Any]]) -> str:
+    """Say what differs first; empty where nothing does."""
+    for n, (a, b) in enumerate(zip(own, twin, strict=True)):
+        wrong = int(np.count_nonzero(a != b))
+        if wrong:
+            return f"output {n}: {wrong} of {b.size} values differ"
+    return ""
